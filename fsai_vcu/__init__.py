@@ -1,0 +1,1 @@
+"""The software between a Formula Student AI stack and the ADS-DV's vehicle control unit (VCU)."""

@@ -1,0 +1,87 @@
+"""The data that flows through the driving chain: cones seen, motion, plan; and the run they belong to.
+
+Frames: *vehicle frame* is ISO 8855 / REP-103 with its origin at the rear axle's centre on the ground (x forward, y left);
+*odometry frame* is the vehicle frame where the run began.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsai_vcu.interface.enums import Ami, AsState
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class ConeColor(IntEnum):
+    """Colour of a cone as a detector reports it."""
+
+    UNKNOWN = 0
+    BLUE = 1  # left border
+    YELLOW = 2  # right border
+    ORANGE = 3  # small orange: entry and exit lanes
+    BIG_ORANGE = 4  # start and finish gates
+
+
+@dataclass(frozen=True, slots=True)
+class ConeObservation:
+    """Cones seen at one instant, in the vehicle frame.
+
+    xy_m: (N, 2) metres; color: (N,) ConeColor values; confidence: (N,) 0…1.
+    """
+
+    t_ns: int
+    xy_m: Floats
+    color: Ints
+    confidence: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Dead-reckoned motion in the odometry frame. Rear-axle centre."""
+
+    t_ns: int = 0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+    speed_mps: float = 0.0
+    yaw_rate_radps: float = 0.0
+    distance_m: float = 0.0  # driven since the run began
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """The run in hand: a new `run_id` asks planner and controller to forget everything and to confirm it.
+
+    `may_move` is True once AS_DRIVING has lasted the 3 s in which the car must stand still.
+    """
+
+    run_id: int
+    mission: Ami = Ami.NOT_SELECTED
+    as_state: AsState | None = None
+    may_move: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Where to drive, from the planner to the controller.
+
+    path_m: (M, 2) vehicle frame of the instant `t_sensor_ns`, ordered forward, first point near the car.
+    `laps` completed so far; `stop_distance_m` is the length of path left until the car must stand (None: no stop known
+    yet); `finished` says the mission's last line has been crossed.
+    """
+
+    t_sensor_ns: int
+    run_id: int
+    mission: Ami
+    path_m: Floats
+    laps: int = 0
+    finished: bool = False
+    stop_distance_m: float | None = None
+    cones_count_actual: int = 0
+    cones_count_all: int = 0
