@@ -1,0 +1,79 @@
+"""`fsai-vcu`: one command, one thin file per verb, imported only when it is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+# verb -> (module, what it does in one line)
+VERBS: dict[str, tuple[str, str]] = {
+    "drive": ("drive", "drive a mission against the simulated car, in lockstep, without ROS or hardware"),
+    "vcu": ("vcu", "run the simulated VCU and car as a process on a bus"),
+    "hil": ("hil", "run the hardware-in-the-loop suite on a real vcan0"),
+    "mode": ("mode", "set the mode: autonomous or manual"),
+    "emergency-brake": ("emergency_brake", "request an emergency brake"),
+    "status": ("status", "show mode, AS state, and what stands between now and driving"),
+    "record": ("record", "record a bus as a candump log"),
+}
+
+
+class UserError(Exception):
+    """Something the user can put right; the message is one clear line."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb. Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        _print_help()
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"fsai-vcu {version('fsai-vcu')}")
+        return 0
+    verb = arguments[0]
+    if verb not in VERBS:
+        print(f"fsai-vcu: no verb '{verb}'; there are: {', '.join(VERBS)}", file=sys.stderr)
+        return 2
+    name, summary = VERBS[verb]
+    module = importlib.import_module(f"fsai_vcu.cli.{name}")
+    parser = argparse.ArgumentParser(
+        prog=f"fsai-vcu {verb}",
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"example:\n  {module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    if hasattr(module, "parse"):
+        args = module.parse(parser, arguments[1:])
+    else:
+        args = parser.parse_args(arguments[1:])
+    try:
+        return int(module.run(args))
+    except UserError as error:
+        print(f"fsai-vcu {verb}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"fsai-vcu {verb}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader (a pager, `head`) has gone: that is its good right.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _print_help() -> None:
+    width = max(len(verb) for verb in VERBS)
+    print("usage: fsai-vcu VERB [options]\n\nThe software between a Formula Student AI stack and the ADS-DV's VCU.\n")
+    print("verbs:")
+    for verb, (_, summary) in VERBS.items():
+        print(f"  {verb:<{width}}  {summary}")
+    print("\n`fsai-vcu VERB --help` shows the options and an example:\n  fsai-vcu drive --mission trackdrive --laps 2")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

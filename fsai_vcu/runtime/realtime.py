@@ -1,0 +1,44 @@
+"""Real-time scheduling for the loop's thread, when the machine allows it; said in words when not."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import sys
+
+FIFO_PRIORITY = 45  # above ordinary threads, below the kernel's own interrupt threads (50)
+# MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT: pages stay once touched; untouched thread stacks are not filled.
+_MCL_FLAGS = 1 | 2 | 4
+_SWITCH_INTERVAL_S = 0.0005  # how long another Python thread may keep the interpreter from the loop
+
+
+def go_real_time() -> tuple[str, ...]:
+    """Give the calling thread SCHED_FIFO and lock the process's memory. Returns what was not allowed, in words."""
+    refused = []
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    except (PermissionError, OSError) as error:
+        refused.append(
+            f"real-time scheduling not allowed ({error.strerror}): the loop may be late under load; "
+            "LimitRTPRIO= in the unit or `ulimit -r` allows it"
+        )
+    memory_refusal = _lock_memory()
+    if memory_refusal:
+        refused.append(
+            f"memory not locked ({memory_refusal}): a page fault may delay the loop; "
+            "LimitMEMLOCK=infinity in the unit or `ulimit -l unlimited` allows it"
+        )
+    return tuple(refused)
+
+
+def _lock_memory() -> str:
+    """Why memory could not be locked; empty when it is."""
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if os.geteuid() != 0 and limit != resource.RLIM_INFINITY:
+        # Under a finite limit a later allocation would fail instead of this call.
+        return f"limit is {limit // 1024} KiB"
+    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_FLAGS) != 0:
+        return os.strerror(ctypes.get_errno())
+    return ""

@@ -1,0 +1,60 @@
+"""One bridge per interface, and the words for systemd."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock
+from fsai_vcu.runtime.notify import Notifier
+
+
+def test_a_second_bridge_on_the_same_interface_is_refused_and_told_who_holds_it() -> None:
+    lock = InterfaceLock("test-if")
+    try:
+        with pytest.raises(AlreadyRunning, match=rf"another bridge \(process {os.getpid()}\) already drives 'test-if'"):
+            InterfaceLock("test-if")
+    finally:
+        lock.release()
+
+
+def test_the_lock_is_free_again_after_its_release_and_other_interfaces_never_matter() -> None:
+    first = InterfaceLock("test-if")
+    other = InterfaceLock("test-if2")
+    first.release()
+    InterfaceLock("test-if").release()
+    other.release()
+
+
+def test_the_lock_dies_with_its_process() -> None:
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        InterfaceLock("test-child")
+        os.write(write_end, b"x")
+        os.kill(os.getpid(), 9)
+    os.read(read_end, 1)
+    os.waitpid(child, 0)
+    InterfaceLock("test-child").release()
+
+
+def test_systemd_hears_ready_and_the_watchdog_period_is_half_of_what_it_allows(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "2000000"})
+        notifier.send("READY=1")
+        assert systemd.recv(64) == b"READY=1"
+    assert notifier.watchdog_period_ns == 1_000_000_000
+
+
+def test_without_systemd_a_notification_does_nothing() -> None:
+    notifier = Notifier({})
+    notifier.send("READY=1")
+    assert notifier.watchdog_period_ns is None
+
+
+def test_a_watchdog_meant_for_another_process_is_not_fed() -> None:
+    assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_period_ns is None

@@ -1,0 +1,82 @@
+"""When the five frames go out: requirements of the loop's timing, in virtual time."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS, MIN_GAP_NS, PERIOD_NS, Pacing
+
+MS = 1_000_000
+
+
+def settled(now_ns: int = 0) -> Pacing:
+    """A pacing that has just sent at `now_ns`, in answer to a 0x520."""
+    pacing = Pacing(now_ns)
+    pacing.on_status(now_ns)
+    pacing.on_sent(now_ns)
+    return pacing
+
+
+def test_a_status_frame_is_answered_at_once() -> None:
+    pacing = settled(0)
+    pacing.on_status(10 * MS)
+    assert pacing.due_ns() == 10 * MS
+
+
+def test_an_answer_waits_until_eight_milliseconds_after_the_last_send() -> None:
+    pacing = settled(0)
+    pacing.on_status(3 * MS)
+    assert pacing.due_ns() == MIN_GAP_NS
+
+
+def test_a_second_status_frame_does_not_postpone_a_pending_answer() -> None:
+    pacing = settled(0)
+    pacing.on_status(3 * MS)
+    pacing.on_status(7 * MS)
+    assert pacing.due_ns() == MIN_GAP_NS
+
+
+def test_without_status_frames_the_first_send_of_its_own_is_after_fifteen_milliseconds() -> None:
+    assert settled(0).due_ns() == FALLBACK_AFTER_NS
+
+
+def test_in_fallback_it_sends_every_ten_milliseconds_on_a_grid_that_lateness_does_not_shift() -> None:
+    pacing = settled(0)
+    pacing.on_sent(FALLBACK_AFTER_NS + MS)  # 1 ms late
+    assert pacing.due_ns() == FALLBACK_AFTER_NS + PERIOD_NS
+    pacing.on_sent(pacing.due_ns())
+    assert pacing.due_ns() == FALLBACK_AFTER_NS + 2 * PERIOD_NS
+
+
+def test_after_a_long_delay_fallback_does_not_catch_up_with_a_burst() -> None:
+    pacing = settled(0)
+    pacing.on_sent(200 * MS)
+    assert pacing.due_ns() == 210 * MS
+
+
+def test_the_first_status_frame_ends_the_fallback() -> None:
+    pacing = settled(0)
+    pacing.on_sent(15 * MS)
+    pacing.on_sent(25 * MS)
+    pacing.on_status(34 * MS)
+    assert pacing.due_ns() == 34 * MS
+
+
+@given(st.lists(st.tuples(st.integers(0, 30 * MS), st.booleans()), max_size=200))
+def test_two_sends_are_never_closer_than_eight_milliseconds_and_never_later_than_fifteen(
+    events: list[tuple[int, bool]],
+) -> None:
+    """Whatever arrives when, a loop that polls on time sends neither too often nor too seldom."""
+    now_ns, pacing, sends = 0, Pacing(0), []
+    for wait_ns, is_status in events:
+        until_ns = now_ns + wait_ns
+        while pacing.due_ns() <= until_ns:
+            now_ns = max(now_ns, pacing.due_ns())
+            sends.append(now_ns)
+            pacing.on_sent(now_ns)
+        now_ns = until_ns
+        if is_status:
+            pacing.on_status(now_ns)
+    gaps = [later - earlier for earlier, later in zip(sends, sends[1:], strict=False)]
+    assert all(MIN_GAP_NS <= gap <= FALLBACK_AFTER_NS for gap in gaps)
