@@ -7,6 +7,7 @@ arriving can never look fresh. Signals which a revision or a database lacks are 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from fsai_vcu.interface.enums import (
     Ami,
@@ -332,7 +333,8 @@ class VehicleState:
         """The state after `image` has been received."""
         if isinstance(image, VcuStatus):
             return replace(self, status=image, handshake=image.handshake)
-        return replace(self, **{_FIELD_OF[type(image)]: image})
+        changed: dict[str, Any] = {_FIELD_OF[type(image)]: image}
+        return replace(self, **changed)
 
 
 _FIELD_OF: dict[type, str] = {
@@ -515,7 +517,8 @@ class GpsImu:
 
     def with_image(self, image: GpsImage) -> GpsImu:
         """The state after `image` has been received."""
-        return replace(self, **{_GPS_FIELD_OF[type(image)]: image})
+        changed: dict[str, Any] = {_GPS_FIELD_OF[type(image)]: image}
+        return replace(self, **changed)
 
 
 _GPS_FIELD_OF: dict[type, str] = {

@@ -1,0 +1,75 @@
+"""Finding and loading signal databases: our own, or an official file made fit for use.
+
+Official files of 2026 declare one-bit flags signed, so that a set bit would read -1: such signals become unsigned here.
+Names that differ and signals that are absent are the codec's business.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from pathlib import Path
+
+from cantools.database.can import Database, Message, Node
+from cantools.database.namedsignalvalue import NamedSignalValue
+
+
+class DatabaseError(ValueError):
+    """A signal database that is missing, malformed or not this car's. The message is one line for a person."""
+
+
+def dbc_dir() -> Path:
+    """The folder with the project's DBC files: inside the installed package, else in the checkout."""
+    packaged = Path(__file__).parent / "dbc"
+    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "dbc"
+
+
+def load_database(paths: Iterable[Path | str]) -> Database:
+    """Load DBC files strictly (no overlapping signals, none beyond its frame) into one database.
+
+    Where two files describe the same identifier, the first one counts. Raises DatabaseError.
+    """
+    messages: dict[tuple[int, bool], Message] = {}
+    nodes: dict[str, Node] = {}
+    for path in paths:
+        single = _load_one(Path(path))
+        for message in single.messages:
+            messages.setdefault((message.frame_id, message.is_extended_frame), message)
+        for node in single.nodes:
+            nodes.setdefault(node.name, node)
+    if not messages:
+        raise DatabaseError("no DBC file given that describes a message")
+    return Database(messages=list(messages.values()), nodes=list(nodes.values()), strict=True)
+
+
+def _load_one(path: Path) -> Database:
+    database = Database(strict=True)
+    try:
+        database.add_dbc_file(path)
+    except FileNotFoundError:
+        raise DatabaseError(f"{path}: no such DBC file") from None
+    except OSError as error:
+        raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # the parser has no common base class for what a broken file makes it raise
+        raise DatabaseError(f"{path}: not a valid DBC file: {_one_line(error)}") from error
+    if not database.messages:
+        raise DatabaseError(f"{path}: not a valid DBC file: it describes no message")
+    _make_flags_unsigned(database)
+    return database
+
+
+def _make_flags_unsigned(database: Database) -> None:
+    for message in database.messages:
+        for signal in message.signals:
+            if signal.length == 1 and signal.is_signed:
+                signal.is_signed = False
+                signal.minimum, signal.maximum = 0, 1
+                if signal.choices:  # a table written for the signed reading names -1
+                    names = {abs(raw): str(name) for raw, name in signal.choices.items()}
+                    signal.choices = OrderedDict((raw, NamedSignalValue(raw, name)) for raw, name in names.items())
+    database.refresh()
+
+
+def _one_line(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text or type(error).__name__

@@ -1,0 +1,38 @@
+"""Which identifiers an AI computer sends, which it may send on some cars, and which it must never send."""
+
+from __future__ import annotations
+
+AI_IDS = (0x510, 0x511, 0x512, 0x513, 0x514)
+"""The five messages of the AI computer, in the order in which they go out."""
+
+OPTIONAL_AI_ID = 0x501
+"""AI2LOG_Dynamics2: the PCAN-GPS sends it; an AI computer only on a car that has none."""
+
+# Interface specification v4.0: identifiers of the VCU, the remote E-stop, the battery, the display and the sensors.
+_RESERVED_RANGES = (
+    (0x000, 0x000),
+    (0x080, 0x084),
+    (0x120, 0x124),
+    (0x181, 0x184),
+    (0x284, 0x284),
+    (0x301, 0x301),
+    (0x410, 0x41F),
+    (0x450, 0x470),
+    (0x4E2, 0x4E2),
+    (0x4FD, 0x4FF),
+    (0x550, 0x550),
+    (0x581, 0x584),
+    (0x600, 0x640),
+    (0x650, 0x660),
+    (0x700, 0x705),
+)
+
+RESERVED_IDS: frozenset[int] = frozenset(
+    can_id for first, last in _RESERVED_RANGES for can_id in range(first, last + 1)
+)
+"""Identifiers that an AI computer must never transmit."""
+
+
+def may_send(can_id: int, *, without_pcan_gps: bool = False) -> bool:
+    """Whether the AI computer may transmit `can_id` (safety rule 8)."""
+    return can_id in AI_IDS or (without_pcan_gps and can_id == OPTIONAL_AI_ID)
