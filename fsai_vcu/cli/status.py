@@ -1,0 +1,70 @@
+"""`fsai-vcu status`: mode, AS state, mission, and every condition that still stands between now and driving."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from typing import Any
+
+EXAMPLE = "fsai-vcu status --json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="how long to wait for a bridge (10 s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.services import operator_node, vehicle_state
+
+    with operator_node() as node:
+        state = vehicle_state(node, args.wait)
+    if args.json:
+        print(json.dumps(_as_dict(state)))
+    else:
+        print(_as_text(state))
+    return 0
+
+
+def _as_dict(state: Any) -> dict[str, Any]:
+    """The message's fields as JSON types; NaN (never heard) becomes null."""
+    fields: dict[str, Any] = {}
+    for name in state.get_fields_and_field_types():
+        value = getattr(state, name)
+        if name == "header":
+            continue
+        if isinstance(value, float):
+            fields[name] = None if math.isnan(value) else round(value, 6)
+        elif isinstance(value, str | bool | int):
+            fields[name] = value
+        else:
+            fields[name] = [str(item) if isinstance(item, str) else int(item) for item in value]
+    return fields
+
+
+def _as_text(state: Any) -> str:
+    lines = [
+        f"mode      {state.mode}" + ("   (listen only: nothing is sent)" if state.listen_only else ""),
+        f"AS state  {state.as_state_label}",
+        f"mission   {state.mission_label}",
+        f"speed     {state.speed_mps:.1f} m/s   steering {math.degrees(state.steering_rad):+.1f} deg   lap {state.laps}",
+        "switches  "
+        f"ASMS {'on' if state.as_switch else 'off'}, TSMS {'on' if state.ts_switch else 'off'}, "
+        f"Go {'on' if state.go_signal else 'off'}",
+    ]
+    if math.isnan(state.status_age_s):
+        lines.append("car       nothing heard (no 0x520)")
+    elif state.status_age_s > 0.1:
+        lines.append(f"car       silent for {state.status_age_s:.1f} s")
+    if state.faults:
+        lines.append(f"faults    {', '.join(state.faults)} (shutdown cause {state.shutdown_cause_label})")
+    if state.emergency:
+        lines.append(f"emergency {state.emergency}")
+    if state.stopping:
+        lines.append(f"stopping  {state.stopping}")
+    lines += [f"gate      {reason}" for reason in state.gate_reasons]
+    if state.why_not_driving:
+        lines.append("why not driving:")
+        lines += [f"  - {condition}" for condition in state.why_not_driving]
+    return "\n".join(lines)

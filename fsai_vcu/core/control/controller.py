@@ -1,0 +1,215 @@
+"""The controller: plan, motion and run in, one vehicle command out.
+
+`mission_finished` means "stop now, for good": it is set once the plan says the last line is crossed and the stopping
+place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set likewise.
+Throttle and brake are never asked for together.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.control.path_tracking import lookahead_m, pursue
+from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.control.speed_profile import speed_demand
+from fsai_vcu.core.driving import Motion, Plan, Run
+from fsai_vcu.core.missions.demo import DemoState, advance_demo
+from fsai_vcu.core.missions.request import CarView, MissionRequest
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.missions.static_inspection import (
+    Inspection,
+    InspectionState,
+    advance_inspection,
+    inspection_a,
+    inspection_b,
+)
+from fsai_vcu.core.planning.pose import lengths_along, to_odometry, to_vehicle
+from fsai_vcu.core.vehicle.odometry import MotionHistory, motion_at
+from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
+from fsai_vcu.interface.enums import Ami
+
+WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO})
+SPEED_LIMIT_MARGIN_MPS = 1.0  # the motors' own limit, over the speed aimed at: it guards, it does not control
+NEARLY_AT_REST_MPS = 1.5
+AIR_DENSITY_KGPM3 = 1.2
+
+
+class Controller:
+    """Turns plans into commands, for the run in hand. `reset` forgets everything."""
+
+    def __init__(
+        self,
+        car: VehicleParameters,
+        settings: ControllerSettings | None = None,
+        missions: MissionSettings | None = None,
+    ) -> None:
+        self._car = car
+        self._settings = settings or ControllerSettings()
+        self._missions = missions or MissionSettings()
+        self._max_steer_rad = min(car.steer_max_rad, self._settings.max_steer_rad)
+        self._history = MotionHistory()
+        self.reset(Run(run_id=0))
+
+    def reset(self, run: Run) -> None:
+        """Forget everything: `run` begins."""
+        self._run_id = run.run_id
+        self._mission = run.mission
+        self._history.clear()
+        self._steering_rad = 0.0
+        self._braking = False
+        self._finished = False
+        self._estop = False
+        self._inspection = InspectionState()
+        self._demo = DemoState()
+
+    def configure(self, settings: ControllerSettings) -> None:
+        """Other settings from now on; the run goes on."""
+        self._settings = settings
+        self._max_steer_rad = min(self._car.steer_max_rad, settings.max_steer_rad)
+
+    def max_speed_mps(self, mission: Ami) -> float:
+        """The speed aimed at where nothing else limits it."""
+        if mission is Ami.SKIDPAD:
+            return self._settings.skidpad_max_speed_mps
+        if mission is Ami.ACCELERATION:
+            return min(self._settings.acceleration_max_speed_mps, self._car.speed_max_mps)
+        return self._settings.max_speed_mps
+
+    def command(
+        self,
+        plan: Plan | None,
+        motion: Motion,
+        vehicle_standing: bool,
+        wheel_speeds_rpm: tuple[float, float, float, float],
+        steer_deg: float,
+        run: Run,
+        now_ns: int,
+    ) -> VehicleCommand:
+        """The command at `now_ns`. `steer_deg` is the measured angle, `wheel_speeds_rpm` are FL, FR, RL, RR."""
+        if run.run_id != self._run_id or run.mission != self._mission:
+            self.reset(run)
+        self._history.add(motion)
+        if plan is not None and (plan.run_id != run.run_id or plan.mission != run.mission):
+            plan = None
+        if run.mission in WITHOUT_PATH:
+            if not run.may_move:
+                return VehicleCommand(t_sensor_ns=motion.t_ns, run_id=run.run_id)
+            steer_rad = math.radians(steer_deg) if math.isfinite(steer_deg) else 0.0
+            view = CarView(now_ns, motion, wheel_speeds_rpm, steer_rad, vehicle_standing)
+            return self._without_path(view, run)
+        return self._along_path(plan, motion, run, now_ns)
+
+    def _without_path(self, view: CarView, run: Run) -> VehicleCommand:
+        request: MissionRequest
+        if run.mission is Ami.AUTONOMOUS_DEMO:
+            self._demo, request = advance_demo(self._demo, view, self._max_steer_rad, self._missions)
+        else:
+            inspection: Inspection = (inspection_a if run.mission is Ami.STATIC_INSPECTION_A else inspection_b)(
+                self._missions
+            )
+            self._inspection, request = advance_inspection(
+                inspection, self._inspection, view, self._car, self._max_steer_rad, self._missions
+            )
+        self._finished |= request.finished
+        self._estop |= request.estop
+        return VehicleCommand(
+            t_sensor_ns=view.motion.t_ns,
+            run_id=run.run_id,
+            steering_rad=self._within(request.steering_rad),
+            throttle=request.throttle,
+            brake=request.brake,
+            speed_limit_mps=request.speed_limit_mps,
+            mission_finished=self._finished,
+            estop_request=self._estop,
+        )
+
+    def _along_path(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> VehicleCommand:
+        throttle, brake = 0.0, 0.0
+        limit = self.max_speed_mps(run.mission) + SPEED_LIMIT_MARGIN_MPS
+        if not run.may_move:
+            self._steering_rad, self._braking, limit = 0.0, False, 0.0
+        else:
+            throttle, brake = self._drive(plan, motion, run, now_ns)
+        return VehicleCommand(
+            t_sensor_ns=plan.t_sensor_ns if plan is not None else motion.t_ns,
+            run_id=run.run_id,
+            steering_rad=self._steering_rad,
+            throttle=throttle,
+            brake=brake,
+            speed_limit_mps=limit,
+            mission_finished=self._finished,
+            laps=plan.laps if plan is not None else 0,
+            cones_count_actual=plan.cones_count_actual if plan is not None else 0,
+            cones_count_all=plan.cones_count_all if plan is not None else 0,
+        )
+
+    def _drive(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> tuple[float, float]:
+        """Throttle and brake; the steering is left in `_steering_rad`."""
+        settings = self._settings
+        speed = motion.speed_mps
+        there = self._history.at(plan.t_sensor_ns) if plan is not None else None
+        if plan is None or there is None:
+            return self._no_way()
+        driven = motion_at(motion, now_ns).distance_m - there.distance_m
+        stop_m = None if plan.stop_distance_m is None else plan.stop_distance_m - driven
+        if plan.finished and (speed < NEARLY_AT_REST_MPS or (stop_m is not None and stop_m <= 0.1 * speed + 0.3)):
+            self._finished = True
+
+        path = np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2)
+        if len(path) < 3 or not np.isfinite(path).all():
+            return self._no_way()
+        predicted = motion_at(motion, now_ns + round(settings.delay_s * 1e9))
+        here = to_vehicle(predicted, to_odometry(there, path))
+        along = lengths_along(here)
+        nearest = int((here[:, 0] ** 2 + here[:, 1] ** 2).argmin())
+        if along[-1] - along[nearest] < settings.path_min_m:
+            return self._no_way()
+        steering = pursue(here, along, nearest, lookahead_m(speed, settings), self._car.wheelbase_m)
+        if steering is not None:
+            self._steering_rad = self._within(steering)
+        if self._finished:
+            return 0.0, settings.final_brake
+        age_s = (now_ns - plan.t_sensor_ns) / 1e9
+        if age_s > settings.plan_lost_s:
+            return 0.0, settings.gentle_brake
+
+        demand = speed_demand(
+            here[nearest:],
+            along[nearest:] - along[nearest],
+            speed,
+            self.max_speed_mps(run.mission),
+            stop_m,
+            settings,
+        )
+        threshold = settings.brake_off_mps2 if self._braking else settings.brake_on_mps2
+        self._braking = demand.needed_mps2 > threshold and speed > 0.3
+        if self._braking:
+            return 0.0, self._brake_for(min(demand.needed_mps2, settings.braking_max_mps2))
+        if plan.finished or age_s > settings.plan_old_s or speed >= demand.allowed_mps:
+            return 0.0, 0.0
+        return self._throttle_for(settings.speed_gain_1ps * (demand.allowed_mps - speed), speed), 0.0
+
+    def _no_way(self) -> tuple[float, float]:
+        """No path to drive on: brake, steering as it was."""
+        self._braking = True
+        return 0.0, self._settings.final_brake if self._finished else self._settings.gentle_brake
+
+    def _within(self, steering_rad: float) -> float:
+        return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)
+
+    def _brake_for(self, deceleration_mps2: float) -> float:
+        return min(max(deceleration_mps2 / (self._car.brake_full_mps2 * self._car.brake_excess), 0.0), 1.0)
+
+    def _throttle_for(self, acceleration_mps2: float, speed_mps: float) -> float:
+        """Fraction of the full axle torque that gives an acceleration on the level."""
+        car = self._car
+        force = (
+            (car.mass_kg + car.rotating_mass_kg) * acceleration_mps2
+            + car.rolling_resistance * car.mass_kg * GRAVITY_MPS2
+            + 0.5 * AIR_DENSITY_KGPM3 * car.drag_area_m2 * speed_mps**2
+        )
+        per_axle_nm = force * car.rolling_radius_m / max(car.driven_axles, 1)
+        return min(max(per_axle_nm / car.axle_torque_max_nm, 0.0), 1.0)

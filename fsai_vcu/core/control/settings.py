@@ -1,0 +1,68 @@
+"""What can be set about control. SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSettings:
+    """Defaults drive robustly rather than fast."""
+
+    max_speed_mps: float = 7.0  # autocross, trackdrive
+    skidpad_max_speed_mps: float = 6.0
+    acceleration_max_speed_mps: float = 25.0
+    max_steer_rad: float = math.radians(30.0)  # never more than the car's own limit either
+
+    lateral_mps2: float = 4.5  # in corners
+    braking_mps2: float = 3.0  # planned before corners
+    stopping_mps2: float = 4.0  # planned before the stopping place
+    braking_max_mps2: float = 6.0
+    end_of_path_mps: float = 4.0  # with what lies behind the path's end unknown
+
+    lookahead_m: float = 1.4  # of pure pursuit at rest …
+    lookahead_s: float = 0.32  # … and with speed
+    lookahead_min_m: float = 2.0
+    lookahead_max_m: float = 6.0
+    delay_s: float = 0.09  # from a command to the wheels: dead time, bus and half of the actuator's lag
+    reaction_s: float = 0.2  # of the brakes
+
+    speed_gain_1ps: float = 2.0  # acceleration per speed error
+    brake_on_mps2: float = 1.8  # needed deceleration from which on the brake is used …
+    brake_off_mps2: float = 0.8  # … and below which it is released
+    plan_old_s: float = 0.4  # no throttle on an older plan
+    plan_lost_s: float = 0.8  # brake on an older one
+    gentle_brake: float = 0.2  # without a path
+    final_brake: float = 0.3  # after the end
+    path_min_m: float = 1.5  # a shorter path is none
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            low, high = CONTROLLER_RANGES.get(field.name, (0.01, 100.0))
+            if not low <= value <= high:
+                raise ValueError(f"controller setting {field.name} is {value}, outside {low}…{high}")
+
+
+CONTROLLER_RANGES: dict[str, tuple[float, float]] = {
+    "max_speed_mps": (0.5, 30.0),
+    "skidpad_max_speed_mps": (0.5, 30.0),
+    "acceleration_max_speed_mps": (0.5, 30.0),
+    "max_steer_rad": (0.05, math.radians(30.0)),
+    "lateral_mps2": (0.5, 15.0),
+    "braking_mps2": (0.5, 8.0),
+    "stopping_mps2": (0.5, 8.0),
+    "braking_max_mps2": (1.2, 9.0),
+    "end_of_path_mps": (0.0, 20.0),
+    "lookahead_m": (0.0, 5.0),
+    "lookahead_s": (0.0, 2.0),
+    "lookahead_min_m": (1.0, 5.0),
+    "lookahead_max_m": (2.0, 20.0),
+    "delay_s": (0.0, 0.5),
+    "reaction_s": (0.0, 1.0),
+    "brake_on_mps2": (0.2, 5.0),
+    "brake_off_mps2": (0.0, 5.0),
+    "gentle_brake": (0.0, 1.0),
+    "final_brake": (0.05, 1.0),
+}

@@ -1,0 +1,90 @@
+"""Counting laps: the line of the start gate passed, as often as it is passed, and no oftener.
+
+The line is where the big orange cones were last seen. Where none was ever seen it is where the staged car had it ahead.
+Seeing the gate again corrects the line, so that odometry may drift by metres in a lap; without a gate the
+line is laid anew where the car passes it, so that only one lap's drift matters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from fsai_vcu.core.driving import Motion
+
+ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
+PASSED_M = 6.0  # further behind it than this the car has not just passed it
+BEFORE_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line across the lane in the odometry frame: its middle and the direction in which it is passed."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    seen: bool  # by its cones; else assumed
+    at_distance_m: float  # distance driven when it was last seen or laid
+
+    def position_of(self, motion: Motion) -> tuple[float, float]:
+        """(ahead, left) of the line at which the car is, m."""
+        dx, dy = motion.x_m - self.x_m, motion.y_m - self.y_m
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+@dataclass(frozen=True, slots=True)
+class LapState:
+    """`passages` of the line: the first begins lap 1."""
+
+    line: Line
+    passages: int = 0
+    armed: bool = False
+    passed_at_m: float | None = None  # distance driven at the last passage
+
+    @property
+    def laps(self) -> int:
+        """Laps completed."""
+        return max(0, self.passages - 1)
+
+
+def staged(motion: Motion, line_ahead_m: float) -> LapState:
+    """The state of a car that stands before the line."""
+    return LapState(
+        Line(
+            motion.x_m + line_ahead_m * math.cos(motion.yaw_rad),
+            motion.y_m + line_ahead_m * math.sin(motion.yaw_rad),
+            motion.yaw_rad,
+            seen=False,
+            at_distance_m=motion.distance_m,
+        )
+    )
+
+
+def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: Motion, lap_min_m: float) -> LapState:
+    """The gate's cones are in sight, the middle between them at (x, y) of the odometry frame."""
+    if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < 0.5 * lap_min_m:
+        return state  # just passed: what is in sight now may be the rest of the same gate
+    return replace(state, line=Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m))
+
+
+def advance_laps(state: LapState, motion: Motion, lap_min_m: float) -> LapState:
+    """The state with the car at `motion`."""
+    ahead, left = state.line.position_of(motion)
+    blind_m = max(0.0, motion.distance_m - state.line.at_distance_m)
+    within = 3.0 + 0.02 * blind_m
+    turned = abs(math.remainder(motion.yaw_rad - state.line.yaw_rad, 2.0 * math.pi))
+    if abs(left) > within or turned > math.radians(60.0):
+        return replace(state, armed=False) if state.armed and abs(left) > within + 3.0 else state
+    if -ARMING_M < ahead < -BEFORE_M:
+        far_enough = state.passed_at_m is None or motion.distance_m - state.passed_at_m >= lap_min_m - ARMING_M
+        return replace(state, armed=True) if far_enough and not state.armed else state
+    if not state.armed or not 0.0 <= ahead < PASSED_M:
+        return state
+    if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < lap_min_m:
+        return state
+    line = state.line
+    if blind_m > 0.5 * lap_min_m:
+        line = Line(motion.x_m, motion.y_m, motion.yaw_rad, seen=line.seen, at_distance_m=motion.distance_m)
+    return LapState(line, state.passages + 1, armed=False, passed_at_m=motion.distance_m)

@@ -1,0 +1,30 @@
+"""What a mission without a path sees of the car, and what it asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fsai_vcu.core.driving import Motion
+
+
+@dataclass(frozen=True, slots=True)
+class CarView:
+    """What such a mission goes by. wheel_rpm: FL, FR, RL, RR; steer_rad: measured; standing: all wheels at rest."""
+
+    now_ns: int
+    motion: Motion
+    wheel_rpm: tuple[float, float, float, float]
+    steer_rad: float
+    standing: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MissionRequest:
+    """What it asks for, as in `VehicleCommand`. The default is at rest."""
+
+    steering_rad: float = 0.0
+    throttle: float = 0.0
+    brake: float = 0.0
+    speed_limit_mps: float = 0.0
+    finished: bool = False
+    estop: bool = False

@@ -1,0 +1,52 @@
+"""Points and paths between the odometry frame and the vehicle frame, and along a path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fsai_vcu.core.driving import Floats, Motion
+
+
+def to_odometry(motion: Motion, xy_m: Floats) -> Floats:
+    """(N, 2) points of the vehicle frame, in the odometry frame."""
+    cos, sin = math.cos(motion.yaw_rad), math.sin(motion.yaw_rad)
+    out = np.empty_like(xy_m)
+    out[:, 0] = motion.x_m + cos * xy_m[:, 0] - sin * xy_m[:, 1]
+    out[:, 1] = motion.y_m + sin * xy_m[:, 0] + cos * xy_m[:, 1]
+    return out
+
+
+def to_vehicle(motion: Motion, xy_m: Floats) -> Floats:
+    """(N, 2) points of the odometry frame, in the vehicle frame."""
+    cos, sin = math.cos(motion.yaw_rad), math.sin(motion.yaw_rad)
+    dx, dy = xy_m[:, 0] - motion.x_m, xy_m[:, 1] - motion.y_m
+    out = np.empty_like(xy_m)
+    out[:, 0] = cos * dx + sin * dy
+    out[:, 1] = cos * dy - sin * dx
+    return out
+
+
+def lengths_along(path_m: Floats) -> Floats:
+    """(N,) length of path up to each of its points."""
+    along = np.zeros(len(path_m))
+    np.cumsum(np.hypot(np.diff(path_m[:, 0]), np.diff(path_m[:, 1])), out=along[1:])
+    return along
+
+
+def resampled(path_m: Floats, step_m: float) -> Floats:
+    """The path with points every `step_m` from its first one; the rest of the last step is dropped."""
+    along = lengths_along(path_m)
+    at = np.arange(0.0, along[-1] + 1e-9, step_m)
+    return np.column_stack((np.interp(at, along, path_m[:, 0]), np.interp(at, along, path_m[:, 1])))
+
+
+def headings_along(path_m: Floats) -> tuple[Floats, Floats]:
+    """(N,) cosine and sine of the path's direction at each point. At least two points."""
+    dx, dy = np.gradient(path_m[:, 0]), np.gradient(path_m[:, 1])
+    size = np.maximum(np.hypot(dx, dy), 1e-9)
+    return dx / size, dy / size
+
+
+NO_PATH: Floats = np.zeros((0, 2))

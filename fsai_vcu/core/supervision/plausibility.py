@@ -1,0 +1,164 @@
+"""Does the car do what it was asked, and do its wheels agree with one another?
+
+Pure: each check is a state and a step, called once a cycle. Neither decides anything: they say since when something
+has been implausible, and the supervisor's table says what follows after how long.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+
+WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
+
+# ---------------------------------------------------------------- steering
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringCheck:
+    """A model of the steering actuator, fed with the requests that were sent.
+
+    `pending` are requests (time, deg) that have not passed the dead time yet; `model_deg` follows those that have.
+    """
+
+    pending: tuple[tuple[int, float], ...] = ()
+    target_deg: float = 0.0
+    model_deg: float | None = None  # None: begins where the steering is measured
+    t_ns: int = 0
+    implausible_since_ns: int | None = None
+
+
+def check_steering(
+    config: BridgeConfig,
+    car: VehicleParameters,
+    check: SteeringCheck,
+    request_deg: float,
+    measured: VcuSteer | None,
+    now_ns: int,
+) -> SteeringCheck:
+    """One cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin anew instead."""
+    if measured is None or now_ns - measured.t_rx_ns >= config.feedback_stale_ns:
+        # Nothing to compare with (the supervisor names that); the model goes on from the next measurement.
+        return SteeringCheck(pending=check.pending[-1:], target_deg=check.target_deg, t_ns=now_ns)
+    dead_ns = round(car.steer_dead_time_s * 1e9)
+    pending, target = check.pending, check.target_deg
+    while pending and now_ns - pending[0][0] >= dead_ns:
+        target = pending[0][1]
+        pending = pending[1:]
+    if not pending or pending[-1][1] != request_deg:
+        pending = (*pending, (now_ns, request_deg))
+    if check.model_deg is None:
+        return SteeringCheck(pending, target, measured.angle_deg, now_ns)
+    step_deg = math.degrees(car.steer_rate_radps) * max(0, now_ns - check.t_ns) / 1e9
+    model = max(check.model_deg - step_deg, min(check.model_deg + step_deg, target))
+    allowed_deg = math.degrees(car.steer_backlash_rad) + config.steer_margin_deg
+    since = check.implausible_since_ns
+    if abs(measured.angle_deg - model) <= allowed_deg:
+        since = None
+    elif since is None:
+        since = now_ns
+    return SteeringCheck(pending, target, model, now_ns, since)
+
+
+# ---------------------------------------------------------------- wheels
+
+
+@dataclass(frozen=True, slots=True)
+class WheelCheck:
+    """Since when one wheel has not fitted the others, and until when slip explains what."""
+
+    implausible_since_ns: int | None = None
+    detail: str = ""
+    spin_until_ns: int = 0  # torque so recently explains a driven wheel that is too fast
+    lock_until_ns: int = 0  # brake so recently explains any wheel that is too slow
+    drag_until_ns: int = 0  # a motor held by its speed limit explains a driven wheel that is too slow
+
+
+def wheel_factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:
+    """How fast each wheel rolls on its own circle, against the rear axle's centre (FL, FR, RL, RR)."""
+    curvature = math.tan(math.radians(max(-45.0, min(45.0, steer_deg)))) / car.wheelbase_m
+    left, right = 1.0 - curvature * 0.5 * car.track_m, 1.0 + curvature * 0.5 * car.track_m
+    reach = curvature * car.wheelbase_m
+    return math.hypot(left, reach), math.hypot(right, reach), left, right
+
+
+def check_wheels(
+    config: BridgeConfig,
+    car: VehicleParameters,
+    check: WheelCheck,
+    asked: AiCommand,
+    speeds: WheelSpeeds | None,
+    steer: VcuSteer | None,
+    now_ns: int,
+) -> WheelCheck:
+    """One cycle in AS_DRIVING: `asked` is the command that this cycle sends."""
+    until = now_ns + config.slip_memory_ns
+    spin_until = until if asked.torque_requested else check.spin_until_ns
+    lock_until = until if asked.brake_requested else check.lock_until_ns
+    drag_until = check.drag_until_ns
+    since, detail = check.implausible_since_ns, check.detail
+    if speeds is not None and now_ns - speeds.t_rx_ns < config.feedback_stale_ns:
+        rpm = speeds.all_rpm
+        limit_rpm = max(asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm)
+        if asked.torque_requested and max(rpm) * car.gear_ratio > limit_rpm:
+            drag_until = until
+        wheel = None
+        if max(rpm) - min(rpm) > config.wheel_margin_rpm:  # else no wheel can be too far from the others
+            wheel = _odd_wheel(
+                config,
+                car,
+                rpm,
+                0.0 if steer is None else steer.angle_deg,
+                spins=now_ns < spin_until,
+                locks=now_ns < lock_until,
+                drags=now_ns < drag_until,
+            )
+        if wheel is None:
+            since, detail = None, ""
+        else:
+            since = now_ns if since is None else since
+            detail = f"{WHEEL_NAMES[wheel]} {rpm[wheel]} rpm of {rpm[0]}, {rpm[1]}, {rpm[2]}, {rpm[3]}"
+    return WheelCheck(since, detail, spin_until, lock_until, drag_until)
+
+
+def _odd_wheel(
+    config: BridgeConfig,
+    car: VehicleParameters,
+    rpm: tuple[int, int, int, int],
+    steer_deg: float,
+    *,
+    spins: bool,
+    locks: bool,
+    drags: bool,
+) -> int | None:
+    """The wheel that is farther from the others than wheelspin or locking explain; None if there is none."""
+    driven = (car.driven_front, car.driven_front, car.driven_rear, car.driven_rear)
+    factors = wheel_factors(car, steer_deg)
+    rolling = [value / factor for value, factor in zip(rpm, factors, strict=True)]
+    for wheel in range(4):
+        others = sorted(rolling[:wheel] + rolling[wheel + 1 :])
+        middle = others[1]
+        beyond = rolling[wheel] - middle
+        if abs(beyond) <= config.wheel_margin_rpm + config.wheel_margin_fraction * middle:
+            continue
+        explained = (spins and driven[wheel]) if beyond > 0 else (locks or (drags and driven[wheel]))
+        if not explained:
+            return wheel
+    return None
+
+
+def forget_steering(check: SteeringCheck) -> SteeringCheck:
+    """Outside AS_DRIVING the car ignores steering requests: the model begins anew."""
+    return check if check == _NEW_STEERING else _NEW_STEERING
+
+
+_NEW_STEERING = SteeringCheck()
+
+
+def forget_wheels(check: WheelCheck) -> WheelCheck:
+    """The same for the wheels, but what explains slip is remembered."""
+    return check if check.implausible_since_ns is None else replace(check, implausible_since_ns=None, detail="")

@@ -1,0 +1,698 @@
+"""The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
+
+Pure. A state goes in with what happened, a state comes out: `heard` and `on_status` take frames of 0x520, `on_speeds`
+those of 0x525, the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`, `strike` takes what happens at one
+instant, and `supervise` looks at the clock once a cycle and decides. Three tables hold the rules:
+
+- `OUTPUT`: phase of a run -> what is sent,
+- `REACTIONS`: what is wrong -> after how long -> what follows; the words are those of `Reason`,
+- `_NEXT`: which AS states this process saw follow one another.
+
+"Stale after T" means an age of T or more; an age of T - 1 ns is still in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum, IntEnum
+from types import MappingProxyType
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+
+OFF_LIKE = frozenset((AsState.AS_INIT, AsState.AS_OFF))
+"""AS_STATE 0 is treated like AS_OFF in both revisions."""
+
+IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
+"""Where a mode may be chosen and the AMI is followed."""
+
+ROLES = ("planner", "controller")
+
+
+class Mode(Enum):
+    """Who drives: nobody, or the planner through the gate."""
+
+    MANUAL = "manual"
+    AUTONOMOUS = "autonomous"
+
+
+MODES = tuple(mode.value for mode in Mode)
+
+
+class Sequence(IntEnum):
+    """How much of AS_OFF -> AS_READY -> AS_DRIVING this process has itself seen, without a break."""
+
+    NONE = 0
+    OFF_SEEN = 1
+    READY_SEEN = 2
+    COMPLETE = 3
+
+
+_NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
+    {
+        (Sequence.OFF_SEEN, AsState.AS_READY): Sequence.READY_SEEN,
+        (Sequence.READY_SEEN, AsState.AS_READY): Sequence.READY_SEEN,
+        (Sequence.READY_SEEN, AsState.AS_DRIVING): Sequence.COMPLETE,
+        (Sequence.COMPLETE, AsState.AS_DRIVING): Sequence.COMPLETE,
+        **{(seen, state): Sequence.OFF_SEEN for seen in Sequence for state in OFF_LIKE},
+    }
+)
+"""Every pair that is not here leads to NONE: the drive needs the whole sequence anew."""
+
+
+# ---------------------------------------------------------------- what is sent
+
+
+class Phase(Enum):
+    """Where a run stands, seen from the AI side. Each has one row in `OUTPUT`."""
+
+    IDLE = "no AS state yet, AS_INIT or AS_OFF"
+    READY = "AS_READY"
+    LAUNCH_WAIT = "AS_DRIVING, standing still for the first 3 s"
+    DRIVING = "AS_DRIVING, driving by command"
+    HOLDING = "AS_DRIVING, torque 0 until what is stale is fresh again"
+    STOPPING = "AS_DRIVING, stopping by the service brake"
+    STOPPED = "AS_DRIVING, stopped"
+    ESTOP_ASKED = "AS_DRIVING, emergency brake asked for"
+    FINISHED = "AS_FINISHED"
+    EMERGENCY_MOVING = "EMERGENCY_BRAKE, a wheel turns"
+    EMERGENCY_STANDING = "EMERGENCY_BRAKE, standing"
+
+
+class Steer(Enum):
+    """Where the steering request comes from."""
+
+    ZERO = 0
+    HELD = 1
+    COMMAND = 2
+    HELD_OR_COMMAND = 3  # by command while the planner may still speak
+
+
+class Brake(Enum):
+    """Where the brake request comes from."""
+
+    ZERO = 0
+    HOLDING = 1
+    COMMAND = 2
+    KEPT = 3  # as in the cycle before: a stale command must not release a brake
+    SERVICE = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """One row of the output table. `mission_status` None: SELECTED once the mission is acknowledged."""
+
+    mission_status: MissionStatus | None
+    direction: Direction
+    steer: Steer
+    brake: Brake
+    torque: bool = False
+
+
+OUTPUT: Mapping[Phase, Output] = MappingProxyType(
+    {
+        Phase.IDLE: Output(None, Direction.NEUTRAL, Steer.ZERO, Brake.ZERO),
+        Phase.READY: Output(None, Direction.NEUTRAL, Steer.ZERO, Brake.HOLDING),
+        Phase.LAUNCH_WAIT: Output(MissionStatus.RUNNING, Direction.FORWARD, Steer.ZERO, Brake.HOLDING),
+        Phase.DRIVING: Output(MissionStatus.RUNNING, Direction.FORWARD, Steer.COMMAND, Brake.COMMAND, torque=True),
+        Phase.HOLDING: Output(MissionStatus.RUNNING, Direction.FORWARD, Steer.HELD, Brake.KEPT),
+        Phase.STOPPING: Output(MissionStatus.RUNNING, Direction.FORWARD, Steer.HELD_OR_COMMAND, Brake.SERVICE),
+        Phase.STOPPED: Output(MissionStatus.FINISHED, Direction.NEUTRAL, Steer.HELD, Brake.HOLDING),
+        Phase.ESTOP_ASKED: Output(MissionStatus.RUNNING, Direction.FORWARD, Steer.HELD, Brake.SERVICE),
+        Phase.FINISHED: Output(MissionStatus.FINISHED, Direction.NEUTRAL, Steer.ZERO, Brake.HOLDING),
+        Phase.EMERGENCY_MOVING: Output(MissionStatus.RUNNING, Direction.FORWARD, Steer.ZERO, Brake.ZERO),
+        Phase.EMERGENCY_STANDING: Output(MissionStatus.RUNNING, Direction.NEUTRAL, Steer.ZERO, Brake.ZERO),
+    }
+)
+
+
+# ---------------------------------------------------------------- what happens when something breaks
+
+
+class Consequence(IntEnum):
+    """What follows from a fault, the graver the higher."""
+
+    REPORT = 0
+    HOLD = 1  # torque 0 while it lasts
+    STOP = 2  # service-brake stop, latched for this run
+    STOP_MANUAL = 3  # the same, and the mode becomes manual
+    ESTOP = 4  # ESTOP_REQUEST, latched
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """After an age of `after` (the name of a time in BridgeConfig, None: at once), `consequence`."""
+
+    after: str | None
+    consequence: Consequence
+
+
+REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
+    {
+        Reason.COMMAND_STALE: (
+            Step("command_stale_ns", Consequence.HOLD),
+            Step("command_lost_ns", Consequence.STOP_MANUAL),
+        ),
+        Reason.STOP_INEFFECTIVE: (Step(None, Consequence.ESTOP),),
+        Reason.BOTH_PEDALS: (Step(None, Consequence.REPORT), Step("both_pedals_ns", Consequence.ESTOP)),
+        Reason.VCU_SILENT: (Step("vcu_stale_ns", Consequence.HOLD), Step("vcu_lost_ns", Consequence.ESTOP)),
+        Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP)),
+        Reason.STEERING_STALE: (
+            Step("feedback_stale_ns", Consequence.STOP),
+            Step("feedback_lost_ns", Consequence.ESTOP),
+        ),
+        Reason.STEERING_IMPLAUSIBLE: (
+            Step("implausible_ns", Consequence.STOP),
+            Step("implausible_lost_ns", Consequence.ESTOP),
+        ),
+        Reason.WHEEL_IMPLAUSIBLE: (
+            Step("implausible_ns", Consequence.STOP),
+            Step("implausible_lost_ns", Consequence.ESTOP),
+        ),
+        Reason.GO_OFF: (Step(None, Consequence.STOP),),
+        Reason.FAULT_STATUS: (Step(None, Consequence.STOP),),
+        Reason.INTRUDER: (Step(None, Consequence.ESTOP),),
+        Reason.LOOP_FAULT: (Step(None, Consequence.ESTOP),),
+        Reason.BUS_LOST: (Step(None, Consequence.STOP),),
+        Reason.NOT_SEEN: (Step(None, Consequence.STOP),),
+        Reason.NOT_CONFIRMED: (Step(None, Consequence.STOP),),
+    }
+)
+
+
+class Asked(Enum):
+    """A stop or an emergency brake that somebody asked for: nothing is broken."""
+
+    MANUAL = "manual mode was asked for"
+    MISSION_DONE = "the mission is done"
+    OPERATOR = "the emergency brake was asked for"
+    MISSION = "the mission or its controller asked for the emergency brake"
+    SHUTDOWN = "this software was stopped"
+
+
+_STEERS_WHILE_STOPPING = frozenset(
+    (Asked.MISSION_DONE, Reason.GO_OFF, Reason.FAULT_STATUS, Reason.WHEELS_STALE, Reason.WHEEL_IMPLAUSIBLE)
+)
+"""Stops in which the planner is not what failed, nor the steering: a curve is better followed than left."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """A stop or an emergency, with its cause and since when."""
+
+    cause: Reason | Asked
+    since_ns: int
+    detail: str = ""
+
+    @property
+    def words(self) -> str:
+        text = self.cause.words if isinstance(self.cause, Reason) else self.cause.value
+        return f"{text}: {self.detail}" if self.detail else text
+
+
+# ---------------------------------------------------------------- state
+
+
+@dataclass(frozen=True, slots=True)
+class SupervisorState:
+    """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
+
+    # What 0x520 said
+    as_state: AsState | None = None
+    go: bool = False
+    fault: bool = False
+    status_ns: int | None = None  # the last 0x520 that was believed
+    heard_ns: int | None = None  # the last 0x520 of any content
+    was_silent: bool = False  # a power cycle's silence lies before the next believed 0x520
+    sequence: Sequence = Sequence.NONE
+    ready_since_ns: int | None = None
+    driving_since_ns: int | None = None
+
+    # What 0x525 said
+    speeds_ns: int | None = None
+    fastest_rpm: int = 0
+    still_since_ns: int | None = None
+
+    # The run
+    run_id: int = 1
+    mission: Ami = Ami.NOT_SELECTED
+    confirmed: frozenset[str] = frozenset()
+
+    # Mode and latches
+    mode: Mode = Mode.MANUAL
+    power_up: bool = True  # autonomous_at_power_up has not acted since the car was switched on
+    stop: Latch | None = None
+    emergency: Latch | None = None
+    stop_window_ns: int = 0  # where the window began over which a deceleration must show
+    stop_window_rpm: int | None = None  # None: not measured yet
+    both_pedals_since_ns: int | None = None
+
+    @property
+    def is_confirmed(self) -> bool:
+        return len(self.confirmed) == len(ROLES)
+
+    @property
+    def driving(self) -> bool:
+        return self.as_state is AsState.AS_DRIVING
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a cycle sees besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
+
+    now_ns: int
+    command: VehicleCommand | None = None
+    command_ns: int = 0  # when it was handed in
+    steer_ns: int | None = None  # the last 0x523
+    steer_implausible_since_ns: int | None = None
+    wheel_implausible_since_ns: int | None = None
+    wheel_detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What this cycle is to say; the gate turns it into values. The default is safe."""
+
+    phase: Phase = Phase.IDLE
+    mission_status: MissionStatus = MissionStatus.NOT_SELECTED
+    direction: Direction = Direction.NEUTRAL
+    estop: bool = False
+    steer: Steer = Steer.ZERO
+    brake: Brake = Brake.ZERO
+    torque: bool = False
+    run_id: int = 0
+    may_move: bool = False
+    reasons: frozenset[Reason] = field(default_factory=frozenset)
+
+
+# ---------------------------------------------------------------- frames
+
+
+def heard(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
+    """A frame of 0x520 came, whatever is in it: the car is switched on."""
+    silent = state.heard_ns is not None and t_ns - state.heard_ns >= config.power_cycle_ns
+    return replace(state, heard_ns=t_ns, was_silent=state.was_silent or silent)
+
+
+def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -> SupervisorState:
+    """A believed 0x520. Follows the AS states, the AMI and the runs; clears what the car's own life clears."""
+    t_ns = status.t_rx_ns
+    state = heard(config, state, t_ns)
+    now, before = status.as_state, state.as_state
+    off = now in OFF_LIKE
+    power_cycle = state.was_silent
+    anew = power_cycle or now is not before
+
+    # A power cycle breaks the sequence even if the state is the same before and after.
+    seen = Sequence.NONE if power_cycle else state.sequence
+    sequence = _NEXT.get((seen, now), Sequence.NONE)
+
+    run_id, mission, confirmed = state.run_id, state.mission, state.confirmed
+    entered_off = off and before is not None and (before not in OFF_LIKE or power_cycle)
+    ami_changed = status.ami is not mission and (now in IDLE_STATES or before is None)
+    if entered_off or ami_changed:
+        run_id, mission, confirmed = run_id + 1, status.ami, frozenset()
+    elif now is AsState.AS_DRIVING and anew and status.ami is not mission:
+        sequence = Sequence.NONE  # the car enters another mission than the one that was acknowledged
+
+    driving, ready = now is AsState.AS_DRIVING, now is AsState.AS_READY
+    return replace(
+        state,
+        as_state=now,
+        go=status.go_signal,
+        fault=status.fault,
+        status_ns=t_ns,
+        was_silent=False,
+        sequence=sequence,
+        ready_since_ns=(t_ns if anew else state.ready_since_ns) if ready else None,
+        driving_since_ns=(t_ns if anew else state.driving_since_ns) if driving else None,
+        run_id=run_id,
+        mission=mission,
+        confirmed=confirmed,
+        power_up=state.power_up or power_cycle,
+        stop=state.stop if driving and not anew else None,
+        emergency=None if power_cycle and off else state.emergency,
+        both_pedals_since_ns=state.both_pedals_since_ns if driving else None,
+    )
+
+
+def on_speeds(config: BridgeConfig, state: SupervisorState, speeds: WheelSpeeds) -> SupervisorState:
+    """A frame of 0x525. Standing still must be seen without a gap."""
+    t_ns = speeds.t_rx_ns
+    fastest = max(speeds.all_rpm)
+    still_since = state.still_since_ns
+    if fastest >= config.standstill_rpm:
+        still_since = None
+    elif still_since is None or state.speeds_ns is None or t_ns - state.speeds_ns >= config.feedback_stale_ns:
+        still_since = t_ns
+    return replace(state, speeds_ns=t_ns, fastest_rpm=fastest, still_since_ns=still_since)
+
+
+def wheels_fresh(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
+    return state.speeds_ns is not None and now_ns - state.speeds_ns < config.feedback_stale_ns
+
+
+def standing(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
+    """All four wheel speeds are fresh and have been seen under 10 rpm for 0.5 s (safety rule 3)."""
+    return (
+        state.speeds_ns is not None
+        and state.still_since_ns is not None
+        and now_ns - state.speeds_ns < config.feedback_stale_ns
+        and state.speeds_ns - state.still_since_ns >= config.standstill_ns
+    )
+
+
+def vcu_lost(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
+    """No believed 0x520 for so long that the last AS state seen says nothing about now."""
+    return state.status_ns is None or now_ns - state.status_ns >= config.vcu_lost_ns
+
+
+# ---------------------------------------------------------------- requests
+
+
+def _state_name(state: SupervisorState) -> str:
+    return "no AS state yet" if state.as_state is None else state.as_state.label
+
+
+def _unknown_state(config: BridgeConfig, state: SupervisorState, now_ns: int) -> str | None:
+    """Why nobody can know the AS state now; None if it is known."""
+    if state.status_ns is None:
+        return "the car has not said its AS state yet (no 0x520)"
+    if vcu_lost(config, state, now_ns):
+        return (
+            f"the car is silent: the last 0x520 ({_state_name(state)}) is {(now_ns - state.status_ns) / 1e9:.1f} s old"
+        )
+    return None
+
+
+def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: int) -> tuple[SupervisorState, bool, str]:
+    """Choose the mode: manual at any time, autonomous only where the car cannot launch at once."""
+    if mode == Mode.MANUAL.value:
+        return (
+            replace(state, mode=Mode.MANUAL, power_up=False),
+            True,
+            "mode is manual" + (": the car is being stopped" if state.driving else ""),
+        )
+    if mode != Mode.AUTONOMOUS.value:
+        return state, False, f"unknown mode {mode!r}: the modes are {', '.join(MODES)}"
+    if config.listen_only:
+        return state, False, "autonomous refused: this process only listens (listen_only)"
+    unknown = _unknown_state(config, state, now_ns)
+    if unknown is not None:
+        return state, False, f"autonomous refused: {unknown}"
+    if state.as_state not in IDLE_STATES:
+        return (
+            state,
+            False,
+            f"autonomous refused in {_state_name(state)}: accepted in AS_INIT, AS_OFF and AS_READY only",
+        )
+    return (
+        replace(state, mode=Mode.AUTONOMOUS, power_up=False),
+        True,
+        "mode is autonomous"
+        + ("" if state.emergency is None else f", but the emergency brake is latched because {state.emergency.words}"),
+    )
+
+
+def confirm(state: SupervisorState, role: str, run_id: int) -> SupervisorState:
+    """`role` has forgotten everything before run `run_id`. Another run's confirmation says nothing."""
+    if role not in ROLES or run_id != state.run_id:
+        return state
+    return replace(state, confirmed=state.confirmed | {role})
+
+
+def ask_emergency(state: SupervisorState, cause: Reason | Asked, detail: str, now_ns: int) -> SupervisorState:
+    """Latch ESTOP_REQUEST. The first cause stays (safety rule 6)."""
+    if state.emergency is not None:
+        return state
+    return replace(state, emergency=Latch(cause, now_ns, detail))
+
+
+def reset(config: BridgeConfig, state: SupervisorState, now_ns: int) -> tuple[SupervisorState, bool, str]:
+    """Clear the emergency latch: in AS_INIT and AS_OFF only (safety rule 6)."""
+    unknown = _unknown_state(config, state, now_ns)
+    if unknown is not None:
+        return state, False, f"reset refused: {unknown}"
+    if state.as_state not in OFF_LIKE:
+        return state, False, f"reset refused in {_state_name(state)}: accepted in AS_INIT and AS_OFF only"
+    if state.emergency is None:
+        return state, True, "nothing was latched"
+    return replace(state, emergency=None), True, f"cleared the emergency brake latched because {state.emergency.words}"
+
+
+# ---------------------------------------------------------------- reactions
+
+
+def _begin_stop(state: SupervisorState, cause: Reason | Asked, detail: str, now_ns: int) -> SupervisorState:
+    if state.stop is not None:
+        return state
+    return replace(state, stop=Latch(cause, now_ns, detail), stop_window_rpm=None)
+
+
+def _apply(
+    state: SupervisorState, reason: Reason, consequence: Consequence, detail: str, now_ns: int
+) -> SupervisorState:
+    """Latch what `consequence` latches."""
+    if consequence is Consequence.ESTOP:
+        return ask_emergency(state, reason, detail, now_ns)
+    if consequence >= Consequence.STOP:
+        if consequence is Consequence.STOP_MANUAL:
+            state = replace(state, mode=Mode.MANUAL)
+        return _begin_stop(state, reason, detail, now_ns)
+    return state
+
+
+def strike(state: SupervisorState, reason: Reason, detail: str, now_ns: int) -> SupervisorState:
+    """Something that happens at one instant: an intruder, a fault of the loop, the loss of the bus.
+
+    Automatic reactions act only while the last AS state seen was AS_DRIVING.
+    """
+    if not state.driving:
+        return state
+    for step in REACTIONS[reason]:
+        state = _apply(state, reason, step.consequence, detail, now_ns)
+    return state
+
+
+def bus_lost(state: SupervisorState, detail: str, now_ns: int) -> SupervisorState:
+    """The bus is gone: whatever follows, the drive needs the whole sequence anew."""
+    return replace(strike(state, Reason.BUS_LOST, detail, now_ns), sequence=Sequence.NONE)
+
+
+def command_valid(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> bool:
+    """Whether the command in the slot may still be obeyed: of this run, and neither it nor its data too old."""
+    command = inputs.command
+    return (
+        command is not None
+        and command.run_id == state.run_id
+        and inputs.now_ns - inputs.command_ns < config.command_stale_ns
+        and inputs.now_ns - command.t_sensor_ns < config.sensor_stale_ns
+    )
+
+
+def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs, supervised_ns: int) -> int:
+    """For how long there has been no new command. Data of 500 ms ages like a command of 100 ms."""
+    age = supervised_ns
+    command = inputs.command
+    if command is not None and command.run_id == state.run_id:
+        data_allowance_ns = config.sensor_stale_ns - config.command_stale_ns
+        age = min(age, max(inputs.now_ns - inputs.command_ns, inputs.now_ns - command.t_sensor_ns - data_allowance_ns))
+    return age
+
+
+def _stop_ineffective(
+    config: BridgeConfig, state: SupervisorState, stop: Latch, now_ns: int
+) -> tuple[SupervisorState, bool]:
+    """Whether a service-brake stop does not work; moves the window over which a deceleration must show."""
+    fresh = wheels_fresh(config, state, now_ns)
+    if fresh and state.fastest_rpm < config.standstill_rpm:
+        return state, False
+    if now_ns - stop.since_ns >= config.stop_timeout_ns:
+        return state, True  # still moving, or nobody can say that it stands
+    if not fresh:
+        return state, False
+    if state.stop_window_rpm is not None:
+        if now_ns - state.stop_window_ns < config.stop_window_ns:
+            return state, False
+        if state.fastest_rpm > state.stop_window_rpm - config.stop_min_drop_rpm:
+            return state, True
+    return replace(state, stop_window_ns=now_ns, stop_window_rpm=state.fastest_rpm), False
+
+
+def _ages(
+    config: BridgeConfig, state: SupervisorState, inputs: Inputs, valid: bool
+) -> tuple[SupervisorState, list[tuple[Reason, int, str]]]:
+    """What is wrong in AS_DRIVING, for how long, and the details."""
+    now_ns = inputs.now_ns
+    found: list[tuple[Reason, int, str]] = []
+    assert state.status_ns is not None and state.driving_since_ns is not None  # AS_DRIVING was seen
+    supervised_ns = now_ns - state.driving_since_ns - config.launch_wait_ns
+    running = state.stop is None
+
+    found.append((Reason.VCU_SILENT, now_ns - state.status_ns, ""))
+    if state.sequence is not Sequence.COMPLETE and running:
+        found.append((Reason.NOT_SEEN, 0, ""))
+    elif not state.is_confirmed and running:
+        missing = " and ".join(role for role in ROLES if role not in state.confirmed)
+        found.append((Reason.NOT_CONFIRMED, 0, f"run {state.run_id} by the {missing}"))
+    if not state.go:
+        found.append((Reason.GO_OFF, 0, ""))
+    if state.fault:
+        found.append((Reason.FAULT_STATUS, 0, ""))
+
+    if state.stop is not None:
+        state, ineffective = _stop_ineffective(config, state, state.stop, now_ns)
+        if ineffective:
+            found.append((Reason.STOP_INEFFECTIVE, 0, f"{state.fastest_rpm} rpm"))
+
+    if supervised_ns < 0:
+        return state, found
+
+    autonomous = state.mode is Mode.AUTONOMOUS
+    if autonomous and running:
+        found.append((Reason.COMMAND_STALE, _command_age_ns(config, state, inputs, supervised_ns), ""))
+        command = inputs.command
+        both_since = state.both_pedals_since_ns
+        if valid and command is not None and command.throttle > 0.0 and command.brake > 0.0:
+            if both_since is None:
+                both_since = max(inputs.command_ns, now_ns - supervised_ns)
+            found.append((Reason.BOTH_PEDALS, now_ns - both_since, ""))
+        else:
+            both_since = None
+        if both_since != state.both_pedals_since_ns:
+            state = replace(state, both_pedals_since_ns=both_since)
+
+    # A message that never came is as old as it takes.
+    never_ns = config.feedback_lost_ns
+    found.append((Reason.WHEELS_STALE, never_ns if state.speeds_ns is None else now_ns - state.speeds_ns, ""))
+    found.append((Reason.STEERING_STALE, never_ns if inputs.steer_ns is None else now_ns - inputs.steer_ns, ""))
+    if inputs.steer_implausible_since_ns is not None:
+        found.append((Reason.STEERING_IMPLAUSIBLE, now_ns - inputs.steer_implausible_since_ns, ""))
+    if inputs.wheel_implausible_since_ns is not None:
+        found.append((Reason.WHEEL_IMPLAUSIBLE, now_ns - inputs.wheel_implausible_since_ns, inputs.wheel_detail))
+    return state, found
+
+
+def _react(
+    config: BridgeConfig, state: SupervisorState, inputs: Inputs, valid: bool
+) -> tuple[SupervisorState, bool, frozenset[Reason]]:
+    """Everything that the clock and the car's words ask for in AS_DRIVING: state, torque held back, reasons."""
+    now_ns = inputs.now_ns
+    state, found = _ages(config, state, inputs, valid)
+    hold = not valid
+    reasons: set[Reason] = set()
+    for reason, age_ns, detail in found:
+        for step in REACTIONS[reason]:
+            if age_ns < (0 if step.after is None else getattr(config, step.after)):
+                break
+            reasons.add(reason)
+            hold = hold or step.consequence is Consequence.HOLD
+            state = _apply(state, reason, step.consequence, detail, now_ns)
+
+    if state.mode is Mode.MANUAL:
+        return _begin_stop(state, Asked.MANUAL, "", now_ns), hold, frozenset(reasons)
+    command = inputs.command
+    if valid and command is not None:
+        if command.estop_request:
+            state = ask_emergency(state, Asked.MISSION, "", now_ns)
+        if command.mission_finished and may_move(config, state, now_ns):
+            state = _begin_stop(state, Asked.MISSION_DONE, "", now_ns)
+    return state, hold, frozenset(reasons)
+
+
+def may_move(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
+    """AS_DRIVING has lasted the 3 s in which the car must stand still."""
+    return state.driving_since_ns is not None and now_ns - state.driving_since_ns >= config.launch_wait_ns
+
+
+def _phase(config: BridgeConfig, state: SupervisorState, hold: bool, now_ns: int) -> Phase:
+    now = state.as_state
+    if now is None or now in OFF_LIKE:
+        return Phase.IDLE
+    if now is AsState.AS_READY:
+        return Phase.READY
+    if now is AsState.AS_FINISHED:
+        return Phase.FINISHED
+    if now is AsState.EMERGENCY_BRAKE:
+        return Phase.EMERGENCY_STANDING if standing(config, state, now_ns) else Phase.EMERGENCY_MOVING
+    if state.emergency is not None:
+        return Phase.ESTOP_ASKED
+    if state.stop is not None:
+        return Phase.STOPPED if standing(config, state, now_ns) else Phase.STOPPING
+    if not may_move(config, state, now_ns):
+        return Phase.LAUNCH_WAIT
+    return Phase.HOLDING if hold else Phase.DRIVING
+
+
+def acknowledged(state: SupervisorState) -> bool:
+    """Whether SELECTED may be said in this AS state.
+
+    With an emergency latched it is not said in AS_OFF: the car would come as far as AS_DRIVING only to brake.
+    """
+    chosen = state.mission is not Ami.NOT_SELECTED and state.is_confirmed
+    if state.as_state is AsState.AS_READY:
+        return chosen
+    return chosen and state.mode is Mode.AUTONOMOUS and state.emergency is None
+
+
+def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> tuple[SupervisorState, Decision]:
+    """One cycle: what has become of the run by now, and what is to be said."""
+    now_ns = inputs.now_ns
+    hold = True
+    reasons: frozenset[Reason] = frozenset()
+    valid = command_valid(config, state, inputs)
+    if state.driving:
+        state, hold, reasons = _react(config, state, inputs, valid)
+    elif (
+        config.autonomous_at_power_up
+        and state.power_up
+        and state.as_state in OFF_LIKE
+        and not config.listen_only
+        and standing(config, state, now_ns)
+    ):
+        state = replace(state, mode=Mode.AUTONOMOUS, power_up=False)
+
+    phase = _phase(config, state, hold, now_ns)
+    row = OUTPUT[phase]
+    mission_status = row.mission_status
+    if mission_status is None:
+        mission_status = MissionStatus.SELECTED if acknowledged(state) else MissionStatus.NOT_SELECTED
+    steer = row.steer
+    if steer is Steer.HELD_OR_COMMAND:
+        speaks = valid and state.mode is Mode.AUTONOMOUS and may_move(config, state, now_ns)
+        by_command = speaks and state.stop is not None and state.stop.cause in _STEERS_WHILE_STOPPING
+        steer = Steer.COMMAND if by_command else Steer.HELD
+    return state, Decision(
+        phase,
+        mission_status,
+        row.direction,
+        state.emergency is not None,
+        steer,
+        row.brake,
+        row.torque,
+        state.run_id,
+        state.driving and may_move(config, state, now_ns),
+        reasons,
+    )
+
+
+def begin_end(config: BridgeConfig, state: SupervisorState, now_ns: int) -> SupervisorState:
+    """The software is being stopped: moving, the car is left to its emergency brake; at rest the run simply ends."""
+    if not state.driving:
+        return state
+    if standing(config, state, now_ns):
+        return _begin_stop(state, Asked.SHUTDOWN, "", now_ns)
+    return ask_emergency(state, Asked.SHUTDOWN, "the car was in AS_DRIVING and not known to stand", now_ns)
+
+
+def ending(decision: Decision) -> Decision:
+    """What the last cycles before the silence say: with NEUTRAL there are zeros, and no mission is acknowledged."""
+    if decision.direction is not Direction.NEUTRAL:
+        return decision
+    acknowledging = OUTPUT[decision.phase].mission_status is None
+    status = MissionStatus.NOT_SELECTED if acknowledging else decision.mission_status
+    return replace(decision, mission_status=status, steer=Steer.ZERO, brake=Brake.ZERO)

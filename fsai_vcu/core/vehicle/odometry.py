@@ -1,0 +1,267 @@
+"""Dead reckoning from what the car reports: wheel speeds, steering and, while it is fresh, the yaw-rate sensor.
+
+Pure: state in, state out (`advance`); `Odometry` only keeps the state between calls. Positions are those of the rear
+axle's centre in the odometry frame. They drift, and whoever uses them over more than some tens of metres must correct
+them by what is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.images import GpsImu, VehicleState, WheelCounts
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySettings:
+    """Times in ns, the rest in SI units unless the name says otherwise."""
+
+    fresh_ns: int = 100_000_000  # an older message is not believed: ten cycles of the bus
+    longest_step_ns: int = 200_000_000  # a longer silence of the caller is not bridged
+    resting_rpm: int = 12  # a reading may rest at 9 rpm after the car has stopped …
+    resting_ns: int = 500_000_000  # … so without one wheel pulse for this long the car stands
+    braking_pct: float = 1.0  # pressure from which on a wheel may turn slower than the road
+    yaw_rate_disagreement_radps: float = 0.9  # the sensor is not believed beyond this distance from the steering's
+    bias_gain: float = 0.02  # of the yaw-rate sensor's bias, per reading at rest
+    bias_max_radps: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryState:
+    """Everything that dead reckoning remembers."""
+
+    motion: Motion
+    counts: WheelCounts | None = None  # the last ones that differed
+    counts_changed_ns: int = 0
+    yaw_rate_bias_radps: float = 0.0
+    bias_t_rx_ns: int = -1  # the sensor's reading that the bias was last learnt from
+    curvature_1pm: float = 0.0  # of the last steering angle believed
+
+
+def standing_start(now_ns: int) -> OdometryState:
+    """The state at a run's beginning: at the origin, at rest."""
+    return OdometryState(motion=Motion(t_ns=now_ns), counts_changed_ns=now_ns)
+
+
+def _fresh(t_rx_ns: int, now_ns: int, settings: OdometrySettings) -> bool:
+    return now_ns - t_rx_ns <= settings.fresh_ns
+
+
+def wheel_speed_mps(
+    car: VehicleParameters, settings: OdometrySettings, vehicle: VehicleState, curvature_1pm: float, now_ns: int
+) -> float | None:
+    """Speed of the rear axle's centre by the wheels; None when they are not fresh.
+
+    Each wheel runs on its own circle; brought back to the rear axle's centre all four say the same unless they slip.
+    While braking a wheel can only be too slow, so the faster axle is right. Otherwise an axle without a motor is right,
+    and where both are driven the middle two wheels are.
+    """
+    speeds = vehicle.speeds
+    if speeds is None or not _fresh(speeds.t_rx_ns, now_ns, settings):
+        return None
+    half_track = 0.5 * car.track_m
+    inner, outer = 1.0 - curvature_1pm * half_track, 1.0 + curvature_1pm * half_track
+    reach = curvature_1pm * car.wheelbase_m
+    road = [car.speed_of_wheel_rpm(rpm) for rpm in speeds.all_rpm]
+    fl, fr = road[0] / math.hypot(inner, reach), road[1] / math.hypot(outer, reach)
+    rl, rr = road[2] / inner, road[3] / outer
+    front, rear = 0.5 * (fl + fr), 0.5 * (rl + rr)
+    brake = vehicle.brake
+    braking = (
+        brake is not None
+        and _fresh(brake.t_rx_ns, now_ns, settings)
+        and max(brake.front_pct, brake.rear_pct) >= settings.braking_pct
+    )
+    if braking:
+        return max(front, rear)
+    if not car.driven_front:
+        return front
+    if not car.driven_rear:
+        return rear
+    ordered = sorted((fl, fr, rl, rr))
+    return 0.5 * (ordered[1] + ordered[2])
+
+
+def sensed_yaw_rate_radps(
+    car: VehicleParameters, settings: OdometrySettings, gps: GpsImu, now_ns: int
+) -> tuple[float, int] | None:
+    """The newest fresh reading of the yaw-rate sensor with its time, before its bias is taken off."""
+    found: tuple[float, int] | None = None
+    if gps.dynamics is not None:
+        found = (gps.dynamics.yaw_rate_degps, gps.dynamics.t_rx_ns)
+    if gps.rotation_b is not None and (found is None or gps.rotation_b.t_rx_ns >= found[1]):
+        found = (gps.rotation_b.z_degps, gps.rotation_b.t_rx_ns)
+    if found is None or not math.isfinite(found[0]) or not _fresh(found[1], now_ns, settings):
+        return None
+    return car.yaw_rate_sign * math.radians(found[0]), found[1]
+
+
+def advance(
+    car: VehicleParameters,
+    settings: OdometrySettings,
+    state: OdometryState,
+    vehicle: VehicleState,
+    gps: GpsImu,
+    now_ns: int,
+) -> OdometryState:
+    """The state at `now_ns`. Time that runs backwards changes nothing."""
+    before = state.motion
+    if now_ns <= before.t_ns:
+        return state
+    step_ns = now_ns - before.t_ns
+    dt_s = min(step_ns, settings.longest_step_ns) / NS_PER_S
+
+    curvature = state.curvature_1pm
+    steer = vehicle.steer
+    if steer is not None and math.isfinite(steer.angle_deg) and _fresh(steer.t_rx_ns, now_ns, settings):
+        limit_deg = 45.0  # no car of this kind steers further: a wild value must not turn the tangent over
+        curvature = math.tan(math.radians(max(-limit_deg, min(limit_deg, steer.angle_deg)))) / car.wheelbase_m
+
+    counts, counts_changed_ns = state.counts, state.counts_changed_ns
+    heard = vehicle.counts
+    pulses = heard is not None and _fresh(heard.t_rx_ns, now_ns, settings)
+    if heard is not None and (
+        counts is None or (heard.fl, heard.fr, heard.rl, heard.rr) != (counts.fl, counts.fr, counts.rl, counts.rr)
+    ):
+        counts, counts_changed_ns = heard, now_ns
+
+    speed = wheel_speed_mps(car, settings, vehicle, curvature, now_ns)
+    if speed is None:
+        speed = before.speed_mps if _recently(vehicle, now_ns, settings) else 0.0
+    elif vehicle.speeds is not None and max(vehicle.speeds.all_rpm) <= settings.resting_rpm:
+        silent_ns = now_ns - counts_changed_ns
+        if (pulses and silent_ns >= settings.resting_ns) or max(vehicle.speeds.all_rpm) == 0:
+            speed = 0.0
+
+    kinematic = speed * curvature
+    bias, bias_t_rx_ns = state.yaw_rate_bias_radps, state.bias_t_rx_ns
+    sensed = sensed_yaw_rate_radps(car, settings, gps, now_ns)
+    if sensed is not None and speed == 0.0 and sensed[1] != bias_t_rx_ns:
+        bias_t_rx_ns = sensed[1]
+        bias += settings.bias_gain * (sensed[0] - bias)
+        bias = max(-settings.bias_max_radps, min(settings.bias_max_radps, bias))
+    yaw_rate = kinematic
+    if speed > 0.0 and sensed is not None and abs(sensed[0] - bias - kinematic) <= settings.yaw_rate_disagreement_radps:
+        yaw_rate = sensed[0] - bias
+
+    mean_speed = 0.5 * (speed + before.speed_mps)
+    middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
+    motion = Motion(
+        t_ns=now_ns,
+        x_m=before.x_m + mean_speed * dt_s * math.cos(middle_yaw),
+        y_m=before.y_m + mean_speed * dt_s * math.sin(middle_yaw),
+        yaw_rad=math.remainder(before.yaw_rad + yaw_rate * dt_s, 2.0 * math.pi),
+        speed_mps=speed,
+        yaw_rate_radps=yaw_rate,
+        distance_m=before.distance_m + mean_speed * dt_s,
+    )
+    return replace(
+        state,
+        motion=motion,
+        counts=counts,
+        counts_changed_ns=counts_changed_ns,
+        yaw_rate_bias_radps=bias,
+        bias_t_rx_ns=bias_t_rx_ns,
+        curvature_1pm=curvature,
+    )
+
+
+def _recently(vehicle: VehicleState, now_ns: int, settings: OdometrySettings) -> bool:
+    """Whether wheel speeds were heard not so long ago that the last speed still says something."""
+    return vehicle.speeds is not None and now_ns - vehicle.speeds.t_rx_ns <= 5 * settings.fresh_ns
+
+
+class Odometry:
+    """Dead reckoning over time; `reset` begins a run."""
+
+    def __init__(self, car: VehicleParameters, settings: OdometrySettings | None = None, now_ns: int = 0) -> None:
+        self._car = car
+        self._settings = settings or OdometrySettings()
+        self._state = standing_start(now_ns)
+
+    @property
+    def motion(self) -> Motion:
+        return self._state.motion
+
+    def reset(self, now_ns: int) -> None:
+        """The car's pose is the origin from now on. What was learnt of the sensor stays."""
+        self._state = replace(
+            standing_start(now_ns),
+            yaw_rate_bias_radps=self._state.yaw_rate_bias_radps,
+            bias_t_rx_ns=self._state.bias_t_rx_ns,
+        )
+
+    def update(self, vehicle: VehicleState, gps: GpsImu, now_ns: int) -> Motion:
+        self._state = advance(self._car, self._settings, self._state, vehicle, gps, now_ns)
+        return self._state.motion
+
+
+def motion_at(motion: Motion, t_ns: int) -> Motion:
+    """`motion` carried to another instant, some tens of ms away, with speed and yaw rate held."""
+    dt_s = (t_ns - motion.t_ns) / NS_PER_S
+    if dt_s == 0.0:
+        return motion
+    way = motion.speed_mps * dt_s
+    middle_yaw = motion.yaw_rad + 0.5 * motion.yaw_rate_radps * dt_s
+    return replace(
+        motion,
+        t_ns=t_ns,
+        x_m=motion.x_m + way * math.cos(middle_yaw),
+        y_m=motion.y_m + way * math.sin(middle_yaw),
+        yaw_rad=motion.yaw_rad + motion.yaw_rate_radps * dt_s,
+        distance_m=motion.distance_m + way,
+    )
+
+
+class MotionHistory:
+    """The motions of the last moments, to know where the car was when a sensor looked."""
+
+    def __init__(self, span_ns: int = 2 * NS_PER_S) -> None:
+        self._span_ns = span_ns
+        self._motions: deque[Motion] = deque()
+
+    def clear(self) -> None:
+        self._motions.clear()
+
+    def add(self, motion: Motion) -> None:
+        """Remember `motion`. A distance that shrinks means that odometry began anew: all before is void."""
+        motions = self._motions
+        if motions:
+            if motion.distance_m < motions[-1].distance_m - 1e-6:
+                motions.clear()
+            elif motion.t_ns <= motions[-1].t_ns:
+                return
+        motions.append(motion)
+        while motion.t_ns - motions[0].t_ns > self._span_ns:
+            motions.popleft()
+
+    def at(self, t_ns: int) -> Motion | None:
+        """The motion at an instant, between two remembered ones or carried on from the nearest; None when empty."""
+        motions = self._motions
+        if not motions:
+            return None
+        later = motions[-1]
+        if t_ns >= later.t_ns:
+            return motion_at(later, t_ns)
+        for index in range(len(motions) - 2, -1, -1):
+            earlier = motions[index]
+            if earlier.t_ns <= t_ns:
+                share = (t_ns - earlier.t_ns) / (later.t_ns - earlier.t_ns)
+                turn = math.remainder(later.yaw_rad - earlier.yaw_rad, 2.0 * math.pi)
+                return Motion(
+                    t_ns=t_ns,
+                    x_m=earlier.x_m + share * (later.x_m - earlier.x_m),
+                    y_m=earlier.y_m + share * (later.y_m - earlier.y_m),
+                    yaw_rad=earlier.yaw_rad + share * turn,
+                    speed_mps=earlier.speed_mps + share * (later.speed_mps - earlier.speed_mps),
+                    yaw_rate_radps=earlier.yaw_rate_radps + share * (later.yaw_rate_radps - earlier.yaw_rate_radps),
+                    distance_m=earlier.distance_m + share * (later.distance_m - earlier.distance_m),
+                )
+            later = earlier
+        return motion_at(later, t_ns)

@@ -1,0 +1,114 @@
+"""What a car measures and can do: one frozen set of numbers per car. A new car is a new entry in `CARS`."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+GRAVITY_MPS2 = 9.81
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParameters:
+    """Geometry, masses and actuators of one car. SI units unless the name says otherwise.
+
+    The reference point is the rear axle's centre on the ground. Steering angles are those of the bicycle model.
+    """
+
+    name: str
+
+    # Geometry and mass
+    wheelbase_m: float = 1.530
+    track_m: float = 1.20  # front and rear
+    length_m: float = 2.815
+    width_m: float = 1.43
+    mass_kg: float = 300.0
+    cog_ahead_of_rear_axle_m: float = 0.765
+    cog_height_m: float = 0.165
+    yaw_inertia_kgm2: float = 95.0
+    nose_ahead_of_rear_axle_m: float = 2.17  # wheelbase plus half of what the length leaves over
+    rolling_radius_m: float = 0.2535  # 225/45 R13 under load: 0.251 to 0.258
+
+    # Drive line
+    driven_front: bool = False
+    driven_rear: bool = True
+    gear_ratio: float = 3.5  # motor turns per wheel turn
+    motor_speed_max_rpm: float = 4000.0
+    axle_torque_max_nm: float = 195.0
+    torque_rate_nmps: float = 5000.0  # 50 Nm per 10 ms
+    # Available axle torque by motor speed: what 5 kW and 200 A leave of the peak.
+    torque_curve_rpm_nm: tuple[tuple[float, float], ...] = (
+        (0.0, 195.0),
+        (1050.0, 150.0),
+        (1400.0, 120.0),
+        (1750.0, 100.0),
+        (2100.0, 85.0),
+        (2450.0, 50.0),
+        (2800.0, 30.0),
+        (3150.0, 10.0),
+    )
+    # The inertia of wheels, gears and rotors as mass; with it a rear-driven car leaves the line with 1.9 m/s2.
+    rotating_mass_kg: float = 80.0
+    rolling_resistance: float = 0.015
+    drag_area_m2: float = 1.0  # cd * A
+
+    # Steering
+    steer_max_rad: float = math.radians(21.0)
+    steer_rate_radps: float = math.radians(40.0)
+    steer_dead_time_s: float = 0.050
+    steer_backlash_rad: float = math.radians(0.9)  # to either side
+
+    # Brakes
+    brake_dead_time_s: float = 0.080
+    brake_full_mps2: float = 9.0  # deceleration with 100 % pressure
+    brake_minimum: float = 0.13  # any request above zero gives at least this fraction
+    brake_excess: float = 1.06  # the pressure that comes over the pressure asked for
+
+    # Sensors
+    wheel_pulses_per_rev: int = 20
+    yaw_rate_sign: float = 1.0  # +1 where the yaw-rate sensor counts a left turn positive, as ISO 8855 does
+
+    @property
+    def driven_axles(self) -> int:
+        return int(self.driven_front) + int(self.driven_rear)
+
+    @property
+    def speed_max_mps(self) -> float:
+        """Road speed at the motors' highest speed."""
+        return self.speed_of_wheel_rpm(self.motor_speed_max_rpm / self.gear_ratio)
+
+    @property
+    def turning_radius_min_m(self) -> float:
+        """Radius of the rear axle's tightest circle."""
+        return self.wheelbase_m / math.tan(self.steer_max_rad)
+
+    def speed_of_wheel_rpm(self, wheel_rpm: float) -> float:
+        """Road speed in m/s at which a wheel turns at `wheel_rpm`."""
+        return wheel_rpm * (2.0 * math.pi / 60.0) * self.rolling_radius_m
+
+    def wheel_rpm_of_speed(self, speed_mps: float) -> float:
+        return speed_mps / (2.0 * math.pi / 60.0 * self.rolling_radius_m)
+
+    def axle_torque_available_nm(self, speed_mps: float) -> float:
+        """The most torque that an axle can give at a road speed."""
+        motor_rpm = abs(self.wheel_rpm_of_speed(speed_mps)) * self.gear_ratio
+        curve = self.torque_curve_rpm_nm
+        if motor_rpm >= curve[-1][0]:
+            return curve[-1][1] if motor_rpm < self.motor_speed_max_rpm else 0.0
+        for (low_rpm, low_nm), (high_rpm, high_nm) in itertools.pairwise(curve):
+            if motor_rpm < high_rpm:
+                return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
+        return curve[-1][1]
+
+    def with_steer_limit(self, steer_limit_deg: float) -> VehicleParameters:
+        """The same car behind an interface whose steering limit is another one."""
+        return replace(self, steer_max_rad=math.radians(steer_limit_deg))
+
+
+ADS_DV_2021 = VehicleParameters(name="2021", driven_front=True, driven_rear=True, steer_max_rad=math.radians(21.0))
+ADS_DV_2026 = VehicleParameters(name="2026", driven_front=False, driven_rear=True, steer_max_rad=math.radians(30.0))
+
+CARS: Mapping[str, VehicleParameters] = MappingProxyType({car.name: car for car in (ADS_DV_2021, ADS_DV_2026)})

@@ -1,0 +1,259 @@
+"""Faults between the simulated car and the AI computer: frames that vanish, freeze, lie, come late or from nowhere.
+
+A fault looks at one frame and says what becomes of it: nothing, itself, something else, several, some of them later.
+New kinds are one class each, in force while their `Window` is open and for the frames they choose; `KINDS` names them
+for scenarios. Faults of switches, sensors and people are elsewhere (`switches.py`): these are the wire's.
+
+Pure: time is the frames' own, chance comes from a seed.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Final, Protocol
+
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.frames import Frame
+
+FOREVER_NS: Final = 1 << 62
+EVERY_ID: Final[frozenset[int]] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """When a fault is in force (from `from_ns`, before `until_ns`) and for which ids (none named: for all)."""
+
+    ids: frozenset[int] = EVERY_ID
+    from_ns: int = 0
+    until_ns: int = FOREVER_NS
+
+    def meets(self, frame: Frame) -> bool:
+        return self.from_ns <= frame.t_ns < self.until_ns and (not self.ids or frame.can_id in self.ids)
+
+
+class FrameFault(Protocol):
+    """One thing that goes wrong on the wire."""
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        """What arrives instead of `frame`; frames with a later `t_ns` arrive then."""
+        ...
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        """Frames which nobody sent, up to and including `to_ns`."""
+        ...
+
+
+@dataclass
+class Drop:
+    """Frames vanish: all of them, the first `count`, or each by chance."""
+
+    window: Window = field(default_factory=Window)
+    probability: float = 1.0
+    count: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._chance = random.Random(self.seed)
+        self.dropped = 0
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        if not self.window.meets(frame) or (self.count is not None and self.dropped >= self.count):
+            return (frame,)
+        if self.probability < 1.0 and self._chance.random() >= self.probability:
+            return (frame,)
+        self.dropped += 1
+        return ()
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class Freeze:
+    """Frames go on, but with the payload that each id had when the window opened."""
+
+    window: Window = field(default_factory=Window)
+
+    def __post_init__(self) -> None:
+        self._frozen: dict[int, bytes] = {}
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        if not self.window.meets(frame):
+            self._frozen.pop(frame.can_id, None)
+            return (frame,)
+        return (replace(frame, data=self._frozen.setdefault(frame.can_id, frame.data)),)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class Delay:
+    """Frames come later, by `delay_ns` and at most `jitter_ns` more; those of one id keep their order."""
+
+    window: Window = field(default_factory=Window)
+    delay_ns: int = 0
+    jitter_ns: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.delay_ns < 0 or self.jitter_ns < 0:
+            raise ValueError("a frame cannot come before it was sent")
+        self._chance = random.Random(self.seed)
+        self._latest_ns: dict[int, int] = {}
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        latest_ns = self._latest_ns.get(frame.can_id, 0)
+        arrival_ns = frame.t_ns
+        if self.window.meets(frame):
+            arrival_ns += self.delay_ns + (self._chance.randint(0, self.jitter_ns) if self.jitter_ns else 0)
+        elif arrival_ns >= latest_ns:
+            return (frame,)
+        arrival_ns = max(arrival_ns, latest_ns)
+        self._latest_ns[frame.can_id] = arrival_ns
+        return (replace(frame, t_ns=arrival_ns),)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class FlipBits:
+    """Bits of the payload are flipped; a mask shorter than the payload leaves the rest alone."""
+
+    window: Window = field(default_factory=Window)
+    mask: bytes = b"\x01"
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        if not self.window.meets(frame):
+            return (frame,)
+        mask = self.mask[: len(frame.data)].ljust(len(frame.data), b"\0")
+        return (replace(frame, data=bytes(value ^ flip for value, flip in zip(frame.data, mask, strict=True))),)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class WrongLength:
+    """The payload is cut or padded with zeros to `length` bytes."""
+
+    window: Window = field(default_factory=Window)
+    length: int = 0
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        if not self.window.meets(frame):
+            return (frame,)
+        return (replace(frame, data=frame.data[: self.length].ljust(self.length, b"\0")),)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class WrongValues:
+    """Fields of a message say something else: `values` by the field names of its image."""
+
+    codec: Codec
+    window: Window = field(default_factory=Window)
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        if not self.window.meets(frame):
+            return (frame,)
+        image = self.codec.decode(frame).image
+        if image is None:
+            return (frame,)
+        changed = self.codec.encode(replace(image, **self.values))
+        return (replace(frame, data=changed.data),)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class Repeat:
+    """Each frame arrives `times` times in all."""
+
+    window: Window = field(default_factory=Window)
+    times: int = 2
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        return (frame,) * self.times if self.window.meets(frame) else (frame,)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
+class Intruder:
+    """Somebody else sends a frame of his own every `period_ns` while the window is open."""
+
+    frame: Frame
+    window: Window = field(default_factory=Window)
+    period_ns: int = 10_000_000
+
+    def __post_init__(self) -> None:
+        if self.period_ns <= 0:
+            raise ValueError("an intruder's period must be positive")
+        self._next_ns = self.window.from_ns
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        return (frame,)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        sent = []
+        while self._next_ns <= to_ns and self._next_ns < self.window.until_ns:
+            sent.append(replace(self.frame, t_ns=self._next_ns))
+            self._next_ns += self.period_ns
+        return sent
+
+
+KINDS: Final[Mapping[str, Callable[..., FrameFault]]] = MappingProxyType(
+    {
+        "drop": Drop,
+        "freeze": Freeze,
+        "delay": Delay,
+        "flip_bits": FlipBits,
+        "wrong_length": WrongLength,
+        "wrong_values": WrongValues,
+        "repeat": Repeat,
+        "intruder": Intruder,
+    }
+)
+
+
+class FaultyWire:
+    """A wire with faults on it, in the order in which a frame meets them."""
+
+    def __init__(self, faults: Sequence[FrameFault] = ()) -> None:
+        self._faults = list(faults)
+        self._waiting: list[Frame] = []
+
+    def add(self, fault: FrameFault) -> None:
+        self._faults.append(fault)
+
+    def remove(self, fault: FrameFault) -> None:
+        """Take a fault away; what it has delayed still arrives."""
+        self._faults.remove(fault)
+
+    def clear(self) -> None:
+        self._faults.clear()
+
+    @property
+    def sound(self) -> bool:
+        """Nothing is wrong and nothing is under way: frames may pass by unchanged."""
+        return not self._faults and not self._waiting
+
+    def through(self, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
+        """What arrives up to `now_ns`, in the order of time, when `frames` are sent."""
+        under_way = list(frames)
+        for fault in self._faults:
+            under_way = [out for frame in under_way for out in fault.frames(frame)]
+            under_way.extend(fault.uncalled(now_ns))
+        under_way = self._waiting + under_way
+        self._waiting = [frame for frame in under_way if frame.t_ns > now_ns]
+        return sorted((frame for frame in under_way if frame.t_ns <= now_ns), key=lambda frame: frame.t_ns)

@@ -1,0 +1,79 @@
+"""How a VCU behaves: the specification's, and the official simulator's with its quirks.
+
+A profile is a list of named differences. The defaults are the interface specification's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+MS: Final = 1_000_000
+S: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """One way in which a VCU behaves. Each field is a difference that somebody can meet."""
+
+    name: str
+
+    # the link to the AI computer (interface specification v4.0: handshake and loss of communication)
+    handshake_waits_for_echo: bool = True  # else it alternates with every 0x520, whatever comes back
+    echo_timeout_ns: int = 100 * MS
+    message_timeout_ns: int = 100 * MS  # ten messages of 10 ms
+
+    # the autonomous-system state machine
+    ready_wait_ns: int = 5 * S
+    emergency_timer_ns: int = 15 * S
+    start_needs_selected: bool = False  # AS_DRIVING begins only while MISSION_STATUS is SELECTED
+    brake_request_is_emergency: bool = False
+    estop_request_in_as_off: bool = False
+    neutral_fault_needs_all_wheels: bool = False
+    asms_off_resets: bool = False  # ASMS off leads to AS_OFF from everywhere, and clears what was latched
+    go_off_ignored_in_driving: bool = False
+    not_selected_is_as_off: bool = False
+
+    # what is sent and done
+    as_state_zero_without_asms: bool = False
+    sends_brake_and_ebs_status: bool = True  # else STATUS_BRK and STATUS_EBS are 0
+    brakes_fully_when_neutral: bool = False
+    whole_degree_steering: bool = False
+    rear_torque_only: bool = False
+    simulators_car: bool = False  # the car under it is the official simulator's (mass, wheel radius 0.15 m, pulses)
+
+
+SPECIFICATION: Final = Profile(name="specification")
+
+OFFICIAL_SIMULATOR: Final = Profile(
+    name="official-simulator",
+    handshake_waits_for_echo=False,
+    echo_timeout_ns=500 * MS,
+    start_needs_selected=True,
+    brake_request_is_emergency=True,
+    estop_request_in_as_off=True,
+    neutral_fault_needs_all_wheels=True,
+    asms_off_resets=True,
+    go_off_ignored_in_driving=True,
+    not_selected_is_as_off=True,
+    as_state_zero_without_asms=True,
+    sends_brake_and_ebs_status=False,
+    brakes_fully_when_neutral=True,
+    whole_degree_steering=True,
+    rear_torque_only=True,
+    simulators_car=True,
+)
+
+PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(
+    {profile.name: profile for profile in (SPECIFICATION, OFFICIAL_SIMULATOR)}
+)
+
+
+def profile(name: str) -> Profile:
+    """The profile of that name; an unknown name raises a ValueError that lists the valid ones."""
+    try:
+        return PROFILES[name]
+    except KeyError:
+        raise ValueError(f"unknown profile {name!r}: choose one of {', '.join(PROFILES)}") from None

@@ -1,0 +1,178 @@
+"""The real processes of one rehearsal: simulated VCU, nodes, recorder; started, watched and ended together."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+NODES = ("vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller")
+STOP_TIMEOUT_S = 15.0
+_POLL_S = 0.02
+
+
+class StackError(Exception):
+    """A process did not do what was awaited; the message is for a person, with the process's last words."""
+
+
+def await_condition(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+    """Return as soon as `condition` holds. Raises StackError naming `what` after `timeout_s`."""
+    until = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > until:
+            raise StackError(f"waited {timeout_s:g} s in vain: {what}")
+        time.sleep(_POLL_S)
+
+
+class RunningProcess:
+    """One child process with its output in a log file."""
+
+    def __init__(
+        self,
+        name: str,
+        argv: Sequence[str],
+        log_path: Path,
+        environ: Mapping[str, str],
+        *,
+        stdin: int | None = subprocess.DEVNULL,
+    ) -> None:
+        self.name = name
+        self.log_path = log_path
+        self._log: IO[bytes] = log_path.open("ab")
+        self.popen = subprocess.Popen(
+            list(argv),
+            stdin=stdin,
+            stdout=self._log,
+            stderr=subprocess.STDOUT,
+            env=dict(environ),
+            # A Ctrl-C at the terminal is for the one who started the rehearsal; it ends the others in order.
+            start_new_session=True,
+        )
+
+    @property
+    def alive(self) -> bool:
+        return self.popen.poll() is None
+
+    def log(self) -> str:
+        return self.log_path.read_text(errors="replace")
+
+    def await_log(self, pattern: str, timeout_s: float) -> re.Match[str]:
+        """The first match of `pattern` in what the process has printed. Raises StackError when it ends or is late."""
+        expression = re.compile(pattern)
+        until = time.monotonic() + timeout_s
+        while True:
+            alive = self.alive
+            match = expression.search(self.log())
+            if match:
+                return match
+            if not alive:
+                raise StackError(f"{self.name} ended with status {self.popen.returncode}:\n{self.last_words()}")
+            if time.monotonic() > until:
+                raise StackError(f"{self.name} did not print /{pattern}/ in {timeout_s:g} s:\n{self.last_words()}")
+            time.sleep(_POLL_S)
+
+    def last_words(self, lines: int = 15) -> str:
+        return "\n".join("    " + line for line in self.log().splitlines()[-lines:])
+
+    def signal(self, number: signal.Signals) -> None:
+        if self.alive:
+            self.popen.send_signal(number)
+
+    def wait(self, timeout_s: float) -> int:
+        """The exit status. Raises StackError if it does not end in time."""
+        try:
+            return self.popen.wait(timeout_s)
+        except subprocess.TimeoutExpired as error:
+            raise StackError(f"{self.name} did not end in {timeout_s:g} s:\n{self.last_words()}") from error
+
+    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> int:
+        """Ask it to end, insist if it does not; its exit status."""
+        self.signal(signal.SIGCONT)
+        self.signal(signal.SIGTERM)
+        try:
+            self.popen.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            self.popen.wait()
+        self._log.close()
+        return self.popen.returncode
+
+
+class Stack:
+    """Starts processes that share a bus, a ROS domain and a folder for their logs; ends them all on exit."""
+
+    def __init__(self, bus: str, folder: Path, *, domain_id: int | None = None, truth_port: int | None = None) -> None:
+        self.bus = bus
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        # Two rehearsals side by side must not hear each other; ids up to 101 are safe on every platform.
+        self.domain_id = 1 + os.getpid() % 100 if domain_id is None else domain_id
+        self.truth_port = 30000 + os.getpid() % 20000 if truth_port is None else truth_port
+        self.processes: dict[str, RunningProcess] = {}
+        self.environ = dict(
+            os.environ,
+            ROS_DOMAIN_ID=str(self.domain_id),
+            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+            PYTHONUNBUFFERED="1",
+        )
+
+    def start(self, name: str, argv: Sequence[str], *, stdin: int | None = subprocess.DEVNULL) -> RunningProcess:
+        """Start `argv` under `name`; its output goes to NAME.log in the folder."""
+        process = RunningProcess(name, argv, self.folder / f"{name}.log", self.environ, stdin=stdin)
+        self.processes[name] = process
+        return process
+
+    def start_verb(self, name: str, *arguments: str, stdin: int | None = subprocess.DEVNULL) -> RunningProcess:
+        """Start `fsai-vcu ARGUMENTS…`."""
+        return self.start(name, [sys.executable, "-m", "fsai_vcu.cli.main", *arguments], stdin=stdin)
+
+    def start_node(self, name: str, **parameters: object) -> RunningProcess:
+        """Start one ROS node with `parameters`."""
+        return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *ros_arguments(parameters)])
+
+    def start_nodes(self, parameters: Mapping[str, Mapping[str, object]] | None = None) -> None:
+        """Start the five nodes, each its own process. `parameters` by node name go on top of the rehearsal's own."""
+        own: dict[str, dict[str, object]] = {
+            "vcu_bridge": {"can_interface": self.bus},
+            "sensor_simulator": {"truth_port": self.truth_port},
+        }
+        for name in NODES:
+            self.start_node(name, **{**own.get(name, {}), **((parameters or {}).get(name, {}))})
+
+    def check_alive(self, *names: str) -> None:
+        """Raises StackError naming the first of `names` (all, if none are given) that has ended by itself."""
+        for name in names or tuple(self.processes):
+            process = self.processes[name]
+            if not process.alive:
+                raise StackError(f"{name} ended with status {process.popen.returncode}:\n{process.last_words()}")
+
+    def stop(self) -> None:
+        for process in reversed(self.processes.values()):
+            process.signal(signal.SIGCONT)
+            process.signal(signal.SIGTERM)
+        for process in reversed(self.processes.values()):
+            process.stop()
+
+    def __enter__(self) -> Stack:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+def ros_arguments(parameters: Mapping[str, object]) -> list[str]:
+    """`parameters` as a ROS command line."""
+    arguments = []
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return ["--ros-args", *arguments] if arguments else []

@@ -1,0 +1,614 @@
+"""An independent look at a bus: do the frames that were on it keep the rules that can be seen there?
+
+The checker knows the interface (through the codec) and nothing of the gate that is to keep the rules. It is fed with
+every frame of a bus, of the AI computer and of the car, in the order of time.
+
+What is on the wire at an instant was decided a little earlier: a value that the car sent less than `in_flight_ns` ago
+may not have been seen yet. A rule is broken only when it is broken for every value that the sender can have seen.
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from pathlib import Path
+from typing import IO, Generic, TypeVar
+
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import (
+    AiBrake,
+    AiDriveFront,
+    AiDriveRear,
+    AiStatus,
+    AiSteer,
+    VcuBrake,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuStatus,
+    VcuSteer,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.reserved import AI_IDS
+
+MS = 1_000_000
+SECOND = 1_000_000_000
+
+MAX_TORQUE_NM = 195.0  # interface specification v4.0: axle torque request 0-195 Nm
+STANDSTILL_RPM = 10  # safety rule 3: under 10 rpm is at rest
+STANDSTILL_NS = 500 * MS
+START_WAIT_NS = 3 * SECOND  # safety rule 2
+STATUS_AGE_NS = 50 * MS  # safety rule 2: AS_DRIVING in a 0x520 not older than this
+SPEEDS_AGE_NS = 100 * MS
+CYCLE_GAP_NS = 8 * MS  # two sends are never closer
+RESTART_GAP_NS = 150 * MS  # a process that starts listens for 200 ms before its first frame
+RESOLUTION = 0.051  # half a raw step of torque and steering, and a float's rounding
+
+# Protection against an over-current trip: the most torque above a speed of the axle's fastest wheel.
+CONSTANT_POWER = ((700, 50.0), (600, 85.0), (500, 100.0), (400, 120.0), (300, 150.0))
+
+IDLE = (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY)
+_KEPT = 1000  # violations kept as text; all are counted
+
+T = TypeVar("T")
+
+
+class _Recent(Generic[T]):
+    """The values that a sender can have seen last: all younger than the time in flight, and the one before them."""
+
+    def __init__(self, in_flight_ns: int) -> None:
+        self._in_flight_ns = in_flight_ns
+        self._values: deque[tuple[int, T]] = deque()
+
+    def add(self, t_ns: int, value: T) -> None:
+        self._values.append((t_ns, value))
+
+    def at(self, t_ns: int) -> list[T]:
+        values = self._values
+        while len(values) > 1 and t_ns - values[1][0] >= self._in_flight_ns:
+            values.popleft()
+        return [value for _, value in values]
+
+
+@dataclass(frozen=True, slots=True)
+class WireReport:
+    """What a bus showed. Times in milliseconds and seconds; `ok` means that no rule was seen broken."""
+
+    frames: int
+    duration_s: float
+    cycles: int
+    incomplete_cycles: int
+    shortest_cycle_ms: float | None
+    responses: int
+    response_p50_ms: float | None
+    response_p99_ms: float | None
+    response_max_ms: float | None
+    error_frames: int
+    as_states: tuple[tuple[float, str], ...]
+    problems: Mapping[str, int]
+    violation_count: int
+    violations: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        return self.violation_count == 0
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.frames} frames in {self.duration_s:.3f} s, {self.cycles} command cycles"
+            f" ({self.incomplete_cycles} incomplete), {self.error_frames} error frames",
+            "AS states: " + (", ".join(f"{name} at {t_s:.3f} s" for t_s, name in self.as_states) or "none heard"),
+        ]
+        if self.responses:
+            lines.append(
+                f"response time: {self.responses} echoes, p50 {self.response_p50_ms:.2f} ms,"
+                f" p99 {self.response_p99_ms:.2f} ms, max {self.response_max_ms:.2f} ms"
+            )
+        lines += [f"{count} x {problem}" for problem, count in self.problems.items()]
+        lines += list(self.violations) or ["no rule broken"]
+        if self.violation_count > len(self.violations):
+            lines.append(f"… and {self.violation_count - len(self.violations)} more")
+        return "\n".join(lines)
+
+
+@dataclass(slots=True)
+class _Cycle:
+    """The five frames of one cycle as they came."""
+
+    ids: list[int] = field(default_factory=list)
+    torque: bool = False
+    brake: bool = False
+
+    @property
+    def complete(self) -> bool:
+        return tuple(self.ids) == AI_IDS
+
+
+class _Path(Enum):
+    """How far the AI computer's process has seen the car come on AS_OFF, AS_READY, AS_DRIVING."""
+
+    GONE = auto()
+    OFF = auto()
+    READY = auto()
+    DRIVING = auto()
+
+    @staticmethod
+    def at_first_sight(state: AsState) -> _Path:
+        """Where a log begins its beginning is not known: in favour of the sender."""
+        return {AsState.AS_READY: _Path.OFF, AsState.AS_DRIVING: _Path.READY}.get(state, _Path.GONE)
+
+    def then(self, state: AsState) -> _Path:
+        if state in (AsState.AS_INIT, AsState.AS_OFF):
+            return _Path.OFF
+        if state is AsState.AS_READY and self in (_Path.OFF, _Path.READY):
+            return _Path.READY
+        if state is AsState.AS_DRIVING and self in (_Path.READY, _Path.DRIVING):
+            return _Path.DRIVING
+        return _Path.GONE
+
+
+class WireChecker:
+    """Feed it with `on_frame`; read `violations` at any time and `report()` at the end.
+
+    `handshake_in_flight_ns` is how young a 0x520 may be and not yet be echoed; `clock_slack_ns` covers the difference
+    between a sender's clock reading and the time stamp on the bus.
+    """
+
+    def __init__(
+        self,
+        codec: Codec,
+        *,
+        in_flight_ns: int = 20 * MS,
+        handshake_in_flight_ns: int = 2 * MS,
+        clock_slack_ns: int = MS // 2,
+    ) -> None:
+        self.violations: list[str] = []
+        self.violation_count = 0
+        self._codec = codec
+        self._known_ids = frozenset(message.frame_id for message in codec.database.messages)
+        self._slack_ns = clock_slack_ns
+        self._handshake_in_flight_ns = handshake_in_flight_ns
+        self._in_flight_ns = in_flight_ns
+
+        self._start_ns: int | None = None
+        self._now_ns = 0
+        self._frames = 0
+        self._error_frames = 0
+        self._problems: Counter[str] = Counter()
+        self._broken: set[str] = set()
+        self._strange_ids: set[int] = set()
+
+        self._status: _Recent[VcuStatus] = _Recent(in_flight_ns)
+        self._front: _Recent[VcuDriveFront] = _Recent(in_flight_ns)
+        self._rear: _Recent[VcuDriveRear] = _Recent(in_flight_ns)
+        self._steer: _Recent[VcuSteer] = _Recent(in_flight_ns)
+        self._brake_echo: _Recent[VcuBrake] = _Recent(in_flight_ns)
+        self._speeds: _Recent[WheelSpeeds] = _Recent(in_flight_ns)
+        self._as_state: AsState | None = None
+        self._as_states: list[tuple[int, AsState]] = []
+        self._driving_since_ns: int | None = None  # None: not driving, or since before the log began
+        self._came_by = _Path.GONE
+        self._silent = False
+        self._speeds_ns: int | None = None
+        self._slow_since_ns: int | None = None
+        self._slow_until: tuple[int, int] | None = None  # when standing ended, and since when it had lasted
+
+        self._bits: deque[tuple[int, bool]] = deque(maxlen=8)
+        self._toggle: tuple[int, bool] | None = None
+        self._responses_ns: list[int] = []
+
+        self._ai: AiStatus | None = None
+        self._torque: list[float | None] = [None, None]  # front, rear, as the VCU has last seen them
+        self._brakes: tuple[float, float] | None = None
+        self._cycle = _Cycle()
+        self._cycles = 0
+        self._incomplete = 0
+        self._cycle_start_ns: int | None = None
+        self._shortest_ns: int | None = None
+        self._quiet_cycles = 0  # complete cycles without torque and brake since the brake was last asked for
+        self._torqueless_cycles = 0  # complete cycles without torque since torque was last asked for
+
+    # ------------------------------------------------------------ input
+
+    def on_frame(self, frame: Frame) -> None:
+        """One frame of the bus, at `frame.t_ns`."""
+        if self._start_ns is None:
+            self._start_ns = frame.t_ns
+        self._now_ns = frame.t_ns
+        self._frames += 1
+        if frame.error:
+            self._error_frames += 1
+            return
+        if frame.extended or frame.remote or frame.can_id not in self._known_ids:
+            self._strange(frame)
+            return
+        decoded = self._codec.decode(frame)
+        for problem in decoded.problems:
+            self._problems[problem] += 1
+        if decoded.handshake is not None:
+            self._on_handshake(frame.t_ns, decoded.handshake)
+        image = decoded.image
+        if frame.can_id in AI_IDS:
+            if image is None:
+                self._break("rule 7", f"0x{frame.can_id:03X} cannot be believed: {'; '.join(decoded.problems)}")
+            elif isinstance(image, AiStatus):
+                self._on_ai_status(frame.t_ns, image)
+            elif isinstance(image, AiDriveFront):
+                self._on_torque(frame, 0, image.torque_nm)
+            elif isinstance(image, AiDriveRear):
+                self._on_torque(frame, 1, image.torque_nm)
+            elif isinstance(image, AiSteer):
+                self._on_steer(frame, image.steer_deg)
+            elif isinstance(image, AiBrake):
+                self._on_brake(frame, image)
+        elif isinstance(image, VcuStatus):
+            self._on_status(frame.t_ns, image)
+        elif isinstance(image, VcuDriveFront):
+            self._front.add(frame.t_ns, image)
+        elif isinstance(image, VcuDriveRear):
+            self._rear.add(frame.t_ns, image)
+        elif isinstance(image, VcuSteer):
+            self._steer.add(frame.t_ns, image)
+        elif isinstance(image, VcuBrake):
+            self._brake_echo.add(frame.t_ns, image)
+        elif isinstance(image, WheelSpeeds):
+            self._on_speeds(frame.t_ns, image)
+
+    def report(self) -> WireReport:
+        """What has been seen so far."""
+        start = self._start_ns or 0
+        waited = sorted(self._responses_ns)
+        return WireReport(
+            frames=self._frames,
+            duration_s=(self._now_ns - start) / SECOND,
+            cycles=self._cycles,
+            incomplete_cycles=self._incomplete,
+            shortest_cycle_ms=None if self._shortest_ns is None else self._shortest_ns / MS,
+            responses=len(waited),
+            response_p50_ms=_quantile_ms(waited, 0.50),
+            response_p99_ms=_quantile_ms(waited, 0.99),
+            response_max_ms=_quantile_ms(waited, 1.0),
+            error_frames=self._error_frames,
+            as_states=tuple(((t_ns - start) / SECOND, state.label) for t_ns, state in self._as_states),
+            problems=dict(self._problems),
+            violation_count=self.violation_count,
+            violations=tuple(self.violations),
+        )
+
+    # ------------------------------------------------------------ what the car says
+
+    def _on_handshake(self, t_ns: int, bit: bool) -> None:
+        if not self._bits or self._bits[-1][1] != bit:
+            alive = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns < 100 * MS
+            self._toggle = (t_ns, bit) if alive else None
+        self._bits.append((t_ns, bit))
+
+    def _on_status(self, t_ns: int, status: VcuStatus) -> None:
+        self._status.add(t_ns, status)
+        state = status.as_state
+        silent = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
+        if silent and not self._silent:
+            self._came_by = _Path.GONE  # safety rule 10: whoever speaks next must see the whole way anew
+        elif self._as_state is None:
+            self._came_by = _Path.at_first_sight(state)
+        self._silent = silent
+        self._came_by = self._came_by.then(state)
+        if state is self._as_state:
+            return
+        self._driving_since_ns = t_ns if state is AsState.AS_DRIVING and self._as_state is not None else None
+        self._as_state = state
+        self._as_states.append((t_ns, state))
+
+    def _on_speeds(self, t_ns: int, speeds: WheelSpeeds) -> None:
+        self._speeds.add(t_ns, speeds)
+        if self._speeds_ns is not None and t_ns - self._speeds_ns > SPEEDS_AGE_NS + self._slack_ns:
+            self._slow_since_ns = None
+        self._speeds_ns = t_ns
+        if max(speeds.all_rpm) < STANDSTILL_RPM:
+            if self._slow_since_ns is None:
+                self._slow_since_ns = t_ns
+        else:
+            if self._slow_since_ns is not None:
+                self._slow_until = (t_ns, self._slow_since_ns)
+            self._slow_since_ns = None
+
+    # ------------------------------------------------------------ what the AI computer says
+
+    def _on_ai_status(self, t_ns: int, ai: AiStatus) -> None:
+        restarted = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
+        self._begin_cycle(t_ns)
+        self._check_echo(t_ns, ai.handshake)
+        states = self._states(t_ns)
+        self._check_latch(ai, states, restarted)
+        if states and all(state is AsState.AS_DRIVING for state in states):
+            for name, said in (
+                ("NEUTRAL", ai.direction is Direction.NEUTRAL),
+                ("FINISHED", ai.mission_status is MissionStatus.FINISHED),
+            ):
+                self._rule("rule 3", name, said and not self._standing(t_ns), f"{name} in AS_DRIVING before standstill")
+        if states and all(state in IDLE for state in states):
+            where = states[-1].label
+            self._rule(
+                "rule 5",
+                "direction",
+                ai.direction is not Direction.NEUTRAL,
+                f"direction {ai.direction.label} in {where}",
+            )
+            self._rule(
+                "rule 5",
+                "mission status",
+                ai.mission_status not in (MissionStatus.NOT_SELECTED, MissionStatus.SELECTED),
+                f"MISSION_STATUS {ai.mission_status.label} in {where}",
+            )
+        self._ai = ai
+
+    def _begin_cycle(self, t_ns: int) -> None:
+        if self._cycle.ids:
+            self._end_cycle()
+        if self._cycle_start_ns is not None:
+            interval_ns = t_ns - self._cycle_start_ns
+            self._shortest_ns = interval_ns if self._shortest_ns is None else min(self._shortest_ns, interval_ns)
+            self._rule(
+                "interval",
+                "",
+                interval_ns < CYCLE_GAP_NS - self._slack_ns,
+                f"two cycles only {interval_ns / MS:.2f} ms apart",
+            )
+        self._cycle_start_ns = t_ns
+        self._cycles += 1
+        self._cycle = _Cycle([AI_IDS[0]])
+
+    def _end_cycle(self) -> None:
+        if not self._cycle.complete:
+            self._incomplete += 1
+            return
+        if not self._cycle.torque:
+            self._torqueless_cycles += 1
+            if not self._cycle.brake:
+                self._quiet_cycles += 1
+
+    def _check_echo(self, t_ns: int, bit: bool) -> None:
+        if not self._bits:
+            return
+        possible = {self._bits[-1][1]}
+        for index in range(len(self._bits) - 1, 0, -1):
+            if t_ns - self._bits[index][0] >= self._handshake_in_flight_ns:
+                break
+            possible.add(self._bits[index - 1][1])
+        self._rule("rule 9", "", bit not in possible, f"handshake {int(bit)} where {int(not bit)} was received")
+        if self._toggle is not None and bit == self._toggle[1] and bit == self._bits[-1][1]:
+            self._responses_ns.append(t_ns - self._toggle[0])
+            self._toggle = None
+
+    def _check_latch(self, ai: AiStatus, states: list[AsState], restarted: bool) -> None:
+        if self._ai is None or restarted:
+            return
+        released = self._ai.estop_request and not ai.estop_request
+        allowed = any(state in (AsState.AS_INIT, AsState.AS_OFF) for state in states)
+        if released and not allowed:
+            where = states[-1].label if states else "no state"
+            self._break("rule 6", f"ESTOP_REQUEST released in {where}")
+
+    def _on_torque(self, frame: Frame, axle: int, torque_nm: float) -> None:
+        t_ns = frame.t_ns
+        name = ("front", "rear")[axle]
+        had_none = self._torque == [0.0, 0.0]  # a log may begin in the middle of a drive: what was before is not judged
+        self._torque[axle] = torque_nm
+        self._cycle.ids.append(frame.can_id)
+        self._check_both()
+        self._rule("rule 4", f"{name} torque", *self._over_torque(t_ns, axle, torque_nm))
+        if torque_nm <= 0:
+            self._broken -= {f"rule 2 {name} {key}" for key in ("state", "wait", "go", "direction", "emergency", "age")}
+            self._broken.discard(f"rule 10 {name}")
+            return
+        if had_none:
+            self._check_torque_may_rise(t_ns)
+        self._cycle.torque = True
+        self._torqueless_cycles = 0
+        self._check_torque_allowed(t_ns, name)
+
+    def _check_torque_may_rise(self, t_ns: int) -> None:
+        """Safety rule 1: after a complete quiet cycle, and the car's echo of it or a second one."""
+        echoes = self._brake_echo.at(t_ns)
+        echoed = any(echo.front_request_pct == 0 and echo.rear_request_pct == 0 for echo in echoes)
+        if self._quiet_cycles < (1 if echoed else 2):
+            self._break("rule 1", f"torque rose after {self._quiet_cycles} complete cycles without torque and brake")
+
+    def _check_torque_allowed(self, t_ns: int, name: str) -> None:
+        statuses = self._status.at(t_ns)
+        if not statuses:
+            if t_ns - (self._start_ns or 0) >= STATUS_AGE_NS:  # a log may begin in the middle of a drive
+                self._rule("rule 2", f"{name} state", True, f"{name} torque before any 0x520")
+            return
+        newest = statuses[-1]
+        driving = [status for status in statuses if status.as_state is AsState.AS_DRIVING]
+        self._rule("rule 2", f"{name} state", not driving, f"{name} torque in {newest.as_state.label}")
+        self._rule(
+            "rule 2",
+            f"{name} go",
+            not any(status.go_signal for status in statuses),
+            f"{name} torque without the Go signal",
+        )
+        age_ns = t_ns - newest.t_rx_ns
+        self._rule(
+            "rule 2",
+            f"{name} age",
+            age_ns > STATUS_AGE_NS + self._in_flight_ns,
+            f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old",
+        )
+        self._rule(
+            "rule 10",
+            name,
+            newest.as_state is AsState.AS_DRIVING and self._came_by is _Path.GONE,
+            f"{name} torque though this process has not seen AS_OFF, AS_READY and AS_DRIVING in turn",
+        )
+        if self._driving_since_ns is not None:
+            waited_ns = t_ns - self._driving_since_ns
+            self._rule(
+                "rule 2",
+                f"{name} wait",
+                waited_ns < START_WAIT_NS - self._slack_ns,
+                f"{name} torque {waited_ns / SECOND:.3f} s after AS_DRIVING began",
+            )
+        ai = self._ai
+        if ai is not None:
+            self._rule(
+                "rule 2",
+                f"{name} direction",
+                ai.direction is not Direction.FORWARD,
+                f"{name} torque with direction {ai.direction.label}",
+            )
+            self._rule("rule 2", f"{name} emergency", ai.estop_request, f"{name} torque with ESTOP_REQUEST")
+
+    def _over_torque(self, t_ns: int, axle: int, torque_nm: float) -> tuple[bool, str]:
+        limits: list[float] = [MAX_TORQUE_NM]
+        echoes = self._front.at(t_ns) if axle == 0 else self._rear.at(t_ns)
+        if echoes:
+            limits.append(max(echo.torque_max_nm for echo in echoes))
+        speeds = self._speeds.at(t_ns)
+        if speeds:
+            fastest = min(max(one.all_rpm[2 * axle : 2 * axle + 2]) for one in speeds)
+            limits += [most_nm for above_rpm, most_nm in CONSTANT_POWER if fastest > above_rpm]
+        limit = min(limits)
+        name = ("front", "rear")[axle]
+        return torque_nm > limit + RESOLUTION, f"{name} torque {torque_nm:.1f} Nm above its limit {limit:.1f}"
+
+    def _on_steer(self, frame: Frame, steer_deg: float) -> None:
+        self._cycle.ids.append(frame.can_id)
+        states = self._states(frame.t_ns)
+        if states:
+            where = states[-1].label
+            out_of_place = steer_deg != 0 and AsState.AS_DRIVING not in states
+            rule = "rule 5" if states[-1] in IDLE else "rule 4"
+            self._rule(rule, "steering", out_of_place, f"steering {steer_deg:.1f} deg in {where}")
+        limit = self._codec.revision.steer_limit_deg
+        live = self._steer.at(frame.t_ns)
+        if live:
+            limit = min(limit, max(one.angle_max_deg for one in live))
+        self._rule(
+            "rule 4",
+            "steering limit",
+            abs(steer_deg) > limit + RESOLUTION,
+            f"steering {steer_deg:.1f} deg beyond its limit {limit:.1f}",
+        )
+
+    def _on_brake(self, frame: Frame, brake: AiBrake) -> None:
+        had_none = self._brakes == (0.0, 0.0)
+        self._brakes = (brake.front_pct, brake.rear_pct)
+        self._cycle.ids.append(frame.can_id)
+        self._check_both()
+        if not any(self._brakes):
+            return
+        self._cycle.brake = True
+        self._quiet_cycles = 0
+        if had_none and self._torqueless_cycles < 1:
+            self._break("rule 1", "brake rose before a complete cycle without torque")
+
+    def _check_both(self) -> None:
+        torque_nm = max(one or 0.0 for one in self._torque)
+        brake_pct = max(self._brakes or (0.0,))
+        self._rule(
+            "rule 1",
+            "both",
+            torque_nm > 0 and brake_pct > 0,
+            f"torque {torque_nm:.1f} Nm and brake {brake_pct:.1f} % together",
+        )
+
+    # ------------------------------------------------------------ bookkeeping
+
+    def _states(self, t_ns: int) -> list[AsState]:
+        return [status.as_state for status in self._status.at(t_ns)]
+
+    def _standing(self, t_ns: int) -> bool:
+        """Safety rule 3: fresh wheel speeds, all under 10 rpm for half a second."""
+        if self._speeds_ns is None or t_ns - self._speeds_ns > SPEEDS_AGE_NS + self._slack_ns:
+            return False
+        since_ns = self._slow_since_ns
+        if since_ns is None and self._slow_until is not None and t_ns - self._slow_until[0] < self._in_flight_ns:
+            since_ns = self._slow_until[1]
+        return since_ns is not None and t_ns - since_ns >= STANDSTILL_NS - self._slack_ns
+
+    def _strange(self, frame: Frame) -> None:
+        """Safety rule 8: a log does not name senders, so: what nobody on this bus should send."""
+        if frame.can_id in self._strange_ids:
+            self.violation_count += 1
+            return
+        self._strange_ids.add(frame.can_id)
+        kind = "extended " if frame.extended else "remote " if frame.remote else ""
+        self._break("rule 8", f"{kind}identifier 0x{frame.can_id:03X}, which nobody on this bus should send")
+
+    def _rule(self, rule: str, key: str, broken: bool, text: str) -> None:
+        """Record the moment at which a condition turns bad, not every frame for which it stays so."""
+        name = f"{rule} {key}"
+        if not broken:
+            self._broken.discard(name)
+        elif name not in self._broken:
+            self._broken.add(name)
+            self._break(rule, text)
+
+    def _break(self, rule: str, text: str) -> None:
+        self.violation_count += 1
+        if len(self.violations) < _KEPT:
+            t_s = (self._now_ns - (self._start_ns or 0)) / SECOND
+            self.violations.append(f"{t_s:.3f} s: {rule}: {text}")
+
+
+def _quantile_ms(ordered_ns: list[int], share: float) -> float | None:
+    """The smallest value that at least `share` of all do not exceed."""
+    if not ordered_ns:
+        return None
+    index = max(0, -(-int(share * 1000) * len(ordered_ns) // 1000) - 1)
+    return ordered_ns[index] / MS
+
+
+# ---------------------------------------------------------------- logs
+
+
+class LogError(ValueError):
+    """A line that is not of a candump log."""
+
+
+def read_candump(path: Path | str) -> Iterator[Frame]:
+    """The frames of a `candump -L` log (plain or .gz), with their times in nanoseconds. Raises LogError, OSError."""
+    path = Path(path)
+    with _open(path) as lines:
+        for number, line in enumerate(lines, start=1):
+            if line.strip():
+                try:
+                    yield _parse(line)
+                except (ValueError, IndexError):
+                    raise LogError(f"{path}:{number}: not a line of a candump log: {line.strip()[:80]}") from None
+
+
+def _open(path: Path) -> IO[str]:
+    if path.suffix == ".gz":
+        return gzip.open(path, "rt", errors="replace")
+    return path.open(errors="replace")
+
+
+def _parse(line: str) -> Frame:
+    stamp, _channel, text, *_direction = line.split()
+    seconds, _, fraction = stamp.strip("()").partition(".")
+    t_ns = int(seconds) * SECOND + int(fraction.ljust(9, "0")[:9])
+    identifier, sharp, payload = text.partition("#")
+    if not sharp:
+        raise ValueError(text)
+    number = int(identifier, 16)
+    extended = len(identifier) > 3
+    if extended and number & 0x2000_0000:  # CAN_ERR_FLAG of SocketCAN
+        return Frame(number & 0x1FFF_FFFF, bytes.fromhex(payload), t_ns, error=True)
+    if payload.startswith("R"):
+        return Frame(number, b"", t_ns, extended=extended, remote=True)
+    return Frame(number, bytes.fromhex(payload), t_ns, extended=extended)
+
+
+def check_candump(path: Path | str, codec: Codec) -> WireReport:
+    """Check a whole log."""
+    checker = WireChecker(codec)
+    for frame in read_candump(path):
+        checker.on_frame(frame)
+    return checker.report()

@@ -1,0 +1,1 @@
+"""The driving chain as ROS 2 nodes: cones in, CAN frames out."""

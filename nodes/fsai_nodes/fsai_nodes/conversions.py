@@ -1,0 +1,379 @@
+"""Between the pure types of the driving chain and ROS messages, and from the car's units to SI.
+
+Pure but for the message classes. Every number is made a plain int or float here: the middleware does not check.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from fsai_msgs.msg import (
+    Cone,
+    ConeArray,
+    PlannerStatus,
+    RunState,
+)
+from fsai_msgs.msg import VehicleCommand as VehicleCommandMsg
+from fsai_msgs.msg import VehicleState as VehicleStateMsg
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.images import Faults, GpsImu
+
+BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
+ODOM_FRAME = "odom"  # REP-105: where the run began
+
+UNKNOWN = 255
+NEVER = math.nan
+_UINT32_MAX = 2**32 - 1
+_GRAVITY_MPS2 = 9.80665
+
+
+def _count(value: int) -> int:
+    """Counters are for logs: they saturate."""
+    return min(max(int(value), 0), _UINT32_MAX)
+
+
+def _raw(value: IntEnum | None) -> int:
+    return UNKNOWN if value is None else int(value)
+
+
+# ---------------------------------------------------------------- cones
+
+
+def cones_to_msg(observation: ConeObservation, stamp: Time) -> ConeArray:
+    message = ConeArray()
+    message.header.stamp = stamp
+    message.header.frame_id = BASE_FRAME
+    message.cones = [
+        Cone(x=x, y=y, color=color, confidence=confidence)
+        for (x, y), color, confidence in zip(
+            observation.xy_m.tolist(), observation.color.tolist(), observation.confidence.tolist(), strict=True
+        )
+    ]
+    return message
+
+
+def cones_from_msg(message: ConeArray, t_ns: int) -> ConeObservation:
+    """`t_ns`: the monotonic time of the message's stamp. Cones with a NaN or an infinity in them are left out."""
+    rows = [
+        (cone.x, cone.y, cone.color, cone.confidence)
+        for cone in message.cones
+        if math.isfinite(cone.x) and math.isfinite(cone.y) and math.isfinite(cone.confidence)
+    ]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    color = table[:, 2].astype(np.int64)
+    color[color > Cone.BIG_ORANGE] = Cone.UNKNOWN
+    return ConeObservation(t_ns, table[:, :2].copy(), color, table[:, 3].copy())
+
+
+# ---------------------------------------------------------------- plan
+
+
+def path_to_msg(xy_m: np.ndarray, stamp: Time) -> Path:
+    """xy_m: (M, 2), vehicle frame of the stamp's instant. Each pose looks along the path."""
+    message = Path()
+    message.header.stamp = stamp
+    message.header.frame_id = BASE_FRAME
+    points = xy_m.tolist()
+    poses = []
+    for index, (x, y) in enumerate(points):
+        following, before = points[min(index + 1, len(points) - 1)], points[max(index - 1, 0)]
+        yaw = math.atan2(following[1] - before[1], following[0] - before[0])
+        pose = PoseStamped()
+        pose.header = message.header
+        pose.pose.position.x, pose.pose.position.y = x, y
+        pose.pose.orientation.z, pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+        poses.append(pose)
+    message.poses = poses
+    return message
+
+
+def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
+    status = PlannerStatus(
+        run_id=plan.run_id,
+        mission=int(plan.mission),
+        laps=_count(plan.laps),
+        finished=bool(plan.finished),
+        stop_distance_m=NEVER if plan.stop_distance_m is None else float(plan.stop_distance_m),
+        cones_count_actual=_count(plan.cones_count_actual),
+        cones_count_all=_count(plan.cones_count_all),
+    )
+    status.header.stamp = stamp
+    status.header.frame_id = BASE_FRAME
+    return status, path_to_msg(plan.path_m, stamp)
+
+
+def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan | None:
+    """None when the path is empty or holds a number that is none, or the mission is outside the table."""
+    points = [(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]
+    path_m = np.array(points, dtype=np.float64).reshape(-1, 2)
+    if not len(path_m) or not np.isfinite(path_m).all():
+        return None
+    try:
+        mission = Ami(status.mission)
+    except ValueError:
+        return None
+    return Plan(
+        t_sensor_ns=t_sensor_ns,
+        run_id=status.run_id,
+        mission=mission,
+        path_m=path_m,
+        laps=status.laps,
+        finished=status.finished,
+        stop_distance_m=status.stop_distance_m if math.isfinite(status.stop_distance_m) else None,
+        cones_count_actual=status.cones_count_actual,
+        cones_count_all=status.cones_count_all,
+    )
+
+
+# ---------------------------------------------------------------- command
+
+
+def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
+    message = VehicleCommandMsg(
+        run_id=command.run_id,
+        steering_rad=float(command.steering_rad),
+        throttle=float(command.throttle),
+        brake=float(command.brake),
+        speed_limit_mps=float(command.speed_limit_mps),
+        mission_finished=bool(command.mission_finished),
+        estop_request=bool(command.estop_request),
+        laps=_count(command.laps),
+        cones_count_actual=_count(command.cones_count_actual),
+        cones_count_all=_count(command.cones_count_all),
+    )
+    message.header.stamp = stamp
+    message.header.frame_id = BASE_FRAME
+    return message
+
+
+def command_from_msg(message: VehicleCommandMsg, t_sensor_ns: int) -> VehicleCommand:
+    """As received, good or bad: whether to believe it is the gate's decision."""
+    return VehicleCommand(
+        t_sensor_ns=t_sensor_ns,
+        run_id=message.run_id,
+        steering_rad=message.steering_rad,
+        throttle=message.throttle,
+        brake=message.brake,
+        speed_limit_mps=message.speed_limit_mps,
+        mission_finished=message.mission_finished,
+        estop_request=message.estop_request,
+        laps=message.laps,
+        cones_count_actual=message.cones_count_actual,
+        cones_count_all=message.cones_count_all,
+    )
+
+
+# ---------------------------------------------------------------- run and motion
+
+
+def run_to_msg(run: Run, mode: str, stamp: Time) -> RunState:
+    message = RunState(
+        run_id=run.run_id,
+        mission=int(run.mission),
+        as_state=_raw(run.as_state),
+        may_move=bool(run.may_move),
+        mode=mode,
+    )
+    message.header.stamp = stamp
+    return message
+
+
+def run_from_msg(message: RunState) -> Run:
+    """Values outside the tables become 'no mission' and 'not heard': nothing can be driven by either."""
+    mission = Ami(message.mission) if message.mission in Ami._value2member_map_ else Ami.NOT_SELECTED
+    as_state = AsState(message.as_state) if message.as_state in AsState._value2member_map_ else None
+    return Run(message.run_id, mission, as_state, message.may_move)
+
+
+def motion_from_state(message: VehicleStateMsg, t_ns: int) -> Motion:
+    return Motion(
+        t_ns, message.x, message.y, message.yaw_rad, message.speed_mps, message.yaw_rate_radps, message.distance_m
+    )
+
+
+def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
+    message = Odometry()
+    message.header.stamp = stamp
+    message.header.frame_id = ODOM_FRAME
+    message.child_frame_id = BASE_FRAME
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y = float(motion.x_m), float(motion.y_m)
+    pose.orientation.z, pose.orientation.w = math.sin(motion.yaw_rad / 2), math.cos(motion.yaw_rad / 2)
+    twist.linear.x, twist.angular.z = float(motion.speed_mps), float(motion.yaw_rate_radps)
+    return message
+
+
+# ---------------------------------------------------------------- vehicle state
+
+
+def state_to_msg(report: BridgeReport, stamp: Time) -> VehicleStateMsg:
+    message = VehicleStateMsg()
+    message.header.stamp = stamp
+    message.header.frame_id = ODOM_FRAME
+    vehicle, now_ns = report.vehicle, report.t_ns
+
+    def age_s(t_ns: int | None) -> float:
+        return NEVER if t_ns is None else (now_ns - t_ns) / 1e9
+
+    message.as_state = message.mission = message.shutdown_cause = UNKNOWN
+    message.as_state_label = message.mission_label = "UNKNOWN"
+    message.steering_status = message.op_state = message.ts_state = message.ebs_state = UNKNOWN
+    message.brake_status = message.ebs_status = UNKNOWN
+    message.mode, message.run_id = report.mode, report.run.run_id
+    message.handshake = bool(vehicle.handshake)
+
+    status = vehicle.status
+    if status is not None:
+        message.as_state, message.as_state_label = int(status.as_state), status.as_state.label
+        message.mission, message.mission_label = int(status.ami), status.ami.label
+        message.go_signal = bool(status.go_signal)
+        message.as_switch = bool(status.as_switch)
+        message.ts_switch = bool(status.ts_switch)
+        message.shutdown_request = bool(status.shutdown_request)
+        message.fault = bool(status.fault)
+        message.warning = bool(status.warning)
+        message.faults = list(fault_names(status.faults))
+        message.shutdown_cause = _raw(status.shutdown_cause)
+        message.shutdown_cause_label = "" if status.shutdown_cause is None else status.shutdown_cause.label
+        message.steering_status = _raw(status.steering_status)
+        message.op_state = _raw(status.op_state)
+        message.ts_state = _raw(status.ts_state)
+        message.ebs_state = _raw(status.ebs_state)
+    message.status_age_s = age_s(status.t_rx_ns if status is not None else None)
+
+    steer = vehicle.steer
+    if steer is not None:
+        message.steering_rad = math.radians(steer.angle_deg)
+        message.steering_max_rad = math.radians(steer.angle_max_deg)
+    message.steer_age_s = age_s(steer.t_rx_ns if steer is not None else None)
+    if vehicle.drive_front is not None:
+        message.front_axle_torque_nm = float(vehicle.drive_front.torque_nm)
+    if vehicle.drive_rear is not None:
+        message.rear_axle_torque_nm = float(vehicle.drive_rear.torque_nm)
+    brake = vehicle.brake
+    if brake is not None:
+        message.front_brake, message.rear_brake = brake.front_pct / 100.0, brake.rear_pct / 100.0
+        message.brake_status, message.ebs_status = _raw(brake.brake_status), _raw(brake.ebs_status)
+    message.brake_age_s = age_s(brake.t_rx_ns if brake is not None else None)
+    speeds = vehicle.speeds
+    if speeds is not None:
+        message.wheel_speed_rpm = np.array(speeds.all_rpm, dtype=np.uint16)
+    message.speeds_age_s = age_s(speeds.t_rx_ns if speeds is not None else None)
+    if vehicle.counts is not None:
+        counts = vehicle.counts
+        message.wheel_pulses = np.array((counts.fl, counts.fr, counts.rl, counts.rr), dtype=np.uint16)
+
+    motion = report.motion
+    message.x, message.y, message.yaw_rad = float(motion.x_m), float(motion.y_m), float(motion.yaw_rad)
+    message.speed_mps, message.yaw_rate_radps = float(motion.speed_mps), float(motion.yaw_rate_radps)
+    message.distance_m = float(motion.distance_m)
+
+    sent = report.command
+    message.sent_mission_status, message.sent_direction = int(sent.mission_status), int(sent.direction)
+    message.sent_estop_request = bool(sent.estop_request)
+    message.sent_steering_rad = math.radians(sent.steer_deg)
+    message.sent_front_torque_nm, message.sent_rear_torque_nm = (
+        float(sent.front_torque_nm),
+        float(sent.rear_torque_nm),
+    )
+    message.sent_front_brake, message.sent_rear_brake = sent.front_brake_pct / 100.0, sent.rear_brake_pct / 100.0
+    message.laps = _count(sent.lap_counter)
+    message.listen_only = bool(report.listen_only)
+
+    message.emergency, message.stopping = report.emergency or "", report.stopping or ""
+    message.gate_reasons = [str(reason) for reason in report.reasons]
+    message.why_not_driving = [str(reason) for reason in report.why_not_driving]
+    return message
+
+
+def fault_names(faults: Faults) -> Sequence[str]:
+    """The fault bits of 0x520 that are set."""
+    return [name for name in Faults.__slots__ if getattr(faults, name)]
+
+
+# ---------------------------------------------------------------- IMU and GPS
+
+
+def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> Imu | None:
+    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been heard.
+
+    What was not measured is marked as REP-145 has it: -1 in the first element of its covariance.
+    """
+    message = Imu()
+    message.header.frame_id = frame_id
+    message.orientation_covariance[0] = -1.0
+    acceleration, rotation_a, rotation_b, dynamics = (
+        gps.acceleration,
+        gps.rotation_a,
+        gps.rotation_b,
+        gps.dynamics,
+    )
+    if acceleration is not None:
+        message.linear_acceleration.x = acceleration.x_mg * 1e-3 * _GRAVITY_MPS2
+        message.linear_acceleration.y = acceleration.y_mg * 1e-3 * _GRAVITY_MPS2
+        message.linear_acceleration.z = acceleration.z_mg * 1e-3 * _GRAVITY_MPS2
+        if rotation_a is not None:
+            message.angular_velocity.x = math.radians(rotation_a.x_degps)
+            message.angular_velocity.y = math.radians(rotation_a.y_degps)
+        if rotation_b is not None:
+            message.angular_velocity.z = math.radians(rotation_b.z_degps)
+        else:
+            message.angular_velocity_covariance[0] = -1.0
+        message.header.stamp = stamp_of(acceleration.t_rx_ns)
+        return message
+    if dynamics is not None:
+        message.linear_acceleration.x = float(dynamics.accel_longitudinal_mps2)
+        message.linear_acceleration.y = float(dynamics.accel_lateral_mps2)
+        message.angular_velocity.z = math.radians(dynamics.yaw_rate_degps)
+        message.header.stamp = stamp_of(dynamics.t_rx_ns)
+        return message
+    return None
+
+
+# GPS_NavigationMethod of 0x620 (PCAN-GPS): 2 is a 2D, 3 a 3D fix.
+_FIX_2D, _FIX_3D = 2, 3
+# A typical user range error: DOP times this is the standard deviation that the fix's covariance claims.
+_RANGE_ERROR_M = 3.0
+
+
+def fix_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> NavSatFix | None:
+    """None while no position has been heard; STATUS_NO_FIX and NaN while the receiver says it has none."""
+    latitude, longitude = gps.latitude, gps.longitude
+    if latitude is None or longitude is None:
+        return None
+    message = NavSatFix()
+    message.header.frame_id = frame_id
+    message.header.stamp = stamp_of(min(latitude.t_rx_ns, longitude.t_rx_ns))
+    message.status.service = NavSatStatus.SERVICE_GPS
+    method = gps.status.navigation_method if gps.status is not None else 0
+    north, east = _SIGN_OF_LETTER.get(latitude.indicator), _SIGN_OF_LETTER.get(longitude.indicator)
+    if method not in (_FIX_2D, _FIX_3D) or north is None or east is None:
+        message.status.status = NavSatStatus.STATUS_NO_FIX
+        message.latitude = message.longitude = message.altitude = math.nan
+        return message
+    message.status.status = NavSatStatus.STATUS_FIX
+    message.latitude = north * (latitude.degrees + latitude.minutes / 60.0)
+    message.longitude = east * (longitude.degrees + longitude.minutes / 60.0)
+    known_altitude = method == _FIX_3D and gps.altitude is not None
+    message.altitude = float(gps.altitude.altitude_m) if known_altitude and gps.altitude is not None else math.nan
+    if gps.dilution_a is not None:
+        horizontal_m2 = (gps.dilution_a.hdop * _RANGE_ERROR_M) ** 2
+        vertical_dop = gps.dilution_b.vdop if gps.dilution_b is not None else gps.dilution_a.pdop
+        message.position_covariance[0] = message.position_covariance[4] = horizontal_m2
+        message.position_covariance[8] = (vertical_dop * _RANGE_ERROR_M) ** 2
+        message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_APPROXIMATED
+    return message
+
+
+_SIGN_OF_LETTER = {ord("N"): 1.0, ord("E"): 1.0, ord("S"): -1.0, ord("W"): -1.0}

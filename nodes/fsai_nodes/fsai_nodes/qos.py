@@ -1,0 +1,74 @@
+"""Quality of service of every topic, in one place. The README's table says the same for people; a test compares them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+# A command older than this is stale for the bridge too (safety: vehicle command stale after 100 ms), so the
+# middleware need not deliver it, and a publisher that pauses for so long has broken its promise of 50 Hz.
+COMMAND_DEADLINE_MS = 100
+# Data older than this makes a command stale (safety: 500 ms), so a path that old is of no use.
+PATH_LIFESPAN_MS = 500
+
+COMMAND = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    deadline=Duration(nanoseconds=COMMAND_DEADLINE_MS * 1_000_000),
+    lifespan=Duration(nanoseconds=COMMAND_DEADLINE_MS * 1_000_000),
+)
+PLAN = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    lifespan=Duration(nanoseconds=PATH_LIFESPAN_MS * 1_000_000),
+)
+SENSOR = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+STATE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+# Several nodes write it and none of their words may push out another's.
+CONFIRMATION = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+# What the ecosystem's diagnostic tools expect.
+DIAGNOSTICS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
+TOPICS: Mapping[str, QoSProfile] = MappingProxyType(
+    {
+        "/raw_cones": SENSOR,
+        "/detected_cones": SENSOR,
+        "/path": PLAN,
+        "/planner_status": PLAN,
+        "/vehicle_cmd": COMMAND,
+        "/vehicle_state": STATE,
+        "/run_state": STATE,
+        "/reset_confirmation": CONFIRMATION,
+        "/odometry": SENSOR,
+        "/imu": SENSOR,
+        "/gps/fix": SENSOR,
+        "/diagnostics": DIAGNOSTICS,
+    }
+)

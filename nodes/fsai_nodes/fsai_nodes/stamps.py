@@ -1,0 +1,58 @@
+"""ROS time at the edge: header stamps to the monotonic clock and back, through steps of the wall clock.
+
+Header stamps are wall-clock time, because that is what other people's nodes and recordings use; decisions are made
+by the monotonic clock only (safety: a clock step never does anything). Pure: both clocks' readings are arguments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+WINDOW_NS = 1_000_000_000  # a stamp older than this is stale by any clock, so older offsets explain nothing
+SAME_OFFSET_NS = 1_000_000  # differences under this are slewing and reading noise, not a step
+AHEAD_NS = 5_000_000  # a stamp so little ahead of the clock is noise: it was made just now
+
+
+@dataclass(slots=True)
+class _Offset:
+    ros_minus_steady_ns: int
+    retired_at_ns: int | None = None  # steady time at which a step replaced it
+
+
+class StampConverter:
+    """Converts stamps by the offsets (ROS time - steady time) of the last second.
+
+    After a step of the wall clock, stamps made shortly before it still arrive for a while; they are converted by the
+    offset before the step. Which offset a stamp belongs to is not written on it: the one that makes it youngest
+    without putting it into the future is taken.
+    """
+
+    def __init__(self) -> None:
+        self._offsets: list[_Offset] = []  # newest last
+
+    def observe(self, ros_ns: int, steady_ns: int) -> None:
+        """Both clocks, read at the same instant. To be called at every conversion, at least."""
+        offset_ns = ros_ns - steady_ns
+        if self._offsets and abs(offset_ns - self._offsets[-1].ros_minus_steady_ns) <= SAME_OFFSET_NS:
+            self._offsets[-1].ros_minus_steady_ns = offset_ns
+        else:
+            if self._offsets:
+                self._offsets[-1].retired_at_ns = steady_ns
+            self._offsets.append(_Offset(offset_ns))
+        self._offsets = [
+            offset
+            for offset in self._offsets
+            if offset.retired_at_ns is None or steady_ns - offset.retired_at_ns <= WINDOW_NS
+        ]
+
+    def to_steady(self, stamp_ns: int, now_ns: int) -> int:
+        """Steady time of a stamp, never later than `now_ns` (steady): a stamp of the future counts as made now."""
+        ages_ns = (now_ns - (stamp_ns - offset.ros_minus_steady_ns) for offset in self._offsets)
+        believable_ns = [max(age_ns, 0) for age_ns in ages_ns if age_ns >= -AHEAD_NS]
+        return now_ns - min(believable_ns, default=0)
+
+    def to_ros(self, steady_ns: int) -> int:
+        """ROS time of a steady instant, by today's offset; never before the epoch, which no stamp can express."""
+        if not self._offsets:
+            raise RuntimeError("no pair of clock readings has been observed yet")
+        return max(0, steady_ns + self._offsets[-1].ros_minus_steady_ns)

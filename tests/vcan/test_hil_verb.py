@@ -1,0 +1,87 @@
+"""`fsai-vcu hil` runs the suite where there is a vcan0, and its exit status is the suite's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fsai_hil.vcan import Place, VcanError
+
+from fsai_vcu.cli.main import main
+
+CHECKOUT = Path(__file__).parents[2]
+
+
+class FakePlace:
+    """Notes what it was asked to run."""
+
+    def __init__(self, status: int) -> None:
+        self.status = status
+        self.argv: list[str] = []
+        self.options: dict[str, Any] = {}
+
+    def run(self, argv: list[str], **options: Any) -> int:
+        self.argv, self.options = argv, options
+        return self.status
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> FakePlace:
+    fake = FakePlace(status=0)
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", f"wanted {wanted}", fake.run))
+    monkeypatch.setattr("compileall.compile_dir", lambda *_, **__: True)
+    return fake
+
+
+def pytest_arguments(place: FakePlace) -> list[str]:
+    return place.argv[place.argv.index("no:cacheprovider") + 1 :]
+
+
+def test_it_says_which_place_and_why_and_runs_the_whole_suite(
+    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hil", "--results", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == "fsai-vcu hil: uml vcan0: wanted auto\n"
+    assert pytest_arguments(place) == ["tests/hil"]
+    assert place.options["env"]["FSAI_CAN_INTERFACE"] == "vcan0"
+    assert place.options["env"]["FSAI_HIL_RESULTS"] == str(tmp_path) == str(place.options["results_dir"])
+
+
+def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlace, tmp_path: Path) -> None:
+    assert main(["hil", "-x", "--uml", "-k", "killed", "--timeout", "30", "--results", str(tmp_path), "-v"]) == 0
+    assert pytest_arguments(place) == ["tests/hil", "-x", "-k", "killed", "-v"]
+    assert place.options["timeout_s"] == 30.0
+
+
+def test_a_named_part_of_the_suite_is_run_instead_of_all_of_it(place: FakePlace, tmp_path: Path) -> None:
+    part = "tests/hil/test_vcan.py::test_ones_own_frames_do_not_come_back"
+    assert main(["hil", "--results", str(tmp_path), part]) == 0
+    assert pytest_arguments(place) == [part]
+
+
+@pytest.mark.parametrize("status", [1, 5, 124])
+def test_a_suite_that_fails_or_runs_no_test_fails_the_command(place: FakePlace, tmp_path: Path, status: int) -> None:
+    place.status = status
+    assert main(["hil", "--results", str(tmp_path)]) == status
+
+
+def test_secrets_of_the_callers_environment_stay_outside(
+    place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOME_TOKEN", "secret")
+    monkeypatch.setenv("LANG", "C.UTF-8")
+    main(["hil", "--results", str(tmp_path)])
+    assert "SOME_TOKEN" not in place.options["env"]
+    assert place.options["env"]["LANG"] == "C.UTF-8"
+
+
+def test_where_no_vcan_can_be_had_it_fails_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def no_place(wanted: str) -> Place:
+        raise VcanError("no vcan here; as root: install it")
+
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)
+    assert main(["hil", "--results", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == "fsai-vcu hil: no vcan here; as root: install it\n"

@@ -1,0 +1,200 @@
+"""A place gives a command a vcan0 of its own, carries its output and exit status out, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fsai_hil.vcan import VcanError, choose_place, native, run_in_uml, uml
+from fsai_hil.vcan.errors import TIMED_OUT
+
+CHECKOUT = Path(__file__).parents[2]
+ENVIRONMENT = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "SAID": 'it\'s "quoted" $HOME'}
+
+
+def _uml_missing() -> str | None:
+    try:
+        uml.find_user_mode_linux()
+    except VcanError as error:
+        return str(error)
+    return None
+
+
+# A machine whose own kernel has vcan needs no User-Mode Linux, and `make setup` does not install it there.
+needs_uml = pytest.mark.skipif(_uml_missing() is not None, reason=str(_uml_missing()))
+
+
+def processes_of(folder: Path) -> list[int]:
+    """Processes with something under `folder` on their command line."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and str(folder).encode() in (entry / "cmdline").read_bytes():
+                found.append(int(entry.name))
+        except OSError:  # it ended meanwhile
+            continue
+    return found
+
+
+@needs_uml
+def test_a_command_in_uml_has_vcan0_its_environment_its_folder_and_its_exit_status(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    results = tmp_path / "results of it"
+    command = (
+        'seq 1 50000; ip -br link show vcan0; pwd; echo "$SAID"; env | cut -d= -f1 | sort | tr "\\n" " "; '
+        f'touch {CHECKOUT}/written-inside; echo kept > "{results}/kept"; exit 7'
+    )
+    status = run_in_uml(["sh", "-c", command], cwd=CHECKOUT, env=ENVIRONMENT, timeout_s=60, results_dir=results)
+    lines = capfdbinary.readouterr().out.decode().splitlines()
+    assert status == 7
+    assert lines[:50000] == [str(number) for number in range(1, 50001)], "the output is complete and in order"
+    assert lines[50000].startswith("vcan0") and "UP" in lines[50000]
+    assert lines[50001:50003] == [str(CHECKOUT), ENVIRONMENT["SAID"]]
+    assert set(lines[50003].partition(" touch")[0].split()) <= {"PATH", "SAID", "PWD", "OLDPWD", "SHLVL", "_"}
+    assert not (CHECKOUT / "written-inside").exists(), "the checkout is read-only inside"
+    assert (results / "kept").read_text() == "kept\n"
+    assert "Linux version" in (results / "uml-kernel.log").read_text()
+
+
+@needs_uml
+def test_a_command_that_takes_too_long_in_uml_is_ended_with_all_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    status = run_in_uml(
+        ["sh", "-c", "sleep 1000 & while :; do :; done"],
+        cwd=CHECKOUT,
+        env=ENVIRONMENT,
+        timeout_s=1,
+        results_dir=tmp_path / "results",
+    )
+    assert status == TIMED_OUT
+    assert processes_of(tmp_path) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["results"]
+
+
+@needs_uml
+def test_ctrl_c_ends_uml_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    program = (
+        "import sys, pathlib; from fsai_hil.vcan import run_in_uml; "
+        "run_in_uml(['sh', '-c', 'echo begun; exec sleep 1000'], cwd=pathlib.Path('/'), env={'PATH': '/bin:/usr/bin'}, "
+        "timeout_s=100, results_dir=pathlib.Path(sys.argv[1]) / 'results')"
+    )
+    caller = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert caller.stdout is not None
+    assert caller.stdout.readline() == b"begun\n", "its output comes out while it runs"
+    caller.send_signal(signal.SIGINT)
+    _, complaint = caller.communicate(timeout=30)
+    assert b"KeyboardInterrupt" in complaint
+    assert processes_of(tmp_path) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["results"]
+
+
+@needs_uml
+def test_uml_that_does_not_come_up_says_so_and_where_its_log_is(tmp_path: Path) -> None:
+    with pytest.raises(VcanError, match=r"did not come up: .*uml-kernel\.log") as refused:
+        run_in_uml(["true"], cwd=CHECKOUT, env={}, timeout_s=5, results_dir=tmp_path, memory_mib=8)
+    assert "\n" not in str(refused.value)
+
+
+@needs_uml
+def test_a_native_place_has_an_interface_list_and_a_bus_of_its_own(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    # User-Mode Linux is here a kernel that has vcan: inside, the native way is the one that is taken.
+    inner = "ls /sys/class/net; cansend vcan0 123#01; exit 5"
+    program = (
+        "import sys, pathlib; from fsai_hil.vcan import choose_place; place = choose_place(); print(place.name); "
+        f"sys.exit(place.run(['sh', '-c', {inner!r}], cwd=pathlib.Path('/'), env={{'PATH': '/bin:/usr/bin'}}, "
+        f"timeout_s=60, results_dir=pathlib.Path({str(tmp_path)!r})))"
+    )
+    outer = 'ip link add dev vcan7 type vcan; "$@"; echo "status $?"; cat /sys/class/net/vcan0/statistics/tx_packets'
+    status = run_in_uml(
+        ["sh", "-c", outer, "sh", sys.executable, "-u", "-c", program],
+        cwd=CHECKOUT,
+        env=ENVIRONMENT,
+        timeout_s=60,
+        results_dir=tmp_path,
+    )
+    assert status == 0
+    assert capfdbinary.readouterr().out.decode().split() == ["native", "lo", "vcan0", "status", "5", "0"]
+
+
+def test_a_native_command_that_takes_too_long_is_ended_with_its_children(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(native, "namespace_prefix", lambda: None)
+    monkeypatch.setattr(native, "existing_vcan", lambda: True)
+    mark = tmp_path / "child-of-a-native-command"
+    status = native.run_natively(
+        ["sh", "-c", f"sh -c 'sleep 1000; : {mark}' & : > {mark}; wait"],
+        cwd=CHECKOUT,
+        env=ENVIRONMENT,
+        timeout_s=1,
+        results_dir=tmp_path,
+    )
+    assert status == TIMED_OUT
+    assert mark.exists(), "it had started its child"
+    until = time.monotonic() + 10
+    while processes_of(mark) and time.monotonic() < until:
+        time.sleep(0.02)  # the killed child is init's to reap
+    assert processes_of(mark) == []
+
+
+def test_where_there_is_neither_vcan_nor_uml_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: False)
+    monkeypatch.setattr("shutil.which", lambda *_, **__: None)
+    with pytest.raises(VcanError, match=r"no vcan .*linux\.uml.* apt-get install -y user-mode-linux") as refused:
+        choose_place()
+    assert "\n" not in str(refused.value)
+
+
+def test_native_asked_for_where_the_kernel_has_no_vcan_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: False)
+    with pytest.raises(VcanError, match="modprobe vcan"):
+        choose_place("native")
+
+
+def test_the_kernels_own_vcan_is_preferred_and_uml_never_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: True)
+    monkeypatch.setattr("shutil.which", lambda *_, **__: None)
+    assert choose_place().name == "native"
+
+
+@pytest.mark.parametrize("suffix", ["", ".xz", ".zst"])
+@pytest.mark.parametrize("separator", ["-", "_"])
+def test_modules_are_loaded_after_those_they_need(tmp_path: Path, suffix: str, separator: str) -> None:
+    can, device, vcan = f"net/can/can.ko{suffix}", f"dev/can{separator}dev.ko{suffix}", f"net/vcan.ko{suffix}"
+    for name in (can, device, vcan):
+        path = tmp_path / "kernel" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    (tmp_path / "modules.dep").write_text(
+        f"kernel/{vcan}: kernel/{device}\nkernel/{device}:\nkernel/{can}:\n", encoding="ascii"
+    )
+    files = [path.relative_to(tmp_path / "kernel").as_posix() for path in uml.module_files(tmp_path, ("can", "vcan"))]
+    assert files == [can, device, vcan]
+
+
+def test_a_module_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(VcanError, match="no module vcan"):
+        uml.module_files(tmp_path, ("vcan",))
+
+
+def test_modules_of_another_version_than_the_kernel_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "6.1.1" / "kernel").mkdir(parents=True)
+    (tmp_path / "6.1.1" / "kernel" / "vcan.ko").touch()
+    with pytest.raises(VcanError, match=r"is 6\.2\.0 but its modules are for 6\.1\.1"):
+        uml.modules_of("6.2.0", roots=(tmp_path,))
+    assert uml.modules_of("6.1.1", roots=(tmp_path,)) == tmp_path / "6.1.1"
