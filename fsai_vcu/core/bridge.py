@@ -166,6 +166,7 @@ class Bridge:
         self._cycles = 0
         self._incomplete = 0
         self._vcu_gaps = 0
+        self._loop_faults = 0
         self._unanswered_ns: int | None = None
         self._response_ns: int | None = None
         self._response_max_ns: int | None = None
@@ -317,7 +318,9 @@ class Bridge:
 
     def loop_fault(self, why: str, now_ns: int) -> None:
         """The loop raised an exception, or missed a deadline by 50 ms."""
-        self._note(Reason.LOOP_FAULT, why)
+        self._loop_faults += 1
+        if self._state.driving:  # a slow start of the machine, before anything drives, is no reason
+            self._note(Reason.LOOP_FAULT, why)
         self._state = supervisor.strike(self._state, Reason.LOOP_FAULT, why, now_ns)
 
     def begin_stop(self, now_ns: int) -> None:
@@ -490,6 +493,7 @@ class Bridge:
             cycles=self._cycles,
             incomplete_cycles=self._incomplete,
             vcu_gaps=self._vcu_gaps,
+            loop_faults=self._loop_faults,
             response_ns=self._response_ns,
             response_max_ns=self._response_max_ns,
             rx_counts=MappingProxyType(dict(self._rx)),

@@ -42,6 +42,7 @@ class BridgeReport:
     cycles: int = 0  # made
     incomplete_cycles: int = 0  # not sent whole
     vcu_gaps: int = 0  # times that 0x520 was missing for 50 ms or more
+    loop_faults: int = 0  # exceptions and missed deadlines, in any AS state
     response_ns: int | None = None  # from the newest 0x520 to the cycle that answered it
     response_max_ns: int | None = None
     rx_counts: Mapping[int, int] = field(default_factory=lambda: MappingProxyType({}))  # by id

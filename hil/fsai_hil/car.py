@@ -28,6 +28,7 @@ EARTH_METRES_PER_DEGREE: Final = 111_320.0
 BLEND_FROM_MPS: Final = 1.0
 BLEND_TO_MPS: Final = 3.0
 STANDSTILL_MPS: Final = 0.01
+AT_REST: Final = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,15 +102,14 @@ class CarModel:
         return self.wheelbase_m - self.cog_to_rear_m
 
 
-OFFICIAL_SIMULATOR_WHEEL_RADIUS_M: Final = 0.15
-OFFICIAL_SIMULATOR_MASS_KG: Final = 325.0
-OFFICIAL_SIMULATOR_PULSES_PER_REV: Final = 36
 
 
 def car_model(revision: str, official_simulator: bool = False) -> CarModel:
     """The simulated car of an interface revision; facts that car and AI side share come from one place."""
     car: VehicleParameters = CARS[revision]
-    model = CarModel(
+    if official_simulator:
+        car = replace(CARS["official-simulator"], steer_max_rad=car.steer_max_rad)
+    return CarModel(
         wheelbase_m=car.wheelbase_m,
         cog_to_rear_m=car.cog_ahead_of_rear_axle_m,
         cog_height_m=car.cog_height_m,
@@ -136,16 +136,6 @@ def car_model(revision: str, official_simulator: bool = False) -> CarModel:
         brake_full_mps2=car.brake_full_mps2,
         pulses_per_rev=car.wheel_pulses_per_rev,
     )
-    if official_simulator:
-        model = replace(
-            model,
-            mass_kg=OFFICIAL_SIMULATOR_MASS_KG,
-            wheel_radius_m=OFFICIAL_SIMULATOR_WHEEL_RADIUS_M,
-            pulses_per_rev=OFFICIAL_SIMULATOR_PULSES_PER_REV,
-            driven_front=False,
-            driven_rear=True,
-        )
-    return model
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +183,7 @@ class Car:
     ) -> None:
         self.model = model if model is not None else car_model("2026")
         self.t_ns = now_ns
+        self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(self.model.origin_latitude_deg))
         self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
         self.place(pose if pose is not None else Pose(), wheels_in_air)
 
@@ -214,7 +205,7 @@ class Car:
         self._front_torque = self._rear_torque = 0.0
         self._front_slip = self._rear_slip = 0.0  # tyre surface against road, m/s; positive spins, negative locks
         self._front_air = self._rear_air = 0.0  # axle speed with the wheels in the air, rad/s
-        self._rpm = (0.0, 0.0, 0.0, 0.0)
+        self._rpm = AT_REST
         self._stopped_ns: int | None = None
 
     # ------------------------------------------------------------ what can be read
@@ -252,11 +243,15 @@ class Car:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
             rest = float(m.rpm_rest)
             rpm = (max(rpm[0], rest), max(rpm[1], rest), max(rpm[2], rest), max(rpm[3], rest))
-        fl, fr, rl, rr = (int(revs * m.pulses_per_rev) & 0xFFFF for revs in self._pulse_revs)
-        per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(m.origin_latitude_deg))
+        revs, per_rev = self._pulse_revs, m.pulses_per_rev
         return CarFeedback(
             wheel_rpm=rpm,
-            pulses=(fl, fr, rl, rr),
+            pulses=(
+                int(revs[0] * per_rev) & 0xFFFF,
+                int(revs[1] * per_rev) & 0xFFFF,
+                int(revs[2] * per_rev) & 0xFFFF,
+                int(revs[3] * per_rev) & 0xFFFF,
+            ),
             steer_deg=self._road_deg,
             front_torque_nm=self._front_torque,
             rear_torque_nm=self._rear_torque,
@@ -266,7 +261,7 @@ class Car:
             accel_xyz_mps2=(self._ax, self._ay, GRAVITY_MPS2),
             yaw_rate_radps=self._yaw_rate,
             latitude_deg=m.origin_latitude_deg + self._y / EARTH_METRES_PER_DEGREE,
-            longitude_deg=m.origin_longitude_deg + self._x / per_degree_east,
+            longitude_deg=m.origin_longitude_deg + self._x / self._metres_per_degree_east,
             course_deg=(90.0 - math.degrees(self._yaw)) % 360.0,
         )
 
@@ -303,8 +298,6 @@ class Car:
 
     def _motor_torque(self, magnitude_nm: float, motor_rpm: float, limit_rpm: float) -> float:
         """Signed axle torque: a request is absolute; it drives below MOTOR_SPEED_MAX and brakes above it."""
-        if magnitude_nm <= 0.0:
-            return 0.0
         share = (limit_rpm - motor_rpm) / self.model.motor_limit_band_rpm
         if share >= 1.0:
             available = self.available_torque_nm(motor_rpm)
@@ -318,39 +311,41 @@ class Car:
 
         # steering: dead time, then a rate, then the play between rack and road wheels
         limit = m.steer_limit_deg
-        target = min(limit, max(-limit, self._steer_request.at(now)))
-        most = m.steer_rate_degps * dt
-        self._rack_deg += min(most, max(-most, target - self._rack_deg))
-        if self._road_deg < self._rack_deg - m.steer_backlash_deg:
-            self._road_deg = self._rack_deg - m.steer_backlash_deg
-        elif self._road_deg > self._rack_deg + m.steer_backlash_deg:
-            self._road_deg = self._rack_deg + m.steer_backlash_deg
+        target = self._steer_request.at(now)
+        target = limit if target > limit else -limit if target < -limit else target
+        if self._rack_deg != target:
+            self._rack_deg = _toward(self._rack_deg, target, m.steer_rate_degps * dt)
+            play = self._rack_deg - self._road_deg
+            if play > m.steer_backlash_deg:
+                self._road_deg = self._rack_deg - m.steer_backlash_deg
+            elif play < -m.steer_backlash_deg:
+                self._road_deg = self._rack_deg + m.steer_backlash_deg
 
         # brake pressure
-        most = m.brake_rate_pctps * dt
-        self._front_pct += min(most, max(-most, self._front_brake.at(now) - self._front_pct))
-        self._rear_pct += min(most, max(-most, self._rear_brake.at(now) - self._rear_pct))
+        front_target, rear_target = self._front_brake.at(now), self._rear_brake.at(now)
+        if self._front_pct != front_target:
+            self._front_pct = _toward(self._front_pct, front_target, m.brake_rate_pctps * dt)
+        if self._rear_pct != rear_target:
+            self._rear_pct = _toward(self._rear_pct, rear_target, m.brake_rate_pctps * dt)
 
         # torque
-        if order.tractive_system_live:
-            most = m.torque_slew_nmps * dt
-            if m.driven_front:
-                self._front_magnitude += min(most, max(-most, order.front_torque_nm - self._front_magnitude))
-            self._rear_magnitude += min(most, max(-most, order.rear_torque_nm - self._rear_magnitude))
-        else:
-            self._front_magnitude = self._rear_magnitude = 0.0
+        front_target = order.front_torque_nm if m.driven_front else 0.0
+        rear_target = order.rear_torque_nm if m.driven_rear else 0.0
+        if not order.tractive_system_live:
+            self._front_magnitude = self._rear_magnitude = front_target = rear_target = 0.0
+        if self._front_magnitude != front_target:
+            self._front_magnitude = _toward(self._front_magnitude, front_target, m.torque_slew_nmps * dt)
+        if self._rear_magnitude != rear_target:
+            self._rear_magnitude = _toward(self._rear_magnitude, rear_target, m.torque_slew_nmps * dt)
         rpm = self._rpm
         ratio = 0.5 * m.gear_ratio
-        self._front_torque = (
-            self._motor_torque(self._front_magnitude, (rpm[0] + rpm[1]) * ratio, order.front_motor_speed_max_rpm)
-            if m.driven_front
-            else 0.0
-        )
-        self._rear_torque = (
-            self._motor_torque(self._rear_magnitude, (rpm[2] + rpm[3]) * ratio, order.rear_motor_speed_max_rpm)
-            if m.driven_rear
-            else 0.0
-        )
+        self._front_torque = self._rear_torque = 0.0
+        if self._front_magnitude > 0.0:
+            motor_rpm = (rpm[0] + rpm[1]) * ratio
+            self._front_torque = self._motor_torque(self._front_magnitude, motor_rpm, order.front_motor_speed_max_rpm)
+        if self._rear_magnitude > 0.0:
+            motor_rpm = (rpm[2] + rpm[3]) * ratio
+            self._rear_torque = self._motor_torque(self._rear_magnitude, motor_rpm, order.rear_motor_speed_max_rpm)
 
         if self.wheels_in_air:
             self._spin(dt)
@@ -358,6 +353,8 @@ class Car:
             self._roll(dt)
 
         rpm = self._rpm
+        if rpm is AT_REST:
+            return
         count = dt / 60.0
         revs = self._pulse_revs
         revs[0] += rpm[0] * count
@@ -459,7 +456,7 @@ class Car:
 
         if vx_next == 0.0:
             self._vy = self._yaw_rate = self._front_slip = self._rear_slip = 0.0
-            self._rpm = (0.0, 0.0, 0.0, 0.0)
+            self._rpm = AT_REST
             if vx > 0.0:
                 self._stopped_ns = self.t_ns
             return
@@ -484,6 +481,13 @@ class Car:
             return max(-vx, slip_mps)
         creep = used / m.slip_stiffness * vx
         return slip_mps + (creep - slip_mps) * min(1.0, dt / 0.02)
+
+
+def _toward(value: float, target: float, most: float) -> float:
+    """The next value on the way to a target, at most so much nearer."""
+    if target > value + most:
+        return value + most
+    return value - most if target < value - most else target
 
 
 def _slowed(speed: float, drive_nm: float, hold_nm: float, gain: float) -> float:

@@ -83,8 +83,8 @@ class Lockstep:
         car = CARS[setup.revision]
         config = config or BridgeConfig()
         if setup.profile == "official-simulator":
+            car = CARS["official-simulator"].with_steer_limit(chosen.steer_limit_deg)
             config = official_simulator(config)
-            car = replace(car, rolling_radius_m=self.world.model.rolling_radius_m)
         self._now_ns = setup.start_ns
         self.bridge = Bridge(self.world.codec, chosen, car, config, limits, now_ns=self._now_ns)
         missions = MissionSettings() if setup.laps is None else MissionSettings(trackdrive_laps=setup.laps)

@@ -156,7 +156,8 @@ class Operator:
                 waiting.append(event)
                 continue
             setattr(car.switches, event.switch, event.value)
-            self.log.append((now_ns, f"{event.switch} is {event.value}"))
+            value = event.value.name if isinstance(event.value, Enum) else event.value
+            self.log.append((now_ns, f"{event.switch} is {value}"))
         self._at = waiting
 
 

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError  # type: ignore[import-untyped]
 
 from fsai_hil.car import Pose
 from fsai_vcu.core.driving import ConeColor, Floats, Ints
@@ -687,6 +686,8 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: Line) -> _Walk | Non
             xy.append(point)
     if sides.count(1) < 3 or sides.count(-1) < 3:
         return None
+    from scipy.spatial import Delaunay, QhullError  # type: ignore[import-untyped]  # slow to import, for files only
+
     try:
         mesh = Delaunay(np.array(xy))
     except QhullError:

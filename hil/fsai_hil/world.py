@@ -117,6 +117,7 @@ class World:
         self._next_sample_ns = setup.start_ns
         self.verdicts: list[Verdict] = []  # of the runs that are over
         self.runs: list[_Run] = []
+        self._spoken_to = False
         self._run = self._stage(setup.missions[0])
 
     # ------------------------------------------------------------ what goes in
@@ -124,6 +125,7 @@ class World:
     def on_frame(self, frame: Frame) -> None:
         """A frame from the AI computer arrives at `frame.t_ns`."""
         self.vcu.on_frame(frame)
+        self._spoken_to = True
 
     def advance(self, to_ns: int) -> list[Frame]:
         """Live on until `to_ns`; what the car has said meanwhile, each frame with its time, in order.
@@ -133,7 +135,9 @@ class World:
         sent: list[Frame] = []
         while self._now_ns + STEP_NS <= to_ns:
             self._now_ns += STEP_NS
-            self._step(self._now_ns, sent)
+            if self._now_ns >= self._next_look_ns or self._spoken_to or self.vcu.next_due_ns() <= self._now_ns:
+                self._spoken_to = False
+                self._step(self._now_ns, sent)
         return sent
 
     def _step(self, now: int, sent: list[Frame]) -> None:
@@ -195,7 +199,7 @@ class World:
 
     def next_due_ns(self) -> int:
         """When the car next has something to say or to do, as things stand: advance at the latest then."""
-        due_ns = min(self.vcu.next_due_ns(), self._now_ns + LOOK_NS)
+        due_ns = min(self.vcu.next_due_ns(), self._next_look_ns)
         steps = max(1, -((self._now_ns - due_ns) // STEP_NS))
         return self._now_ns + steps * STEP_NS
 
@@ -228,7 +232,7 @@ class World:
     def truth(self) -> Truth:
         car = self.car.truth()
         return Truth(
-            t_ns=self._now_ns,
+            t_ns=car.t_ns,
             x_m=car.pose.x_m,
             y_m=car.pose.y_m,
             yaw_rad=car.pose.yaw_rad,

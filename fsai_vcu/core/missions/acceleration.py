@@ -1,7 +1,7 @@
 """The acceleration mission: a straight lane between cones, and where on it the car is.
 
 The lane is a straight line in the odometry frame: lateral = offset + slope * along, in the frame of the staged car.
-Every observation fits it again to the cones around, starting from the line so far; so odometry's slow drift is followed.
+Every observation fits it again to the cones around, starting from the line so far; so odometry may drift slowly.
 """
 
 from __future__ import annotations

@@ -20,14 +20,17 @@ from fsai_vcu.core.planning.settings import PlannerSettings
 
 # Distances of a cone from the lane's middle, m: nearer than INSIDE it stands in the way, from BORDER_NEAR to BORDER_FAR
 # it is a border, beyond OUTSIDE it belongs to something else. The car is 1.43 m wide.
-INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.9, 1.3, 2.8, 4.0
+INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 
 REWARD_KNOWN, REWARD_UNKNOWN = 1.0, 0.8
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 1.5
 COST_CROSSING = 2.0  # a border cone that was left is right further on: the chain has gone out through the border
-COST_BENDING = 1.2  # of a change from straight to the tightest arc
+COST_BENDING = 0.8  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.25
+COST_BARE = 1.2  # of an arc in sight without a border, after another such one
+
+VOTE_M = 11.0  # how far ahead cones are told to be left or right, for the next time
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 
@@ -59,7 +62,7 @@ def find_lane(cones: Cones, curvature_1pm: float, half_width_m: float, settings:
     ahead = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
     if len(ahead) < 3:
         return Lane(NO_PATH, none, none, half_width_m)
-    near = (along > -2.0) & (along < 7.0)
+    near = (along > -2.0) & (along < VOTE_M)
     return Lane(
         resampled(ahead, settings.path_step_m),
         cones.index[near & (sides > 0)],
@@ -79,7 +82,8 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
     bends = np.array([-1.0, -0.62, -0.34, -0.14, 0.0, 0.14, 0.34, 0.62, 1.0]) * settings.curvature_max_1pm
     n_bends, n_cones = len(bends), len(xy)
 
-    x, y, heading, bend, cost = (np.zeros(1) for _ in range(5))
+    x, y, heading, bend, cost, empty = (np.zeros(1) for _ in range(6))
+    sight_m = 0.9 * float(np.hypot(xy[:, 0], xy[:, 1])[xy[:, 0] > 0.0].max(initial=0.0))
     counted = np.zeros((1, n_cones))  # the side on which a chain has counted a cone, 0: not yet
     history: list[tuple[Ints, Floats, Floats, Floats, Floats]] = []  # parent, start x, start y, start heading, bend
 
@@ -120,10 +124,14 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
             + COST_CROSSING * crossed
             - reward * as_border * (was == 0.0)
         )
+        # Within sight a lane has borders: every arc after another one without any cone is suspicious.
+        bare = np.where((beside & (as_border > 0.3)).any(axis=1), 0.0, empty[parent] + 1.0)
+        in_sight = (end_x * end_x + end_y * end_y < sight_m * sight_m) & (end_x > 0.0)
         jerk = np.abs(b - bend[parent]) / settings.curvature_max_1pm
         new_cost = (
             cost[parent]
             + (gain * beside).sum(axis=1)
+            + COST_BARE * ((bare > 1.0) & in_sight)
             + COST_BENDING * jerk * jerk * 0.5
             + COST_CURVATURE * (b / settings.curvature_max_1pm) ** 2
         )
@@ -142,6 +150,7 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
         fresh = beside[kept] & (as_border[kept] > 0.3) & (was[kept] == 0.0)
         counted = np.where(fresh, sign[kept], was[kept])
         x, y, heading, bend, cost = end_x[kept], end_y[kept], end_heading[kept], b[kept], new_cost[kept]
+        empty = bare[kept]
         x, y = _drawn_to_middle(x, y, heading, bend, xy, side)
 
     pieces: list[Floats] = []

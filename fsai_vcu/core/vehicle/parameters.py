@@ -110,5 +110,15 @@ class VehicleParameters:
 
 ADS_DV_2021 = VehicleParameters(name="2021", driven_front=True, driven_rear=True, steer_max_rad=math.radians(21.0))
 ADS_DV_2026 = VehicleParameters(name="2026", driven_front=False, driven_rear=True, steer_max_rad=math.radians(30.0))
+# The car of the official simulator, on which teams are examined: small wheels, driven by the rear torque only.
+OFFICIAL_SIMULATOR = VehicleParameters(
+    name="official-simulator",
+    mass_kg=325.0,
+    rolling_radius_m=0.15,
+    wheel_pulses_per_rev=36,
+    steer_max_rad=math.radians(30.0),
+)
 
-CARS: Mapping[str, VehicleParameters] = MappingProxyType({car.name: car for car in (ADS_DV_2021, ADS_DV_2026)})
+CARS: Mapping[str, VehicleParameters] = MappingProxyType(
+    {car.name: car for car in (ADS_DV_2021, ADS_DV_2026, OFFICIAL_SIMULATOR)}
+)

@@ -1,0 +1,110 @@
+"""`fsai-vcu hil`: the hardware-in-the-loop suite on a real vcan0, native or in User-Mode Linux."""
+
+from __future__ import annotations
+
+import argparse
+import compileall
+import os
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+EXAMPLE = "fsai-vcu hil -k planner_killed"
+
+_SUITE = Path("tests") / "hil"
+_TIMEOUT_S = 600.0
+# What of the caller's environment a run sees: enough to behave alike everywhere, and nothing that is nobody's business.
+_PASSED_ON = ("PATH", "TERM", "TZ", "CI", "NO_COLOR", "FORCE_COLOR", "LD_LIBRARY_PATH")
+_PASSED_ON_PREFIXES = ("LANG", "LC_", "FSAI_", "ROS_", "_ROS_", "RMW_", "FASTDDS_", "FASTRTPS_", "PYTEST_", "PYTHON")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.allow_abbrev = False
+    parser.usage = "%(prog)s [--native | --uml] [--timeout S] [--results DIR] [pytest's arguments: -k, -x, a file …]"
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
+    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        default=_TIMEOUT_S,
+        metavar="S",
+        help="end the suite after so long (%(default)g)",
+    )
+    parser.add_argument("--results", type=Path, metavar="DIR", help="where logs are kept (default: out/hil)")
+
+
+def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
+    """Options that are not ours are pytest's."""
+    args, others = parser.parse_known_args(argv)
+    args.pytest_args = others
+    return args
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+
+    from fsai_vcu.cli.main import UserError
+
+    checkout = Path(__file__).resolve().parents[2]
+    if not (checkout / _SUITE).is_dir():
+        raise UserError(f"the suite is part of the source checkout, and {checkout} has no {_SUITE}")
+    try:
+        place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        print(f"fsai-vcu hil: {place.name} {INTERFACE}: {place.why}", flush=True)
+        results = _results_dir(args.results, checkout)
+        for package in ("fsai_vcu", "hil", "nodes"):
+            # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
+            compileall.compile_dir(checkout / package, quiet=2)
+        status = place.run(
+            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *_selection(args.pytest_args, checkout)],
+            cwd=checkout,
+            env=_environment(os.environ, INTERFACE, place.name, results),
+            timeout_s=args.timeout,
+            results_dir=results,
+        )
+    except VcanError as error:
+        raise UserError(str(error)) from error
+    if status == 124:
+        print(f"fsai-vcu hil: not done after {args.timeout:g} s, and ended", file=sys.stderr)
+    if status:
+        print(f"fsai-vcu hil: the logs of the processes are in {results}", file=sys.stderr)
+    return status
+
+
+def _results_dir(wanted: Path | None, checkout: Path) -> Path:
+    """The folder for this run's logs; the usual one is emptied of the last run's, another must be its owner's care."""
+    if wanted is not None:
+        return wanted.resolve()
+    results = checkout / "out" / "hil"
+    if results.exists():
+        shutil.rmtree(results)
+    return results
+
+
+def _selection(pytest_args: Sequence[str], checkout: Path) -> list[str]:
+    """The arguments for pytest: the whole suite unless a part of it is named."""
+    named = [word for word in pytest_args if not word.startswith("-") and Path(checkout, word.split("::")[0]).exists()]
+    return [*pytest_args] if named else [str(_SUITE), *pytest_args]
+
+
+def _environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:
+    passed_on = {
+        name: value for name, value in caller.items() if name in _PASSED_ON or name.startswith(_PASSED_ON_PREFIXES)
+    }
+    if not sys.stdout.isatty():
+        # The console of User-Mode Linux is a terminal even where ours is a file.
+        passed_on.setdefault("NO_COLOR", "1")
+    return {
+        **passed_on,
+        "COLUMNS": str(shutil.get_terminal_size().columns),
+        "HOME": "/tmp",  # the only place for caches that is writable in User-Mode Linux too
+        "FSAI_CAN_INTERFACE": interface,
+        "FSAI_HIL_PLACE": place,
+        "FSAI_HIL_RESULTS": str(results),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONUNBUFFERED": "1",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(results / "ros"),
+    }
