@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 from fsai_hil.ai_link import AI_MESSAGES, AiLink
-from fsai_hil.profiles import MS, S, SPECIFICATION
+from fsai_hil.profiles import MS, SPECIFICATION, S
+from vcu_bench import Bench
+
 from fsai_vcu.interface.enums import AsState, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus
-from vcu_bench import Bench
 
 CYCLE_NS = 10 * MS
 
@@ -110,6 +111,7 @@ def test_the_echo_of_a_handshake_that_waited_for_the_first_ai_data_has_its_full_
 def test_the_response_times_of_a_prompt_ai_computer_are_one_per_cycle() -> None:
     bench = Bench().power_up()
     bench.answer_ns = 2 * MS
+    bench.run(20 * MS)
     del bench.vcu.response_times_ns[:]
     bench.run(S)
     assert len(bench.vcu.response_times_ns) == 100

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import pytest
 from fsai_hil.profiles import MS, S
+from vcu_bench import Bench
+
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import (
@@ -27,7 +29,6 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
-from vcu_bench import Bench
 
 CONFIGURATION = {0x630, 0x640}  # the PCAN-GPS's own pins and clock, of which nobody has an image
 
@@ -148,9 +149,7 @@ def test_switches_mission_and_go_are_reported() -> None:
 def test_outside_as_driving_the_ai_computers_faults_are_warnings_of_0x120() -> None:
     bench = Bench("2021").power_up()
     bench.wheels(50.0)
-    bench.say(
-        estop_request=True, mission_status=MissionStatus.FINISHED, rear_torque_nm=10.0, rear_brake_pct=10.0
-    )
+    bench.say(estop_request=True, mission_status=MissionStatus.FINISHED, rear_torque_nm=10.0, rear_brake_pct=10.0)
     bench.run(30 * MS)
     system = bench.images(VcuSystemStatus)[-1]
     assert isinstance(system, VcuSystemStatus)
@@ -163,7 +162,12 @@ def test_the_logging_frames_tell_the_run() -> None:
     bench = Bench("2021").to_driving(Ami.SKIDPAD)
     bench.car = replace(bench.car, speed_mps=10.0, steer_deg=3.3, front_brake_pct=0.0, rear_torque_nm=97.5)
     bench.deliver(
-        rear_torque_nm=195.0, steer_deg=5.0, lap_counter=3, cones_count_actual=12, cones_count_all=345, speed_demand_kmh=40
+        rear_torque_nm=195.0,
+        steer_deg=5.0,
+        lap_counter=3,
+        cones_count_actual=12,
+        cones_count_all=345,
+        speed_demand_kmh=40,
     )
     bench.run(200 * MS)
     dynamics = bench.images(LogDynamics1)[-1]
@@ -177,9 +181,7 @@ def test_the_logging_frames_tell_the_run() -> None:
 
 def test_the_gps_has_no_position_for_its_first_two_seconds_and_then_degrees_minutes_and_letters() -> None:
     bench = Bench("2026", gps=True)
-    bench.car = replace(
-        bench.car, latitude_deg=52.0706, longitude_deg=-1.0174, course_deg=271.0, speed_mps=10.0
-    )
+    bench.car = replace(bench.car, latitude_deg=52.0706, longitude_deg=-1.0174, course_deg=271.0, speed_mps=10.0)
     bench.switches.lvms = True
     bench.run(1900 * MS)
     assert (early := bench.images(GpsLatitude)[-1]) == GpsLatitude(0.0, 0, 0, early.t_rx_ns)

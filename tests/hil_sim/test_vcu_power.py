@@ -9,6 +9,8 @@ from fsai_hil.indicators import Assi, Siren, Tsal
 from fsai_hil.power import SystemState
 from fsai_hil.profiles import MS, S
 from fsai_hil.vcu import SimulatedVcu
+from vcu_bench import Bench, codec
+
 from fsai_vcu.interface.enums import (
     AsState,
     BrakeStatus,
@@ -22,7 +24,6 @@ from fsai_vcu.interface.enums import (
 )
 from fsai_vcu.interface.images import VcuBrake, VcuStatus, VcuSystemStatus
 from fsai_vcu.interface.revisions import Revision
-from vcu_bench import Bench, codec
 
 
 def distinct(values: list[Any]) -> list[Any]:
@@ -35,7 +36,7 @@ def test_a_car_without_low_voltage_says_nothing_and_shows_nothing() -> None:
     bench.switches.aims = bench.switches.asms = bench.switches.tsms = True
     assert bench.run(S) == []
     assert not bench.vcu.powered
-    assert bench.vcu.indicators.tsal is Tsal.OFF
+    assert bench.tsal() is Tsal.OFF
     assert not bench.vcu.actuation.ebs_engaged
 
 
@@ -46,7 +47,7 @@ def test_2021_the_vcu_rests_in_aux_until_the_ai_computer_speaks_and_then_enables
         setattr(bench.switches, name, True)
     bench.run(20 * S)
     assert bench.vcu.system_state is SystemState.AUX
-    assert bench.vcu.indicators.tsal is Tsal.GREEN
+    assert bench.tsal() is Tsal.GREEN
     bench.talks = True
     bench.run(5 * S)
     said = [image for image in bench.images(VcuSystemStatus) if isinstance(image, VcuSystemStatus)]
@@ -107,7 +108,7 @@ def test_2026_incomplete_can_data_brings_nothing_up() -> None:
     bench.switches.lvms = bench.switches.asms = bench.switches.tsms = True
     bench.run(10 * S)
     assert bench.state is AsState.AS_INIT
-    assert bench.vcu.indicators.tsal is Tsal.GREEN
+    assert bench.tsal() is Tsal.GREEN
 
 
 @pytest.mark.parametrize("missing", ["asms", "tsms"])
@@ -171,7 +172,7 @@ def test_tsms_off_shuts_the_car_down_and_lvms_may_go_off_two_seconds_later() -> 
     bench.run(2 * S)
     assert bench.vcu.shut_down
     assert bench.vcu.system_state is SystemState.SHUTDOWN_OFF
-    assert bench.vcu.indicators.tsal is Tsal.GREEN
+    assert bench.tsal() is Tsal.GREEN
     bench.switches.tsms = True
     bench.run(5 * S)
     assert bench.status().shutdown_request, "a shutdown that has begun ends with LVMS off"
@@ -246,32 +247,32 @@ def test_the_siren_sounds_three_seconds_and_then_intermittently_until_the_car_mo
     bench = Bench().to_driving()
     driving_ns = bench.vcu.history[-1][0]
     bench.run(driving_ns + 3 * S - 1 - bench.now_ns)
-    assert bench.vcu.indicators.siren is Siren.ON
+    assert bench.siren() is Siren.ON
     bench.tick(1)
-    assert bench.vcu.indicators.siren is Siren.INTERMITTENT
+    assert bench.siren() is Siren.INTERMITTENT
     bench.wheels(9.0)
     bench.run(S)
-    assert bench.vcu.indicators.siren is Siren.INTERMITTENT
+    assert bench.siren() is Siren.INTERMITTENT
     bench.wheels(12.0)
     bench.tick()
-    assert bench.vcu.indicators.siren is Siren.OFF
+    assert bench.siren() is Siren.OFF
     bench.wheels(0.0)
     bench.tick()
-    assert bench.vcu.indicators.siren is Siren.OFF
+    assert bench.siren() is Siren.OFF
 
 
 def test_the_siren_sounds_fifteen_seconds_in_an_emergency() -> None:
     bench = Bench().to_emergency()
     begun_ns = bench.vcu.history[-1][0]
     bench.run(begun_ns + 15 * S - 1 - bench.now_ns)
-    assert bench.vcu.indicators.siren is Siren.ON
+    assert bench.siren() is Siren.ON
     bench.tick(1)
-    assert bench.vcu.indicators.siren is Siren.OFF
+    assert bench.siren() is Siren.OFF
 
 
 def test_tsal_is_red_while_the_tractive_system_is_live_and_green_after_an_emergency() -> None:
     bench = Bench().to_driving()
-    assert bench.vcu.indicators.tsal is Tsal.RED_FLASHING
+    assert bench.tsal() is Tsal.RED_FLASHING
     bench.switches.car_estop = True
     bench.tick()
-    assert bench.vcu.indicators.tsal is Tsal.GREEN
+    assert bench.tsal() is Tsal.GREEN

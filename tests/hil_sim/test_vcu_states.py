@@ -6,11 +6,12 @@ from dataclasses import fields, replace
 from typing import Any
 
 import pytest
-from fsai_hil.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Situation, taken, transition_table
-from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, S, SPECIFICATION, Profile
+from fsai_hil.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Fault, Row, Situation, taken, transition_table
+from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, Profile, S
+from vcu_bench import Bench
+
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.images import Faults
-from vcu_bench import Bench
 
 TABLE = transition_table(SPECIFICATION)
 
@@ -40,7 +41,9 @@ QUIET: dict[AsState, Situation] = {
         torque_requested=True,
         steer_requested=True,
     ),
-    AsState.AS_FINISHED: Situation(asms=True, tsms=True, go=True, ebs_armed=True, mission_status=MissionStatus.FINISHED),
+    AsState.AS_FINISHED: Situation(
+        asms=True, tsms=True, go=True, ebs_armed=True, mission_status=MissionStatus.FINISHED
+    ),
     AsState.EMERGENCY_BRAKE: Situation(asms=True, tsms=True, sdc_open=True),
 }
 
@@ -96,7 +99,8 @@ def test_every_state_has_an_entry_in_the_table_of_every_profile() -> None:
 
 def test_every_row_that_depends_on_a_profile_names_a_field_of_it() -> None:
     names = {field.name for field in fields(Profile)}
-    conditions = {name for item in (*ROWS, *AI_FAULTS, *CAR_FAULTS) for name in (item.only, item.unless) if name}
+    items: list[Row | Fault] = [*ROWS, *AI_FAULTS, *CAR_FAULTS]
+    conditions = {name for item in items for name in (item.only, item.unless) if name}
     assert conditions and conditions <= names
 
 
@@ -159,7 +163,9 @@ def test_as_ready_is_refused_while_a_power_cycle_is_due() -> None:
 
 
 @pytest.mark.parametrize("rpm", [10.0, 9.99, 0.0])
-@pytest.mark.parametrize("lie", [{"mission_status": MissionStatus.FINISHED}, {"direction": Direction.NEUTRAL}], ids=named)
+@pytest.mark.parametrize(
+    "lie", [{"mission_status": MissionStatus.FINISHED}, {"direction": Direction.NEUTRAL}], ids=named
+)
 def test_at_ten_rpm_or_less_neither_finished_nor_neutral_is_a_fault(rpm: float, lie: dict[str, Any]) -> None:
     situation = replace(QUIET[AsState.AS_DRIVING], fastest_wheel_rpm=rpm, slowest_wheel_rpm=0.0, **lie)
     row = taken(TABLE, AsState.AS_DRIVING, situation)
@@ -168,9 +174,7 @@ def test_at_ten_rpm_or_less_neither_finished_nor_neutral_is_a_fault(rpm: float, 
 
 def test_finished_needs_every_wheel_under_ten_rpm_and_not_at_it() -> None:
     for rpm, target in ((10.0, None), (9.99, AsState.AS_FINISHED)):
-        situation = replace(
-            QUIET[AsState.AS_DRIVING], mission_status=MissionStatus.FINISHED, fastest_wheel_rpm=rpm
-        )
+        situation = replace(QUIET[AsState.AS_DRIVING], mission_status=MissionStatus.FINISHED, fastest_wheel_rpm=rpm)
         row = taken(TABLE, AsState.AS_DRIVING, situation)
         assert (row.target if row else None) is target
 

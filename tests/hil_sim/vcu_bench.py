@@ -7,10 +7,12 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+from fsai_hil.indicators import Siren, Tsal
 from fsai_hil.operator import Operator
-from fsai_hil.profiles import MS, S, SPECIFICATION, Profile
+from fsai_hil.profiles import MS, SPECIFICATION, Profile, S
 from fsai_hil.switches import Switches
 from fsai_hil.vcu import CarFeedback, SimulatedVcu
+
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
@@ -113,6 +115,12 @@ class Bench:
         status = self.images(VcuStatus)[-1]
         assert isinstance(status, VcuStatus)
         return status
+
+    def siren(self) -> Siren:
+        return self.vcu.indicators.siren
+
+    def tsal(self) -> Tsal:
+        return self.vcu.indicators.tsal
 
     # ------------------------------------------------------------ ways into the states
 

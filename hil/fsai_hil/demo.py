@@ -1,0 +1,216 @@
+"""`make demo`: one mission with the real nodes, each its own process, against the simulated car; then the verdict.
+
+On vcan0 where this kernel has one, otherwise on the loopback stand-in. It follows the run as any script of a team could:
+over ROS topics, the /set_mode service and the /run_mission action. Everything it leaves behind is in one folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from fsai_hil.stack import NODES, Stack, StackError
+from fsai_hil.vcan import INTERFACE
+from fsai_hil.vcan.native import existing_vcan, namespace_prefix
+from fsai_hil.wire import check_candump
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.revisions import REVISIONS, revision
+
+START_TIMEOUT_S = 60.0
+RUN_TIMEOUT_S = 1200.0
+VERDICT_TIMEOUT_S = 15.0
+PROGRESS_PERIOD_S = 1.0
+_INSIDE = "FSAI_DEMO_INSIDE"  # set in the process that already has its own vcan0
+
+
+def main() -> int:
+    """0: the judge says pass and the bus log is clean; 1: not; 130: interrupted."""
+    parser = argparse.ArgumentParser(prog="fsai_hil.demo", description=__doc__.splitlines()[0])
+    parser.add_argument("--mission", default="autocross", help="what is chosen on the display (default: autocross)")
+    parser.add_argument("--laps", type=int, help="laps of a trackdrive")
+    parser.add_argument("--track", help="a CSV file or a built-in name (default: the mission's own)")
+    parser.add_argument("--revision", default="2026", choices=sorted(REVISIONS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
+    args = parser.parse_args()
+    inside = _in_own_vcan(args)
+    if inside is not None:
+        return inside
+    try:
+        return Demo(args).run()
+    except StackError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("demo: interrupted; every process has been ended", file=sys.stderr)
+        return 130
+
+
+def _in_own_vcan(args: argparse.Namespace) -> int | None:
+    """Run the demo again where it has a vcan0 of its own, if the kernel can give it one; None to go on here."""
+    if args.bus is not None or os.environ.get(_INSIDE) or existing_vcan() or namespace_prefix() is None:
+        return None
+    from fsai_hil.vcan import run_natively
+
+    return run_natively(
+        [sys.executable, "-m", "fsai_hil.demo", *sys.argv[1:]],
+        cwd=Path.cwd(),
+        env={**os.environ, _INSIDE: "1"},
+        timeout_s=RUN_TIMEOUT_S,
+        results_dir=args.out,
+    )
+
+
+class Demo:
+    """One rehearsal, from the start of the processes to the verdict."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._args = args
+        on_vcan = existing_vcan() or bool(os.environ.get(_INSIDE))
+        self._bus = args.bus or (INTERFACE if on_vcan else f"loopback:demo-{os.getpid()}")
+        args.out.mkdir(parents=True, exist_ok=True)
+        for name in ("bus.log", "verdict.json", "run.png", *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
+            (args.out / name).unlink(missing_ok=True)
+        self._stack = Stack(self._bus, args.out)
+        self._log = args.out / "bus.log"
+        self._verdict = args.out / "verdict.json"
+        self._plot = args.out / "run.png"
+
+    def run(self) -> int:
+        args = self._args
+        kind = "vcan0 of this kernel" if self._bus == INTERFACE else "loopback stand-in: this kernel has no vcan"
+        _say(f"bus {self._bus} ({kind}), ROS domain {self._stack.domain_id}, logs in {args.out}")
+        with self._stack as stack:
+            _say(f"starting {', '.join(NODES)}, each its own process")
+            stack.start_verb("recorder", "record", "-i", self._bus, "-o", str(self._log))
+            stack.start_nodes(_node_parameters(args))
+            operator = OperatorNode(stack)
+            try:
+                operator.wait_for_bridge(START_TIMEOUT_S)
+                vcu = stack.start_verb("vcu", *self._vcu_arguments())
+                operator.follow(args.mission)
+            finally:
+                operator.close()
+            status = vcu.wait(VERDICT_TIMEOUT_S)
+        return self._report(status)
+
+    def _vcu_arguments(self) -> list[str]:
+        args = self._args
+        words = ["vcu", "-i", self._bus, "--auto", "--mission", args.mission, "--revision", args.revision]
+        words += ["--seed", str(args.seed), "--truth", str(self._stack.truth_port)]
+        words += ["--result", str(self._verdict), "--plot", str(self._plot)]
+        if args.laps is not None:
+            words += ["--laps", str(args.laps)]
+        if args.track is not None:
+            words += ["--track", args.track]
+        return words
+
+    def _report(self, status: int) -> int:
+        """The judge's verdict and what the bus log shows, for a person."""
+        try:
+            verdict: dict[str, Any] = json.loads(self._verdict.read_text())
+        except (OSError, ValueError):
+            raise StackError(f"the simulated car left no verdict; see {self._args.out / 'vcu.log'}") from None
+        wire = check_candump(self._log, Codec(revision(self._args.revision)))
+        laps = ", ".join(f"{lap_s:.2f} s" for lap_s in verdict["lap_times_s"])
+        print(f"\njudge      {verdict['mission']}: {verdict['result'].upper()}", *verdict["reasons"], sep="\n           ")
+        print(f"laps       {verdict['laps']}" + (f" ({laps})" if laps else ""))
+        print(f"speed      mean {verdict['mean_speed_mps']:.1f} m/s, top {verdict['top_speed_mps']:.1f} m/s")
+        print(f"cones hit  {verdict['cones_hit']}, off course {verdict['off_course']}")
+        handshake = verdict["handshake"]
+        if handshake.get("echoes"):
+            print(
+                f"handshake  {handshake['echoes']} echoes, response p50 {handshake['median_ms']:.2f} ms, "
+                f"p99 {handshake['p99_ms']:.2f} ms, max {handshake['max_ms']:.2f} ms"
+            )
+        print(f"bus log    {wire.frames} frames, {'every rule kept' if wire.ok else 'RULES BROKEN:'}")
+        for violation in wire.violations[:20]:
+            print(f"           {violation}")
+        print(f"saved      {self._log}, {self._plot}, {self._verdict}")
+        return 0 if status == 0 and wire.ok else 1
+
+
+def _node_parameters(args: argparse.Namespace) -> dict[str, dict[str, object]]:
+    bridge: dict[str, object] = {"revision": args.revision, "car": args.revision}
+    assert args.revision in CARS
+    planner: dict[str, object] = {} if args.laps is None else {"laps": args.laps}
+    return {"vcu_bridge": bridge, "path_planner": planner}
+
+
+class OperatorNode:
+    """The demo's own ROS node: sets the mode, follows the run, prints what it sees."""
+
+    def __init__(self, stack: Stack) -> None:
+        self._stack = stack
+        os.environ.update({name: stack.environ[name] for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+        import rclpy
+        from fsai_msgs.action import RunMission
+        from fsai_msgs.srv import SetMode
+        from rclpy.action import ActionClient
+
+        self._rclpy = rclpy
+        rclpy.init()
+        self._node = rclpy.create_node("demo")
+        self._run_mission = ActionClient(self._node, RunMission, "/run_mission")
+        self._set_mode = self._node.create_client(SetMode, "/set_mode")
+        self._shown = ("", 0.0)
+
+    def close(self) -> None:
+        self._node.destroy_node()
+        self._rclpy.try_shutdown()
+
+    def wait_for_bridge(self, timeout_s: float) -> None:
+        until = time.monotonic() + timeout_s
+        while not (self._set_mode.service_is_ready() and self._run_mission.server_is_ready()):
+            self._stack.check_alive()
+            if time.monotonic() > until:
+                raise StackError(f"no /set_mode service and /run_mission action within {timeout_s:g} s")
+            self._rclpy.spin_once(self._node, timeout_sec=0.1)
+
+    def follow(self, mission: str) -> None:
+        """Set autonomous and follow the run to its end; progress goes to the screen."""
+        from fsai_msgs.action import RunMission
+        from fsai_msgs.srv import SetMode
+
+        answer = self._await(self._set_mode.call_async(SetMode.Request(mode="autonomous")))
+        _say(f"set_mode autonomous: {answer.message}")
+        goal = RunMission.Goal(mission=mission, until="end", timeout_s=RUN_TIMEOUT_S)
+        handle = self._await(self._run_mission.send_goal_async(goal, feedback_callback=self._show))
+        if not handle.accepted:
+            raise StackError("the bridge did not take the /run_mission goal")
+        result = self._await(handle.get_result_async()).result
+        _say(f"run_mission: {result.message}")
+
+    def _await(self, future: Any) -> Any:
+        while not future.done():
+            self._stack.check_alive(*NODES)
+            self._rclpy.spin_once(self._node, timeout_sec=0.2)
+        return future.result()
+
+    def _show(self, message: Any) -> None:
+        """One line a second, and one whenever the AS state changes."""
+        seen = message.feedback
+        now_s = time.monotonic()
+        if seen.as_state_label == self._shown[0] and now_s - self._shown[1] < PROGRESS_PERIOD_S:
+            return
+        self._shown = (seen.as_state_label, now_s)
+        why = f"  {seen.why_not_driving[0]}" if seen.why_not_driving else ""
+        _say(
+            f"{seen.as_state_label:<15} {seen.mode:<10} lap {seen.lap}  {seen.speed_mps:4.1f} m/s  "
+            f"{seen.distance_m:6.1f} m{why}"
+        )
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,296 @@
+"""vcan0 in User-Mode Linux: a Linux kernel that runs as an ordinary process, with this machine's files as its disk.
+
+No disk image and no privileges: the root is the host's `/`, read-only; `/tmp`, `/run` and `/dev/shm` are memory; the
+results folder is the one writable place, at the same path inside and outside. The kernel's own messages go to a log,
+the command's output comes through a console of its own, live.
+
+What makes it fast: every system call and page fault of a process inside is a hand-over between two host processes. On
+one host processor that is a context switch; across two it is a wake-up of an idle one, which costs several times more.
+So the whole machine is kept on the one processor that is least busy. And Python files are to be compiled beforehand,
+because nothing can be cached inside.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import selectors
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from fsai_hil.vcan.errors import TIMED_OUT, VcanError
+from fsai_hil.vcan.native import end_group
+from fsai_hil.vcan.network import bring_up
+
+MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan")
+MEMORY_MIB = 2048
+INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod (Debian or Ubuntu, x86-64)"
+
+_MODULE_ROOTS = (Path("/usr/lib/uml/modules"), Path("/lib/uml/modules"))
+_BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
+_IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
+_BOOT_S = 60.0
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@dataclass(frozen=True)
+class UserModeLinux:
+    kernel: Path
+    version: str
+    modules: Path  # the folder that has kernel/ and modules.dep
+
+
+def find_user_mode_linux() -> UserModeLinux:
+    """The installed User-Mode Linux. Raises VcanError with what to install."""
+    if platform.system() != "Linux" or platform.machine() != "x86_64":
+        raise VcanError(
+            f"User-Mode Linux is for x86-64 Linux only, and this is {platform.system()} {platform.machine()}"
+        )
+    kernel = shutil.which("linux.uml", path=f"{os.environ.get('PATH', '')}:{_BIN}")
+    missing = [] if kernel else ["linux.uml"]
+    missing += [tool for tool in ("insmod", "ip", "candump") if not shutil.which(tool, path=_BIN)]
+    if kernel is None or missing:
+        raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
+    version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
+    return UserModeLinux(Path(kernel), version, modules_of(version))
+
+
+def modules_of(version: str, roots: Iterable[Path] = _MODULE_ROOTS) -> Path:
+    found = [folder for root in roots if root.is_dir() for folder in root.iterdir() if any(folder.rglob("vcan.ko*"))]
+    exact = [folder for folder in found if folder.name == version]
+    if not found:
+        raise VcanError(f"User-Mode Linux {version} is installed without its modules; as root: {INSTALL}")
+    if not exact:
+        raise VcanError(f"User-Mode Linux is {version} but its modules are for {found[0].name}; as root: {INSTALL}")
+    return exact[0]
+
+
+def module_files(modules: Path, names: Sequence[str]) -> list[Path]:
+    """The files to load, in order, each after those it depends on. Raises VcanError for a module that is not there."""
+    by_name = {_module_name(path): path for path in (modules / "kernel").rglob("*.ko*")}
+    needs: dict[str, list[str]] = {}
+    if (listing := modules / "modules.dep").exists():
+        for line in listing.read_text().splitlines():
+            target, _, rest = line.partition(":")
+            needs[_module_name(Path(target))] = [_module_name(Path(path)) for path in rest.split()]
+    order: list[str] = []
+
+    def add(name: str) -> None:
+        if name not in by_name:
+            raise VcanError(f"the installed User-Mode Linux has no module {name}")
+        for other in reversed(needs.get(name, [])):
+            add(other)
+        if name not in order:
+            order.append(name)
+
+    for name in names:
+        add(_module_name(Path(name)))
+    return [by_name[name] for name in order]
+
+
+def _module_name(path: Path) -> str:
+    return path.name.partition(".")[0].replace("_", "-")
+
+
+def run_in_uml(
+    argv: Sequence[str],
+    *,
+    cwd: Path,
+    env: Mapping[str, str],
+    timeout_s: float,
+    results_dir: Path,
+    modules: Sequence[str] = MODULES,
+    memory_mib: int = MEMORY_MIB,
+    visible: Sequence[Path] = (),
+) -> int:
+    """Run a command in a freshly booted User-Mode Linux. Returns its exit status, 124 if it took over `timeout_s`.
+
+    cwd: its working directory, at the same path inside (read-only).
+    env: its whole environment.
+    timeout_s: for the command; the boot (1 to 3 s) is not counted in.
+    results_dir: the one writable folder, at the same path inside; the kernel's log goes there as `uml-kernel.log`.
+    visible: further folders it needs, if they are under /tmp, /run or /dev/shm; `cwd` and this Python are seen to.
+    Its output goes to this process's standard output, live. Everything is ended on Ctrl-C and when this process dies.
+    Raises VcanError if User-Mode Linux is not there or does not come up.
+    """
+    uml = find_user_mode_linux()
+    results_dir = results_dir.resolve()
+    results_dir.mkdir(parents=True, exist_ok=True)
+    cwd = cwd.resolve()
+    needed = _hidden((cwd, Path(sys.prefix), Path(sys.base_prefix), *visible))
+    with tempfile.TemporaryDirectory(prefix="fsai-uml-") as folder:
+        exchange = Path(folder).resolve()
+        for path in (cwd, results_dir, exchange, *needed):
+            if "," in str(path):
+                raise VcanError(f"a comma in a path cannot be passed to User-Mode Linux: {path}")
+        if any(character.isspace() for character in str(exchange)):
+            raise VcanError(f"the folder for temporary files has a blank in its name: {exchange}")
+        init = exchange / "init"
+        init.write_text(_init_script(argv, cwd, env, results_dir, exchange, needed, module_files(uml.modules, modules)))
+        init.chmod(0o755)
+        with (results_dir / "uml-kernel.log").open("wb") as log:
+            in_time = _boot(uml, init, exchange, log, memory_mib, timeout_s)
+        try:
+            return int((exchange / "exit-status").read_text())
+        except (OSError, ValueError):
+            if not in_time and (exchange / "up").exists():
+                return TIMED_OUT
+            kernel_log = (results_dir / "uml-kernel.log").read_text(errors="replace").strip()
+            last = kernel_log.splitlines()[-1] if kernel_log else "no message"
+            raise VcanError(
+                f"User-Mode Linux {uml.version} did not come up: {last} (all of it: {results_dir / 'uml-kernel.log'})"
+            ) from None
+
+
+def _hidden(paths: Iterable[Path]) -> list[Path]:
+    """Those of the folders that the inside would not see, because memory is mounted above them; outer ones first."""
+    hidden: list[Path] = []
+    for path in sorted(path.resolve() for path in paths):
+        under_memory = any(path.is_relative_to(root) and path != Path(root) for root in _IN_MEMORY)
+        if under_memory and not any(path.is_relative_to(outer) for outer in hidden):
+            hidden.append(path)
+    return hidden
+
+
+def _init_script(
+    argv: Sequence[str],
+    cwd: Path,
+    env: Mapping[str, str],
+    results_dir: Path,
+    exchange: Path,
+    needed: Sequence[Path],
+    modules: Sequence[Path],
+) -> str:
+    def folder(path: Path, options: str) -> list[str]:
+        # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
+        return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(path)} none {_q(path)}"]
+
+    environment = [_q(f"{name}={value}") for name, value in env.items()]
+    lines = [
+        "#!/bin/sh",
+        f"export PATH={_BIN}",
+        # Whatever fails before the command starts ends the machine; the kernel's log has the failed command's message.
+        "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
+        "trap power_off EXIT",
+        "set -e",
+        "mount -t proc proc /proc",
+        "mount -t sysfs sysfs /sys",
+        *(f"mkdir -p {path}; mount -t tmpfs tmpfs {path}" for path in _IN_MEMORY),
+        "mkdir -p /dev/pts; mount -t devpts devpts /dev/pts",
+        *(line for path in needed for line in folder(path, "-o ro")),
+        *folder(results_dir, "-o rw"),
+        *folder(exchange, "-o rw"),
+        "echo uml > /proc/sys/kernel/hostname",
+        *(f"insmod {_q(path)}" for path in modules),
+        bring_up(),
+        "stty -F /dev/tty1 -opost -echo",
+        "set +e",
+        f"touch {_q(exchange / 'up')}",
+        # `env -i`: words of its command line that the kernel does not know are in the first process's environment.
+        f"(cd {_q(cwd)} && exec env -i {' '.join(environment)} {shlex.join(argv)}) < /dev/null > /dev/tty1 2>&1",
+        f"echo $? > {_q(exchange / 'exit-status')}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _q(value: Path | str) -> str:
+    return shlex.quote(str(value))
+
+
+def _boot(uml: UserModeLinux, init: Path, exchange: Path, log: IO[bytes], memory_mib: int, timeout_s: float) -> bool:
+    """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit."""
+    output, console = os.pipe()
+    cpu = _least_busy_cpu()
+    process = subprocess.Popen(
+        [
+            str(uml.kernel),
+            "rootfstype=hostfs",
+            "rootflags=/",
+            "ro",
+            f"mem={memory_mib}M",
+            f"init={init}",
+            f"uml_dir={exchange}",
+            "con=null",
+            "con0=null,fd:1",  # the kernel's console: this process's log
+            f"con1=null,fd:{console}",  # the command's
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=subprocess.STDOUT,
+        pass_fds=(console,),
+        env={"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib))},
+        start_new_session=True,
+        preexec_fn=lambda: _settle(cpu),
+    )
+    os.close(console)
+    limit = time.monotonic() + _BOOT_S
+    up = False
+    try:
+        with selectors.DefaultSelector() as selector:
+            selector.register(output, selectors.EVENT_READ)
+            while time.monotonic() < limit:
+                if selector.select(timeout=0.2):
+                    data = os.read(output, 65536)
+                    if not data:
+                        return True
+                    _show(data)
+                if not up and (exchange / "up").exists():
+                    up = True
+                    limit = time.monotonic() + timeout_s
+        return False
+    finally:
+        end_group(process)
+        os.close(output)
+
+
+def _show(data: bytes) -> None:
+    sys.stdout.flush()
+    stream = getattr(sys.stdout, "buffer", None)
+    if stream is None:
+        sys.stdout.write(data.decode(errors="replace"))
+    else:
+        stream.write(data)
+    sys.stdout.flush()
+
+
+def _settle(cpu: int) -> None:
+    """In the child: onto one processor, and to end with the parent."""
+    os.sched_setaffinity(0, {cpu})
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def _least_busy_cpu() -> int:
+    """The processor of ours that idled most over a fifth of a second."""
+    before = _idle_ticks()
+    time.sleep(0.2)
+    after = _idle_ticks()
+    ours = sorted(os.sched_getaffinity(0))
+    return max(ours, key=lambda cpu: after.get(cpu, 0) - before.get(cpu, 0))
+
+
+def _idle_ticks() -> dict[int, int]:
+    """Ticks each processor idled since boot, from /proc/stat."""
+    lines = (line.split() for line in Path("/proc/stat").read_text().splitlines())
+    return {int(words[0][3:]): int(words[4]) for words in lines if words[0].startswith("cpu") and words[0] != "cpu"}
+
+
+def _memory_folder(memory_mib: int) -> Path:
+    """Where the file behind the machine's memory fits and may be mapped executable; memory rather than disk."""
+    for folder in (Path("/dev/shm"), Path(tempfile.gettempdir()), Path("/var/tmp")):
+        try:
+            status = os.statvfs(folder)
+        except OSError:
+            continue
+        if status.f_bavail * status.f_frsize >= memory_mib << 20 and not status.f_flag & os.ST_NOEXEC:
+            return folder
+    raise VcanError(f"no folder for temporary files has {memory_mib} MiB free for User-Mode Linux's memory")

@@ -1,0 +1,95 @@
+"""The bus table says of every message what the databases say of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, BY_NAME, MS, BusMessage, Flow
+from fsai_vcu.interface.database import dbc_dir, load_database
+from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS, may_send
+from fsai_vcu.interface.revisions import REVISIONS, Revision, revision
+
+OTHER_SPELLINGS = {"PCAN": "PCAN_GPS"}  # the 2021 database's name of the same device
+
+
+@pytest.mark.parametrize("revision", REVISIONS.values(), ids=REVISIONS)
+def test_the_table_holds_every_message_of_a_revision_and_no_other(revision: Revision) -> None:
+    database = load_database(dbc_dir() / name for name in revision.dbc_files)
+    listed = {message.name: message for message in BUS_TABLE if revision.name in message.period_ns}
+    assert set(listed) == {message.name for message in database.messages}
+    for message in database.messages:
+        entry = listed[message.name]
+        assert entry.can_id == message.frame_id
+        assert entry.dlc == message.length
+        assert entry.period_ns[revision.name] == (message.cycle_time or 0) * MS
+        sender = message.senders[0]
+        assert entry.owner == OTHER_SPELLINGS.get(sender, sender)
+
+
+def test_names_and_identifiers_are_unique() -> None:
+    assert len(BY_ID) == len(BY_NAME) == len(BUS_TABLE)
+
+
+@pytest.mark.parametrize("message", BUS_TABLE, ids=str)
+def test_the_flow_follows_from_who_speaks(message: BusMessage) -> None:
+    assert (message.flow is Flow.TO_VCU) == (message.owner == "AI")
+    assert (message.flow is Flow.FROM_SENSOR) == (message.owner == "PCAN_GPS")
+    if message.flow is Flow.FROM_VCU:
+        assert message.owner == "VCU"
+
+
+@pytest.mark.parametrize("message", BUS_TABLE, ids=str)
+def test_a_timeout_is_longer_than_the_period(message: BusMessage) -> None:
+    if message.timeout_ns is not None:
+        assert all(message.timeout_ns >= 10 * period_ns for period_ns in message.period_ns.values())
+
+
+def test_the_supervised_messages_time_out_after_100_ms() -> None:
+    for can_id in (*range(0x510, 0x515), *range(0x520, 0x527)):
+        assert BY_ID[can_id].timeout_ns == 100 * MS
+
+
+def test_messages_between_others_are_not_supervised() -> None:
+    assert all(message.timeout_ns is None for message in BUS_TABLE if message.flow is Flow.OTHER)
+
+
+# ---------------------------------------------------------------- identifiers
+
+
+def test_the_ai_computer_sends_510_to_514_and_they_are_not_reserved() -> None:
+    assert AI_IDS == (0x510, 0x511, 0x512, 0x513, 0x514)
+    assert not RESERVED_IDS & {*AI_IDS, OPTIONAL_AI_ID}
+    assert tuple(message.can_id for message in BUS_TABLE if message.flow is Flow.TO_VCU) == AI_IDS
+
+
+def test_the_reserved_identifiers_are_those_of_the_specification() -> None:
+    assert {0x000, 0x080, 0x084, 0x120, 0x124, 0x181, 0x184, 0x284, 0x301, 0x4E2, 0x550} <= RESERVED_IDS
+    assert set(range(0x410, 0x420)) <= RESERVED_IDS
+    assert set(range(0x450, 0x471)) <= RESERVED_IDS
+    assert set(range(0x4FD, 0x500)) <= RESERVED_IDS
+    assert set(range(0x581, 0x585)) <= RESERVED_IDS
+    assert set(range(0x600, 0x641)) <= RESERVED_IDS
+    assert set(range(0x650, 0x661)) <= RESERVED_IDS
+    assert set(range(0x700, 0x706)) <= RESERVED_IDS
+    assert len(RESERVED_IDS) == 1 + 5 + 5 + 4 + 1 + 1 + 16 + 33 + 1 + 3 + 1 + 4 + 65 + 17 + 6
+
+
+def test_nothing_but_the_five_may_be_sent_unless_the_car_has_no_pcan_gps() -> None:
+    assert [can_id for can_id in range(0x800) if may_send(can_id)] == list(AI_IDS)
+    assert [can_id for can_id in range(0x800) if may_send(can_id, without_pcan_gps=True)] == [0x501, *AI_IDS]
+
+
+# ---------------------------------------------------------------- revisions
+
+
+def test_the_revisions_differ_in_their_steering_limit() -> None:
+    assert {name: entry.steer_limit_deg for name, entry in REVISIONS.items()} == {"2021": 21.0, "2026": 30.0}
+
+
+def test_a_revision_is_found_by_its_name() -> None:
+    assert revision("2021") is REVISIONS["2021"]
+
+
+def test_an_unknown_revision_is_refused_with_the_valid_names() -> None:
+    with pytest.raises(ValueError, match=r"unknown interface revision '2020': choose one of 2021, 2026"):
+        revision("2020")

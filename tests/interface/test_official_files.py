@@ -1,0 +1,341 @@
+"""Signal databases that are not ours: official files with their quirks, unusual layouts, and files that are wrong."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.interface.codec import Codec, EncodeError
+from fsai_vcu.interface.database import DatabaseError, dbc_dir, load_database
+from fsai_vcu.interface.enums import (
+    AsState,
+    Direction,
+    EbsState,
+    MissionStatus,
+    OpState,
+    ShutdownCause,
+    TsState,
+)
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import (
+    AiBrake,
+    AiCommand,
+    AiStatus,
+    AiSteer,
+    Faults,
+    GpsStatus,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuStatus,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.revisions import revision
+
+REVISION = revision("2026")
+OURS = (dbc_dir() / "ads_dv_2026.dbc").read_text(encoding="cp1252")
+GPS = dbc_dir() / "pcan_gps.dbc"
+FAULTS = [
+    "AI_ESTOP_REQUEST",
+    "HVIL_OPEN_FAULT",
+    "HVIL_SHORT_FAULT",
+    "EBS_FAULT",
+    "OFFBOARD_CHARGER_FAULT",
+    "AI_COMMS_LOST",
+    "AUTONOMOUS_BRAKING_FAULT",
+    "MISSION_STATUS_FAULT",
+    "CHARGE_PROCEDURE_FAULT",
+    "BMS_FAULT",
+    "BRAKE_PLAUSIBILITY_FAULT",
+]
+
+
+def without_signal(text: str, frame_id: int, signal: str) -> str:
+    """The database without one signal, its comment and its table."""
+    start = text.index(f"BO_ {frame_id} ")
+    end = text.index("\n\n", start)
+    block = re.sub(rf"^ SG_ {signal} :.*\n", "", text[start:end] + "\n", flags=re.MULTILINE).rstrip("\n")
+    text = text[:start] + block + text[end:]
+    return re.sub(rf"^(CM_ SG_|VAL_) {frame_id} {signal} .*\n", "", text, flags=re.MULTILINE)
+
+
+def with_signed_flags(text: str) -> str:
+    """As the official files of 2026 declare them."""
+    return re.sub(r"\|1@1\+ \(1,0\) \[0\|1\]", "|1@1- (1,0) [0|1]", text)
+
+
+def with_names(text: str, old: str, new: str) -> str:
+    return re.sub(rf"\b{old}\b", new, text)
+
+
+@pytest.fixture
+def codec_of(tmp_path: Path) -> Callable[[str], Codec]:
+    def load(text: str) -> Codec:
+        path = tmp_path / "official.dbc"
+        path.write_text(text, encoding="cp1252")
+        return Codec(REVISION, [path, GPS])
+
+    return load
+
+
+# ---------------------------------------------------------------- official files
+
+
+def test_signed_flags_are_unsigned_after_loading(codec_of: Callable[[str], Codec]) -> None:
+    text = with_signed_flags(OURS)
+    assert text.count("|1@1- ") > 20
+    codec = codec_of(text)
+    for message in codec.database.messages:
+        for signal in message.signals:
+            if signal.length == 1:
+                assert not signal.is_signed
+                assert (signal.minimum, signal.maximum) == (0, 1)
+    assert str(codec.encode(AiStatus(handshake=True, estop_request=True))) == "510#0101000000000000"
+    image = codec.decode(Frame(0x520, bytes.fromhex("010E010300008000"))).image
+    assert isinstance(image, VcuStatus)
+    assert image.handshake is True
+    assert image.go_signal is True
+    message = codec.database.get_message_by_name("VCU2AI_Status")
+    assert message.decode(bytes.fromhex("0100000000000000"), decode_choices=False)["HANDSHAKE"] == 1  # type: ignore[call-overload]
+    assert message.encode(dict.fromkeys((signal.name for signal in message.signals), 1), strict=True)
+
+
+def test_a_table_for_a_signed_flag_names_1_after_loading(codec_of: Callable[[str], Codec]) -> None:
+    text = with_signed_flags(OURS).replace(
+        'VAL_ 1312 GO_SIGNAL 0 "NO GO" 1 "GO" ;', 'VAL_ 1312 GO_SIGNAL 0 "NO GO" -1 "GO" ;'
+    )
+    message = codec_of(text).database.get_message_by_name("VCU2AI_Status")
+    values = message.decode(bytes.fromhex("0008000000000000"))
+    assert isinstance(values, dict)
+    assert str(values["GO_SIGNAL"]) == "GO"
+    assert values["GO_SIGNAL"].value == 1  # type: ignore[union-attr]
+
+
+def test_fault_bits_that_a_file_lacks_are_none(codec_of: Callable[[str], Codec]) -> None:
+    text = with_signed_flags(OURS)
+    for name in FAULTS:
+        if name != "HVIL_OPEN_FAULT":
+            text = without_signal(text, 0x520, name)
+    codec = codec_of(text)
+    image = codec.decode(Frame(0x520, bytes.fromhex("000001010002070B"))).image
+    assert isinstance(image, VcuStatus)
+    assert image.faults == Faults(hvil_open=True)
+    assert image.fault is True
+    every_fault = Faults(**dict.fromkeys(Faults.__dataclass_fields__, True))
+    assert codec.encode(VcuStatus(faults=every_fault)).data == bytes.fromhex("0000010000020000")
+
+
+def test_a_file_without_any_fault_bit_reads_none_of_them(codec_of: Callable[[str], Codec]) -> None:
+    text = OURS
+    for name in FAULTS:
+        text = without_signal(text, 0x520, name)
+    codec = codec_of(text)
+    image = codec.decode(Frame(0x520, bytes.fromhex("000001000002070B"))).image
+    assert isinstance(image, VcuStatus)
+    assert image.faults == Faults()
+    assert codec.encode(image).data == bytes.fromhex("000001000000000B")
+
+
+def test_a_missing_shutdown_cause_is_none(codec_of: Callable[[str], Codec]) -> None:
+    codec = codec_of(without_signal(OURS, 0x520, "SHUTDOWN_CAUSE"))
+    decoded = codec.decode(Frame(0x520, bytes.fromhex("00000100000000FF")))
+    assert isinstance(decoded.image, VcuStatus)
+    assert decoded.image.shutdown_cause is None
+    assert decoded.problems == ()
+    assert codec.encode(VcuStatus(shutdown_cause=ShutdownCause.BMS_FAULT)).data[7] == 0
+
+
+def test_logging_fields_that_0x510_lacks_are_left_out(codec_of: Callable[[str], Codec]) -> None:
+    text = OURS
+    logged = ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND")
+    for name in logged:
+        text = without_signal(text, 0x510, name)
+    codec = codec_of(text)
+    command = AiCommand(
+        handshake=True,
+        mission_status=MissionStatus.RUNNING,
+        direction=Direction.FORWARD,
+        lap_counter=3,
+        cones_count_all=99,
+        speed_actual_kmh=20,
+    )
+    assert str(codec.encode_command(command)[0]) == "510#0160000000000000"
+    image = codec.decode(Frame(0x510, bytes.fromhex("0160FFFFFFFFFFFF"))).image
+    assert image == AiStatus(True, False, MissionStatus.RUNNING, Direction.FORWARD)
+
+
+def test_the_official_hil_file_with_all_its_quirks_at_once(codec_of: Callable[[str], Codec]) -> None:
+    text = OURS
+    for name in [*FAULTS, "SHUTDOWN_CAUSE"]:
+        if name != "HVIL_OPEN_FAULT":
+            text = without_signal(text, 0x520, name)
+    for name in ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND"):
+        text = without_signal(text, 0x510, name)
+    codec = codec_of(with_signed_flags(text))
+    said = VcuStatus(
+        handshake=True,
+        go_signal=True,
+        as_state=AsState.AS_DRIVING,
+        faults=Faults(hvil_open=False),
+        op_state=OpState.OP_AUTO,
+        ts_state=TsState.TS_RUNNING,
+        ebs_state=EbsState.EBS_ARMED,
+    )
+    assert codec.decode(codec.encode(said)).image == said
+    assert codec.decode(codec.encode(AiSteer(-1.5))).image == AiSteer(-1.5)
+
+
+@pytest.mark.parametrize("suffix", ["_Nm", "_rpm"])
+def test_signals_are_found_under_a_name_with_a_unit(codec_of: Callable[[str], Codec], suffix: str) -> None:
+    text = with_names(OURS, "FRONT_AXLE_TRQ", "FRONT_AXLE_TRQ" + suffix)
+    text = with_names(text, "FL_WHEEL_SPEED", "FL_WHEEL_SPEED" + suffix)
+    codec = codec_of(text)
+    assert codec.decode(codec.encode(VcuDriveFront(-3.5, 1.0, 2.0))).image == VcuDriveFront(-3.5, 1.0, 2.0)
+    assert codec.decode(codec.encode(WheelSpeeds(1, 2, 3, 4))).image == WheelSpeeds(1, 2, 3, 4)
+
+
+def test_signals_are_found_under_a_name_without_its_unit(codec_of: Callable[[str], Codec]) -> None:
+    codec = codec_of(with_names(OURS, "HYD_PRESS_F_REQ_pct", "HYD_PRESS_F_REQ"))
+    assert str(codec.encode(AiBrake(front_pct=50.0))) == "514#6400"
+
+
+def test_a_message_is_found_under_a_name_with_nm(codec_of: Callable[[str], Codec]) -> None:
+    codec = codec_of(with_names(OURS, "VCU2AI_Drive_R", "VCU2AI_Drive_R_Nm"))
+    assert codec.decode(codec.encode(VcuDriveRear(1.5, 2.5, 3.5))).image == VcuDriveRear(1.5, 2.5, 3.5)
+
+
+def test_0x522_reads_alike_in_both_revisions() -> None:
+    wire = Frame(0x522, bytes.fromhex("C3000500E803"))
+    assert Codec(revision("2021")).decode(wire).image == VcuDriveRear(19.5, 0.5, 100.0)
+    assert Codec(revision("2026")).decode(wire).image == VcuDriveRear(19.5, 0.5, 100.0)
+
+
+def test_the_first_of_two_files_that_describe_an_identifier_counts(tmp_path: Path) -> None:
+    first = tmp_path / "first.dbc"
+    first.write_text(OURS.replace('(0.1,0) [-30|30] "deg" VCU', '(0.2,0) [-30|30] "deg" VCU'))
+    codec = Codec(REVISION, [first, dbc_dir() / "ads_dv_2026.dbc"])
+    assert codec.encode(AiSteer(2.0)).data == bytes.fromhex("0A00")
+
+
+def test_without_the_pcan_gps_file_its_messages_are_unknown() -> None:
+    codec = Codec(REVISION, [dbc_dir() / "ads_dv_2026.dbc"])
+    assert not codec.knows(0x620)
+    assert codec.decode(Frame(0x620, bytes(3))).image is None
+    with pytest.raises(EncodeError, match="GpsStatus"):
+        codec.encode(GpsStatus())
+
+
+# ---------------------------------------------------------------- unusual layouts
+
+
+def test_big_endian_signals_are_left_to_cantools(codec_of: Callable[[str], Codec]) -> None:
+    text = OURS.replace("SG_ STEER_REQUEST : 0|16@1- ", "SG_ STEER_REQUEST : 7|16@0- ")
+    assert text != OURS
+    codec = codec_of(text)
+    assert str(codec.encode(AiSteer(-30.0))) == "513#FED4"
+    assert codec.decode(Frame(0x513, bytes.fromhex("012C"))).image == AiSteer(30.0)
+    with pytest.raises(EncodeError, match="out of range"):
+        codec.encode(AiSteer(30.1))
+    assert codec.encode_command(AiCommand(steer_deg=1.0))[3].data == bytes.fromhex("000A")
+
+
+def test_multiplexed_messages_are_left_to_cantools(codec_of: Callable[[str], Codec]) -> None:
+    text = OURS.replace(
+        'SG_ HYD_PRESS_F_REQ_pct : 0|8@1+ (0.5,0) [0|100] "%" VCU',
+        'SG_ HYD_PRESS_F_REQ_pct M : 0|8@1+ (0.5,0) [0|100] "%" VCU',
+    )
+    text = text.replace(
+        'SG_ HYD_PRESS_R_REQ_pct : 8|8@1+ (0.5,0) [0|100] "%" VCU',
+        'SG_ HYD_PRESS_R_REQ_pct m0 : 8|8@1+ (0.5,0) [0|100] "%" VCU',
+    )
+    codec = codec_of(text)
+    assert codec.decode(Frame(0x514, bytes.fromhex("0064"))).image == AiBrake(0.0, 50.0)
+    assert str(codec.encode(AiBrake(0.0, 50.0))) == "514#0064"
+    assert codec.decode(Frame(0x514, bytes.fromhex("0164"))).image is None
+    with pytest.raises(EncodeError, match="AI2VCU_Brake: cannot be encoded"):
+        codec.encode(AiBrake(0.5, 50.0))
+
+
+# ---------------------------------------------------------------- wrong files
+
+
+def test_a_missing_file_gets_one_line() -> None:
+    with pytest.raises(DatabaseError, match=r"^/nowhere/car\.dbc: no such DBC file$"):
+        Codec(REVISION, ["/nowhere/car.dbc"])
+
+
+def test_a_folder_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(DatabaseError, match="cannot be read"):
+        load_database([tmp_path])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "rubbish",
+        'VERSION ""\n',
+        OURS[: OURS.index("SG_ ANGLE_MAX") + 20],
+        "\x00\x01\x02",
+        OURS.replace("0|16@1- (0.1,0) [-30", "8|16@1- (0.1,0) [-30"),
+    ],
+    ids=["empty", "rubbish", "no message", "cut off", "binary", "beyond its frame"],
+)
+def test_a_malformed_file_gets_one_line_with_its_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "bad.dbc"
+    path.write_text(content)
+    with pytest.raises(DatabaseError, match=r"bad\.dbc: not a valid DBC file: ") as caught:
+        load_database([path])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_was_cut_off_is_refused_wherever_the_cut_is(tmp_path: Path) -> None:
+    path = tmp_path / "cut.dbc"
+    whole = GPS.read_text(encoding="cp1252")
+    lines = whole.splitlines(keepends=True)
+    for number, line in enumerate(lines):
+        if line.startswith(("BA_ ", "VAL_ ", "SIG_VALTYPE_ ")):
+            path.write_text("".join(lines[:number]) + line[: len(line) // 2], encoding="cp1252")
+            with pytest.raises(DatabaseError, match="not a valid DBC file"):
+                load_database([path])
+
+
+def test_a_file_may_end_with_its_last_signal(tmp_path: Path) -> None:
+    path = tmp_path / "short.dbc"
+    path.write_text('VERSION ""\n\nBU_: A B\n\nBO_ 1 M: 1 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" B\n')
+    assert [message.name for message in load_database([path]).messages] == ["M"]
+
+
+def test_no_file_at_all_is_refused() -> None:
+    with pytest.raises(DatabaseError, match="no DBC file"):
+        load_database([])
+
+
+def test_another_cars_database_is_refused() -> None:
+    with pytest.raises(DatabaseError, match="no message AI2VCU_Status"):
+        Codec(REVISION, [GPS])
+
+
+def test_a_database_without_a_needed_signal_is_refused(codec_of: Callable[[str], Codec]) -> None:
+    with pytest.raises(DatabaseError, match="AI2VCU_Status has no signal HANDSHAKE"):
+        codec_of(without_signal(OURS, 0x510, "HANDSHAKE"))
+
+
+@pytest.mark.parametrize("can_id", [0x501, 0x080, 0x123, 0x7FF, 0x515])
+def test_no_database_can_make_the_ai_computer_send_on_another_identifier(
+    codec_of: Callable[[str], Codec], can_id: int
+) -> None:
+    text = OURS
+    for message in load_database([dbc_dir() / "ads_dv_2026.dbc"]).messages:
+        if message.frame_id == can_id:
+            text = text.replace(f" {can_id} ", " 1999 ")
+    with pytest.raises(DatabaseError, match=f"AI2VCU_Steer has identifier 0x{can_id:03X}, not 0x513"):
+        codec_of(re.sub(r"\b1299\b", str(can_id), text))
+
+
+def test_a_status_keeps_its_time_through_the_careful_path(codec_of: Callable[[str], Codec]) -> None:
+    codec = codec_of(OURS.replace("SG_ STEER_REQUEST : 0|16@1- ", "SG_ STEER_REQUEST : 7|16@0- "))
+    assert codec.decode(replace(codec.encode(AiSteer(1.0)), t_ns=9)).image == AiSteer(1.0, t_rx_ns=9)
