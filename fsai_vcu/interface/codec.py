@@ -204,12 +204,17 @@ class _Slot:
     signal: Signal
     raw_min: int
     raw_max: int
-    low: float  # physical limits on encoding, widened by a float's rounding
+    low: float  # physical limits on encoding
     high: float
 
     @property
     def is_float(self) -> bool:
         return bool(self.signal.is_float)
+
+    @property
+    def margin(self) -> float:
+        """How far beyond its limits a value may be by a float's rounding alone."""
+        return 0.0 if self.is_float else _ROUNDING * max(1.0, abs(self.low), abs(self.high))
 
     @property
     def says_nothing_as_none(self) -> bool:
@@ -250,8 +255,7 @@ def _slot(field: Field, signal: Signal) -> _Slot:
         low = max(low, float(signal.minimum))
     if signal.maximum is not None:
         high = min(high, float(signal.maximum))
-    margin = 0.0 if signal.is_float else _ROUNDING * max(1.0, abs(low), abs(high))
-    return _Slot(field, signal, raw_min, raw_max, low - margin, high + margin)
+    return _Slot(field, signal, raw_min, raw_max, low, high)
 
 
 class _Layout:
@@ -453,7 +457,8 @@ class _Layout:
             source.line(f"        {name} = bits_{name}.get({name})")
             doubts.append(f"{name} is None")
             return name
-        source.names[f"low_{name}"], source.names[f"high_{name}"] = slot.low, slot.high
+        source.names[f"low_{name}"] = slot.low - slot.margin
+        source.names[f"high_{name}"] = slot.high + slot.margin
         doubts.append(f"not low_{name} <= {name} <= high_{name}")
         if slot.is_float:
             value = name
@@ -462,9 +467,10 @@ class _Layout:
             return f"from_bytes(pack_float({value}), 'little') << {start}"
         shifted = f"({name} - {slot.signal.offset!r})" if slot.signal.offset else name
         per_unit = slot.per_unit
-        if per_unit == 1:  # int(): a numpy integer would overflow when shifted
-            return f"(int(round({shifted})) & {slot.mask}) << {start}"
-        steps = f"{shifted} * {per_unit}" if per_unit else f"{shifted} / {slot.signal.scale!r}"
+        if per_unit is None:
+            steps = f"{shifted} / {slot.signal.scale!r}"
+        else:
+            steps = shifted if per_unit == 1 else f"{shifted} * {per_unit}"
         return f"(round({steps}) & {slot.mask}) << {start}"
 
 
@@ -548,7 +554,7 @@ def _write(slot: _Slot, value: Any, message: str) -> int | float:
     number = float(value)
     if field.saturates:
         number = min(max(number, slot.low), slot.high)
-    if not slot.low <= number <= slot.high:
+    if not slot.low - slot.margin <= number <= slot.high + slot.margin:
         raise EncodeError(
             f"{what} {number:g} is out of range {slot.low:g} … {slot.high:g} {slot.signal.unit or ''}".strip()
         )

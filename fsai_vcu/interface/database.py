@@ -6,12 +6,19 @@ Names that differ and signals that are absent are the codec's business.
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
 
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
+
+_ENCODING = "cp1252"  # what the tools that write DBC files use
+
+# The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
+# lost: half the signals of a message, or the line that says that a signal is a float.
+_WHOLE_STATEMENT = re.compile(r'.*;|BO_ \d+ .+|SG_ .+\[.*\] *".*" *\w.*')
 
 
 class DatabaseError(ValueError):
@@ -45,7 +52,8 @@ def load_database(paths: Iterable[Path | str]) -> Database:
 def _load_one(path: Path) -> Database:
     database = Database(strict=True)
     try:
-        database.add_dbc_file(path)
+        text = path.read_text(encoding=_ENCODING, errors="replace")
+        database.add_dbc_string(text)
     except FileNotFoundError:
         raise DatabaseError(f"{path}: no such DBC file") from None
     except OSError as error:
@@ -54,6 +62,8 @@ def _load_one(path: Path) -> Database:
         raise DatabaseError(f"{path}: not a valid DBC file: {_one_line(error)}") from error
     if not database.messages:
         raise DatabaseError(f"{path}: not a valid DBC file: it describes no message")
+    if not _WHOLE_STATEMENT.fullmatch(text.rstrip().rpartition("\n")[2].strip()):
+        raise DatabaseError(f"{path}: not a valid DBC file: it ends in the middle of a statement")
     _make_flags_unsigned(database)
     return database
 

@@ -27,6 +27,7 @@ from fsai_vcu.interface.images import (
     AiStatus,
     AiSteer,
     Faults,
+    GpsAltitude,
     GpsStatus,
     VcuDriveFront,
     VcuDriveRear,
@@ -240,6 +241,32 @@ def test_big_endian_signals_are_left_to_cantools(codec_of: Callable[[str], Codec
     with pytest.raises(EncodeError, match="out of range"):
         codec.encode(AiSteer(30.1))
     assert codec.encode_command(AiCommand(steer_deg=1.0))[3].data == bytes.fromhex("000A")
+
+
+def test_floats_with_a_scale_and_an_offset_are_scaled(tmp_path: Path) -> None:
+    path = tmp_path / "gps.dbc"
+    text = GPS.read_text(encoding="cp1252")
+    path.write_text(text.replace("GPS_Altitude : 0|32@1- (1,0)", "GPS_Altitude : 0|32@1- (2,-1)"), encoding="cp1252")
+    codec = Codec(REVISION, [dbc_dir() / "ads_dv_2026.dbc", path])
+    assert str(codec.encode(GpsAltitude(0.0))) == "624#0000003F"  # the float 0.5
+    assert codec.decode(Frame(0x624, bytes.fromhex("0000003F"))).image == GpsAltitude(0.0)
+    with pytest.raises(EncodeError):
+        codec.encode(GpsAltitude(1e39))
+
+
+def test_signals_with_an_offset_are_shifted_both_ways(codec_of: Callable[[str], Codec]) -> None:
+    codec = codec_of(OURS.replace("STEER_REQUEST : 0|16@1- (0.1,0)", "STEER_REQUEST : 0|16@1+ (0.1,-30)"))
+    assert str(codec.encode(AiSteer(0.0))) == "513#2C01"
+    assert codec.decode(Frame(0x513, bytes.fromhex("2C01"))).image == AiSteer(0.0)
+    assert codec.decode(Frame(0x513, bytes.fromhex("0000"))).image == AiSteer(-30.0)
+
+
+def test_whole_numbers_on_a_coarse_scale_stay_whole(codec_of: Callable[[str], Codec]) -> None:
+    codec = codec_of(OURS.replace("FL_WHEEL_SPEED : 0|16@1+ (1,0)", "FL_WHEEL_SPEED : 0|16@1+ (0.5,0)"))
+    image = codec.decode(codec.encode(WheelSpeeds(fl_rpm=7))).image
+    assert image == WheelSpeeds(fl_rpm=7)
+    assert isinstance(image, WheelSpeeds)
+    assert type(image.fl_rpm) is int
 
 
 def test_multiplexed_messages_are_left_to_cantools(codec_of: Callable[[str], Codec]) -> None:
