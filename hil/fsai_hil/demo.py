@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from fsai_hil.ros_operator import RosOperator
 from fsai_hil.stack import NODES, Stack, StackError
 from fsai_hil.vcan import INTERFACE
 from fsai_hil.vcan.native import existing_vcan, namespace_prefix
@@ -91,11 +92,14 @@ class Demo:
             _say(f"starting {', '.join(NODES)}, each its own process")
             stack.start_verb("recorder", "record", "-i", self._bus, "-o", str(self._log))
             stack.start_nodes(_node_parameters(args))
-            operator = OperatorNode(stack)
+            operator = RosOperator(stack, "demo")
             try:
-                operator.wait_for_bridge(START_TIMEOUT_S)
+                operator.await_bridge(START_TIMEOUT_S)
                 vcu = stack.start_verb("vcu", *self._vcu_arguments())
-                operator.follow(args.mission)
+                _, answer = operator.set_mode("autonomous")
+                _say(f"set_mode autonomous: {answer}")
+                result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, Screen().show, *NODES)
+                _say(f"run_mission: {result.message}")
             finally:
                 operator.close()
             status = vcu.wait(VERDICT_TIMEOUT_S)
@@ -144,63 +148,18 @@ def _node_parameters(args: argparse.Namespace) -> dict[str, dict[str, object]]:
     return {"vcu_bridge": bridge, "path_planner": planner}
 
 
-class OperatorNode:
-    """The demo's own ROS node: sets the mode, follows the run, prints what it sees."""
+class Screen:
+    """Prints the run as it goes: one line a second, and one whenever the AS state changes."""
 
-    def __init__(self, stack: Stack) -> None:
-        self._stack = stack
-        os.environ.update({name: stack.environ[name] for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
-        import rclpy
-        from fsai_msgs.action import RunMission
-        from fsai_msgs.srv import SetMode
-        from rclpy.action import ActionClient
+    def __init__(self) -> None:
+        self._label = ""
+        self._shown_s = 0.0
 
-        self._rclpy = rclpy
-        rclpy.init()
-        self._node = rclpy.create_node("demo")
-        self._run_mission = ActionClient(self._node, RunMission, "/run_mission")
-        self._set_mode = self._node.create_client(SetMode, "/set_mode")
-        self._shown = ("", 0.0)
-
-    def close(self) -> None:
-        self._node.destroy_node()
-        self._rclpy.try_shutdown()
-
-    def wait_for_bridge(self, timeout_s: float) -> None:
-        until = time.monotonic() + timeout_s
-        while not (self._set_mode.service_is_ready() and self._run_mission.server_is_ready()):
-            self._stack.check_alive()
-            if time.monotonic() > until:
-                raise StackError(f"no /set_mode service and /run_mission action within {timeout_s:g} s")
-            self._rclpy.spin_once(self._node, timeout_sec=0.1)
-
-    def follow(self, mission: str) -> None:
-        """Set autonomous and follow the run to its end; progress goes to the screen."""
-        from fsai_msgs.action import RunMission
-        from fsai_msgs.srv import SetMode
-
-        answer = self._await(self._set_mode.call_async(SetMode.Request(mode="autonomous")))
-        _say(f"set_mode autonomous: {answer.message}")
-        goal = RunMission.Goal(mission=mission, until="end", timeout_s=RUN_TIMEOUT_S)
-        handle = self._await(self._run_mission.send_goal_async(goal, feedback_callback=self._show))
-        if not handle.accepted:
-            raise StackError("the bridge did not take the /run_mission goal")
-        result = self._await(handle.get_result_async()).result
-        _say(f"run_mission: {result.message}")
-
-    def _await(self, future: Any) -> Any:
-        while not future.done():
-            self._stack.check_alive(*NODES)
-            self._rclpy.spin_once(self._node, timeout_sec=0.2)
-        return future.result()
-
-    def _show(self, message: Any) -> None:
-        """One line a second, and one whenever the AS state changes."""
-        seen = message.feedback
+    def show(self, seen: Any) -> None:
         now_s = time.monotonic()
-        if seen.as_state_label == self._shown[0] and now_s - self._shown[1] < PROGRESS_PERIOD_S:
+        if seen.as_state_label == self._label and now_s - self._shown_s < PROGRESS_PERIOD_S:
             return
-        self._shown = (seen.as_state_label, now_s)
+        self._label, self._shown_s = seen.as_state_label, now_s
         why = f"  {seen.why_not_driving[0]}" if seen.why_not_driving else ""
         _say(
             f"{seen.as_state_label:<15} {seen.mode:<10} lap {seen.lap}  {seen.speed_mps:4.1f} m/s  "

@@ -40,7 +40,7 @@ RPM_TOLERANCE: Final = 0.95  # a wheel speed asked for counts as reached from he
 class JudgeSettings:
     """The rules of the year. Lengths and times have the defaults of missions.md."""
 
-    laps: int | None = None  # None: the mission's own number
+    laps: int | None = None  # of a trackdrive; None: ten
     wait_s: float = 3.0  # the car must not move so long after it entered AS_DRIVING
     start_timeout_s: float | None = 120.0  # until AS_DRIVING; None waits for ever
     drive_timeout_s: float | None = None  # in AS_DRIVING; None: the mission's own
@@ -600,7 +600,9 @@ class Judge:
         self._model = model
         self._epoch_ns = epoch_ns
         self._begin_ns = now_ns
-        self.laps_wanted = self._settings.laps or MISSION_LAPS.get(mission, 1)
+        self.laps_wanted = MISSION_LAPS.get(mission, 1)
+        if mission is Ami.TRACKDRIVE and self._settings.laps is not None:
+            self.laps_wanted = self._settings.laps
         self._referee: _Referee = _REFEREES[mission](track, model, self._settings, self.laps_wanted)
         self._route = _Route(track) if track.centreline_m is not None else None
         self._surroundings = _Surroundings(track, model)

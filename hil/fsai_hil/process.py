@@ -1,8 +1,8 @@
 """`fsai-vcu vcu`: the simulated VCU and car as a process on a bus, in real time.
 
-One thread waits on the bus until the car next has something to say. Frames that wait are heard before time moves on, so
-that a process that was held up does not take its own slowness for the AI computer's. It needs no AI computer: without
-one it says what a car says, and waits.
+One thread waits on the bus until the car next has something to say. Frames that wait are heard before time moves on,
+and a process that was held up for long lets the car's time stand still meanwhile: it must not take its own slowness for
+the AI computer's. It needs no AI computer: without one it says what a car says, and waits.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TextIO
@@ -37,6 +37,7 @@ from fsai_vcu.runtime.recording import CandumpWriter
 
 PROGRAM: Final = "fsai-vcu vcu"
 TRUTH_PERIOD_NS: Final = 10_000_000
+HELD_UP_NS: Final = 50_000_000  # half of what the VCU grants the AI computer
 REOPEN_NS: Final = 250_000_000
 COMMANDS_PERIOD_NS: Final = 50_000_000
 PROGRESS_NS: Final = 1_000_000_000
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--track", metavar="FILE.csv|NAME", help=tracks)
     add("--revision", default="2026", choices=sorted(REVISIONS), help="interface revision of the car (2026)")
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
-    add("--laps", type=int, metavar="N", help="laps that the judge wants (the mission's own number)")
+    add("--laps", type=int, metavar="N", help="laps of a trackdrive (10)")
     add("--seed", type=int, default=0, metavar="N", help="seed of everything random (0)")
     add("--truth", type=int, metavar="PORT", help="send the true pose to this UDP port of 127.0.0.1, for sensors")
     add("--no-gps", action="store_true", help="a car without the PCAN-GPS")
@@ -137,6 +138,7 @@ class VcuProcess:
         self.why_ended = ""
         self.frames_in = self.frames_out = self.dropped = self.bus_losses = 0
         self.late_max_ns = 0
+        self.held_up_ns = 0  # by so much the car's time is behind the monotonic clock
         self._wake_ns = world.now_ns
 
     def stop(self, why: str) -> None:
@@ -153,15 +155,20 @@ class VcuProcess:
         self._say(f"simulated car on {self._spec}: {world.setup.revision}, {world.setup.profile}, {world.track.name}")
         while self.interrupted is None:
             self._listen(self._wake_ns)
-            now = time.monotonic_ns()
+            now = self._now_ns()
             if now < self._wake_ns:
                 continue
-            self.late_max_ns = max(self.late_max_ns, now - self._wake_ns)
+            late_ns = now - self._wake_ns
+            self.late_max_ns = max(self.late_max_ns, late_ns)
+            if late_ns > HELD_UP_NS:
+                self.held_up_ns += late_ns
+                now = self._wake_ns
             self._speak(now)
             self._wake_ns = world.next_due_ns()
             if self._truth is not None and now >= next_truth:
                 next_truth = max(next_truth + TRUTH_PERIOD_NS, now)
-                self._truth.send(world.truth)
+                truth = world.truth
+                self._truth.send(replace(truth, t_ns=truth.t_ns + self.held_up_ns))
             if now >= next_commands:
                 next_commands = now + COMMANDS_PERIOD_NS
                 self._obey()
@@ -178,23 +185,27 @@ class VcuProcess:
                 return
         self.why_ended = self.interrupted
 
+    def _now_ns(self) -> int:
+        """The car's time."""
+        return time.monotonic_ns() - self.held_up_ns
+
     def _listen(self, until_ns: int) -> None:
         """Hear what arrives until then; always what has arrived already."""
         bus = self._bus
         if bus is None:
-            time.sleep(max(0, until_ns - time.monotonic_ns()) / 1e9)
+            time.sleep(max(0, until_ns - self._now_ns()) / 1e9)
             self._reopen(time.monotonic_ns())
             return
         try:
-            frame = bus.recv(max(0, until_ns - time.monotonic_ns()) / 1e9)
+            frame = bus.recv(max(0, until_ns - self._now_ns()) / 1e9)
             heard = 0
             while frame is not None:
                 self.frames_in += 1
                 if self._log is not None:
                     self._log.write(frame)
-                self.world.on_frame(frame)
+                self.world.on_frame(replace(frame, t_ns=frame.t_ns - self.held_up_ns))
                 heard += 1
-                if heard >= 100 or (time.monotonic_ns() >= until_ns and heard >= 20):
+                if heard >= 100 or (self._now_ns() >= until_ns and heard >= 20):
                     return  # a flooded bus must not stop the clock
                 frame = bus.recv(0.0)
         except BusLost as error:
@@ -203,7 +214,7 @@ class VcuProcess:
     def _speak(self, now: int) -> None:
         for frame in self.world.advance(now):
             if self._log is not None:
-                self._log.write(frame)
+                self._log.write(replace(frame, t_ns=frame.t_ns + self.held_up_ns))
             if self._bus is None:
                 continue
             try:
@@ -384,6 +395,7 @@ def result_of(process: VcuProcess) -> dict[str, Any]:
         "frames_dropped": process.dropped,
         "bus_losses": process.bus_losses,
         "late_max_ms": round(process.late_max_ns / 1e6, 3),
+        "held_up_ms": round(process.held_up_ns / 1e6, 3),
     }
 
 

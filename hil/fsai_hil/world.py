@@ -47,7 +47,7 @@ class WorldSetup:
     revision: str = "2026"
     profile: str = "specification"
     seed: int = 0
-    laps: int | None = None  # None: the mission's own number
+    laps: int | None = None  # of a trackdrive; None: ten
     auto: bool = True  # somebody walks the switches; else nobody does
     noise_level: float = 1.0
     sensor: SensorSettings | None = None  # None: the ordinary sensor at `noise_level`

@@ -43,6 +43,7 @@ class ScriptedDriver:
     heard: list[Frame] = field(default_factory=list)
     silent: bool = False
     _driving_ns: int | None = None
+    _braking: bool = False
 
     def run(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
         """Let both sides live until the world is done, `until` holds, or the time is over."""
@@ -67,6 +68,9 @@ class ScriptedDriver:
             self._driving_ns = self._driving_ns or t_ns
             since_s = (t_ns - self._driving_ns) / SECOND_NS
             wish = self.style(self.world, since_s) if since_s >= self.wait_s else Wish()
+            if self._braking and wish.torque_nm and not wish.brake_pct:
+                wish.torque_nm = 0.0  # one cycle of neither: the VCU hears the new torque before the brake's end
+            self._braking = wish.brake_pct > 0.0
             standing = max(self.world.car.feedback().wheel_rpm) < 10.0
             finished = wish.finished and standing
             return AiCommand(
@@ -86,7 +90,9 @@ class ScriptedDriver:
             AsState.AS_READY,
         )
         ended = state is AsState.AS_FINISHED
-        mission = MissionStatus.SELECTED if selected else MissionStatus.FINISHED if ended else MissionStatus.NOT_SELECTED
+        mission = MissionStatus.FINISHED if ended else MissionStatus.NOT_SELECTED
+        if selected:
+            mission = MissionStatus.SELECTED
         return AiCommand(handshake=status.handshake, mission_status=mission)
 
 

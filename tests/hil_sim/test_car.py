@@ -77,7 +77,9 @@ def test_torque_slews_by_50_nm_in_10_ms() -> None:
     assert car.feedback().rear_torque_nm == pytest.approx(0.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("rpm", "torque_nm"), [(0, 195), (1050, 150), (1400, 120), (1750, 100), (2100, 85), (3150, 10)])
+@pytest.mark.parametrize(
+    ("rpm", "torque_nm"), [(0, 195), (525, 172.5), (1050, 150), (1400, 120), (1750, 100), (2450, 50), (3150, 10)]
+)
 def test_available_torque_falls_with_motor_speed(rpm: float, torque_nm: float) -> None:
     assert Car(car_model("2026")).available_torque_nm(rpm) == pytest.approx(torque_nm)
 
@@ -124,7 +126,9 @@ def test_brakes_wait_80_ms_and_then_act() -> None:
     assert 80 * MS <= car.t_ns - begin <= 84 * MS
 
 
-@pytest.mark.parametrize(("asked", "comes"), [(0.0, 0.0), (0.5, 13.0), (10.0, 13.0), (20.0, 21.2), (50.0, 53.0), (100.0, 100.0)])
+@pytest.mark.parametrize(
+    ("asked", "comes"), [(0.0, 0.0), (0.5, 13.0), (10.0, 13.0), (20.0, 21.2), (50.0, 53.0), (100.0, 100.0)]
+)
 def test_brake_pressure_is_6_percent_over_the_request_and_13_at_least(asked: float, comes: float) -> None:
     car = Car(car_model("2026"))
     drive(car, replace(COAST, front_brake_pct=asked, rear_brake_pct=asked), 1.0)

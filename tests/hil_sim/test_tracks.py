@@ -113,7 +113,7 @@ def test_a_circuit_is_drivable_by_rule(name: str) -> None:
     for color in (ConeColor.BLUE, ConeColor.YELLOW):
         row = np.array(cones(track, color))
         *along, over_the_gate = gaps(row)
-        assert 0.5 < min(along)
+        assert min(along) > 0.5
         assert max(along) <= 5.0  # rule: cones of a border at most 5 m apart
         assert over_the_gate <= 2 * 5.0
 
@@ -242,7 +242,7 @@ def test_a_missing_file_a_binary_file_and_an_unknown_name_get_one_clear_line(tmp
     (tmp_path / "picture.csv").write_bytes(b"\xff\xfe\x00\x89")
     with pytest.raises(TrackError, match="not a text file"):
         load_track(tmp_path / "picture.csv")
-    with pytest.raises(TrackError, match="silverstone: no such track; built in are .*skidpad"):
+    with pytest.raises(TrackError, match=r"silverstone: no such track; built in are .*skidpad"):
         load_track("silverstone")
 
 
