@@ -333,11 +333,12 @@ class VehicleState:
         """The state after `image` has been received."""
         if isinstance(image, VcuStatus):
             return replace(self, status=image, handshake=image.handshake)
-        changed: dict[str, Any] = {_FIELD_OF[type(image)]: image}
+        changed: dict[str, Any] = {VEHICLE_FIELD_OF[type(image)]: image}
         return replace(self, **changed)
 
 
-_FIELD_OF: dict[type, str] = {
+VEHICLE_FIELD_OF: dict[type, str] = {
+    VcuStatus: "status",
     VcuDriveFront: "drive_front",
     VcuDriveRear: "drive_rear",
     VcuSteer: "steer",
@@ -471,6 +472,33 @@ class MagneticField:
 
 
 @dataclass(frozen=True, slots=True)
+class DeviceIo:
+    """0x630 IO: the device's own inputs and outputs."""
+
+    input_1: bool = False
+    input_2: bool = False
+    output: bool = False
+    sd_card: bool = False
+    gps_power: bool = False
+    device_id: int = 0
+    t_rx_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceClock:
+    """0x640 RTC_DateTime: the device's own clock, with the full year."""
+
+    second: int = 0
+    minute: int = 0
+    hour: int = 0
+    day_of_week: int = 0  # 0 Monday
+    day: int = 0
+    month: int = 0
+    year: int = 0
+    t_rx_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class LogDynamics2:
     """0x501 AI2LOG_Dynamics2: sent by the PCAN-GPS, or by the AI computer on a car without one."""
 
@@ -493,6 +521,8 @@ GpsImage = (
     | GpsDilutionB
     | GpsDateTime
     | MagneticField
+    | DeviceIo
+    | DeviceClock
     | LogDynamics2
 )
 
@@ -513,15 +543,17 @@ class GpsImu:
     dilution_b: GpsDilutionB | None = None
     date_time: GpsDateTime | None = None
     magnetic_field: MagneticField | None = None
+    io: DeviceIo | None = None
+    clock: DeviceClock | None = None
     dynamics: LogDynamics2 | None = None
 
     def with_image(self, image: GpsImage) -> GpsImu:
         """The state after `image` has been received."""
-        changed: dict[str, Any] = {_GPS_FIELD_OF[type(image)]: image}
+        changed: dict[str, Any] = {GPS_FIELD_OF[type(image)]: image}
         return replace(self, **changed)
 
 
-_GPS_FIELD_OF: dict[type, str] = {
+GPS_FIELD_OF: dict[type, str] = {
     Acceleration: "acceleration",
     RotationA: "rotation_a",
     RotationB: "rotation_b",
@@ -534,6 +566,8 @@ _GPS_FIELD_OF: dict[type, str] = {
     GpsDilutionB: "dilution_b",
     GpsDateTime: "date_time",
     MagneticField: "magnetic_field",
+    DeviceIo: "io",
+    DeviceClock: "clock",
     LogDynamics2: "dynamics",
 }
 

@@ -30,6 +30,8 @@ from fsai_vcu.interface.images import (
     AiImage,
     AiStatus,
     AiSteer,
+    DeviceClock,
+    DeviceIo,
     GpsAltitude,
     GpsCourseSpeed,
     GpsDateTime,
@@ -391,6 +393,31 @@ _SENSOR_ROWS = (
         "BMC_MagneticField",
         MagneticField,
         (_real("x_ut", "MagneticField_X"), _real("y_ut", "MagneticField_Y"), _real("z_ut", "MagneticField_Z")),
+    ),
+    Row(
+        "IO",
+        DeviceIo,
+        (
+            _flag("input_1", "Din1_Status"),
+            _flag("input_2", "Din2_Status"),
+            _flag("output", "Dout_Status"),
+            _flag("sd_card", "SD_Present"),
+            _flag("gps_power", "GPS_PowerStatus"),
+            _whole("device_id", "Device_ID"),
+        ),
+    ),
+    Row(
+        "RTC_DateTime",
+        DeviceClock,
+        (
+            _whole("second", "RTC_Sec"),
+            _whole("minute", "RTC_Min"),
+            _whole("hour", "RTC_Hour"),
+            _whole("day_of_week", "RTC_DayOfWeek"),
+            _whole("day", "RTC_DayOfMonth"),
+            _whole("month", "RTC_Month"),
+            _whole("year", "RTC_Year"),
+        ),
     ),
 )
 

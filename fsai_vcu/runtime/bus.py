@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
+import socket
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,6 +20,7 @@ import can
 from fsai_vcu.interface.frames import Frame
 
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN, None}
+_SEND_BUFFER_BYTES = 8192  # doubled by the kernel, and full for a poll at half of that: about ten frames of 768 bytes
 _ERROR_BUS_OFF = 0x040  # linux/can/error.h: CAN_ERR_BUSOFF, a bit of an error frame's id
 
 
@@ -121,7 +124,15 @@ def open_bus(
     except (can.CanError, OSError, ValueError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise BusError(f"cannot open CAN interface '{spec}': {reason}") from error
+    if kind == "socketcan":
+        _bound_queue(bus)
     return CanBus(bus, spec, may_send)
+
+
+def _bound_queue(bus: can.BusABC) -> None:
+    """Let at most some ten of our frames wait in the kernel: 20 ms of commands, never seconds of stale ones."""
+    with socket.socket(fileno=os.dup(bus.fileno())) as ours:
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
 
 
 def _check_interface(channel: str) -> None:

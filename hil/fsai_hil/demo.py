@@ -96,8 +96,7 @@ class Demo:
             try:
                 operator.await_bridge(START_TIMEOUT_S)
                 vcu = stack.start_verb("vcu", *self._vcu_arguments())
-                _, answer = operator.set_mode("autonomous")
-                _say(f"set_mode autonomous: {answer}")
+                _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say)}")
                 result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, Screen().show, *NODES)
                 _say(f"run_mission: {result.message}")
             finally:

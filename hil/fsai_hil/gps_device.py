@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 from fsai_hil.profiles import MS, S
 from fsai_vcu.interface.images import (
     Acceleration,
+    DeviceClock,
+    DeviceIo,
     GpsAltitude,
     GpsCourseSpeed,
     GpsDateTime,
@@ -87,6 +89,8 @@ class PcanGps:
             RotationA(),  # a flat track and a stiff car: neither rolls nor pitches
             MagneticField(FIELD_NORTH_UT * math.cos(heading), FIELD_NORTH_UT * math.sin(heading), -FIELD_DOWN_UT),
             GpsDateTime(utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
+            DeviceIo(gps_power=True),
+            DeviceClock(utc.second, utc.minute, utc.hour, utc.weekday(), utc.day, utc.month, utc.year),
         )
         located: tuple[GpsImage, ...]
         if now_ns - self._powered_ns < FIRST_FIX_NS:
@@ -166,4 +170,6 @@ GPS_IMAGES: Final[tuple[type[GpsImage], ...]] = (
     GpsDilutionB,
     GpsDateTime,
     MagneticField,
+    DeviceIo,
+    DeviceClock,
 )

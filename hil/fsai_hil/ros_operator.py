@@ -92,6 +92,24 @@ class RosOperator:
         answer = self._await(self._set_mode.call_async(self._types[1].Request(mode=mode)), "/set_mode answers")
         return answer.success, answer.message
 
+    def become_autonomous(self, timeout_s: float, refused: Callable[[str], None] | None = None) -> str:
+        """Ask for autonomous until the bridge accepts it (it does in AS_INIT, AS_OFF and AS_READY); its answer.
+
+        `refused` hears each new reason for which it does not.
+        """
+        until = time.monotonic() + timeout_s
+        reason = ""
+        while True:
+            accepted, message = self.set_mode("autonomous")
+            if accepted:
+                return message
+            if message != reason and refused is not None:
+                refused(message)
+            reason = message
+            if time.monotonic() > until:
+                raise StackError(f"autonomous was not accepted for {timeout_s:g} s: {message}; {self.describe()}")
+            self.spin()
+
     def emergency_brake(self) -> tuple[bool, str]:
         return self._trigger("/emergency_brake")
 

@@ -27,6 +27,8 @@ from fsai_vcu.interface.images import (
     AiDriveRear,
     AiStatus,
     AiSteer,
+    DeviceClock,
+    DeviceIo,
     Faults,
     GpsAltitude,
     GpsCourseSpeed,
@@ -151,6 +153,8 @@ IN_BOTH: list[tuple[Image, str]] = [
     (GpsDilutionB(1.5), "626#0000C03F"),
     (GpsDateTime(26, 6, 15, 12, 30, 59), "627#1A060F0C1E3B"),
     (MagneticField(0.3, -0.3, 9830.1), "628#0100FFFFFF7F"),
+    (DeviceIo(True, False, True, False, True, 5), "630#B5"),
+    (DeviceClock(59, 30, 12, 0, 15, 6, 2026), "640#3B1E0C000F06EA07"),
 ]
 
 

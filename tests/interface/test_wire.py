@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from fsai_hil.wire import LogError, WireChecker, WireReport, check_candump, read_candump
 
+from fsai_hil.wire import LogError, WireChecker, WireReport, check_candump, read_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
