@@ -24,11 +24,10 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.runtime.recording import CandumpWriter
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a stopped service closes its log as Ctrl-C does
-    offset_ns = time.time_ns() - time.monotonic_ns()
     name = args.interface.partition(":")[2] or args.interface
     try:
         bus = open_bus(args.interface)
-        writer = CandumpWriter(args.output, name, offset_ns=offset_ns)
+        writer = CandumpWriter(args.output, name)
     except BusError as error:
         raise UserError(str(error)) from error
     except OSError as error:
@@ -37,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
     with bus, writer:
         try:
             while until_ns is None or time.monotonic_ns() < until_ns:
-                frame = bus.recv(_WAIT_S)
-                if frame is not None:
-                    writer.write(frame)
+                heard = bus.recv_stamped(_WAIT_S)
+                if heard is not None:
+                    writer.write(*heard)
         except KeyboardInterrupt:
             pass
         except BusLost as error:

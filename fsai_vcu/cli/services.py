@@ -10,6 +10,7 @@ from typing import Any
 from fsai_vcu.cli.main import UserError
 
 WAIT_S = 10.0
+ASK_AGAIN_S = 1.0
 _NO_ROS = (
     "ROS 2 is not in this Python environment ({missing}): source the distribution's setup file, "
     "or install it with: pip install 'fsai-vcu[ros]' and build the messages with nodes/build-messages"
@@ -40,11 +41,16 @@ def call(node: Any, service_type: Any, name: str, request: Any, timeout_s: float
     client = node.create_client(service_type, name)
     if not client.wait_for_service(timeout_sec=timeout_s):
         raise UserError(f"no bridge offers {name} (waited {timeout_s:g} s); is vcu_bridge running, on this ROS_DOMAIN_ID?")
-    future = client.call_async(request)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=timeout_s)
-    if not future.done():
-        raise UserError(f"the bridge did not answer {name} within {timeout_s:g} s")
-    return future.result()
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        # The answer to a first request is lost when the server has not yet discovered its client: ask again. Every
+        # request of the operator may be repeated without harm.
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=ASK_AGAIN_S)
+        if future.done():
+            return future.result()
+        client.remove_pending_request(future)
+    raise UserError(f"the bridge did not answer {name} within {timeout_s:g} s")
 
 
 def vehicle_state(node: Any, timeout_s: float = WAIT_S) -> Any:

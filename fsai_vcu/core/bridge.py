@@ -36,38 +36,19 @@ from fsai_vcu.core.supervision.plausibility import (
 )
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.core.supervision.supervisor import Asked, Decision, Inputs, Mode, SupervisorState
+from fsai_vcu.core.supervision.supervisor import Asked, Decision, Inputs, SupervisorState
 from fsai_vcu.core.vehicle.odometry import Odometry
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
-    Acceleration,
+    GPS_FIELD_OF,
+    VEHICLE_FIELD_OF,
     AiCommand,
-    GpsAltitude,
-    GpsCourseSpeed,
-    GpsDateTime,
-    GpsDilutionA,
-    GpsDilutionB,
     GpsImu,
-    GpsLatitude,
-    GpsLongitude,
-    GpsStatus,
-    LogDynamics1,
-    LogDynamics2,
-    LogStatus,
-    MagneticField,
-    RotationA,
-    RotationB,
-    VcuBrake,
-    VcuDriveFront,
-    VcuDriveRear,
     VcuStatus,
-    VcuSteer,
-    VcuSystemStatus,
     VehicleState,
-    WheelCounts,
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS
@@ -77,33 +58,6 @@ __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "official_simulator"]
 
 STATUS_ID = 0x520  # VCU2AI_Status
 
-_VEHICLE_FIELD: dict[type, str] = {
-    VcuStatus: "status",
-    VcuDriveFront: "drive_front",
-    VcuDriveRear: "drive_rear",
-    VcuSteer: "steer",
-    VcuBrake: "brake",
-    WheelSpeeds: "speeds",
-    WheelCounts: "counts",
-    LogDynamics1: "log_dynamics",
-    LogStatus: "log_status",
-    VcuSystemStatus: "system",
-}
-_GPS_FIELD: dict[type, str] = {
-    Acceleration: "acceleration",
-    RotationA: "rotation_a",
-    RotationB: "rotation_b",
-    GpsStatus: "status",
-    GpsCourseSpeed: "course_speed",
-    GpsLongitude: "longitude",
-    GpsLatitude: "latitude",
-    GpsAltitude: "altitude",
-    GpsDilutionA: "dilution_a",
-    GpsDilutionB: "dilution_b",
-    GpsDateTime: "date_time",
-    MagneticField: "magnetic_field",
-    LogDynamics2: "dynamics",
-}
 _AGES = ("status", "drive_front", "drive_rear", "steer", "brake", "speeds", "counts", "log_dynamics", "log_status")
 
 _PROBLEMS_KEPT = 100  # distinct texts: a fuzzed bus must not fill the memory
@@ -213,14 +167,12 @@ class Bridge:
             self._on_status(image)
         elif type(image) is WheelSpeeds:
             self._state = supervisor.on_speeds(self._config, self._state, image)
-        field = _VEHICLE_FIELD.get(type(image))
+        field = VEHICLE_FIELD_OF.get(type(image))
         if field is not None:
             self._images[field] = image
             self._vehicle = None
-            return
-        field = _GPS_FIELD.get(type(image))
-        if field is not None:
-            self._gps_images[field] = image
+        else:
+            self._gps_images[GPS_FIELD_OF[type(image)]] = image
             self._gps = None
 
     def _on_status(self, status: VcuStatus) -> None:
@@ -233,7 +185,6 @@ class Bridge:
         if before.driving and state.as_state in supervisor.IDLE_STATES:
             self._note(Reason.VCU_REBOOT, f"AS_DRIVING to {status.as_state.label}")
         if state.run_id != before.run_id:
-            self._command = None
             self._odometry.reset(status.t_rx_ns)
             self._motion = self._odometry.motion
 
@@ -373,9 +324,7 @@ class Bridge:
             return None
 
         command = self._command
-        if command is not None and (
-            now_ns - self._command_ns >= config.command_stale_ns or self._state.mode is Mode.MANUAL
-        ):
+        if now_ns - self._command_ns >= config.command_stale_ns:
             command = None
         self._gate, asked, reasons = gate(
             self._gate_config, self._gate, decision, command, vehicle, now_ns, self._motion.speed_mps

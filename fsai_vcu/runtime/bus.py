@@ -73,6 +73,11 @@ class CanBus:
 
     def recv(self, timeout_s: float) -> Frame | None:
         """The next frame, or None after `timeout_s`. Raises BusLost, on a bus-off error frame too."""
+        heard = self.recv_stamped(timeout_s)
+        return None if heard is None else heard[0]
+
+    def recv_stamped(self, timeout_s: float) -> tuple[Frame, int] | None:
+        """As `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs."""
         try:
             message = self._bus.recv(timeout_s)
         except (can.CanError, OSError) as error:
@@ -81,7 +86,7 @@ class CanBus:
             return None
         if message.is_error_frame and message.arbitration_id & _ERROR_BUS_OFF:
             raise BusLost(f"{self.spec}: bus-off")
-        return Frame(
+        frame = Frame(
             message.arbitration_id,
             bytes(message.data),
             time.monotonic_ns(),
@@ -89,6 +94,7 @@ class CanBus:
             message.is_remote_frame,
             message.is_error_frame,
         )
+        return frame, int(message.timestamp * 1e6) * 1000
 
     def fileno(self) -> int:
         return self._bus.fileno()

@@ -18,8 +18,19 @@ _STATUS_ID = 0x520  # VCU2AI_Status, which carries the handshake
 class Engine:
     """Paces a Bridge: answers each 0x520 with the five frames, and keeps its own clock when there is none."""
 
-    def __init__(self, bridge: Bridge, codec: Codec, send: Callable[[Frame], bool], now_ns: int) -> None:
-        """`send` returns False when the frame was dropped (a full transmit queue)."""
+    def __init__(
+        self,
+        bridge: Bridge,
+        codec: Codec,
+        send: Callable[[Frame], bool],
+        now_ns: int,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        """`send` returns False when the frame was dropped (a full transmit queue).
+
+        `clock` tells when a frame really left; without one it leaves at the instant of the poll.
+        """
+        self._clock = clock
         self._bridge = bridge
         self._codec = codec
         self._send = send
@@ -42,14 +53,17 @@ class Engine:
         if now_ns < self._pacing.due_ns():
             return False
         command = self._bridge.cycle(now_ns)
+        left_ns = now_ns
         if command is not None:
-            complete = True
-            for frame in self._codec.encode_command(command):
-                if not self._send(frame):
-                    complete = False
-                    break  # the rest of a broken cycle would be a mixture of two commands
+            status, *others = self._codec.encode_command(command)
+            complete = self._send(status)
+            if self._clock is not None:
+                # The next cycle keeps its distance from the frame, not from the wish to send it.
+                left_ns = self._clock()
+            # The rest of a broken cycle would be a mixture of two commands.
+            complete = complete and all(self._send(frame) for frame in others)
             self._bridge.on_sent(complete, now_ns)
             self.cycles += 1
             self.incomplete_cycles += not complete
-        self._pacing.on_sent(now_ns)
+        self._pacing.on_sent(left_ns)
         return True

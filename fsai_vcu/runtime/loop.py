@@ -62,7 +62,7 @@ class BridgeLoop:
         self._command: VehicleCommand | None = None
         self._requests: queue.SimpleQueue[tuple[Callable[[int], object], Future[object]]] = queue.SimpleQueue()
         self._stop_requested = threading.Event()
-        self._engine = Engine(bridge, codec, self._send, time.monotonic_ns())
+        self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
         self._report = bridge.report(time.monotonic_ns())
         self._thread = threading.Thread(target=self._run, name="can-loop", daemon=True)
         self._notifier = Notifier()
@@ -146,7 +146,7 @@ class BridgeLoop:
         gc.collect()
         gc.freeze()
         gc.disable()
-        self._engine = Engine(self._bridge, self._codec, self._send, time.monotonic_ns())
+        self._engine = Engine(self._bridge, self._codec, self._send, time.monotonic_ns(), time.monotonic_ns)
         self._notifier.send("READY=1")
         try:
             self._turns()
@@ -240,7 +240,7 @@ class BridgeLoop:
             raise _Stopped
         now_ns = time.monotonic_ns()
         self.reopened += 1
-        self._engine = Engine(self._bridge, self._codec, self._send, now_ns)
+        self._engine = Engine(self._bridge, self._codec, self._send, now_ns, time.monotonic_ns)
         self._bridge.bus_back(now_ns)
         logger.warning("bus back: %s", self._spec)
 

@@ -34,8 +34,10 @@ class CandumpWriter:
         self._flush_every = flush_every
         self.frames = 0
 
-    def write(self, frame: Frame) -> None:
-        self._file.write(candump_line(frame, self._interface, frame.t_ns + self._offset_ns) + "\n")
+    def write(self, frame: Frame, stamp_ns: int | None = None) -> None:
+        """One line; `stamp_ns` is the bus's own wall-clock stamp, where it has one."""
+        time_ns = frame.t_ns + self._offset_ns if stamp_ns is None else stamp_ns
+        self._file.write(candump_line(frame, self._interface, time_ns) + "\n")
         self.frames += 1
         if self.frames % self._flush_every == 0:
             self._file.flush()

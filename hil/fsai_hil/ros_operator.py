@@ -9,7 +9,8 @@ from typing import Any
 
 from fsai_hil.stack import Stack, StackError
 
-ANSWER_TIMEOUT_S = 10.0
+ANSWER_TIMEOUT_S = 20.0
+ASK_AGAIN_S = 1.0
 _SPIN_S = 0.1
 
 
@@ -89,8 +90,7 @@ class RosOperator:
     # ------------------------------------------------------------ asking
 
     def set_mode(self, mode: str) -> tuple[bool, str]:
-        answer = self._await(self._set_mode.call_async(self._types[1].Request(mode=mode)), "/set_mode answers")
-        return answer.success, answer.message
+        return self._call(self._set_mode, self._types[1].Request(mode=mode))
 
     def become_autonomous(self, timeout_s: float, refused: Callable[[str], None] | None = None) -> str:
         """Ask for autonomous until the bridge accepts it (it does in AS_INIT, AS_OFF and AS_READY); its answer.
@@ -117,8 +117,25 @@ class RosOperator:
         return self._trigger("/reset")
 
     def _trigger(self, service: str) -> tuple[bool, str]:
-        answer = self._await(self._triggers[service].call_async(self._types[2].Request()), f"{service} answers")
-        return answer.success, answer.message
+        return self._call(self._triggers[service], self._types[2].Request())
+
+    def _call(self, client: Any, request: Any) -> tuple[bool, str]:
+        """Ask until there is an answer: the first one is lost when the server has not yet discovered its client's ear.
+
+        Every request of the operator may be repeated without harm.
+        """
+        until = time.monotonic() + ANSWER_TIMEOUT_S
+        while True:
+            future = client.call_async(request)
+            again = time.monotonic() + ASK_AGAIN_S
+            while not future.done() and time.monotonic() < again:
+                self.spin()
+            if future.done():
+                answer = future.result()
+                return answer.success, answer.message
+            client.remove_pending_request(future)
+            if time.monotonic() > until:
+                raise StackError(f"{client.srv_name} did not answer for {ANSWER_TIMEOUT_S:g} s; {self.describe()}")
 
     def run_mission(
         self, mission: str, until: str, timeout_s: float, feedback: Callable[[Any], None] | None = None, *alive: str

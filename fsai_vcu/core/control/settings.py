@@ -21,11 +21,11 @@ class ControllerSettings:
     braking_max_mps2: float = 6.0
     end_of_path_mps: float = 4.0  # with what lies behind the path's end unknown
 
-    lookahead_m: float = 1.4  # of pure pursuit at rest …
-    lookahead_s: float = 0.32  # … and with speed
-    lookahead_min_m: float = 2.0
+    lookahead_m: float = 1.0  # of pure pursuit at rest …
+    lookahead_s: float = 0.25  # … and with speed
+    lookahead_min_m: float = 1.7
     lookahead_max_m: float = 6.0
-    delay_s: float = 0.09  # from a command to the wheels: dead time, bus and half of the actuator's lag
+    delay_s: float = 0.11  # from a command to the wheels: dead time, bus and half of the actuator's lag
     reaction_s: float = 0.2  # of the brakes
 
     speed_gain_1ps: float = 2.0  # acceleration per speed error

@@ -19,6 +19,7 @@ OFFSET_SIGMA_M = 0.15  # how far the line may move at the car from one observati
 SLOPE_SIGMA = 0.02
 WIDTH_SIGMA_M = 0.5
 GATE_M = 0.9
+IN_THE_WAY_M = 0.9  # a cone nearer to the lane's middle closes it
 FINISH_GATE_M = 8.0  # big orange cones count as the finish within this distance from where it is expected
 
 
@@ -86,6 +87,16 @@ def advance_acceleration(
         if (of_finish & (lateral > 0)).any() and (of_finish & (lateral < 0)).any() and along < state.finish_m:
             state = replace(state, finish_m=float(gate[of_finish, 0].mean()))
     return state
+
+
+def closed_at(state: AccelerationState, cones_m: Floats) -> float | None:
+    """Where along the line cones close the lane behind the finish, or None: there is an end to every exit lane."""
+    if not len(cones_m):
+        return None
+    points = _in_lane_frame(state, cones_m)
+    lateral = np.abs(points[:, 1] - (state.offset_m + state.slope * points[:, 0]))
+    wall = points[(lateral < IN_THE_WAY_M) & (points[:, 0] > state.finish_m) & (points[:, 0] > state.along_m), 0]
+    return float(wall.min()) if len(wall) else None
 
 
 def line_ahead(state: AccelerationState, length_m: float, step_m: float) -> Floats:

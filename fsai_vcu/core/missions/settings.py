@@ -14,13 +14,15 @@ class MissionSettings:
     lap_staging_m: float = 6.0
     autocross_laps: int = 1
     trackdrive_laps: int = 10
-    lap_stop_m: float = 12.0  # stand this far behind the line; the rules allow 30 m
+    lap_stop_m: float = 12.0  # stand this far behind the line, further when faster …
+    lap_stop_max_m: float = 25.0  # … but no further; the rules allow 30 m
     lap_min_m: float = 20.0  # no two passages of the line nearer to each other than this way
 
     # Acceleration
     acceleration_staging_m: float = 0.30
     acceleration_length_m: float = 75.0
-    acceleration_stop_m: float = 60.0  # the rules allow 100 m
+    acceleration_stop_m: float = 15.0  # stand this far behind the finish, further when faster …
+    acceleration_stop_max_m: float = 90.0  # … but no further; the rules allow 100 m
 
     # Skidpad
     skidpad_staging_m: float = 15.0

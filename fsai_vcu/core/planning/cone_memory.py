@@ -149,5 +149,5 @@ class ConeMemory:
         return Cones(here[index], color.astype(np.int64), side, index)
 
     def vote(self, index: Ints, side: Floats) -> None:
-        """The lane has these cones on its left (+1) or right (-1)."""
+        """The lane has these cones on its left (+1) or right (-1), surely or less so."""
         self._side[index] = np.clip(self._side[index] + side, -6.0, 6.0)

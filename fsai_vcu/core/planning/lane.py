@@ -28,9 +28,8 @@ COST_WRONG_SIDE = 1.5
 COST_CROSSING = 2.0  # a border cone that was left is right further on: the chain has gone out through the border
 COST_BENDING = 0.8  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.25
-COST_BARE = 1.2  # of an arc in sight without a border, after another such one
 
-VOTE_M = 11.0  # how far ahead cones are told to be left or right, for the next time
+VOTE_M = 12.0  # how far ahead cones are told to be left or right, for the next time; the nearer the surer
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 
@@ -38,35 +37,40 @@ BACKWARD_M = 4.0  # how far behind the car the borders are used
 @dataclass(frozen=True, slots=True)
 class Lane:
     """The lane ahead. path_m: (M, 2) vehicle frame, from beside the car forward, empty when no lane was found;
-    left, right: places in the memory of the cones that make its borders near the car; half_width_m: estimate."""
+    side: (N,) for each cone given, +1 surely on its left … -1 surely on its right, 0 neither;
+    half_width_m: estimate."""
 
     path_m: Floats
-    left: Ints
-    right: Ints
+    side: Floats
     half_width_m: float
 
 
-def find_lane(cones: Cones, curvature_1pm: float, half_width_m: float, settings: PlannerSettings) -> Lane:
-    """The lane through `cones` from a car at the origin that looks along x and drives with `curvature_1pm` now."""
-    none = np.zeros(0, dtype=np.int64)
+def find_lane(
+    cones: Cones, curvature_1pm: float, half_width_m: float, nose_m: float, settings: PlannerSettings
+) -> Lane:
+    """The lane through `cones` from a car at the origin that looks along x and drives with `curvature_1pm` now.
+
+    `nose_m`: from the car's rear axle, which follows the path, to its nose.
+    """
+    none = Lane(NO_PATH, np.zeros(len(cones.xy_m)), half_width_m)
     if len(cones.xy_m) < 2:
-        return Lane(NO_PATH, none, none, half_width_m)
+        return none
     line = _with_backward(_search(cones.xy_m, cones.side, settings), curvature_1pm, settings)
     half_width = half_width_m
     for _ in range(2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
         if end_m <= 0.0:
-            return Lane(NO_PATH, none, none, half_width_m)
+            return none
+    line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
     start = int(np.argmin(np.hypot(line[:, 0], line[:, 1])))
     ahead = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
     if len(ahead) < 3:
-        return Lane(NO_PATH, none, none, half_width_m)
-    near = (along > -2.0) & (along < VOTE_M)
+        return none
+    vote = np.where((along > -2.0) & (along < VOTE_M), sides * np.clip(1.2 - along / VOTE_M, 0.2, 1.0), 0.0)
     return Lane(
         resampled(ahead, settings.path_step_m),
-        cones.index[near & (sides > 0)],
-        cones.index[near & (sides < 0)],
+        vote,
         half_width,
     )
 
@@ -82,8 +86,7 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
     bends = np.array([-1.0, -0.62, -0.34, -0.14, 0.0, 0.14, 0.34, 0.62, 1.0]) * settings.curvature_max_1pm
     n_bends, n_cones = len(bends), len(xy)
 
-    x, y, heading, bend, cost, empty = (np.zeros(1) for _ in range(6))
-    sight_m = 0.9 * float(np.hypot(xy[:, 0], xy[:, 1])[xy[:, 0] > 0.0].max(initial=0.0))
+    x, y, heading, bend, cost = (np.zeros(1) for _ in range(5))
     counted = np.zeros((1, n_cones))  # the side on which a chain has counted a cone, 0: not yet
     history: list[tuple[Ints, Floats, Floats, Floats, Floats]] = []  # parent, start x, start y, start heading, bend
 
@@ -124,14 +127,10 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
             + COST_CROSSING * crossed
             - reward * as_border * (was == 0.0)
         )
-        # Within sight a lane has borders: every arc after another one without any cone is suspicious.
-        bare = np.where((beside & (as_border > 0.3)).any(axis=1), 0.0, empty[parent] + 1.0)
-        in_sight = (end_x * end_x + end_y * end_y < sight_m * sight_m) & (end_x > 0.0)
         jerk = np.abs(b - bend[parent]) / settings.curvature_max_1pm
         new_cost = (
             cost[parent]
             + (gain * beside).sum(axis=1)
-            + COST_BARE * ((bare > 1.0) & in_sight)
             + COST_BENDING * jerk * jerk * 0.5
             + COST_CURVATURE * (b / settings.curvature_max_1pm) ** 2
         )
@@ -150,7 +149,6 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
         fresh = beside[kept] & (as_border[kept] > 0.3) & (was[kept] == 0.0)
         counted = np.where(fresh, sign[kept], was[kept])
         x, y, heading, bend, cost = end_x[kept], end_y[kept], end_heading[kept], b[kept], new_cost[kept]
-        empty = bare[kept]
         x, y = _drawn_to_middle(x, y, heading, bend, xy, side)
 
     pieces: list[Floats] = []
@@ -200,6 +198,21 @@ def _smoothed(line: Floats, settings: PlannerSettings) -> Floats:
     after = line[-1] + steps[::-1] * (line[-1] - line[-2])
     padded = np.concatenate((before, line, after))
     return np.column_stack([np.convolve(padded[:, axis], bell, mode="valid") for axis in (0, 1)])
+
+
+def _swept(line: Floats, nose_m: float, settings: PlannerSettings) -> Floats:
+    """The line moved inward in bends, so that the car as a whole is in the middle when its rear axle follows the line.
+
+    The nose's outer corner swings out by nose² / 2R more than the rear wheels' inner side cuts in: half of that.
+    """
+    cos, sin = headings_along(line)
+    heading = np.unwrap(np.arctan2(sin, cos))
+    span = max(1, round(1.0 / settings.path_step_m))
+    curvature = np.zeros(len(line))
+    curvature[span:-span] = (heading[2 * span :] - heading[: -2 * span]) / (2.0 * span * settings.path_step_m)
+    curvature = np.clip(curvature, -settings.curvature_max_1pm, settings.curvature_max_1pm)
+    inward = 0.25 * nose_m * nose_m * curvature
+    return np.column_stack((line[:, 0] - inward * sin, line[:, 1] + inward * cos))
 
 
 def _centred(

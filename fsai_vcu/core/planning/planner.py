@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Floats, Motion, Plan, Run
-from fsai_vcu.core.missions.acceleration import advance_acceleration, line_ahead, staged_before
+from fsai_vcu.core.missions.acceleration import advance_acceleration, closed_at, line_ahead, staged_before
 from fsai_vcu.core.missions.laps import advance_laps, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.skidpad import (
@@ -35,6 +35,12 @@ Course = tuple[Floats, int, bool, float | None]
 """Path (vehicle frame), laps completed, finished, way left to the stopping place."""
 
 
+GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
+LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
+ACCELERATION_BRAKING_MPS2 = 4.5
+BRAKING_DELAY_S = 0.3
+
+
 class Strategy(Protocol):
     """How one family of missions finds its way."""
 
@@ -52,7 +58,8 @@ class LaneStrategy:
         self._settings = settings
         self._missions = missions
         self._laps = laps
-        self._line_ahead_m = car.nose_ahead_of_rear_axle_m + missions.lap_staging_m
+        self._nose_m = car.nose_ahead_of_rear_axle_m
+        self._line_ahead_m = self._nose_m + missions.lap_staging_m
         self.anchor(Motion())
 
     def anchor(self, motion: Motion) -> None:
@@ -66,12 +73,11 @@ class LaneStrategy:
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         cones = memory.around(motion)
         curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
-        lane = find_lane(cones, curvature, self._half_width_m, self._settings)
+        lane = find_lane(cones, curvature, self._half_width_m, self._nose_m, self._settings)
         path = lane.path_m
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
-            memory.vote(lane.left, np.ones(len(lane.left)))
-            memory.vote(lane.right, -np.ones(len(lane.right)))
+            memory.vote(cones.index, lane.side)
             self._kept, self._kept_t_ns = to_odometry(motion, path), motion.t_ns
         else:
             path = self._kept_path(motion)
@@ -92,7 +98,7 @@ class LaneStrategy:
     def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
         gate = cones.xy_m[cones.color == ConeColor.BIG_ORANGE]
         if len(gate) >= 2 and len(path) >= 3:
-            middle = _gate_middle(gate, path)
+            middle = _gate_middle(gate, path, self._half_width_m)
             if middle is not None:
                 at = to_odometry(motion, middle[0][None, :])[0]
                 self._state = gate_seen(
@@ -107,11 +113,15 @@ class LaneStrategy:
         if self._finished_at_m is None and self._state.laps >= self._laps:
             self._finished_at_m = motion.distance_m
             # Comfortable from any speed, within what the rules allow.
-            self._stop_m = min(max(self._missions.lap_stop_m, motion.speed_mps**2 / (2.0 * 3.0)), 25.0)
+            needed = _braking_m(motion.speed_mps, LAP_BRAKING_MPS2)
+            self._stop_m = min(max(self._missions.lap_stop_m, needed), self._missions.lap_stop_max_m)
 
 
-def _gate_middle(gate_xy_m: Floats, path_m: Floats) -> tuple[Floats, float] | None:
-    """Middle (vehicle frame) and direction of the nearest gate across the path, or None."""
+def _gate_middle(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:
+    """Middle (vehicle frame) and direction of the nearest gate across the path, or None.
+
+    Cones further off than the lane's border are not of this lane: another one may pass on the border's far side.
+    """
     cos, sin = headings_along(path_m)
     along = lengths_along(path_m)
     dx, dy = gate_xy_m[:, None, 0] - path_m[None, :, 0], gate_xy_m[:, None, 1] - path_m[None, :, 1]
@@ -121,7 +131,8 @@ def _gate_middle(gate_xy_m: Floats, path_m: Floats) -> tuple[Floats, float] | No
     ahead = dx * cos[nearest] + dy * sin[nearest]
     lateral = dy * cos[nearest] - dx * sin[nearest]
     station = along[nearest] + ahead
-    good = (np.abs(ahead) < 3.0) & (np.abs(lateral) < 4.5) & (np.abs(lateral) > 0.6) & (along[nearest] < 15.0)
+    of_lane = (np.abs(lateral) < half_width_m + GATE_WIDER_M) & (np.abs(lateral) > 0.6)
+    good = of_lane & (np.abs(ahead) < 3.0) & (along[nearest] < 15.0)
     if not good.any():
         return None
     first = float(station[good].min())
@@ -137,6 +148,11 @@ def _gate_middle(gate_xy_m: Floats, path_m: Floats) -> tuple[Floats, float] | No
     return middle, math.atan2(float(sin[index]), float(cos[index]))
 
 
+def _braking_m(speed_mps: float, deceleration_mps2: float) -> float:
+    """Way in which the car comes to rest."""
+    return speed_mps * BRAKING_DELAY_S + speed_mps**2 / (2.0 * deceleration_mps2)
+
+
 class AccelerationStrategy:
     """Straight on to the finish."""
 
@@ -148,13 +164,25 @@ class AccelerationStrategy:
 
     def anchor(self, motion: Motion) -> None:
         self._state = staged_before(motion, self._missions, self._car.nose_ahead_of_rear_axle_m)
+        self._stop_m: float | None = None
 
     def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
         cones = memory.around(motion)
         xy = to_odometry(motion, cones.xy_m)
         self._state = advance_acceleration(self._state, motion, xy, xy[cones.color == ConeColor.BIG_ORANGE])
-        left = self._state.finish_m + self._missions.acceleration_stop_m - self._state.along_m
-        finished = self._state.along_m >= self._state.finish_m
+        state = self._state
+        finished = state.along_m >= state.finish_m
+        stop_m = self._missions.acceleration_stop_max_m  # until the finish only the rules' limit counts
+        if finished and self._stop_m is None:  # the speed at the finish decides where to stop
+            needed = _braking_m(motion.speed_mps, ACCELERATION_BRAKING_MPS2)
+            missions = self._missions
+            self._stop_m = min(max(missions.acceleration_stop_m, needed), missions.acceleration_stop_max_m)
+        if self._stop_m is not None:
+            stop_m = self._stop_m
+        left = state.finish_m + stop_m - state.along_m
+        wall = closed_at(state, xy)
+        if wall is not None:
+            left = min(left, wall - state.along_m - self._car.nose_ahead_of_rear_axle_m - 1.0)
         path = to_vehicle(motion, line_ahead(self._state, self.HORIZON_M, self._settings.path_step_m))
         return path, int(finished), finished, max(0.0, left)
 

@@ -53,6 +53,7 @@ class BridgeConfig:
     send_lost_ns: int = 50 * MS  # without one complete cycle counts as bus loss
 
     # Plausibility of steering and wheels
+    steer_rate_spread: float = 0.25  # the actuator's true rate lies within this share of the car's parameter
     steer_margin_deg: float = 2.0  # beyond delay and backlash: rounding, tyres, the model's own error
     wheel_margin_rpm: float = 60.0
     wheel_margin_fraction: float = 0.30

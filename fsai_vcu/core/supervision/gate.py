@@ -93,8 +93,7 @@ class GateState:
 
     # The interlock. Before the first complete cycle the VCU may still hold what an earlier process said.
     torque_there: bool = True
-    brake_there: bool = True
-    zero_cycles: int = 0  # complete cycles with both at zero since anything was above it
+    zero_cycles: int = 0  # complete cycles with both at zero since anything above it was tried; 2 means more
     zero_since_ns: int = 0  # when the first of them was sent
     torque_running: bool = False  # torque rose properly and has not been back at zero since
     tried_torque: bool = False  # what the cycle that is out now asks for
@@ -132,7 +131,6 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
             state,
             awaiting=False,
             torque_there=state.torque_there or torque,
-            brake_there=state.brake_there or brake,
             zero_cycles=0 if torque or brake else state.zero_cycles,
         )
     zero = not torque and not brake
@@ -140,7 +138,6 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
         state,
         awaiting=False,
         torque_there=torque,
-        brake_there=brake,
         zero_cycles=min(state.zero_cycles + 1, 2) if zero else 0,
         zero_since_ns=state.zero_since_ns if zero and state.zero_cycles else now_ns,
     )
@@ -148,10 +145,8 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
 
 def _released(state: GateState, vehicle: VehicleState) -> bool:
     """Torque may rise from zero: a complete zero cycle that 0x524 has echoed, or two of them (safety rule 1)."""
-    if state.torque_there or state.brake_there or state.zero_cycles < 1:
-        return False
-    if state.zero_cycles >= 2:
-        return True
+    if state.zero_cycles != 1:
+        return state.zero_cycles > 1
     echo = vehicle.brake
     return (
         echo is not None
@@ -318,7 +313,6 @@ def gate(
             brake,
             now_ns,
             state.torque_there,
-            state.brake_there,
             state.zero_cycles,
             state.zero_since_ns,
             torque,

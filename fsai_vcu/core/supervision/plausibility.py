@@ -22,12 +22,14 @@ WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
 class SteeringCheck:
     """A model of the steering actuator, fed with the requests that were sent.
 
-    `pending` are requests (time, deg) that have not passed the dead time yet; `model_deg` follows those that have.
+    `pending` are requests (time, deg) that have not passed the dead time yet. Two actuators follow those that have, a
+    slow and a fast one: the true steering rate was never published, and between the two every angle is plausible.
     """
 
     pending: tuple[tuple[int, float], ...] = ()
     target_deg: float = 0.0
-    model_deg: float | None = None  # None: begins where the steering is measured
+    slow_deg: float | None = None  # None: begins where the steering is measured
+    fast_deg: float = 0.0
     t_ns: int = 0
     implausible_since_ns: int | None = None
 
@@ -51,17 +53,24 @@ def check_steering(
         pending = pending[1:]
     if not pending or pending[-1][1] != request_deg:
         pending = (*pending, (now_ns, request_deg))
-    if check.model_deg is None:
-        return SteeringCheck(pending, target, measured.angle_deg, now_ns)
+    angle = measured.angle_deg
+    if check.slow_deg is None:
+        return SteeringCheck(pending, target, angle, angle, now_ns)
     step_deg = math.degrees(car.steer_rate_radps) * max(0, now_ns - check.t_ns) / 1e9
-    model = max(check.model_deg - step_deg, min(check.model_deg + step_deg, target))
+    spread_deg = config.steer_rate_spread * step_deg
+    slow = _towards(check.slow_deg, target, step_deg - spread_deg)
+    fast = _towards(check.fast_deg, target, step_deg + spread_deg)
     allowed_deg = math.degrees(car.steer_backlash_rad) + config.steer_margin_deg
     since = check.implausible_since_ns
-    if abs(measured.angle_deg - model) <= allowed_deg:
+    if min(slow, fast) - allowed_deg <= angle <= max(slow, fast) + allowed_deg:
         since = None
     elif since is None:
         since = now_ns
-    return SteeringCheck(pending, target, model, now_ns, since)
+    return SteeringCheck(pending, target, slow, fast, now_ns, since)
+
+
+def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
+    return max(angle_deg - step_deg, min(angle_deg + step_deg, target_deg))
 
 
 # ---------------------------------------------------------------- wheels
@@ -96,16 +105,17 @@ def check_wheels(
     now_ns: int,
 ) -> WheelCheck:
     """One cycle in AS_DRIVING: `asked` is the command that this cycle sends."""
-    until = now_ns + config.slip_memory_ns
-    spin_until = until if asked.torque_requested else check.spin_until_ns
-    lock_until = until if asked.brake_requested else check.lock_until_ns
+    # What we ask for once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
+    until = now_ns + config.slip_memory_ns if check.implausible_since_ns is None else 0
+    spin_until = max(until, check.spin_until_ns) if asked.torque_requested else check.spin_until_ns
+    lock_until = max(until, check.lock_until_ns) if asked.brake_requested else check.lock_until_ns
     drag_until = check.drag_until_ns
     since, detail = check.implausible_since_ns, check.detail
     if speeds is not None and now_ns - speeds.t_rx_ns < config.feedback_stale_ns:
         rpm = speeds.all_rpm
         limit_rpm = max(asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm)
         if asked.torque_requested and max(rpm) * car.gear_ratio > limit_rpm:
-            drag_until = until
+            drag_until = max(until, drag_until)
         wheel = None
         if max(rpm) - min(rpm) > config.wheel_margin_rpm:  # else no wheel can be too far from the others
             wheel = _odd_wheel(
