@@ -121,7 +121,7 @@ class Demo:
             verdict: dict[str, Any] = json.loads(self._verdict.read_text())
         except (OSError, ValueError):
             raise StackError(f"the simulated car left no verdict; see {self._args.out / 'vcu.log'}") from None
-        wire = check_candump(self._log, Codec(revision(self._args.revision)))
+        wire = check_candump(self._log, Codec(revision(self._args.revision)), busy_machine=True)
         laps = ", ".join(f"{lap_s:.2f} s" for lap_s in verdict["lap_times_s"])
         print(f"\njudge      {verdict['mission']}: {verdict['result'].upper()}", *verdict["reasons"], sep="\n           ")
         print(f"laps       {verdict['laps']}" + (f" ({laps})" if laps else ""))

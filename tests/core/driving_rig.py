@@ -1,7 +1,7 @@
 """A small test rig for the driving chain: a kinematic bicycle among cones, with a simple cone detector.
 
-It knows delays, rates and limits of the actuators but no tyres; the true car is simulated elsewhere. Random numbers come
-from a seed only.
+It knows delays, rates and limits of the actuators but no tyres; the true car is simulated elsewhere. Random numbers
+come from a seed only.
 """
 
 from __future__ import annotations

@@ -1,0 +1,949 @@
+"""The bridge end to end: frames in, frames out, in virtual time; a witness holds every cycle to the safety rules."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from supervision_rig import CYCLE, MS, Rig, S, codec_of
+
+from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import (
+    AiCommand,
+    RotationB,
+    VcuDriveRear,
+    VcuStatus,
+    VcuSteer,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.revisions import revision
+
+DRIVING = AsState.AS_DRIVING
+
+
+def brake_to_rest(rig: Rig) -> None:
+    """The wheels slow down with 4 m/s2 while the car is asked to brake."""
+    asked = rig.asked
+    if asked is not None and asked.brake_requested:
+        rpm = max(0, rig.rpm[0] - 2)
+        rig.rpm = (rpm, rpm, rpm, rpm)
+
+
+# ---------------------------------------------------------------- the life of a run
+
+
+@pytest.mark.parametrize("revision_name", ["2021", "2026"])
+def test_a_run_from_as_off_to_as_finished_goes_without_one_reason(revision_name: str) -> None:
+    rig = Rig(revision_name=revision_name).ready()
+    assert rig.sent.brake_requested and rig.sent.direction is Direction.NEUTRAL
+    rig.say_state(DRIVING, go_signal=True)
+    asked = rig.step()
+    assert asked is not None
+    assert (asked.mission_status, asked.direction) == (MissionStatus.RUNNING, Direction.FORWARD)
+    rig.command = VehicleCommand(0, 0, throttle=0.4, speed_limit_mps=8.0, steering_rad=0.1)
+    rig.run_ms(2990)
+    assert not rig.sent.torque_requested and rig.sent.brake_requested and rig.sent.steer_deg == 0.0
+    rig.run_ms(500)
+    assert rig.sent.torque_requested and rig.sent.steer_deg == 5.7 and not rig.sent.brake_requested
+    rig.rpm = (300, 300, 300, 300)
+    rig.run_ms(5000)
+    rig.command = replace(rig.command, throttle=0.0, mission_finished=True, laps=1)
+    rig.alive = brake_to_rest
+    rig.run_ms(4000)
+    assert (rig.sent.mission_status, rig.sent.direction) == (MissionStatus.FINISHED, Direction.NEUTRAL)
+    rig.say_state(AsState.AS_FINISHED)
+    rig.run_ms(1000)
+    assert rig.sent.mission_status is MissionStatus.FINISHED and rig.sent.lap_counter == 1
+    assert dict(rig.report.reason_counts) == {}
+    assert rig.report.mode == "autonomous"
+
+
+def test_the_next_mission_needs_no_restart() -> None:
+    rig = Rig().driving()
+    first_run = rig.report.run.run_id
+    rig.alive = brake_to_rest
+    rig.command = replace(rig.command, mission_finished=True)  # type: ignore[type-var]
+    rig.run_ms(3000)
+    rig.command = VehicleCommand(0, 0)
+    for as_state in (AsState.AS_FINISHED, AsState.AS_OFF):
+        rig.say_state(as_state, go_signal=False)
+        rig.step(2)
+    assert rig.report.run.run_id == first_run + 1
+    assert rig.sent.mission_status is MissionStatus.SELECTED
+    rig.say_state(AsState.AS_OFF, ami=Ami.SKIDPAD)
+    rig.confirming = False
+    rig.step(2)
+    assert rig.report.run.mission is Ami.SKIDPAD and rig.sent.mission_status is MissionStatus.NOT_SELECTED
+    rig.confirming = True
+    rig.step(2)
+    assert rig.sent.mission_status is MissionStatus.SELECTED
+    rig.say_state(AsState.AS_READY)
+    rig.run_ms(5010)
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=0.4, speed_limit_mps=8.0)
+    rig.run_ms(3200)
+    assert rig.sent.torque_requested
+    assert dict(rig.report.reason_counts) == {}
+
+
+def test_planner_memory_and_odometry_begin_anew_with_each_run() -> None:
+    rig = Rig().driving()
+    rig.run_ms(2000)
+    assert rig.report.motion.distance_m > 5.0
+    for as_state in (AsState.AS_FINISHED, AsState.AS_OFF):
+        rig.rpm = (0, 0, 0, 0)
+        rig.say_state(as_state)
+        rig.step()
+    assert rig.report.motion.distance_m < 0.1
+
+
+# ---------------------------------------------------------------- start, listening, silence
+
+
+def test_on_start_a_process_listens_for_200_ms_and_then_sends() -> None:
+    rig = Rig(start_ns=5 * S)
+    for _ in range(20):
+        assert rig.step() is None
+    rig.now_ns = 5 * S + 10 * MS + 200 * MS - 1
+    assert rig.cycle() is None
+    rig.now_ns += 1
+    assert rig.cycle() is not None
+
+
+def test_a_process_that_finds_the_car_in_as_driving_brakes_it_to_rest_and_finishes() -> None:
+    rig = Rig()
+    rig.say_state(DRIVING, go_signal=True)
+    rig.rpm = (300, 300, 300, 300)
+    rig.alive = brake_to_rest
+    rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=10.0)
+    rig.run_ms(230)
+    assert (rig.sent.mission_status, rig.sent.direction) == (MissionStatus.RUNNING, Direction.FORWARD)
+    rig.step()
+    assert rig.sent.brake_requested
+    rig.run_ms(3000)
+    assert (rig.sent.mission_status, rig.sent.direction) == (MissionStatus.FINISHED, Direction.NEUTRAL)
+    assert not any(asked.torque_requested for _, asked in rig.log)
+    assert rig.report.emergency is None
+
+
+def test_a_process_that_only_listens_never_sends() -> None:
+    rig = Rig(BridgeConfig(listen_only=True, autonomous_at_power_up=True))
+    for as_state in AsState:
+        rig.say_state(as_state)
+        rig.run_ms(500)
+    assert rig.log == [] and rig.report.listen_only
+    done, message = rig.bridge.emergency_brake("now", rig.now_ns)
+    assert not done and "listen_only" in message
+
+
+def test_a_process_that_only_listens_takes_no_other_bridge_for_an_intruder() -> None:
+    rig = Rig(BridgeConfig(listen_only=True)).wake()
+    rig.bridge.on_frame(Frame(0x510, bytes(8), rig.now_ns))
+    assert "intruder" not in rig.report.reason_counts
+
+
+def test_before_the_car_speaks_nothing_but_zeros_go_out() -> None:
+    rig = Rig()
+    rig.off = True
+    rig.run_ms(1000)
+    assert rig.sent == AiCommand()
+
+
+def test_autonomous_at_power_up_needs_nobody() -> None:
+    rig = Rig(BridgeConfig(autonomous_at_power_up=True))
+    rig.run_ms(800)
+    assert rig.report.autonomous and rig.sent.mission_status is MissionStatus.SELECTED
+
+
+# ---------------------------------------------------------------- the handshake (rule 9)
+
+
+def test_the_handshake_is_echoed_at_once_even_from_a_0x520_that_is_not_believed() -> None:
+    rig = Rig().wake()
+    frame = rig.codec.encode(replace(rig.status, handshake=True, as_state=AsState.AS_OFF))
+    broken = bytearray(frame.data)
+    broken[2] = broken[2] & 0xF0 | 0x0F  # AS_STATE 15 is in no table
+    for bit in (0, 1, 0, 1):
+        broken[0] = broken[0] & 0xFE | bit
+        rig.now_ns += CYCLE
+        rig.bridge.on_frame(Frame(0x520, bytes(broken), rig.now_ns))
+        assert rig.cycle() is not None and rig.sent.handshake == bool(bit)
+    assert rig.report.problem_counts
+
+
+def test_the_response_time_is_measured() -> None:
+    rig = Rig().wake()
+    rig.step()
+    assert rig.report.response_ns == 0
+    rig.now_ns += 7 * MS
+    rig.say(replace(rig.status, handshake=True))
+    rig.now_ns += 3 * MS
+    rig.cycle()
+    assert rig.report.response_ns == 3 * MS
+    rig.step()
+    assert (rig.report.response_ns, rig.report.response_max_ns) == (0, 3 * MS)
+
+
+# ---------------------------------------------------------------- graded reactions, on the bus
+
+
+def fault_latency(
+    prepare: Callable[[Rig], None], until: Callable[[AiCommand], bool], config: BridgeConfig | None = None
+) -> tuple[Rig, int | None]:
+    """How long after the last good 10 ms the bus shows what `until` looks for."""
+    rig = Rig(config).driving()
+    last_good_ns = rig.now_ns
+    prepare(rig)
+    rig.run_ms(700)
+    return rig, rig.latency_ns(last_good_ns, until)
+
+
+def silence(rig: Rig) -> None:
+    rig.command = None
+
+
+def muting(*images: type) -> Callable[[Rig], None]:
+    def prepare(rig: Rig) -> None:
+        rig.mute |= set(images)
+
+    return prepare
+
+
+def zero_torque(asked: AiCommand) -> bool:
+    return not asked.torque_requested
+
+
+def braking(asked: AiCommand) -> bool:
+    return asked.brake_requested
+
+
+def estop(asked: AiCommand) -> bool:
+    return asked.estop_request
+
+
+@pytest.mark.parametrize(
+    ("prepare", "until", "latency_ms"),
+    [
+        (silence, zero_torque, 100),
+        (silence, braking, 300),
+        (muting(VcuStatus), zero_torque, 50),
+        (muting(VcuStatus), estop, 100),
+        (muting(VcuStatus), braking, 100),
+        (muting(WheelSpeeds), zero_torque, 100),
+        (muting(WheelSpeeds), braking, 110),  # one cycle of zeros lies between torque and brake
+        (muting(WheelSpeeds), estop, 300),
+        (muting(VcuSteer), zero_torque, 100),
+        (muting(VcuSteer), braking, 110),
+        (muting(VcuSteer), estop, 300),
+    ],
+)
+def test_what_is_lost_is_answered_in_its_time(
+    prepare: Callable[[Rig], None], until: Callable[[AiCommand], bool], latency_ms: int
+) -> None:
+    _, latency_ns = fault_latency(prepare, until)
+    assert latency_ns == latency_ms * MS
+
+
+def test_a_lost_command_stops_the_car_in_manual_and_finishes_at_rest() -> None:
+    rig = Rig().driving(rpm=300)
+    rig.command = None
+    rig.alive = brake_to_rest
+    rig.run_ms(200)
+    assert rig.report.reasons == ("command_stale",)
+    assert rig.report.sentences == (
+        "the vehicle command is stale: it stopped coming, or the data behind it is too old",
+    )
+    rig.run_ms(3000)
+    assert (rig.sent.mission_status, rig.report.mode) == (MissionStatus.FINISHED, "manual")
+    assert rig.report.emergency is None and rig.report.reason_counts == {"command_stale": 1}
+
+
+def test_a_command_that_comes_back_within_300_ms_resumes() -> None:
+    rig = Rig().driving()
+    command, rig.command = rig.command, None
+    rig.run_ms(290)
+    assert not rig.sent.torque_requested and rig.report.stopping is None
+    rig.command = command
+    rig.step(2)
+    assert rig.sent.torque_requested and rig.report.mode == "autonomous"
+
+
+def test_data_that_grows_old_behind_fresh_commands_stops_the_car() -> None:
+    rig = Rig().driving()
+    frozen_ns = rig.now_ns
+    rig.command = None
+
+    def stale_data(rig: Rig) -> None:
+        order = VehicleCommand(frozen_ns, rig.bridge.run.run_id, throttle=0.5, speed_limit_mps=10.0)
+        rig.bridge.on_command(order, rig.now_ns)
+
+    rig.alive = stale_data
+    rig.run_ms(1000)
+    assert rig.latency_ns(frozen_ns, zero_torque) == 500 * MS
+    assert rig.latency_ns(frozen_ns, braking) == 700 * MS
+
+
+def test_a_stop_without_deceleration_asks_for_the_emergency_brake() -> None:
+    rig = Rig().driving(rpm=300)
+    rig.bridge.set_mode("manual", rig.now_ns)
+    began_ns = rig.now_ns + CYCLE
+    rig.run_ms(600)
+    assert rig.latency_ns(began_ns, estop) == 510 * MS  # the first window begins with the stop's second cycle
+    assert "stop_ineffective" in rig.report.reason_counts
+
+
+def test_a_stop_that_takes_more_than_3_s_asks_for_the_emergency_brake() -> None:
+    rig = Rig().driving(rpm=1100)
+
+    def slowly(rig: Rig) -> None:
+        rpm = rig.rpm[0] - 1
+        rig.rpm = (rpm, rpm, rpm, rpm)
+
+    rig.bridge.set_mode("manual", rig.now_ns)
+    began_ns = rig.now_ns + CYCLE
+    rig.alive = slowly
+    rig.run_ms(3100)
+    assert rig.latency_ns(began_ns, estop) == 3 * S
+
+
+def test_throttle_with_brake_brakes_and_after_100_ms_asks_for_the_emergency_brake() -> None:
+    rig = Rig().driving()
+    since_ns = rig.now_ns + CYCLE
+    rig.command = replace(rig.command, brake=0.2)  # type: ignore[type-var]
+    rig.run_ms(200)
+    assert rig.latency_ns(since_ns, zero_torque) == 0
+    assert rig.latency_ns(since_ns, braking) == CYCLE
+    assert rig.latency_ns(since_ns, estop) == 100 * MS
+    assert rig.report.reason_counts["both_pedals"] == 1
+
+
+def test_a_steering_that_sticks_stops_the_car_and_then_asks_for_the_emergency_brake() -> None:
+    rig = Rig().driving()
+    rig.steer_deg = 0.0
+    rig.command = replace(rig.command, steering_rad=math.radians(20.0))  # type: ignore[type-var]
+    rig.alive = brake_to_rest
+    since_ns = rig.now_ns
+    rig.run_ms(1200)
+    stop_ns, estop_ns = rig.latency_ns(since_ns, braking), rig.latency_ns(since_ns, estop)
+    assert stop_ns is not None and 300 * MS < stop_ns < 550 * MS
+    assert estop_ns is not None and 600 * MS < estop_ns < 850 * MS
+    assert "steering_implausible" in rig.report.reason_counts
+
+
+def test_a_wheel_that_reads_wrong_stops_the_car_and_then_asks_for_the_emergency_brake() -> None:
+    rig = Rig().driving(rpm=400)
+    rig.run_ms(1000)  # the holding brake is long forgotten
+    rig.rpm = (0, 400, 400, 400)
+    since_ns = rig.now_ns + CYCLE
+
+    def the_others_slow_down(rig: Rig) -> None:
+        if rig.asked is not None and rig.asked.brake_requested:
+            rig.rpm = (0, rig.rpm[1] - 2, rig.rpm[1] - 2, rig.rpm[1] - 2)
+
+    rig.alive = the_others_slow_down
+    rig.run_ms(800)
+    assert rig.latency_ns(since_ns, zero_torque) == 300 * MS
+    assert rig.latency_ns(since_ns, braking) == 310 * MS
+    assert rig.latency_ns(since_ns, estop) == 600 * MS
+    assert "front left 0 rpm of 0, " in (rig.report.emergency or "")
+
+
+def test_in_static_inspections_each_wheel_turns_for_itself() -> None:
+    rig = Rig()
+    rig.status = replace(rig.status, ami=Ami.STATIC_INSPECTION_A)
+    rig.driving(rpm=200)
+    rig.rpm = (0, 0, 1000, 0)
+    rig.command = replace(rig.command, throttle=0.0)  # type: ignore[type-var]
+    rig.run_ms(2500)
+    assert rig.report.stopping is None and dict(rig.report.reason_counts) == {}
+
+
+@pytest.mark.parametrize(("change", "slug"), [({"go_signal": False}, "go_off"), ({"fault": True}, "fault_status")])
+def test_when_the_car_stops_itself_the_torque_goes_at_once(change: dict[str, Any], slug: str) -> None:
+    rig = Rig().driving()
+    since_ns = rig.now_ns + CYCLE
+    rig.say_state(DRIVING, **change)
+    rig.step(2)
+    assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == CYCLE
+    assert rig.report.reason_counts == {slug: 1}
+
+
+@pytest.mark.parametrize("can_id", [0x510, 0x511, 0x512, 0x513, 0x514])
+def test_an_intruder_is_an_emergency_with_its_first_frame_and_is_named(can_id: int) -> None:
+    rig = Rig().driving()
+    rig.bridge.on_frame(Frame(can_id, b"\x01\x02", rig.now_ns))
+    rig.step()
+    assert rig.sent.estop_request and not rig.sent.torque_requested
+    assert rig.report.emergency is not None and f"0x{can_id:03X} [01 02]" in rig.report.emergency
+    assert rig.report.reason_counts["intruder"] == 1
+
+
+def test_an_intruder_outside_as_driving_is_named_and_latches_nothing() -> None:
+    rig = Rig().ready()
+    rig.bridge.on_frame(Frame(0x512, bytes(4), rig.now_ns))
+    rig.step()
+    assert rig.report.emergency is None and rig.report.reason_details == {"intruder": "0x512 [00 00 00 00]"}
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [Frame(0x512, bytes(4), error=True), Frame(0x512, bytes(4), extended=True), Frame(0x501, bytes(6))],
+)
+def test_what_is_no_frame_of_ours_is_no_intruder(frame: Frame) -> None:
+    rig = Rig().driving()
+    rig.bridge.on_frame(replace(frame, t_ns=rig.now_ns))
+    rig.step()
+    assert rig.report.emergency is None and rig.sent.torque_requested
+
+
+@pytest.mark.parametrize("back", [AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY])
+def test_a_vcu_that_reboots_gets_zeros_at_once_and_needs_the_whole_sequence(back: AsState) -> None:
+    rig = Rig().driving()
+    rig.say_state(back)
+    rig.step()
+    assert not rig.sent.torque_requested and rig.sent.steer_deg == 0.0
+    assert rig.sent.direction is Direction.NEUTRAL
+    assert rig.report.reason_details["vcu_reboot"] == f"AS_DRIVING to {back.label}"
+    rig.say_state(DRIVING)
+    rig.run_ms(3500)
+    assert not any(asked.torque_requested for t, asked in rig.log if t > rig.now_ns - 3500 * MS)
+
+
+def test_gaps_of_0x520_are_counted() -> None:
+    rig = Rig().wake()
+    for gap_ms, gaps in ((49, 0), (50, 1)):
+        rig.now_ns += gap_ms * MS
+        rig.say(rig.status)
+        assert rig.report.vcu_gaps == gaps
+
+
+def test_a_power_cycle_of_the_car_latches_nothing_and_clears_what_was_latched() -> None:
+    rig = Rig().driving()
+    rig.off = True
+    rig.run_ms(900)
+    assert rig.sent.estop_request  # it was driving when it fell silent
+    rig.run_ms(200)
+    rig.off = False
+    rig.rpm = (0, 0, 0, 0)
+    rig.say_state(AsState.AS_OFF, go_signal=False)
+    rig.step(2)
+    assert not rig.sent.estop_request and rig.report.emergency is None
+    assert rig.report.mode == "autonomous"
+    for as_state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE):
+        rig.off = False
+        rig.say_state(as_state)
+        rig.step(2)
+        rig.off = True
+        rig.run_ms(1500)
+        assert rig.report.emergency is None and not rig.sent.estop_request
+
+
+def test_the_wall_clock_is_nobodys_business() -> None:
+    for start_ns in (0, 1, 7 * S, 10**18):
+        rig = Rig(start_ns=start_ns).driving()
+        assert dict(rig.report.reason_counts) == {}
+
+
+# ---------------------------------------------------------------- the loop and the bus
+
+
+def test_a_fault_of_the_loop_is_an_emergency_while_driving_and_only_counted_elsewhere() -> None:
+    rig = Rig().ready()
+    rig.bridge.loop_fault("60 ms late", rig.now_ns)
+    rig.step()
+    assert rig.report.emergency is None and dict(rig.report.reason_counts) == {} and rig.report.loop_faults == 1
+    rig = Rig().driving()
+    rig.bridge.loop_fault("60 ms late", rig.now_ns)
+    rig.step()
+    assert rig.sent.estop_request
+    assert rig.report.emergency == "the loop failed or missed its deadline by 50 ms: 60 ms late"
+
+
+def test_an_incomplete_cycle_is_counted_and_the_next_one_tries_again() -> None:
+    rig = Rig().driving()
+    rig.complete = False
+    rig.run_ms(40)
+    assert rig.sent.torque_requested and rig.report.stopping is None and rig.report.incomplete_cycles == 4
+    rig.complete = True
+    rig.step()
+    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
+
+
+def test_50_ms_without_a_complete_cycle_counts_as_bus_loss() -> None:
+    rig = Rig().driving()
+    last_complete_ns = rig.now_ns
+    rig.complete = False
+    rig.run_ms(30)
+    rig.now_ns = last_complete_ns + 50 * MS - 1
+    rig.speak()
+    rig.cycle()
+    assert rig.report.stopping is None
+    rig.now_ns += 1
+    rig.cycle()
+    assert rig.report.stopping == "the bus was lost: no complete cycle sent for 50 ms"
+    rig.complete = True
+    rig.rpm = (100, 100, 100, 100)
+    rig.alive = brake_to_rest
+    rig.run_ms(3000)
+    assert rig.sent.mission_status is MissionStatus.FINISHED
+
+
+def test_a_bus_that_takes_nothing_in_as_ready_breaks_nothing() -> None:
+    rig = Rig().ready()
+    rig.complete = False
+    rig.run_ms(200)
+    rig.complete = True
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=0.5, speed_limit_mps=5.0)
+    rig.run_ms(3100)
+    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
+
+
+def test_a_lost_bus_is_silence_and_back_in_as_driving_the_car_is_braked_to_rest() -> None:
+    rig = Rig().driving()
+    rig.bridge.bus_lost("can0 is down", rig.now_ns)
+    assert rig.bridge.on_command(VehicleCommand(rig.now_ns, rig.bridge.run.run_id), rig.now_ns) == (
+        "the bus is lost: can0 is down",
+    )
+    for _ in range(100):
+        rig.now_ns += CYCLE
+        assert rig.cycle() is None
+    assert rig.report.bus_lost == "can0 is down"
+    rig.bridge.bus_back(rig.now_ns)
+    assert rig.cycle() is None  # nothing heard yet
+    rig.alive = brake_to_rest
+    rig.status = replace(rig.status, as_state=DRIVING)
+    rig.step()
+    assert (rig.sent.direction, rig.sent.torque_requested) == (Direction.FORWARD, False)
+    rig.run_ms(2500)
+    assert rig.sent.mission_status is MissionStatus.FINISHED
+    assert not any(asked.torque_requested for t, asked in rig.log[-240:])
+
+
+def test_a_bus_that_is_back_without_the_car_is_answered_after_100_ms() -> None:
+    rig = Rig().driving()
+    rig.bridge.bus_lost("can0 is down", rig.now_ns)
+    rig.bridge.bus_back(rig.now_ns)
+    for after_ns, silent in ((100 * MS - 1, True), (100 * MS, False)):
+        began_ns = rig.now_ns
+        rig.now_ns += after_ns
+        assert (rig.cycle() is None) is silent
+        rig.now_ns = began_ns
+    assert rig.sent.estop_request
+
+
+def test_a_bus_lost_in_as_ready_does_not_launch_the_car_when_it_is_back() -> None:
+    rig = Rig().ready()
+    rig.bridge.bus_lost("can0 is down", rig.now_ns)
+    rig.bridge.bus_back(rig.now_ns)
+    rig.bridge.bus_back(rig.now_ns)  # told twice
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=0.5, speed_limit_mps=5.0)
+    rig.run_ms(4000)
+    assert not any(asked.torque_requested for _, asked in rig.log)
+    assert rig.sent.mission_status is MissionStatus.FINISHED
+
+
+def test_a_cycle_of_which_nobody_says_that_it_went_out_counts_as_broken() -> None:
+    rig = Rig().launched()
+    rig.command = VehicleCommand(0, 0, throttle=0.5, speed_limit_mps=5.0)
+    rig.run_ms(2980)
+    for _ in range(20):
+        rig.now_ns += CYCLE
+        rig.speak()
+        order = replace(rig.command, t_sensor_ns=rig.now_ns, run_id=rig.bridge.run.run_id)
+        rig.bridge.on_command(order, rig.now_ns)
+        asked = rig.bridge.cycle(rig.now_ns)
+        assert asked is not None and not asked.torque_requested
+
+
+# ---------------------------------------------------------------- people
+
+
+def test_manual_while_driving_is_a_controlled_stop() -> None:
+    rig = Rig().driving(rpm=300)
+    since_ns = rig.now_ns + CYCLE
+    assert rig.bridge.set_mode("manual", rig.now_ns)[0]
+    rig.alive = brake_to_rest
+    rig.run_ms(3000)
+    assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == CYCLE
+    assert rig.sent.mission_status is MissionStatus.FINISHED
+    assert rig.report.stopping == "manual mode was asked for" and dict(rig.report.reason_counts) == {}
+
+
+def test_autonomous_is_refused_while_driving_and_an_unknown_mode_always() -> None:
+    rig = Rig().driving()
+    done, message = rig.bridge.set_mode("autonomous", rig.now_ns)
+    assert not done and "AS_DRIVING" in message
+    done, message = rig.bridge.set_mode("Manual", rig.now_ns)
+    assert not done and "manual, autonomous" in message
+
+
+def test_an_emergency_latches_until_reset_in_as_off() -> None:
+    rig = Rig().driving()
+    assert rig.bridge.emergency_brake("cone in the way", rig.now_ns) == (True, "ESTOP_REQUEST is latched")
+    rig.step()
+    assert rig.sent.estop_request and not rig.sent.torque_requested
+    rig.say_state(AsState.EMERGENCY_BRAKE)
+    rig.step()
+    assert not rig.sent.brake_requested and rig.sent.direction is Direction.FORWARD
+    assert rig.bridge.emergency_brake("again", rig.now_ns) == (
+        True,
+        "already latched because the emergency brake was asked for: cone in the way",
+    )
+    assert not rig.bridge.reset(rig.now_ns)[0]
+    rig.say_state(AsState.AS_OFF)
+    rig.step()
+    assert rig.sent.estop_request
+    assert rig.bridge.reset(rig.now_ns)[0]
+    rig.step()
+    assert not rig.sent.estop_request
+
+
+def test_an_emergency_on_a_lost_bus_is_latched_and_says_so() -> None:
+    rig = Rig().autonomous()
+    rig.bridge.bus_lost("unplugged", rig.now_ns)
+    done, message = rig.bridge.emergency_brake("", rig.now_ns)
+    assert done and message == "ESTOP_REQUEST is latched, but the bus is lost: unplugged"
+    rig.bridge.bus_back(rig.now_ns)
+    rig.step()
+    assert rig.sent.estop_request
+
+
+def test_a_stranger_who_confirms_a_reset_is_reported_and_changes_nothing() -> None:
+    rig = Rig()
+    rig.confirming = False
+    rig.wake()
+    rig.bridge.on_reset_confirmed("driver", rig.bridge.run.run_id)
+    assert rig.report.confirmed == ()
+    assert "reset confirmed by 'driver': the roles are planner, controller" in rig.report.problem_counts
+
+
+# ---------------------------------------------------------------- commands (rule 7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"throttle": math.nan}, "throttle is nan, not a finite number"),
+        ({"steering_rad": math.inf}, "steering_rad is inf, not a finite number"),
+        ({"brake": -math.inf}, "brake is -inf, not a finite number"),
+        ({"speed_limit_mps": math.nan}, "speed_limit_mps is nan, not a finite number"),
+        ({"steering_rad": math.radians(30.1)}, "steering_rad 0.5253 is outside"),
+        ({"throttle": 1.01}, "throttle 1.0100 is outside"),
+        ({"brake": -0.01}, "brake -0.0100 is outside"),
+        ({"t_sensor_ns": 10**15}, "ms in the future"),
+    ],
+)
+def test_a_command_that_is_not_in_order_is_refused_whole_and_reported(changes: dict[str, Any], words: str) -> None:
+    rig = Rig().driving()
+    before = rig.sent
+    problems = rig.bridge.on_command(
+        VehicleCommand(**{"t_sensor_ns": rig.now_ns, "run_id": rig.bridge.run.run_id, **changes}), rig.now_ns
+    )
+    assert words in problems[0]
+    rig.now_ns += CYCLE
+    rig.speak()
+    rig.cycle()
+    assert replace(rig.sent, handshake=False) == replace(before, handshake=False)  # the command before still counts
+    assert rig.report.reason_counts == {"command_refused": 1} and words in rig.report.reason_details["command_refused"]
+
+
+def test_bad_commands_alone_count_as_no_command() -> None:
+    rig = Rig().driving(rpm=300)
+    rig.command = replace(rig.command, throttle=math.nan)  # type: ignore[type-var]
+    rig.alive = brake_to_rest
+    since_ns = rig.now_ns
+    rig.run_ms(400)
+    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS
+    assert rig.latency_ns(since_ns, braking) == 300 * MS
+
+
+def test_a_sensor_stamp_may_lie_a_little_ahead() -> None:
+    rig = Rig().driving()
+    run_id = rig.bridge.run.run_id
+    assert rig.bridge.on_command(VehicleCommand(rig.now_ns + 20 * MS, run_id), rig.now_ns) == ()
+    assert rig.bridge.on_command(VehicleCommand(rig.now_ns + 20 * MS + 1, run_id), rig.now_ns) != ()
+
+
+def test_a_command_of_another_run_is_refused_and_is_a_reason_only_while_driving() -> None:
+    rig = Rig().ready()
+    assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) == ("run_id 1 is not the run in hand (2)",)
+    assert dict(rig.report.reason_counts) == {}
+    rig = Rig().driving()
+    assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) != ()
+    assert rig.report.reason_counts == {"command_other_run": 1}
+
+
+# ---------------------------------------------------------------- limits
+
+
+def test_the_limits_of_a_venue_are_kept_on_the_bus() -> None:
+    limits = OperationalLimits(max_speed_mps=3.0, max_axle_torque_nm=30.0, max_steer_deg=10.0)
+    rig = Rig(limits=limits).driving(throttle=1.0)
+    rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=20.0, steering_rad=math.radians(20.0))
+    rig.run_ms(1000)
+    assert (rig.sent.rear_torque_nm, rig.sent.steer_deg) == (30.0, 10.0)
+    assert rig.sent.rear_motor_speed_max_rpm == 395
+    assert rig.report.limits == limits
+    assert rig.report.reason_counts == {"steer_clamped": 1}
+
+
+def test_an_angle_max_that_the_car_lowers_is_kept_on_the_bus() -> None:
+    rig = Rig().driving()
+    rig.command = replace(rig.command, steering_rad=math.radians(20.0))  # type: ignore[type-var]
+    rig.run_ms(800)
+    assert rig.sent.steer_deg == 20.0
+    rig.angle_max_deg = 15.0
+    rig.step()
+    assert rig.sent.steer_deg == 15.0 and rig.report.reason_counts == {"steer_clamped": 1}
+
+
+def test_a_missing_torque_limit_is_no_torque_until_it_is_back() -> None:
+    rig = Rig().driving()
+    rig.mute = {VcuDriveRear}
+    rig.run_ms(100)
+    assert not rig.sent.torque_requested and rig.report.reasons == ("torque_limit_unknown",)
+    rig.mute = set()
+    rig.step(3)
+    assert rig.sent.torque_requested and rig.report.reasons == ()
+
+
+# ---------------------------------------------------------------- the official simulator
+
+
+def test_against_the_official_simulator_a_whole_run_never_asks_for_the_hydraulic_brake() -> None:
+    rig = Rig(official_simulator()).driving(rpm=300)
+    rig.bridge.set_mode("manual", rig.now_ns)
+
+    def motor_brakes(rig: Rig) -> None:
+        if rig.asked is not None and rig.asked.torque_requested and rig.asked.rear_motor_speed_max_rpm == 0:
+            rpm = max(0, rig.rpm[0] - 1)
+            rig.rpm = (rpm, rpm, rpm, rpm)
+
+    rig.alive = motor_brakes
+    rig.run_ms(5000)
+    assert rig.sent.mission_status is MissionStatus.FINISHED and rig.report.emergency is None
+    assert not any(asked.brake_requested for _, asked in rig.log)
+
+
+# ---------------------------------------------------------------- the end
+
+
+def test_on_stop_at_rest_zeros_and_neutral_go_out_five_times_and_then_silence() -> None:
+    rig = Rig().ready()
+    rig.bridge.begin_stop(rig.now_ns)
+    rig.bridge.begin_stop(rig.now_ns)
+    for _ in range(5):
+        assert not rig.bridge.stopped
+        rig.step()
+        assert replace(rig.sent, handshake=False) == AiCommand()
+    assert rig.bridge.stopped and rig.step() is None
+    assert rig.bridge.emergency_brake("late", rig.now_ns) == (
+        False,
+        "this software was stopped: it sends nothing any more",
+    )
+
+
+def test_on_stop_while_moving_the_car_is_left_to_its_emergency_brake() -> None:
+    rig = Rig().driving(rpm=400)
+    rig.bridge.begin_stop(rig.now_ns)
+    seen = []
+    for _ in range(5):
+        rig.step()
+        assert (rig.sent.estop_request, rig.sent.torque_requested) == (True, False)
+        assert (rig.sent.direction, rig.sent.mission_status) == (Direction.FORWARD, MissionStatus.RUNNING)
+        seen.append(rig.sent.brake_requested)
+    assert seen == [False, True, True, True, True]  # rule 1: a cycle of zeros first
+    assert rig.bridge.stopped and rig.step() is None
+
+
+def test_on_stop_at_rest_in_as_driving_the_run_ends_with_neutral() -> None:
+    rig = Rig().launched()
+    rig.run_ms(1000)
+    rig.bridge.begin_stop(rig.now_ns)
+    rig.step()
+    assert (rig.sent.direction, rig.sent.estop_request) == (Direction.NEUTRAL, False)
+    assert not rig.sent.brake_requested
+
+
+@pytest.mark.parametrize("config", [BridgeConfig(), BridgeConfig(listen_only=True)])
+def test_what_has_not_sent_yet_ends_in_silence(config: BridgeConfig) -> None:
+    rig = Rig(config)
+    rig.run_ms(100)
+    rig.bridge.begin_stop(rig.now_ns)
+    assert rig.bridge.stopped
+
+
+# ---------------------------------------------------------------- frames and the snapshot
+
+
+def test_frames_are_counted_and_what_is_wrong_with_them_by_its_words() -> None:
+    rig = Rig().wake()
+    for _ in range(2):
+        rig.bridge.on_frame(Frame(0x525, b"\x01", rig.now_ns))
+    rig.bridge.on_frame(Frame(0x7FF, b"", rig.now_ns))
+    assert rig.report.rx_counts[0x525] == 32 and rig.report.rx_counts[0x7FF] == 1
+    assert list(rig.report.problem_counts.values()) == [2]
+
+
+def test_a_fuzzed_bus_does_not_fill_the_memory() -> None:
+    rig = Rig().wake()
+    for n in range(300):
+        rig.bridge.on_reset_confirmed(f"role {n}", 1)
+    assert len(rig.report.problem_counts) == 101 and rig.report.problem_counts["other problems"] == 200
+
+
+def test_the_snapshot_tells_ages_and_cannot_be_changed() -> None:
+    rig = Rig().wake()
+    rig.mute = {WheelSpeeds}
+    rig.run_ms(50)
+    report = rig.report
+    assert report.ages_ns["speeds"] == 50 * MS and report.ages_ns["status"] == 0
+    assert report.ages_ns["log_status"] is None
+    with pytest.raises(TypeError):
+        report.reason_counts["x"] = 1  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        report.mode = "autonomous"  # type: ignore[misc]
+
+
+def test_a_shutdown_request_is_passed_on_at_rest() -> None:
+    rig = Rig().driving()
+    rig.status = replace(rig.status, shutdown_request=True)
+    rig.step()
+    assert not rig.report.shutdown_requested
+    rig.rpm = (0, 0, 0, 0)
+    rig.run_ms(600)
+    assert rig.report.shutdown_requested
+
+
+def test_gps_frames_are_kept_beside_the_cars() -> None:
+    rig = Rig().wake()
+    frame = rig.codec.encode(RotationB(z_degps=3.5))
+    rig.bridge.on_frame(replace(frame, t_ns=rig.now_ns))
+    assert rig.report.gps.rotation_b == RotationB(z_degps=3.5, t_rx_ns=rig.now_ns)
+
+
+def test_a_bridge_is_made_with_defaults() -> None:
+    bridge = Bridge(codec_of("2026"), revision("2026"), ADS_DV_2026, first_run_id=7)
+    assert bridge.run.run_id == 7 and bridge.report(0).mode == "manual"
+
+
+# ---------------------------------------------------------------- anything at all
+
+EVENTS = st.one_of(
+    st.tuples(st.just("state"), st.sampled_from(list(AsState))),
+    st.tuples(st.just("path"), st.just(None)),
+    st.tuples(st.just("ami"), st.sampled_from(list(Ami))),
+    st.tuples(st.just("go"), st.booleans()),
+    st.tuples(st.just("fault"), st.booleans()),
+    st.tuples(st.just("rpm"), st.tuples(*[st.sampled_from([0, 9, 10, 200, 650, 1200])] * 4)),
+    st.tuples(st.just("mute"), st.sets(st.sampled_from([VcuStatus, VcuSteer, WheelSpeeds, VcuDriveRear]))),
+    st.tuples(st.just("off"), st.booleans()),
+    st.tuples(st.just("complete"), st.booleans()),
+    st.tuples(st.just("confirming"), st.booleans()),
+    st.tuples(st.just("angle_max"), st.sampled_from([0.0, 5.0, 30.0])),
+    st.tuples(st.just("mode"), st.sampled_from(["manual", "autonomous", "reverse"])),
+    st.tuples(st.just("emergency"), st.just(None)),
+    st.tuples(st.just("reset"), st.just(None)),
+    st.tuples(st.just("bus"), st.booleans()),
+    st.tuples(st.just("loop"), st.just(None)),
+    st.tuples(st.just("intruder"), st.just(None)),
+    st.tuples(st.just("no command"), st.just(None)),
+    st.tuples(
+        st.just("command"),
+        st.tuples(
+            st.sampled_from([-0.5, 0.0, 0.3, math.nan]),
+            st.sampled_from([0.0, 0.5, 1.0, 2.0]),
+            st.sampled_from([0.0, 0.0, 0.4]),
+            st.sampled_from([0.0, 10.0, 99.0]),
+            st.booleans(),
+            st.sampled_from([False, False, False, True]),
+        ),
+    ),
+)
+
+
+def happen(rig: Rig, what: str, value: Any) -> None:
+    bridge, now_ns = rig.bridge, rig.now_ns
+    match what:
+        case "state":
+            rig.say_state(value)
+        case "path":  # the whole way into driving
+            rig.complete, rig.off, rig.mute, rig.confirming = True, False, set(), True
+            rig.rpm = (0, 0, 0, 0)
+            rig.say_state(AsState.AS_OFF, go_signal=False, fault=False, ami=Ami.TRACKDRIVE)
+            bridge.bus_back(now_ns)
+            rig.run_ms(300)
+            bridge.reset(rig.now_ns)
+            bridge.set_mode("autonomous", rig.now_ns)
+            rig.say_state(AsState.AS_READY)
+            rig.run_ms(50)
+            rig.say_state(DRIVING, go_signal=True)
+            rig.run_ms(3100)
+        case "ami":
+            rig.status = replace(rig.status, ami=value)
+        case "go":
+            rig.status = replace(rig.status, go_signal=value)
+        case "fault":
+            rig.status = replace(rig.status, fault=value)
+        case "rpm":
+            rig.rpm = value
+        case "mute":
+            rig.mute = value
+        case "off":
+            rig.off = value
+        case "complete":
+            rig.complete = value
+        case "confirming":
+            rig.confirming = value
+        case "angle_max":
+            rig.angle_max_deg = value
+        case "mode":
+            bridge.set_mode(value, now_ns)
+        case "emergency":
+            bridge.emergency_brake("", now_ns)
+        case "reset":
+            bridge.reset(now_ns)
+        case "bus" if value:
+            bridge.bus_lost("gone", now_ns)
+        case "bus":
+            bridge.bus_back(now_ns)
+        case "loop":
+            bridge.loop_fault("late", now_ns)
+        case "intruder":
+            bridge.on_frame(Frame(0x513, b"\x00\x00", now_ns))
+        case "no command":
+            rig.command = None
+        case _:
+            rig.command = VehicleCommand(0, 0, *value)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(st.tuples(EVENTS, st.integers(1, 12)), min_size=5, max_size=40))
+def test_whatever_happens_in_whatever_order_no_cycle_breaks_a_rule(
+    happenings: list[tuple[tuple[str, Any], int]],
+) -> None:
+    rig = Rig().wake()
+    happen(rig, "path", None)
+    emergency = False
+    for (what, value), cycles in happenings:
+        happen(rig, what, value)
+        rig.step(cycles)
+        report = rig.report
+        # Rule 6: what is latched stays, but for a reset or a power cycle
+        if emergency and report.emergency is None:
+            assert what in ("reset", "path", "state", "off", "mute", "bus")
+        emergency = report.emergency is not None
+        if rig.asked is not None:
+            assert rig.sent.estop_request is emergency

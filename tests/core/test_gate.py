@@ -1,0 +1,606 @@
+"""The command gate, held to the safety rules by itself: whatever a decision or a command says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.supervision.config import MS, BridgeConfig, S, official_simulator
+from fsai_vcu.core.supervision.gate import GateState, constant_power_nm, gate, gate_config, motor_rpm, sent
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import OUTPUT, Brake, Decision, Phase, Steer
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.images import (
+    AiCommand,
+    VcuBrake,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuStatus,
+    VcuSteer,
+    VehicleState,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.revisions import revision
+
+NOW = 1000 * S
+CAR = gate_config(BridgeConfig(), revision("2026"), ADS_DV_2026)
+CAR_2021 = gate_config(BridgeConfig(), revision("2021"), ADS_DV_2021)
+
+
+def decision(phase: Phase = Phase.DRIVING, **changes: Any) -> Decision:
+    row = OUTPUT[phase]
+    values: dict[str, Any] = {
+        "phase": phase,
+        "mission_status": row.mission_status or MissionStatus.SELECTED,
+        "direction": row.direction,
+        "steer": Steer.HELD if row.steer is Steer.HELD_OR_COMMAND else row.steer,
+        "brake": row.brake,
+        "torque": row.torque,
+        "run_id": 1,
+        "may_move": phase not in (Phase.IDLE, Phase.READY, Phase.LAUNCH_WAIT),
+        **changes,
+    }
+    return Decision(**values)
+
+
+def car(as_state: AsState = AsState.AS_DRIVING, rpm: int = 100, t_ns: int = NOW, **changes: Any) -> VehicleState:
+    """A car that has said everything just now."""
+    values: dict[str, Any] = {
+        "handshake": True,
+        "status": VcuStatus(as_state=as_state, go_signal=True, t_rx_ns=t_ns),
+        "drive_front": VcuDriveFront(0, 0, 195.0, t_rx_ns=t_ns),
+        "drive_rear": VcuDriveRear(0, 0, 195.0, t_rx_ns=t_ns),
+        "steer": VcuSteer(0, 30.0, 0, t_rx_ns=t_ns),
+        "brake": VcuBrake(t_rx_ns=t_ns),
+        "speeds": WheelSpeeds(rpm, rpm, rpm, rpm, t_rx_ns=t_ns),
+        **changes,
+    }
+    return VehicleState(**values)
+
+
+def command(**changes: Any) -> VehicleCommand:
+    values: dict[str, Any] = {"t_sensor_ns": NOW, "run_id": 1, "throttle": 1.0, "speed_limit_mps": 10.0, **changes}
+    return VehicleCommand(**values)
+
+
+FREE = GateState(torque_there=False, zero_cycles=2, zero_since_ns=NOW - 20 * MS, cycle_ns=NOW - 10 * MS, run_id=1)
+"""Two complete cycles of zeros went out: torque may rise, and so may the brake."""
+
+
+def asks(
+    state: GateState = FREE,
+    what: Decision | None = None,
+    order: VehicleCommand | None = None,
+    vehicle: VehicleState | None = None,
+    *,
+    config: Any = CAR,
+    now_ns: int = NOW,
+) -> tuple[AiCommand, frozenset[Reason]]:
+    _, asked, reasons = gate(
+        config, state, what or decision(), command() if order is None else order, vehicle or car(), now_ns
+    )
+    return asked, reasons
+
+
+# ---------------------------------------------------------------- values
+
+
+def test_a_command_in_order_becomes_torque_on_the_driven_axle_only() -> None:
+    asked, reasons = asks()
+    assert (asked.front_torque_nm, asked.rear_torque_nm) == (0.0, 195.0)
+    assert (asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm) == (0, 1318)
+    assert (asked.front_brake_pct, asked.rear_brake_pct, asked.steer_deg) == (0.0, 0.0, 0.0)
+    assert reasons == frozenset()
+
+
+def test_a_car_with_a_motor_per_axle_drives_both() -> None:
+    asked, _ = asks(order=command(throttle=0.5), config=CAR_2021)
+    assert (asked.front_torque_nm, asked.rear_torque_nm) == (97.5, 97.5)
+    assert asked.front_motor_speed_max_rpm == asked.rear_motor_speed_max_rpm == 1318
+
+
+def test_a_car_driven_in_front_only_gets_no_torque_behind() -> None:
+    asked, _ = asks(config=replace(CAR_2021, driven_rear=False))
+    assert (asked.front_torque_nm, asked.rear_torque_nm) == (195.0, 0.0)
+    assert (asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm) == (1318, 0)
+
+
+def test_the_handshake_is_the_last_one_received() -> None:
+    for bit in (True, False):
+        assert asks(vehicle=car(handshake=bit))[0].handshake is bit
+
+
+@pytest.mark.parametrize(
+    ("rpm", "torque_nm"),
+    [
+        (0, 195.0),
+        (300, 195.0),
+        (301, 150.0),
+        (400, 150.0),
+        (401, 120.0),
+        (500, 120.0),
+        (501, 100.0),
+        (600, 100.0),
+        (601, 85.0),
+        (700, 85.0),
+        (701, 50.0),
+        (1250, 50.0),
+    ],
+)
+def test_above_each_wheel_speed_the_constant_power_schedule_allows_less(rpm: int, torque_nm: float) -> None:
+    assert constant_power_nm(rpm) == torque_nm
+    assert asks(vehicle=car(rpm=rpm))[0].rear_torque_nm == torque_nm
+
+
+def test_the_fastest_wheel_of_the_axle_decides_and_the_other_axle_does_not() -> None:
+    front_fast = car(speeds=WheelSpeeds(900, 900, 100, 100, t_rx_ns=NOW))
+    assert asks(vehicle=front_fast)[0].rear_torque_nm == 195.0
+    for speeds in (WheelSpeeds(0, 0, 701, 0, t_rx_ns=NOW), WheelSpeeds(0, 0, 0, 701, t_rx_ns=NOW)):
+        assert asks(vehicle=car(speeds=speeds))[0].rear_torque_nm == 50.0
+    asked, _ = asks(vehicle=front_fast, config=CAR_2021)
+    assert (asked.front_torque_nm, asked.rear_torque_nm) == (50.0, 195.0)
+
+
+def test_the_cars_live_torque_limit_is_obeyed_per_axle() -> None:
+    vehicle = car(drive_front=VcuDriveFront(0, 0, 20.0, NOW), drive_rear=VcuDriveRear(0, 0, 33.3, NOW))
+    asked, _ = asks(vehicle=vehicle, config=CAR_2021)
+    assert (asked.front_torque_nm, asked.rear_torque_nm) == (20.0, 33.3)
+    assert asks(order=command(throttle=0.5), vehicle=vehicle)[0].rear_torque_nm == 16.6  # never rounded up
+    assert asks(vehicle=car(drive_rear=VcuDriveRear(0, 0, 0.0, NOW)))[0].rear_torque_nm == 0.0
+
+
+@pytest.mark.parametrize("age_ns", [None, 100 * MS])
+def test_without_the_cars_live_torque_limit_there_is_no_torque(age_ns: int | None) -> None:
+    vehicle = car(drive_rear=None if age_ns is None else VcuDriveRear(0, 0, 195.0, NOW - age_ns))
+    asked, reasons = asks(vehicle=vehicle)
+    assert (asked.rear_torque_nm, reasons) == (0.0, {Reason.TORQUE_LIMIT_UNKNOWN})
+    vehicle = car(drive_rear=VcuDriveRear(0, 0, 195.0, NOW - 100 * MS + 1))
+    assert asks(vehicle=vehicle)[0].rear_torque_nm == 195.0
+    one = car(drive_front=None)
+    asked, reasons = asks(vehicle=one, config=CAR_2021)
+    assert (asked.front_torque_nm, asked.rear_torque_nm, reasons) == (0.0, 195.0, {Reason.TORQUE_LIMIT_UNKNOWN})
+
+
+@pytest.mark.parametrize("speeds", [None, WheelSpeeds(0, 0, 0, 0, NOW - 100 * MS)])
+def test_without_fresh_wheel_speeds_there_is_no_torque(speeds: WheelSpeeds | None) -> None:
+    assert asks(vehicle=car(speeds=speeds))[0].rear_torque_nm == 0.0
+
+
+def test_what_an_official_limits_is_never_exceeded() -> None:
+    limits = OperationalLimits(max_speed_mps=5.0, max_axle_torque_nm=40.0, max_steer_deg=1.0)
+    config = gate_config(BridgeConfig(steer_rate_degps=1000.0), revision("2026"), ADS_DV_2026, limits)
+    asked, _ = asks(order=command(speed_limit_mps=99.0, steering_rad=math.radians(9.0)), config=config)
+    assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm, asked.steer_deg) == (40.0, 659, 1.0)
+    slower, _ = asks(order=command(speed_limit_mps=2.0), config=config)
+    assert slower.rear_motor_speed_max_rpm == 263
+
+
+def test_the_motor_speed_limit_ends_at_4000_rpm_and_at_zero() -> None:
+    assert asks(order=command(speed_limit_mps=1e30))[0].rear_motor_speed_max_rpm == 4000
+    assert asks(order=command(speed_limit_mps=0.0))[0].rear_motor_speed_max_rpm == 0
+    assert motor_rpm(1.0, 100.0, 4000) == 100
+    assert motor_rpm(0.999, 100.0, 4000) == 99
+    assert motor_rpm(math.inf, 100.0, 4000) == 4000
+
+
+@pytest.mark.parametrize(
+    ("fraction", "percent"), [(0.0, 0.0), (0.002, 0.0), (0.0025, 0.5), (0.5, 50.0), (0.503, 50.5), (1.0, 100.0)]
+)
+def test_the_brake_goes_out_in_half_percents_on_both_axles(fraction: float, percent: float) -> None:
+    asked, _ = asks(order=command(throttle=0.0, brake=fraction))
+    assert (asked.front_brake_pct, asked.rear_brake_pct) == (percent, percent)
+
+
+def test_logging_fields_saturate() -> None:
+    asked, reasons = asks(order=command(laps=99, cones_count_actual=999, cones_count_all=99999, speed_limit_mps=999.0))
+    assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (15, 255, 65535)
+    assert (asked.speed_demand_kmh, reasons) == (255, frozenset())
+    asked, _ = asks(order=command(laps=-1, cones_count_actual=-5, cones_count_all=-5))
+    assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
+    for speed_mps, kmh in ((10.0, 36), (999.0, 255), (-1.0, 0), (math.nan, 0), (math.inf, 255)):
+        assert gate(CAR, FREE, decision(), command(), car(), NOW, speed_mps)[1].speed_actual_kmh == kmh
+
+
+def test_laps_stay_on_the_bus_when_the_planner_falls_silent_and_end_with_the_run() -> None:
+    state, _, _ = gate(CAR, FREE, decision(), command(laps=7, cones_count_all=44), car(), NOW)
+    _, asked, _ = gate(CAR, state, decision(Phase.FINISHED), None, car(AsState.AS_FINISHED), NOW)
+    assert (asked.lap_counter, asked.cones_count_all) == (7, 44)
+    _, asked, _ = gate(CAR, state, decision(Phase.IDLE, run_id=2), None, car(AsState.AS_OFF), NOW)
+    assert (asked.lap_counter, asked.cones_count_all) == (0, 0)
+
+
+# ---------------------------------------------------------------- steering (rule 4)
+
+
+def steered(degrees: float, state: GateState = FREE, now_ns: int = NOW, **changes: Any) -> AiCommand:
+    return asks(state, order=command(steering_rad=math.radians(degrees)), vehicle=car(**changes), now_ns=now_ns)[0]
+
+
+def test_the_steering_turns_at_the_actuators_rate_and_that_is_no_reason() -> None:
+    asked, reasons = asks(order=command(steering_rad=math.radians(20.0)))
+    assert (asked.steer_deg, reasons) == (0.4, frozenset())
+    assert steered(-20.0).steer_deg == -0.4
+    assert steered(0.3).steer_deg == 0.3
+    assert steered(20.0, replace(FREE, cycle_ns=NOW - 8 * MS)).steer_deg == 0.3
+
+
+def test_the_steering_arrives_in_the_end_in_spite_of_rounding() -> None:
+    state = FREE
+    for n in range(100):
+        now_ns = NOW + n * 8 * MS
+        order = command(t_sensor_ns=now_ns, steering_rad=math.radians(20.0))
+        state, asked, _ = gate(CAR, state, decision(), order, car(t_ns=now_ns), now_ns)
+    assert asked.steer_deg == 20.0
+
+
+def test_after_a_pause_the_steering_does_not_jump() -> None:
+    assert steered(20.0, replace(FREE, cycle_ns=NOW - 5 * S)).steer_deg == 0.8
+    assert steered(20.0, replace(FREE, cycle_ns=NOW + 5 * S)).steer_deg == 0.0
+    assert steered(20.0, replace(FREE, cycle_ns=None)).steer_deg == 0.0
+
+
+def test_steering_stays_within_the_revision_the_live_angle_max_and_reports_what_is_beyond() -> None:
+    turned = replace(FREE, steer_deg=20.8)
+    assert steered(21.0, turned).steer_deg == 21.0
+    asked, reasons = asks(turned, order=command(steering_rad=math.radians(25.0)), config=CAR_2021)
+    assert (asked.steer_deg, reasons) == (21.0, {Reason.STEER_CLAMPED})
+    vehicle = car(steer=VcuSteer(0, 20.9, 0, NOW))
+    asked, reasons = asks(turned, order=command(steering_rad=math.radians(-25.0)), vehicle=vehicle)
+    assert (asked.steer_deg, reasons) == (20.4, {Reason.STEER_CLAMPED})
+    asked, reasons = asks(turned, order=command(steering_rad=math.radians(20.94)), vehicle=vehicle)
+    assert (asked.steer_deg, reasons) == (20.9, frozenset())
+
+
+def test_an_angle_max_that_shrinks_is_obeyed_at_once() -> None:
+    for sign in (1, -1):
+        state = replace(FREE, steer_deg=sign * 20.0)
+        assert steered(sign * 20.0, state, steer=VcuSteer(0, 5.0, 0, NOW)).steer_deg == sign * 5.0
+
+
+@pytest.mark.parametrize("steer", [None, VcuSteer(0, 0.0, 0, NOW)])
+def test_without_an_angle_max_the_steering_stays_straight(steer: VcuSteer | None) -> None:
+    assert steered(10.0, steer=steer).steer_deg == 0.0
+
+
+@pytest.mark.parametrize("as_state", [state for state in AsState if state is not AsState.AS_DRIVING])
+def test_outside_as_driving_the_steering_is_zero_at_once_whatever_was_decided(as_state: AsState) -> None:
+    asked, _ = asks(replace(FREE, steer_deg=12.0), decision(steer=Steer.HELD), vehicle=car(as_state))
+    assert asked.steer_deg == 0.0
+    asked, _ = asks(replace(FREE, steer_deg=12.0), decision(steer=Steer.COMMAND), vehicle=car(as_state))
+    assert asked.steer_deg == 0.0
+
+
+def test_steering_held_stays_where_it_was() -> None:
+    what = decision(Phase.HOLDING)
+    assert asks(replace(FREE, steer_deg=12.0), what)[0].steer_deg == 12.0
+    assert asks(replace(FREE, steer_deg=-12.34), decision(Phase.STOPPING))[0].steer_deg == -12.3
+    state = replace(FREE, steer_deg=12.0)
+    assert gate(CAR, state, decision(), None, car(), NOW)[1].steer_deg == 12.0  # by command, and there is none
+
+
+# ---------------------------------------------------------------- torque (rule 2)
+
+
+def test_torque_the_supervisor_lets_through_is_still_held_back_by_what_the_gate_sees() -> None:
+    blocked = [
+        (decision(), car(AsState.AS_READY)),
+        (decision(), car(AsState.EMERGENCY_BRAKE)),
+        (decision(), car(status=None)),
+        (decision(), car(status=VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True, t_rx_ns=NOW - 50 * MS))),
+        (decision(), car(status=VcuStatus(as_state=AsState.AS_DRIVING, go_signal=False, t_rx_ns=NOW))),
+        (decision(estop=True), car()),
+        (decision(direction=Direction.NEUTRAL), car(rpm=0)),
+        (decision(direction=Direction.REVERSE), car(rpm=0)),
+        (decision(may_move=False), car()),
+    ]
+    for what, vehicle in blocked:
+        asked, reasons = asks(what=what, vehicle=vehicle)
+        assert not asked.torque_requested and Reason.TORQUE_BLOCKED in reasons, (what, vehicle)
+    almost = car(status=VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True, t_rx_ns=NOW - 50 * MS + 1))
+    assert asks(vehicle=almost)[0].torque_requested
+
+
+@pytest.mark.parametrize("phase", [phase for phase in Phase if phase is not Phase.DRIVING])
+def test_no_other_phase_gives_torque_to_a_command(phase: Phase) -> None:
+    asked, reasons = asks(what=decision(phase), vehicle=car(rpm=0))
+    assert not asked.torque_requested and asked.rear_motor_speed_max_rpm == 0
+    assert reasons == frozenset()
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        command(run_id=2),
+        command(t_sensor_ns=NOW - 500 * MS),
+        command(throttle=math.nan),
+        command(throttle=1.1),
+        command(brake=-0.1),
+        command(steering_rad=math.inf),
+        command(speed_limit_mps=math.nan),
+    ],
+)
+def test_a_command_that_is_not_in_order_gives_nothing_even_here(order: VehicleCommand) -> None:
+    _, asked, _ = gate(CAR, replace(FREE, steer_deg=3.0, brake=0.4), decision(), order, car(), NOW)
+    assert (asked.torque_requested, asked.steer_deg, asked.rear_brake_pct) == (False, 3.0, 40.0)
+
+
+def test_brake_wins_over_throttle() -> None:
+    asked, _ = asks(order=command(throttle=1.0, brake=0.2))
+    assert (asked.rear_torque_nm, asked.rear_brake_pct) == (0.0, 20.0)
+    asked, _ = asks(order=command(throttle=1.0, brake=0.001))  # less than the signal can say
+    assert (asked.rear_torque_nm, asked.rear_brake_pct) == (0.0, 0.0)
+
+
+# ---------------------------------------------------------------- standstill (rule 3)
+
+
+@pytest.mark.parametrize("phase", [Phase.STOPPED, Phase.FINISHED, Phase.READY, Phase.IDLE])
+def test_in_as_driving_neutral_and_finished_are_never_said_while_a_wheel_may_turn(phase: Phase) -> None:
+    for speeds in (None, WheelSpeeds(0, 0, 10, 0, NOW), WheelSpeeds(0, 0, 0, 0, NOW - 100 * MS)):
+        asked, reasons = asks(what=decision(phase), vehicle=car(speeds=speeds))
+        assert (asked.direction, asked.mission_status) == (Direction.FORWARD, MissionStatus.RUNNING)
+        assert Reason.STILLNESS_UNPROVEN in reasons
+    asked, reasons = asks(what=decision(phase), vehicle=car(rpm=9))
+    assert (asked.direction, asked.mission_status) == (
+        Direction.NEUTRAL,
+        OUTPUT[phase].mission_status or MissionStatus.SELECTED,
+    )
+    assert reasons == frozenset()
+    forward = decision(phase, direction=Direction.FORWARD, mission_status=MissionStatus.FINISHED)
+    assert asks(what=forward, vehicle=car(rpm=10))[0].mission_status is MissionStatus.RUNNING
+
+
+def test_outside_as_driving_neutral_needs_no_proof() -> None:
+    asked, reasons = asks(what=decision(Phase.READY), vehicle=car(AsState.AS_READY, speeds=None))
+    assert (asked.direction, reasons) == (Direction.NEUTRAL, frozenset())
+
+
+# ---------------------------------------------------------------- the interlock (rule 1)
+
+BRAKING = decision(Phase.STOPPING)
+
+
+def cycle(
+    state: GateState, what: Decision, now_ns: int, complete: bool | None = True, **changes: Any
+) -> tuple[GateState, AiCommand]:
+    """One cycle made and, unless `complete` is None, sent."""
+    vehicle = car(t_ns=now_ns, **changes)
+    state, asked, _ = gate(CAR, state, what, command(t_sensor_ns=now_ns), vehicle, now_ns)
+    return (state if complete is None else sent(state, complete, now_ns)), asked
+
+
+def test_after_a_start_the_vcu_may_hold_anything_so_the_first_cycle_is_all_zeros() -> None:
+    for what in (decision(), BRAKING):
+        _, asked = cycle(GateState(run_id=1), what, NOW)
+        assert not asked.torque_requested and not asked.brake_requested
+
+
+def test_torque_rises_after_one_complete_zero_cycle_that_0x524_has_echoed() -> None:
+    state, asked = cycle(FREE, BRAKING, NOW)
+    assert asked.brake_requested
+    state, asked = cycle(state, decision(), NOW + 10 * MS)
+    assert not asked.torque_requested and not asked.brake_requested
+    _, asked = cycle(state, decision(), NOW + 20 * MS)  # its 0x524 echoes zero
+    assert asked.torque_requested
+
+
+@pytest.mark.parametrize(
+    "brake",
+    [
+        None,
+        VcuBrake(front_request_pct=0.5, t_rx_ns=NOW + 20 * MS),
+        VcuBrake(rear_request_pct=0.5, t_rx_ns=NOW + 20 * MS),
+        VcuBrake(t_rx_ns=NOW + 10 * MS),  # from before the zeros could be seen
+    ],
+)
+def test_without_the_echo_torque_rises_after_two_complete_zero_cycles(brake: VcuBrake | None) -> None:
+    state, _ = cycle(FREE, BRAKING, NOW)
+    state, _ = cycle(state, decision(), NOW + 10 * MS, brake=brake)
+    state, asked = cycle(state, decision(), NOW + 20 * MS, brake=brake)
+    assert not asked.torque_requested
+    _, asked = cycle(state, decision(), NOW + 30 * MS, brake=brake)
+    assert asked.torque_requested
+
+
+@pytest.mark.parametrize("complete", [False, None])
+def test_a_zero_cycle_that_was_not_sent_whole_does_not_count(complete: bool | None) -> None:
+    state, _ = cycle(FREE, BRAKING, NOW)
+    for n in range(1, 6):
+        state, asked = cycle(state, decision(), NOW + n * 10 * MS, complete)
+        assert not asked.torque_requested
+    state, asked = cycle(state, decision(), NOW + 60 * MS)
+    assert not asked.torque_requested
+    assert cycle(state, decision(), NOW + 70 * MS)[1].torque_requested
+
+
+@pytest.mark.parametrize("complete", [False, None])
+def test_a_brake_that_may_have_gone_out_keeps_the_torque_back(complete: bool | None) -> None:
+    state, asked = cycle(FREE, BRAKING, NOW, complete)
+    assert asked.brake_requested
+    state, asked = cycle(state, decision(), NOW + 10 * MS)
+    assert not asked.torque_requested
+
+
+def test_the_brake_rises_after_one_complete_cycle_without_torque() -> None:
+    state, asked = cycle(FREE, decision(), NOW)
+    assert asked.torque_requested
+    state, asked = cycle(state, BRAKING, NOW + 10 * MS)
+    assert not asked.torque_requested and not asked.brake_requested
+    _, asked = cycle(state, BRAKING, NOW + 20 * MS)
+    assert asked.brake_requested
+
+
+@pytest.mark.parametrize("complete", [False, None])
+def test_the_brake_waits_for_a_cycle_without_torque_that_was_sent_whole(complete: bool | None) -> None:
+    state, _ = cycle(FREE, decision(), NOW)
+    for n in range(1, 6):
+        state, asked = cycle(state, BRAKING, NOW + n * 10 * MS, complete)
+        assert not asked.brake_requested
+    state, asked = cycle(state, BRAKING, NOW + 60 * MS)
+    assert not asked.brake_requested
+    assert cycle(state, BRAKING, NOW + 70 * MS)[1].brake_requested
+
+
+@pytest.mark.parametrize("complete", [False, None])
+def test_a_torque_that_may_have_gone_out_keeps_the_brake_back(complete: bool | None) -> None:
+    state, asked = cycle(FREE, decision(), NOW, complete)
+    assert asked.torque_requested
+    assert not cycle(state, BRAKING, NOW + 10 * MS)[1].brake_requested
+
+
+def test_torque_that_runs_goes_on_through_a_broken_cycle() -> None:
+    state, _ = cycle(FREE, decision(), NOW)
+    state, _ = cycle(state, decision(), NOW + 10 * MS, complete=False)
+    assert cycle(state, decision(), NOW + 20 * MS)[1].torque_requested
+
+
+def test_torque_back_at_zero_in_a_broken_cycle_rises_only_after_a_whole_one() -> None:
+    state, _ = cycle(FREE, decision(), NOW)
+    state, asked = cycle(state, decision(Phase.HOLDING), NOW + 10 * MS, complete=False)
+    assert not asked.torque_requested
+    assert not cycle(state, decision(), NOW + 20 * MS)[1].torque_requested
+
+
+def test_a_brake_that_waits_is_not_forgotten() -> None:
+    state, _ = cycle(FREE, decision(), NOW)
+    state, _, _ = gate(CAR, state, decision(), command(brake=0.6), car(), NOW + 10 * MS)
+    state = sent(state, True, NOW + 10 * MS)
+    _, asked = cycle(state, decision(Phase.HOLDING), NOW + 20 * MS)
+    assert asked.rear_brake_pct == 60.0  # kept, though its own cycle had to be zero
+
+
+def test_being_told_twice_that_a_cycle_went_out_counts_it_once() -> None:
+    state, _ = cycle(FREE, BRAKING, NOW)
+    state, _ = cycle(state, decision(), NOW + 10 * MS)
+    assert sent(state, True, NOW + 11 * MS) == state
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([Phase.DRIVING, Phase.DRIVING, Phase.HOLDING, Phase.STOPPING, Phase.EMERGENCY_MOVING]),
+            st.booleans(),  # throttle
+            st.booleans(),  # brake
+            st.sampled_from([True, True, False, None]),  # sent whole
+            st.booleans(),  # 0x524 echoes
+        ),
+        max_size=40,
+    )
+)
+def test_torque_and_brake_never_meet_at_the_vcu_whichever_frames_of_a_cycle_arrive(steps: list[Any]) -> None:
+    """The VCU keeps what it saw last; of a broken cycle any of the frames may have arrived."""
+    state = GateState(run_id=1)
+    torque_at_vcu, brake_at_vcu = {True, False}, {True, False}  # what may be there
+    for n, (phase, throttle, brake, complete, echoes) in enumerate(steps):
+        now_ns = NOW + n * 10 * MS
+        order = command(t_sensor_ns=now_ns, throttle=float(throttle), brake=0.3 * brake)
+        echo = VcuBrake(front_request_pct=50.0 if True in brake_at_vcu and not echoes else 0.0, t_rx_ns=now_ns)
+        state, asked, _ = gate(CAR, state, decision(phase), order, car(t_ns=now_ns, brake=echo), now_ns)
+        torque, braking = asked.torque_requested, asked.brake_requested
+        # In the order of the frames: torque (0x511, 0x512) arrives while the old brake is still there, and the other
+        # way round if the torque's frame of this cycle is lost.
+        assert not (torque and (True in brake_at_vcu or braking))
+        assert not (braking and True in torque_at_vcu)
+        if complete:
+            torque_at_vcu, brake_at_vcu = {torque}, {braking}
+        else:
+            torque_at_vcu |= {torque}
+            brake_at_vcu |= {braking}
+        if complete is not None:
+            state = sent(state, complete, now_ns)
+
+
+# ---------------------------------------------------------------- the motors as service brake
+
+MOTOR = gate_config(official_simulator(), revision("2026"), ADS_DV_2026)
+
+
+def test_for_the_official_simulator_a_stop_is_torque_against_a_speed_limit_of_zero() -> None:
+    asked, reasons = asks(what=BRAKING, config=MOTOR)
+    assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm, asked.brake_requested) == (195.0, 0, False)
+    assert reasons == frozenset()
+
+
+def test_for_the_official_simulator_a_brake_command_is_a_share_of_the_torque() -> None:
+    asked, _ = asks(order=command(throttle=0.0, brake=0.5), config=MOTOR)
+    assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm) == (97.5, 0)
+
+
+def test_for_the_official_simulator_nothing_ever_asks_for_the_hydraulic_brake() -> None:
+    for phase in Phase:
+        for as_state in AsState:
+            asked, _ = asks(what=decision(phase), vehicle=car(as_state, rpm=0), config=MOTOR)
+            assert not asked.brake_requested
+            if as_state is not AsState.AS_DRIVING:
+                assert not asked.torque_requested
+
+
+def test_the_motors_brake_only_where_the_car_is_known_to_drive() -> None:
+    stale = car(status=VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True, t_rx_ns=NOW - 50 * MS))
+    assert not asks(what=BRAKING, vehicle=stale, config=MOTOR)[0].torque_requested
+    assert not asks(what=decision(Phase.ESTOP_ASKED, estop=True), config=MOTOR)[0].torque_requested
+    assert not asks(what=decision(Phase.STOPPED), vehicle=car(rpm=0), config=MOTOR)[0].torque_requested
+
+
+# ---------------------------------------------------------------- anything at all
+
+
+@settings(max_examples=500, deadline=None)
+@given(
+    phase=st.sampled_from(list(Phase)),
+    steer=st.sampled_from(list(Steer)),
+    brake=st.sampled_from(list(Brake)),
+    flags=st.tuples(*[st.booleans()] * 6),
+    numbers=st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 4),
+    as_state=st.sampled_from(list(AsState)),
+    rpm=st.tuples(*[st.integers(0, 1250)] * 4),
+    limits=st.tuples(st.floats(0, 30), st.floats(0, 195)),
+    held=st.floats(-30, 30),
+)
+def test_whatever_is_decided_and_commanded_the_codec_takes_what_the_gate_gives(
+    phase: Phase,
+    steer: Steer,
+    brake: Brake,
+    flags: tuple[bool, ...],
+    numbers: tuple[float, ...],
+    as_state: AsState,
+    rpm: tuple[int, int, int, int],
+    limits: tuple[float, float],
+    held: float,
+) -> None:
+    what = decision(phase, steer=steer, brake=brake, torque=flags[0], estop=flags[1], may_move=flags[2])
+    order = VehicleCommand(NOW, 1, *numbers) if flags[3] else None
+    vehicle = car(
+        as_state,
+        speeds=WheelSpeeds(*rpm, t_rx_ns=NOW),
+        steer=VcuSteer(0, limits[0], 0, NOW),
+        drive_rear=VcuDriveRear(0, 0, limits[1], NOW),
+    )
+    config = MOTOR if flags[4] else CAR
+    _, asked, _ = gate(config, replace(FREE, steer_deg=held), what, order, vehicle, NOW)
+    codec().encode_command(asked)
+    assert not (asked.torque_requested and asked.brake_requested)
+    assert asked.rear_torque_nm <= min(limits[1], constant_power_nm(max(rpm[2:])))
+    assert asked.front_torque_nm == 0.0
+    assert abs(asked.steer_deg) <= min(30.0, limits[0])
+    if as_state is not AsState.AS_DRIVING:
+        assert asked.steer_deg == 0.0 and not asked.torque_requested
+
+
+def codec() -> Codec:
+    if not _CODEC:
+        _CODEC.append(Codec(revision("2026")))
+    return _CODEC[0]
+
+
+_CODEC: list[Codec] = []

@@ -1,0 +1,227 @@
+"""Dead reckoning."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.vehicle.odometry import MotionHistory, Odometry, OdometrySettings, motion_at
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
+from fsai_vcu.interface.images import (
+    GpsImu,
+    LogDynamics2,
+    RotationB,
+    VcuBrake,
+    VcuSteer,
+    VehicleState,
+    WheelCounts,
+    WheelSpeeds,
+)
+
+MS = 1_000_000
+CAR = ADS_DV_2026
+
+
+def wheels(car: VehicleParameters, speed_mps: float, steer_deg: float, t_ns: int) -> WheelSpeeds:
+    """What the four wheels of a car say that rolls without slip."""
+    curvature = math.tan(math.radians(steer_deg)) / car.wheelbase_m
+    inner, outer = 1.0 - curvature * car.track_m / 2, 1.0 + curvature * car.track_m / 2
+    reach = curvature * car.wheelbase_m
+    road = (math.hypot(inner, reach), math.hypot(outer, reach), inner, outer)
+    return WheelSpeeds(*(round(car.wheel_rpm_of_speed(speed_mps * share)) for share in road), t_rx_ns=t_ns)
+
+
+def state(speed_mps: float, steer_deg: float, t_ns: int, car: VehicleParameters = CAR) -> VehicleState:
+    return VehicleState(speeds=wheels(car, speed_mps, steer_deg, t_ns), steer=VcuSteer(steer_deg, t_rx_ns=t_ns))
+
+
+def drive(
+    odometry: Odometry, speed_mps: float, steer_deg: float, seconds: float, t_ns: int = 0, gps: GpsImu | None = None
+) -> Motion:
+    motion = odometry.motion
+    for step in range(1, round(seconds * 100) + 1):
+        now = t_ns + step * 10 * MS
+        motion = odometry.update(state(speed_mps, steer_deg, now), gps or GpsImu(), now)
+    return motion
+
+
+def test_a_straight_drive_is_as_long_as_the_wheels_say() -> None:
+    motion = drive(Odometry(CAR), 8.0, 0.0, 5.0)
+    assert motion.x_m == pytest.approx(40.0, abs=0.2)
+    assert motion.y_m == pytest.approx(0.0)
+    assert motion.distance_m == pytest.approx(motion.x_m)
+    assert motion.speed_mps == pytest.approx(8.0, abs=0.03)
+
+
+@pytest.mark.parametrize("steer_deg", [15.0, -15.0])
+def test_a_full_circle_by_the_steering_ends_where_it_began(steer_deg: float) -> None:
+    radius = CAR.wheelbase_m / math.tan(math.radians(15.0))
+    motion = drive(Odometry(CAR), 4.0, steer_deg, 2.0 * math.pi * radius / 4.0)
+    assert math.hypot(motion.x_m, motion.y_m) < 0.35
+    assert math.copysign(1.0, motion.yaw_rate_radps) == math.copysign(1.0, steer_deg)
+    assert abs(motion.yaw_rate_radps) == pytest.approx(4.0 / radius, rel=0.01)
+
+
+def test_reset_makes_the_cars_pose_the_origin() -> None:
+    odometry = Odometry(CAR)
+    drive(odometry, 5.0, 5.0, 1.0)
+    odometry.reset(2_000 * MS)
+    assert odometry.motion == Motion(t_ns=2_000 * MS)
+
+
+def test_time_that_runs_backwards_changes_nothing() -> None:
+    odometry = Odometry(CAR)
+    before = drive(odometry, 5.0, 0.0, 1.0)
+    assert odometry.update(state(5.0, 0.0, 500 * MS), GpsImu(), 500 * MS) == before
+
+
+def test_spinning_driven_wheels_do_not_count_on_a_car_with_free_ones() -> None:
+    odometry = Odometry(ADS_DV_2026)
+    speeds = WheelSpeeds(100, 100, 700, 700, t_rx_ns=10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
+    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
+
+
+def test_one_spinning_wheel_does_not_count_on_a_car_that_drives_them_all() -> None:
+    odometry = Odometry(ADS_DV_2021)
+    speeds = WheelSpeeds(100, 100, 100, 700, t_rx_ns=10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
+    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
+
+
+def test_locked_wheels_do_not_count_while_braking() -> None:
+    odometry = Odometry(ADS_DV_2026)
+    speeds = WheelSpeeds(0, 0, 300, 300, t_rx_ns=10 * MS)
+    brake = VcuBrake(front_pct=40.0, rear_pct=40.0, t_rx_ns=10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds, brake=brake), GpsImu(), 10 * MS)
+    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(300))
+
+
+def test_a_reading_that_rests_at_9_rpm_without_wheel_pulses_is_a_standing_car() -> None:
+    odometry = Odometry(CAR)
+    for step in range(1, 101):
+        now = step * 10 * MS
+        vehicle = VehicleState(speeds=WheelSpeeds(9, 9, 9, 9, t_rx_ns=now), counts=WheelCounts(5, 5, 5, 5, t_rx_ns=now))
+        motion = odometry.update(vehicle, GpsImu(), now)
+        assert motion.speed_mps == pytest.approx(0.0 if now >= 510 * MS else CAR.speed_of_wheel_rpm(9))
+    assert motion.distance_m < 0.15
+
+
+def test_a_slow_car_whose_pulses_go_on_is_moving() -> None:
+    odometry = Odometry(CAR)
+    for step in range(1, 201):
+        now = step * 10 * MS
+        counts = WheelCounts(step // 40, 0, 0, 0, t_rx_ns=now)
+        motion = odometry.update(
+            VehicleState(speeds=WheelSpeeds(9, 9, 9, 9, t_rx_ns=now), counts=counts), GpsImu(), now
+        )
+    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(9))
+
+
+def test_speeds_that_stop_arriving_hold_for_half_a_second_and_then_mean_nothing() -> None:
+    odometry = Odometry(CAR)
+    drive(odometry, 5.0, 0.0, 1.0)
+    silent = state(5.0, 0.0, 1_000 * MS)
+    assert odometry.update(silent, GpsImu(), 1_500 * MS).speed_mps == pytest.approx(5.0, abs=0.03)
+    assert odometry.update(silent, GpsImu(), 1_501 * MS).speed_mps == 0.0
+
+
+def test_a_fresh_yaw_rate_sensor_is_believed_before_the_steering() -> None:
+    odometry = Odometry(CAR)
+    now = 10 * MS
+    sensed = GpsImu(rotation_b=RotationB(z_degps=40.0, t_rx_ns=now))
+    motion = odometry.update(state(5.0, 10.0, now), sensed, now)
+    assert motion.yaw_rate_radps == pytest.approx(math.radians(40.0))
+
+
+def test_a_yaw_rate_that_is_older_than_100_ms_is_not_believed() -> None:
+    by_steering = 5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m
+    for age_ms, believed in ((100, True), (101, False)):
+        odometry = Odometry(CAR)
+        now = 500 * MS
+        sensed = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=40.0, t_rx_ns=now - age_ms * MS))
+        motion = odometry.update(state(5.0, 10.0, now), sensed, now)
+        expected = math.radians(40.0) if believed else by_steering
+        assert motion.yaw_rate_radps == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -200.0])
+def test_a_yaw_rate_that_cannot_be_is_not_believed(value: float) -> None:
+    odometry = Odometry(CAR)
+    now = 10 * MS
+    motion = odometry.update(state(5.0, 10.0, now), GpsImu(rotation_b=RotationB(value, now)), now)
+    assert motion.yaw_rate_radps == pytest.approx(5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m, abs=0.01)
+
+
+def test_the_sensors_bias_is_learnt_at_rest_and_survives_a_reset() -> None:
+    odometry = Odometry(CAR)
+    for step in range(1, 401):
+        now = step * 10 * MS
+        odometry.update(state(0.0, 0.0, now), GpsImu(rotation_b=RotationB(1.0, now)), now)
+    assert odometry.motion.yaw_rad == 0.0
+    odometry.reset(4_000 * MS)
+    for step in range(1, 101):
+        now = 4_000 * MS + step * 10 * MS
+        motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(1.0, now)), now)
+    assert abs(motion.yaw_rate_radps) < math.radians(0.05)
+
+
+def test_a_reading_is_learnt_from_once_however_often_it_is_looked_at() -> None:
+    odometry = Odometry(CAR)
+    for step in range(1, 11):
+        odometry.update(state(0.0, 0.0, step * MS), GpsImu(rotation_b=RotationB(2.0, 1)), step * MS)
+    now = 11 * MS
+    motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(2.0, now)), now)
+    learnt = OdometrySettings().bias_gain * 2.0
+    assert math.degrees(motion.yaw_rate_radps) == pytest.approx(2.0 - learnt, abs=1e-6)
+
+
+def test_a_steering_angle_that_is_no_number_leaves_the_last_one() -> None:
+    odometry = Odometry(CAR)
+    odometry.update(state(5.0, 10.0, 10 * MS), GpsImu(), 10 * MS)
+    speeds = wheels(CAR, 5.0, 10.0, 20 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds, steer=VcuSteer(math.nan, t_rx_ns=20 * MS)), GpsImu(), 20 * MS)
+    assert motion.yaw_rate_radps == pytest.approx(5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m, rel=0.01)
+
+
+def test_a_motion_is_carried_along_its_arc_both_ways() -> None:
+    here = Motion(t_ns=0, x_m=1.0, y_m=2.0, yaw_rad=math.pi / 2, speed_mps=10.0, yaw_rate_radps=1.0, distance_m=50.0)
+    later = motion_at(here, 50 * MS)
+    assert (later.x_m, later.y_m) == pytest.approx((1.0 - 0.5 * math.sin(0.025), 2.0 + 0.5 * math.cos(0.025)))
+    assert later.distance_m == pytest.approx(50.5)
+    back = motion_at(later, 0)
+    assert (back.x_m, back.y_m, back.yaw_rad) == pytest.approx((1.0, 2.0, math.pi / 2))
+
+
+def test_history_interpolates_between_motions_across_the_turn_of_the_angle() -> None:
+    history = MotionHistory()
+    history.add(Motion(t_ns=0, x_m=0.0, yaw_rad=3.1, distance_m=0.0))
+    history.add(Motion(t_ns=100, x_m=1.0, yaw_rad=-3.1, distance_m=1.0))
+    middle = history.at(50)
+    assert middle is not None
+    assert middle.x_m == pytest.approx(0.5)
+    assert abs(math.remainder(middle.yaw_rad - math.pi, 2 * math.pi)) < 1e-9
+
+
+def test_history_forgets_everything_when_odometry_begins_anew() -> None:
+    history = MotionHistory()
+    history.add(Motion(t_ns=0, x_m=90.0, distance_m=90.0))
+    history.add(Motion(t_ns=10, x_m=0.0, distance_m=0.0))
+    at = history.at(5)
+    assert at is not None
+    assert at.x_m == 0.0
+
+
+def test_an_empty_history_knows_nothing() -> None:
+    assert MotionHistory().at(0) is None
+
+
+def test_history_keeps_no_more_than_its_span() -> None:
+    history = MotionHistory(span_ns=100)
+    for t in range(0, 1000, 10):
+        history.add(Motion(t_ns=t, x_m=float(t), distance_m=float(t)))
+    oldest = history.at(0)
+    assert oldest is not None
+    assert oldest.x_m == pytest.approx(890.0)

@@ -1,0 +1,164 @@
+"""From cones to the lane's middle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsai_vcu.core.planning.cone_memory import Cones
+from fsai_vcu.core.planning.lane import find_lane
+from fsai_vcu.core.planning.settings import PlannerSettings
+
+SETTINGS = PlannerSettings()
+HALF = 1.6
+
+
+def arc_point(s: float, radius: float, offset: float) -> tuple[float, float]:
+    """Point `offset` left of an arc of signed radius that begins at the origin along x."""
+    if math.isinf(radius):
+        return s, offset
+    a = s / radius
+    return (radius - offset) * math.sin(a), radius - (radius - offset) * math.cos(a)
+
+
+def lane_cones(radius: float, colored: bool, spacing: float = 4.0, reach: float = 16.0) -> Cones:
+    xy, side = [], []
+    for s in np.arange(-4.0, min(reach, 2.2 * abs(radius)), spacing):
+        xy += [arc_point(s, radius, HALF), arc_point(s + 0.4 * spacing, radius, -HALF)]
+        side += [1.0, -1.0]
+    return cones_of(xy, side if colored else [0.0] * len(xy))
+
+
+def cones_of(xy: list[tuple[float, float]], side: list[float]) -> Cones:
+    n = len(xy)
+    return Cones(np.array(xy).reshape(-1, 2), np.zeros(n, dtype=np.int64), np.array(side), np.arange(n))
+
+
+def only(cones: Cones, keep: NDArray[np.bool_]) -> Cones:
+    return Cones(cones.xy_m[keep], cones.color[keep], cones.side[keep], np.arange(int(keep.sum())))
+
+
+def off_middle(path: NDArray[np.float64], radius: float, reach: float = 9.0) -> float:
+    """How far the path's first metres are from the arc."""
+    arc = np.array([arc_point(s, radius, 0.0) for s in np.arange(-1.0, 30.0, 0.05)])
+    first = path[np.arange(len(path)) * SETTINGS.path_step_m <= reach]
+    gap = np.hypot(first[:, None, 0] - arc[None, :, 0], first[:, None, 1] - arc[None, :, 1])
+    return float(gap.min(axis=1).max())
+
+
+RADII = [math.inf, 20.0, -20.0, 9.0, -9.0, 5.5, -5.5]
+
+
+@pytest.mark.parametrize("colored", [True, False])
+@pytest.mark.parametrize("radius", RADII)
+def test_the_path_is_the_lanes_middle(radius: float, colored: bool) -> None:
+    lane = find_lane(lane_cones(radius, colored), 1.0 / radius, HALF, 0.0, SETTINGS)
+    assert len(lane.path_m) >= 14
+    assert off_middle(lane.path_m, radius) < 0.3
+
+
+@pytest.mark.parametrize("colored", [True, False])
+@pytest.mark.parametrize("radius", RADII)
+def test_the_path_begins_beside_the_car_and_has_even_steps(radius: float, colored: bool) -> None:
+    path = find_lane(lane_cones(radius, colored), 1.0 / radius, HALF, 0.0, SETTINGS).path_m
+    assert math.hypot(*path[0]) < 0.4
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    assert steps == pytest.approx(np.full(len(steps), SETTINGS.path_step_m), abs=0.03)
+    assert path[3, 0] > path[0, 0]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("radius", [math.inf, 9.0, -9.0])
+def test_a_lone_border_is_followed_at_half_a_lanes_width(radius: float, side: float) -> None:
+    cones = lane_cones(radius, colored=True, spacing=3.0)
+    lane = find_lane(only(cones, cones.side == side), 1.0 / radius, HALF, 0.0, SETTINGS)
+    assert len(lane.path_m) >= 12
+    assert off_middle(lane.path_m, radius, reach=7.0) < 0.45
+
+
+@pytest.mark.parametrize("colored", [True, False])
+@pytest.mark.parametrize("missing", range(4, 10))
+def test_a_missing_cone_does_not_bend_the_path(missing: int, colored: bool) -> None:
+    cones = lane_cones(12.0, colored)
+    lane = find_lane(only(cones, np.arange(len(cones.xy_m)) != missing), 1 / 12, HALF, 0.0, SETTINGS)
+    assert off_middle(lane.path_m, 12.0) < 0.4
+
+
+@pytest.mark.parametrize("false", [(6.0, 5.0), (4.0, -4.5), (12.0, 3.5), (9.0, -6.0)])
+@pytest.mark.parametrize("colored", [True, False])
+def test_a_cone_outside_the_lane_does_not_bend_the_path(false: tuple[float, float], colored: bool) -> None:
+    cones = lane_cones(math.inf, colored)
+    xy = [*map(tuple, cones.xy_m.tolist()), false]
+    lane = find_lane(cones_of(xy, [*cones.side.tolist(), 0.0]), 0.0, HALF, 0.0, SETTINGS)
+    assert off_middle(lane.path_m, math.inf) < 0.3
+
+
+def test_a_colour_on_the_wrong_side_keeps_the_path_out() -> None:
+    """Two lanes side by side: straight on is another lane's border, of the wrong colour."""
+    lane = lane_cones(9.0, colored=True)
+    wall = [(14.0, y) for y in (-6.0, -3.0, 0.0)]
+    xy = [*map(tuple, lane.xy_m.tolist()), *wall]
+    found = find_lane(cones_of(xy, [*lane.side.tolist(), 1.0, 1.0, 1.0]), 1 / 9, HALF, 0.0, SETTINGS)
+    assert off_middle(found.path_m, 9.0) < 0.3
+
+
+def test_a_wide_lane_is_driven_in_its_middle() -> None:
+    xy = [(x, y) for x in np.arange(-4.0, 16.0, 4.0) for y in (2.4, -2.4)]
+    lane = find_lane(cones_of(xy, [0.0] * len(xy)), 0.0, HALF, 0.0, SETTINGS)
+    assert np.abs(lane.path_m[:, 1]).max() < 0.1
+    assert lane.half_width_m == pytest.approx(2.4, abs=0.05)
+
+
+def test_a_car_beside_the_middle_gets_the_middle_all_the_same() -> None:
+    xy = [(x, y - 0.5) for x in np.arange(-4.0, 16.0, 4.0) for y in (HALF, -HALF)]
+    lane = find_lane(cones_of(xy, [0.0] * len(xy)), 0.0, HALF, 0.0, SETTINGS)
+    assert lane.path_m[4:, 1] == pytest.approx(np.full(len(lane.path_m) - 4, -0.5), abs=0.1)
+
+
+def test_the_path_ends_where_the_cones_end() -> None:
+    cones = lane_cones(math.inf, colored=True, reach=8.5)
+    last = float(cones.xy_m[:, 0].max())
+    assert last - 1.0 <= find_lane(cones, 0.0, HALF, 0.0, SETTINGS).path_m[-1, 0] <= last + 1.0
+
+
+def test_beyond_a_long_gap_the_lane_is_not_believed() -> None:
+    xy = [(x, y) for x in (-2.0, 2.0, 4.0, 16.0, 18.0) for y in (HALF, -HALF)]
+    lane = find_lane(cones_of(xy, [1.0, -1.0] * 5), 0.0, HALF, 0.0, SETTINGS)
+    assert lane.path_m[-1, 0] < 5.0
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_without_cones_there_is_no_path(count: int) -> None:
+    lane = find_lane(cones_of([(5.0, 1.5)] * count, [0.0] * count), 0.0, HALF, 0.0, SETTINGS)
+    assert lane.path_m.shape == (0, 2)
+
+
+def test_cones_behind_the_car_alone_are_no_lane() -> None:
+    cones = cones_of([(-3.0, 1.5), (-3.0, -1.5), (-1.0, 1.5)], [1.0, -1.0, 1.0])
+    assert len(find_lane(cones, 0.0, HALF, 0.0, SETTINGS).path_m) == 0
+
+
+def test_cones_on_one_spot_or_one_line_do_no_harm() -> None:
+    for xy in ([(5.0, 0.0)] * 6, [(float(x), 0.0) for x in range(1, 12)], [(0.0, 0.0)] * 3):
+        path = find_lane(cones_of(xy, [0.0] * len(xy)), 0.0, HALF, 0.0, SETTINGS).path_m
+        assert np.isfinite(path).all()
+
+
+@pytest.mark.parametrize("radius", [6.0, -6.0])
+def test_in_a_bend_the_rear_axle_is_led_inward_so_that_the_nose_stays_in_the_lane(radius: float) -> None:
+    cones = lane_cones(radius, colored=True, spacing=2.5)
+    middle = find_lane(cones, 1.0 / radius, HALF, 0.0, SETTINGS).path_m
+    led = find_lane(cones, 1.0 / radius, HALF, 2.17, SETTINGS).path_m
+    reach_middle = np.hypot(middle[4:12, 0], middle[4:12, 1] - radius).mean()
+    reach_led = np.hypot(led[4:12, 0], led[4:12, 1] - radius).mean()
+    assert reach_middle - reach_led == pytest.approx(2.17**2 / (4 * abs(radius)), abs=0.08)
+
+
+def test_cones_near_the_car_are_told_left_from_right() -> None:
+    cones = lane_cones(math.inf, colored=False)
+    lane = find_lane(cones, 0.0, HALF, 0.0, SETTINGS)
+    near = (cones.xy_m[:, 0] > -1.5) & (cones.xy_m[:, 0] < 8.0)
+    assert (np.sign(lane.side[near]) == np.sign(cones.xy_m[near, 1])).all()

@@ -1,0 +1,118 @@
+"""The memory of cones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
+from fsai_vcu.core.planning.cone_memory import ConeMemory, believable
+from fsai_vcu.core.planning.settings import PlannerSettings
+
+SETTINGS = PlannerSettings()
+HERE = Motion()
+
+
+def colors(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.int64)
+
+
+def test_a_cone_is_believed_after_its_second_sighting() -> None:
+    memory = ConeMemory(SETTINGS)
+    memory.add(np.array([[5.0, 1.5]]), colors(1), HERE)
+    assert len(memory.around(HERE).xy_m) == 0
+    memory.add(np.array([[5.1, 1.4]]), colors(1), HERE)
+    assert len(memory.around(HERE).xy_m) == 1
+    assert memory.total == 1
+
+
+def test_sightings_are_averaged() -> None:
+    memory = ConeMemory(SETTINGS)
+    for offset in (-0.2, 0.2, -0.1, 0.1):
+        memory.add(np.array([[5.0 + offset, 1.5]]), colors(1), HERE)
+    assert memory.around(HERE).xy_m[0] == pytest.approx([5.0, 1.5], abs=0.06)
+
+
+def test_a_cone_keeps_its_place_while_the_car_moves() -> None:
+    memory = ConeMemory(SETTINGS)
+    for x in (0.0, 1.0, 2.0):
+        memory.add(np.array([[6.0 - x, 1.5]]), colors(1), Motion(x_m=x, distance_m=x))
+    turned = Motion(x_m=6.0, y_m=0.0, yaw_rad=np.pi / 2, distance_m=6.0)
+    assert memory.around(turned).xy_m[0] == pytest.approx([1.5, 0.0], abs=1e-9)
+
+
+def test_a_false_cone_that_is_not_seen_again_is_dropped() -> None:
+    memory = ConeMemory(SETTINGS)
+    real = np.array([[6.0, 1.5]])
+    memory.add(np.vstack((real, [[5.0, -0.5]])), colors(1, 1), HERE)
+    for _ in range(3):
+        memory.add(real, colors(1), HERE)
+    assert len(memory) == 1
+
+
+def test_a_real_cone_survives_misses() -> None:
+    memory = ConeMemory(SETTINGS)
+    for index in range(20):
+        seen = index % 2 == 0 or index < 3
+        memory.add(np.array([[6.0, 1.5]]) if seen else np.zeros((0, 2)), colors(1) if seen else colors(), HERE)
+    assert len(memory.around(HERE).xy_m) == 1
+
+
+def test_cones_far_behind_are_forgotten() -> None:
+    memory = ConeMemory(SETTINGS)
+    for _ in range(3):
+        memory.add(np.array([[3.0, 1.5]]), colors(1), HERE)
+    for x, left in ((3.0 + SETTINGS.behind_m - 0.1, 1), (3.0 + SETTINGS.behind_m + 0.1, 0)):
+        memory.add(np.zeros((0, 2)), colors(), Motion(x_m=x, distance_m=x))
+        assert len(memory) == left
+
+
+def test_two_cones_side_by_side_stay_two() -> None:
+    memory = ConeMemory(SETTINGS)
+    for _ in range(4):
+        memory.add(np.array([[6.0, 1.5], [6.9, 1.5]]), colors(4, 4), HERE)
+    assert len(memory.around(HERE).xy_m) == 2
+
+
+def test_the_colour_is_the_one_seen_most_and_colourless_sightings_do_not_outvote_it() -> None:
+    memory = ConeMemory(SETTINGS)
+    for color in (1, 0, 1, 2, 0, 1, 0):
+        memory.add(np.array([[6.0, 1.5]]), colors(color), HERE)
+    cones = memory.around(HERE)
+    assert cones.color[0] == ConeColor.BLUE
+    assert cones.side[0] == 1.0
+
+
+def test_a_cone_never_seen_with_a_colour_has_none() -> None:
+    memory = ConeMemory(SETTINGS)
+    for _ in range(3):
+        memory.add(np.array([[6.0, 1.5]]), colors(0), HERE)
+    cones = memory.around(HERE)
+    assert cones.color[0] == ConeColor.UNKNOWN
+    assert cones.side[0] == 0.0
+
+
+def test_what_the_lane_says_of_a_colourless_cone_is_remembered_but_never_as_sure_as_a_colour() -> None:
+    memory = ConeMemory(SETTINGS)
+    for _ in range(12):
+        memory.add(np.array([[6.0, 1.5]]), colors(0), HERE)
+        memory.vote(memory.around(HERE).index, np.array([-1.0]))
+    assert memory.around(HERE).side[0] == pytest.approx(-0.6)
+
+
+def test_what_cannot_be_a_cone_is_not_taken_in() -> None:
+    observation = ConeObservation(
+        0,
+        np.array([[5.0, 1.0], [np.nan, 1.0], [5.0, np.inf], [5.0, -1.0], [500.0, 0.0], [6.0, 1.0]]),
+        colors(1, 1, 1, 2, 1, 77),
+        np.array([0.9, 0.9, 0.9, 0.05, 0.9, 0.9]),
+    )
+    xy, color = believable(observation, SETTINGS)
+    assert xy.tolist() == [[5.0, 1.0], [6.0, 1.0]]
+    assert color.tolist() == [ConeColor.BLUE, ConeColor.UNKNOWN]
+
+
+@pytest.mark.parametrize(("name", "value"), [("beam", 0), ("confidence_min", 1.5), ("smoothing_m", float("nan"))])
+def test_a_setting_outside_its_range_is_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        PlannerSettings(**{name: value})

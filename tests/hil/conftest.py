@@ -1,0 +1,130 @@
+"""Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
+
+The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from fsai_hil.stack import Stack, await_condition
+
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import CanBus, open_bus
+
+SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
+_LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if "FSAI_CAN_INTERFACE" not in os.environ:
+        here = [item for item in items if Path(__file__).parent in item.path.parents]
+        for item in here:
+            item.add_marker(pytest.mark.skip(reason="needs a vcan0: run this suite with `fsai-vcu hil`"))
+
+
+@pytest.fixture(scope="session")
+def interface() -> str:
+    """The SocketCAN interface that `fsai-vcu hil` made."""
+    return os.environ["FSAI_CAN_INTERFACE"]
+
+
+@pytest.fixture
+def results(request: pytest.FixtureRequest) -> Path:
+    """This test's own folder, kept after the run: logs of the processes, the bus log."""
+    name = re.sub(r"[^\w.-]+", "_", request.node.name)
+    folder = Path(os.environ["FSAI_HIL_RESULTS"]) / name
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def silent_bus(interface: str) -> Iterator[None]:
+    """Nothing is on the bus before the test, and whatever the test started is off it afterwards."""
+    assert_silent(interface, "before the test")
+    yield
+    assert_silent(interface, "after the test")
+
+
+def assert_silent(interface: str, when: str) -> None:
+    with open_bus(interface) as bus:
+        heard = bus.recv(SILENCE_S)
+    assert heard is None, f"{when} somebody still sends on {interface}: {heard}"
+
+
+@pytest.fixture
+def listen(interface: str) -> Iterator[Callable[..., CanBus]]:
+    """Opens sockets on the bus, `listen(receive={0x520})` for some ids only; they are closed after the test."""
+    opened: list[CanBus] = []
+
+    def open_one(receive: set[int] | None = None) -> CanBus:
+        opened.append(open_bus(interface, receive=receive))
+        return opened[-1]
+
+    yield open_one
+    for bus in opened:
+        bus.close()
+
+
+def listeners(interface: str) -> int:
+    """How many sockets hear everything on the interface, as the kernel counts them."""
+    return Path("/proc/net/can/rcvlist_all").read_text().split().count(interface)
+
+
+class BusLog:
+    """Everything that passes on the bus during a test, by candump."""
+
+    def __init__(self, interface: str, folder: Path) -> None:
+        # In memory first: candump writes each line by itself, which a folder outside makes dear.
+        self.path = Path("/tmp") / f"{folder.name}.bus.log"
+        self._kept = folder / "bus.log"
+        self._file = self.path.open("wb")
+        before = listeners(interface)
+        self._candump = subprocess.Popen(["candump", "-L", interface], stdout=self._file, stdin=subprocess.DEVNULL)
+        await_condition(lambda: listeners(interface) > before, 5.0, "candump listens")
+
+    def frames(self) -> list[Frame]:
+        """The frames so far, in order; `t_ns` is the wall clock's."""
+        frames = []
+        for seconds, micros, can_id, data in _LOG_LINE.findall(self.path.read_text()):
+            frames.append(Frame(int(can_id, 16), bytes.fromhex(data), (int(seconds) * 1_000_000 + int(micros)) * 1000))
+        return frames
+
+    def stop(self) -> None:
+        self._candump.terminate()
+        self._candump.wait()
+        self._file.close()
+        shutil.move(self.path, self._kept)
+        self.path = self._kept
+
+
+@pytest.fixture
+def bus_log(interface: str, results: Path, silent_bus: None) -> Iterator[BusLog]:
+    log = BusLog(interface, results)
+    yield log
+    log.stop()
+
+
+@pytest.fixture
+def stack(interface: str, results: Path, bus_log: BusLog) -> Iterator[Stack]:
+    """Starts real processes on the bus, which is logged; whatever the test does, they are ended after it."""
+    with Stack(interface, results) as running:
+        yield running
+
+
+@pytest.fixture
+def verb() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs a verb of the command line to its end: `verb("mode", "autonomous")`."""
+
+    def run(*arguments: str, timeout_s: float = 30.0) -> subprocess.CompletedProcess[str]:
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", *arguments]
+        return subprocess.run(argv, capture_output=True, text=True, timeout=timeout_s, check=False)
+
+    return run

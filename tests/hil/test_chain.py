@@ -1,0 +1,258 @@
+"""The whole chain on a real bus: five ROS 2 nodes, each its own process, drive the simulated car over vcan0.
+
+The nodes live through all of these runs, as they do on the car: each run is a new power-up of the car, and what a test
+kills it starts again. After each run the bus log is checked against the rules that can be seen on the wire.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import BusLog
+from fsai_hil.ros_operator import RosOperator
+from fsai_hil.stack import NODES, RunningProcess, Stack
+from fsai_hil.wire import WireReport, check_candump
+
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.interface.revisions import revision
+
+REVISION = "2026"
+START_S = 120.0  # five interpreters that import ROS at once, on one slow processor
+POWER_UP_S = 60.0
+DRIVE_S = 120.0
+STOP_S = 20.0
+TRACK = "small_oval"
+CRUISE_MPS = 3.0
+
+
+@pytest.fixture(autouse=True)
+def silent_bus() -> None:
+    """The bridge lives on between these tests, and speaks: the bus is not silent here."""
+
+
+class CarRun:
+    """One power-up of the simulated car, from its first frame to the end of its process."""
+
+    def __init__(self, vcu: RunningProcess, verdict_path: Path) -> None:
+        self.vcu = vcu
+        self._verdict_path = verdict_path
+
+    def type(self, line: str) -> None:
+        """A command typed at the interactive simulated car."""
+        assert self.vcu.popen.stdin is not None
+        self.vcu.popen.stdin.write(line.encode() + b"\n")
+        self.vcu.popen.stdin.flush()
+
+    def verdict(self) -> dict[str, Any]:
+        """The judge's, once the car's process has ended."""
+        verdict: dict[str, Any] = json.loads(self._verdict_path.read_text())
+        return verdict
+
+
+class Chain:
+    """The nodes, the operator, and cars that come and go."""
+
+    def __init__(self, stack: Stack, operator: RosOperator, interface: str, folder: Path) -> None:
+        self.stack = stack
+        self.operator = operator
+        self._interface = interface
+        self._folder = folder
+        self.wire: WireReport | None = None
+
+    @contextmanager
+    def car(self, name: str, *arguments: str, auto: bool = True) -> Iterator[CarRun]:
+        """Powers up a car for one run; at the end its process is over and the bus log has been checked."""
+        folder = self._folder / name
+        folder.mkdir(parents=True, exist_ok=True)
+        log = BusLog(self._interface, folder)
+        verdict = folder / "verdict.json"
+        words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", "autocross", "--track", TRACK]
+        words += ["--truth", str(self.stack.truth_port), "--result", str(verdict), *(["--auto"] if auto else [])]
+        if os.environ.get("FSAI_HIL_PLACE") == "uml":
+            # One slow processor: the frames that nobody decides on are thinned out.
+            words += ["--gps-decimation", "20", "--log-decimation", "10"]
+        vcu = self.stack.start_verb(
+            f"{name}.vcu", *words, *arguments, stdin=subprocess.DEVNULL if auto else subprocess.PIPE
+        )
+        try:
+            yield CarRun(vcu, verdict)
+        finally:
+            vcu.stop()
+            del self.stack.processes[f"{name}.vcu"]
+            log.stop()
+            self.wire = check_candump(log.path, Codec(revision(REVISION)), busy_machine=True)
+
+    def driving(self, run: CarRun) -> None:
+        """Wait until the car drives at speed."""
+        self.operator.await_that(
+            lambda: self.state.as_state == AsState.AS_DRIVING and self.state.speed_mps > CRUISE_MPS,
+            POWER_UP_S + DRIVE_S,
+            "the car drives",
+            *NODES,
+        )
+        assert run.vcu.alive, run.vcu.last_words()
+
+    @property
+    def state(self) -> Any:
+        return self.operator.state
+
+    def autonomous(self) -> None:
+        """The operator's one action before a run."""
+        self.operator.become_autonomous(POWER_UP_S)
+
+
+@pytest.fixture(scope="module")
+def chain(interface: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chain]:
+    folder = Path(os.environ["FSAI_HIL_RESULTS"]) / "chain"
+    with Stack(interface, folder) as stack:
+        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}})
+        operator = RosOperator(stack)
+        operator.await_bridge(START_S)
+        yield Chain(stack, operator, interface, folder)
+        operator.close()
+
+
+def test_every_node_topic_and_service_has_the_name_that_people_expect(chain: Chain) -> None:
+    node = chain.operator.node
+    expected = {
+        "/raw_cones": "fsai_msgs/msg/ConeArray",
+        "/detected_cones": "fsai_msgs/msg/ConeArray",
+        "/path": "nav_msgs/msg/Path",
+        "/vehicle_cmd": "fsai_msgs/msg/VehicleCommand",
+    }
+
+    def complete() -> bool:
+        names = {name for name, _ in node.get_node_names_and_namespaces()}
+        topics = dict(node.get_topic_names_and_types())
+        return set(NODES) <= names and all(topics.get(topic) == [kind] for topic, kind in expected.items())
+
+    chain.operator.await_that(complete, START_S, "all nodes and topics are there", *NODES)
+    services = dict(node.get_service_names_and_types())
+    assert services["/set_mode"] == ["fsai_msgs/srv/SetMode"]
+    assert "/emergency_brake" in services and "/reset" in services
+
+
+def test_an_unknown_mode_is_refused_with_the_valid_ones_and_nothing_else_happens(chain: Chain) -> None:
+    accepted, message = chain.operator.set_mode("sport")
+    assert not accepted
+    assert "sport" in message and "manual" in message and "autonomous" in message
+    chain.stack.check_alive(*NODES)
+
+
+def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
+    with chain.car("lap") as run:
+        chain.autonomous()
+        result = chain.operator.run_mission("autocross", "end", POWER_UP_S + DRIVE_S, None, *NODES)
+        status = run.vcu.wait(STOP_S)
+    verdict = run.verdict()
+    assert verdict["result"] == "pass", verdict["reasons"]
+    assert status == 0
+    assert result.success and result.as_state == "AS_FINISHED", result.message
+    assert (verdict["laps"], verdict["off_course"]) == (1, 0)
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+    states = [name for _, name in chain.wire.as_states]
+    assert states[-4:] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
+
+
+def test_the_log_of_the_lap_holds_no_reserved_id_and_every_handshake_was_answered(chain: Chain) -> None:
+    frames = _frames(Path(os.environ["FSAI_HIL_RESULTS"]) / "chain" / "lap" / "bus.log")
+    ids = {frame_id for frame_id, _ in frames}
+    codec = Codec(revision(REVISION))
+    from_the_car = {message.frame_id for message in codec.database.messages if "AI" not in message.senders}
+    assert not (ids - from_the_car) & RESERVED_IDS
+    assert ids - from_the_car == set(AI_IDS)
+    toggles = [data[0] & 1 for frame_id, data in frames if frame_id == 0x520]
+    assert sum(a != b for a, b in zip(toggles, toggles[1:], strict=False)) > 1000, "the handshake stood still"
+
+
+def test_manual_while_driving_is_a_controlled_stop_that_ends_finished(chain: Chain) -> None:
+    with chain.car("manual") as run:
+        chain.autonomous()
+        chain.driving(run)
+        accepted, message = chain.operator.set_mode("manual")
+        assert accepted, message
+        state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
+        assert state.as_state == AsState.AS_FINISHED, chain.operator.describe()
+        assert state.mode == "manual"
+    assert run.verdict()["shutdown_cause"] in (None, "NO_SHUTDOWN")
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def test_a_killed_planner_brings_the_car_to_rest_by_the_service_brake(chain: Chain) -> None:
+    with chain.car("planner_killed") as run:
+        chain.autonomous()
+        chain.driving(run)
+        chain.stack.processes["path_planner"].signal(signal.SIGKILL)
+        state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
+        assert state.as_state == AsState.AS_FINISHED, chain.operator.describe()
+        assert state.mode == "manual", "a stop for lost commands is latched"
+        assert "command" in state.stopping
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+    chain.stack.start_node("path_planner")
+
+
+def test_a_killed_bridge_is_an_emergency_stop_and_a_new_one_never_drives_on(chain: Chain) -> None:
+    with chain.car("bridge_killed") as run:
+        chain.autonomous()
+        chain.driving(run)
+        bridge = chain.stack.processes["vcu_bridge"]
+        bridge.signal(signal.SIGKILL)
+        bridge.wait(STOP_S)
+        chain.operator.state = None
+        chain.stack.start_node("vcu_bridge", can_interface=chain.stack.bus, revision=REVISION, car=REVISION)
+        chain.operator.await_bridge(START_S)
+        state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
+        assert state.mode == "manual"
+        assert state.shutdown_cause_label == "AI_COMMS_FAULT"
+        accepted, _ = chain.operator.set_mode("autonomous")
+        assert not accepted, "autonomous was accepted in EMERGENCY_BRAKE"
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def test_the_emergency_brake_service_stops_the_car_at_once_and_stays_latched(chain: Chain) -> None:
+    with chain.car("emergency_brake") as run:
+        chain.autonomous()
+        chain.driving(run)
+        accepted, message = chain.operator.emergency_brake()
+        assert accepted, message
+        state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
+        assert state.shutdown_cause_label == "AI_COMPUTER_REQUEST"
+        assert state.emergency and state.sent_estop_request
+        accepted, message = chain.operator.reset()
+        assert not accepted and "EMERGENCY_BRAKE" in message
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def test_the_remote_emergency_stop_ends_a_run_whose_switches_a_person_works(chain: Chain) -> None:
+    """The interactive car: a person types the switches, and a new power-up clears the latched request of before."""
+    with chain.car("remote_estop", auto=False) as run:
+        run.type("on")
+        chain.autonomous()
+        chain.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+        run.type("ami autocross")
+        chain.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
+        chain.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
+        run.type("go")
+        chain.driving(run)
+        run.type("estop")
+        state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
+        assert state.as_state == AsState.EMERGENCY_BRAKE
+        chain.operator.await_state(lambda s: s.standing, STOP_S, "the car stands")
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def _frames(path: Path) -> list[tuple[int, bytes]]:
+    """(id, payload) of each line of a candump log."""
+    words = (line.split()[2] for line in path.read_text().splitlines())
+    pairs = (word.split("#") for word in words)
+    return [(int(name, 16), bytes.fromhex(data)) for name, data in pairs]
