@@ -58,6 +58,7 @@ class Controller:
         self._run_id = run.run_id
         self._mission = run.mission
         self._history.clear()
+        self._last_plan: Plan | None = None  # for the logging fields
         self._steering_rad = 0.0
         self._braking = False
         self._finished = False
@@ -127,6 +128,9 @@ class Controller:
         )
 
     def _along_path(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> VehicleCommand:
+        if plan is not None:
+            self._last_plan = plan
+        last = self._last_plan
         throttle, brake = 0.0, 0.0
         limit = self.max_speed_mps(run.mission) + SPEED_LIMIT_MARGIN_MPS
         if not run.may_move:
@@ -141,9 +145,9 @@ class Controller:
             brake=brake,
             speed_limit_mps=limit,
             mission_finished=self._finished,
-            laps=plan.laps if plan is not None else 0,
-            cones_count_actual=plan.cones_count_actual if plan is not None else 0,
-            cones_count_all=plan.cones_count_all if plan is not None else 0,
+            laps=last.laps if last is not None else 0,
+            cones_count_actual=last.cones_count_actual if last is not None else 0,
+            cones_count_all=last.cones_count_all if last is not None else 0,
         )
 
     def _drive(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> tuple[float, float]:

@@ -15,6 +15,8 @@ from fsai_vcu.core.driving import Motion
 ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
 PASSED_M = 6.0  # further behind it than this the car has not just passed it
 BEFORE_M = 0.3
+GATE_SHIFT_M = 3.0  # how far the middle of a gate may move from one sighting to the next …
+DRIFT_MAX = 0.08  # … and by how much more of the way driven meanwhile
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,11 @@ def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: M
     """The gate's cones are in sight, the middle between them at (x, y) of the odometry frame."""
     if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < 0.5 * lap_min_m:
         return state  # just passed: what is in sight now may be the rest of the same gate
+    if state.line.seen:
+        # The line stays where it is; only odometry drifts. A gate elsewhere is none.
+        driven_m = max(0.0, motion.distance_m - state.line.at_distance_m)
+        if math.hypot(x_m - state.line.x_m, y_m - state.line.y_m) > GATE_SHIFT_M + DRIFT_MAX * driven_m:
+            return state
     return replace(state, line=Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m))
 
 

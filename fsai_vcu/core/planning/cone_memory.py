@@ -47,6 +47,9 @@ def believable(observation: ConeObservation, settings: PlannerSettings) -> tuple
     return xy, color
 
 
+GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
+
+
 class ConeMemory:
     """Cones in the odometry frame, as arrays with one row per cone."""
 
@@ -138,10 +141,13 @@ class ConeMemory:
             (self._hits >= self._settings.hits_to_believe)
             & (np.hypot(here[:, 0], here[:, 1]) <= self._settings.range_max_m)
         )
-        votes = self._votes[index]
+        votes = self._votes[index].copy()
+        # A gate stops the car and counts its laps: it takes more than a slip of the detector to make one.
+        big = votes[:, ConeColor.BIG_ORANGE]
+        votes[(big < GATE_VOTES_MIN) | (big <= 0.5 * votes[:, 1:].sum(axis=1)), ConeColor.BIG_ORANGE] = 0.0
         colored = votes[:, 1:]
         # A colour counts where it was seen in at least every third look: colourless sightings do not outvote it.
-        has_color = colored.max(axis=1, initial=0.0) * 3.0 >= votes.sum(axis=1) - 1e-9
+        has_color = colored.max(axis=1, initial=0.0) * 3.0 >= self._votes[index].sum(axis=1) - 1e-9
         color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
         by_color = np.where(color == ConeColor.BLUE, 1.0, np.where(color == ConeColor.YELLOW, -1.0, 0.0))
         by_lane = np.clip(self._side[index] / 4.0, -0.6, 0.6)

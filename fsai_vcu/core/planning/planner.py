@@ -141,6 +141,8 @@ def _gate_middle(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tupl
     if left.any() and right.any():
         middle = 0.5 * (gate_xy_m[left].mean(axis=0) + gate_xy_m[right].mean(axis=0))
         index = int(nearest[good][0])
+    elif good.sum() < 2:
+        return None
     else:
         # One side only: its cones' place along the path says where the line is.
         index = int(np.abs(along - station[good].mean()).argmin())
