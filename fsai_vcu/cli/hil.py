@@ -44,7 +44,6 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 def run(args: argparse.Namespace) -> int:
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
-
     from fsai_vcu.cli.main import UserError
 
     checkout = Path(__file__).resolve().parents[2]

@@ -107,6 +107,7 @@ class Bridge:
 
         self._listening_until_ns: int | None = None  # known from the first cycle on
         self._bus_lost: str | None = None
+        self._bus_lost_since_ns = 0
         self._reopened_until_ns: int | None = None  # after a bus loss: silent until 0x520 is heard, or this
         self._last_complete_ns: int | None = None
         self._stop_cycles_left: int | None = None  # None: no stop asked for
@@ -255,6 +256,8 @@ class Bridge:
 
     def bus_lost(self, why: str, now_ns: int) -> None:
         """The interface is gone, down or bus-off: silence until `bus_back`."""
+        if self._bus_lost is None:
+            self._bus_lost_since_ns = now_ns
         self._bus_lost = why
         self._drop_command(why, now_ns)
         self._state = supervisor.bus_lost(self._state, why, now_ns)
@@ -266,6 +269,7 @@ class Bridge:
         self._bus_lost = None
         self._last_complete_ns = None
         self._reopened_until_ns = now_ns + self._config.vcu_lost_ns
+        self._state = supervisor.bus_back(self._state, self._bus_lost_since_ns, now_ns)
 
     def loop_fault(self, why: str, now_ns: int) -> None:
         """The loop raised an exception, or missed a deadline by 50 ms."""

@@ -79,7 +79,7 @@ class CanBus:
     def recv_stamped(self, timeout_s: float) -> tuple[Frame, int] | None:
         """As `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs."""
         try:
-            message = self._bus.recv(timeout_s)
+            message = self._next_message(timeout_s)
         except (can.CanError, OSError) as error:
             raise BusLost(f"{self.spec}: {error}") from error
         if message is None:
@@ -95,6 +95,20 @@ class CanBus:
             message.is_error_frame,
         )
         return frame, int(message.timestamp * 1e6) * 1000
+
+    def _next_message(self, timeout_s: float) -> can.Message | None:
+        """python-can's own `recv` times its waiting by the wall clock: set back, that clock would make it wait for as
+        long as it was set back. What it does is done here by the monotonic clock.
+        """
+        until = time.monotonic() + timeout_s
+        left_s = timeout_s
+        while True:
+            message, filtered = self._bus._recv_internal(left_s)
+            if message is not None and (filtered or self._bus._matches_filters(message)):
+                return message
+            left_s = until - time.monotonic()
+            if left_s <= 0.0:
+                return None
 
     def fileno(self) -> int:
         return self._bus.fileno()
@@ -131,7 +145,11 @@ def open_bus(
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise BusError(f"cannot open CAN interface '{spec}': {reason}") from error
     if kind == "socketcan":
-        _bound_queue(bus)
+        try:
+            _bound_queue(bus)
+        except OSError as error:
+            bus.shutdown()
+            raise BusError(f"cannot open CAN interface '{spec}': {error.strerror}") from error
     return CanBus(bus, spec, may_send)
 
 

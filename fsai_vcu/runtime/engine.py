@@ -41,7 +41,7 @@ class Engine:
     def on_frame(self, frame: Frame) -> None:
         """A frame of somebody else's, at `frame.t_ns`."""
         self._bridge.on_frame(frame)
-        if frame.can_id == _STATUS_ID and not frame.error:
+        if frame.can_id == _STATUS_ID and not (frame.error or frame.extended or frame.remote):
             self._pacing.on_status(frame.t_ns)
 
     def due_ns(self) -> int:

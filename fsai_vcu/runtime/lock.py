@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import struct
+
+from fsai_vcu.runtime.bus import BusError, split_spec
 
 
 class AlreadyRunning(Exception):
@@ -11,18 +14,24 @@ class AlreadyRunning(Exception):
 
 
 class InterfaceLock:
-    """Holds the name of `spec` for this process.
+    """Holds the interface that `spec` names for this process, however it is spelt (vcan0 or socketcan:vcan0).
 
     An abstract Unix socket: no file is left behind, and its scope is the network namespace, as the interface's is.
+    Raises AlreadyRunning, or BusError where no lock can be had at all.
     """
 
     def __init__(self, spec: str) -> None:
-        address = f"\0fsai-vcu-bridge/{spec}"
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        address = f"\0fsai-vcu-bridge/{':'.join(split_spec(spec))}"
+        try:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        except OSError as error:
+            raise BusError(f"cannot lock CAN interface '{spec}': {error.strerror}") from error
         try:
             self._socket.bind(address)
         except OSError as error:
             self._socket.close()
+            if error.errno != errno.EADDRINUSE:
+                raise BusError(f"cannot lock CAN interface '{spec}': {error.strerror or error}") from error
             raise AlreadyRunning(
                 f"another bridge{_holder(address)} already drives '{spec}'; stop it first (one bridge per interface)"
             ) from error

@@ -31,10 +31,10 @@ from fsai_vcu.runtime.realtime import go_real_time
 logger = logging.getLogger(__name__)
 
 DEADLINE_MISS_NS = 50_000_000  # safety: a deadline missed by 50 ms is a fault of the loop
-_REOPEN_FIRST_S, _REOPEN_MOST_S = 0.05, 1.0
+_REOPEN_FIRST_S, _REOPEN_MOST_S = 0.01, 1.0  # the first pause also keeps two sends apart
 _IDLE_WAIT_S = 0.02
 _REPORT_EVERY_NS = 10_000_000
-_FULL_COLLECTION_EVERY = 3000  # cycles
+_FULL_COLLECTION_EVERY = 3000  # cycles, sent or not
 _REQUEST_TIMEOUT_S = 2.0
 _STOP_TIMEOUT_S = 10.0
 
@@ -53,10 +53,11 @@ class BridgeLoop:
         self._codec = codec
         self._spec = bus_spec
         self._real_time = real_time
+        self._notifier = Notifier()
         self._lock = InterfaceLock(bus_spec)
         try:
             self._bus: CanBus | None = self._open()
-        except BusError:
+        except BaseException:
             self._lock.release()
             raise
         self._command: VehicleCommand | None = None
@@ -65,7 +66,7 @@ class BridgeLoop:
         self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
         self._report = bridge.report(time.monotonic_ns())
         self._thread = threading.Thread(target=self._run, name="can-loop", daemon=True)
-        self._notifier = Notifier()
+        self._watchdog_ns = 0  # when it was last fed
         self.scheduling_refused: tuple[str, ...] = ()
         self.failure: BaseException | None = None
         self.reopened = 0
@@ -104,7 +105,7 @@ class BridgeLoop:
         return self._ask(lambda now_ns: self._bridge.set_mode(mode, now_ns))
 
     def emergency_brake(self, why: str) -> tuple[bool, str]:
-        return self._ask(lambda now_ns: self._bridge.emergency_brake(why, now_ns))
+        return self._ask(lambda now_ns: self._bridge.emergency_brake(why, now_ns), better_late=True)
 
     def reset(self) -> tuple[bool, str]:
         return self._ask(self._bridge.reset)
@@ -113,13 +114,18 @@ class BridgeLoop:
         """The newest report, at most about 10 ms old while the loop runs."""
         return self._report
 
-    def _ask(self, question: Callable[[int], tuple[bool, str]]) -> tuple[bool, str]:
+    def _ask(self, question: Callable[[int], tuple[bool, str]], *, better_late: bool = False) -> tuple[bool, str]:
+        """The loop's answer. What is not answered in time is not done later behind the asker's back, unless it is
+        `better_late` than never.
+        """
         future: Future[object] = Future()
         self._requests.put((question, future))
         try:
             answer = future.result(_REQUEST_TIMEOUT_S)
         except FutureTimeoutError:
-            return False, "the CAN loop does not answer"
+            if better_late or future.cancel():
+                return False, "the CAN loop does not answer"
+            answer = future.result(_REQUEST_TIMEOUT_S)  # it is being answered at this very moment
         assert isinstance(answer, tuple)
         return answer
 
@@ -138,33 +144,34 @@ class BridgeLoop:
         return self._bus.send(frame)
 
     def _run(self) -> None:
-        if self._real_time:
-            self.scheduling_refused = go_real_time()
-            for sentence in self.scheduling_refused:
-                logger.warning("%s", sentence)
-        # Collections happen right after a send, when there is time, and never by surprise.
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        self._engine = Engine(self._bridge, self._codec, self._send, time.monotonic_ns(), time.monotonic_ns)
-        self._notifier.send("READY=1")
         try:
+            if self._real_time:
+                self.scheduling_refused = go_real_time()
+                for sentence in self.scheduling_refused:
+                    logger.warning("%s", sentence)
+            # Collections happen right after a send, when there is time, and never by surprise.
+            gc.collect()
+            gc.freeze()
+            gc.disable()
+            self._engine = Engine(self._bridge, self._codec, self._send, time.monotonic_ns(), time.monotonic_ns)
+            self._notifier.send("READY=1")
             self._turns()
         except _Stopped:
             logger.info("stopped while the bus was gone")
         except Exception as error:
             # The decision is the bridge's: it asks for an emergency stop if one can still be sent, else silence.
             self.failure = error
-            logger.exception("the CAN loop failed; the car's own time-out stops it")
             self._last_words(f"{type(error).__name__}: {error}")
+            logger.exception("the CAN loop failed; the car's own time-out stops it")
         finally:
             gc.enable()
+            gc.unfreeze()
             self._notifier.send("STOPPING=1")
             self._close_bus()
 
     def _turns(self) -> None:
         last_report_ns = 0
-        last_watchdog_ns = 0
+        cycles = 0
         taken: VehicleCommand | None = None
         stopping = False
         while True:
@@ -189,26 +196,41 @@ class BridgeLoop:
                 stopping = True
                 self._bridge.begin_stop(time.monotonic_ns())
             now_ns = time.monotonic_ns()
-            late_ns = now_ns - self._engine.due_ns()
-            if late_ns > DEADLINE_MISS_NS:
-                self.deadline_misses += 1
-                self._bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
+            due_ns = self._engine.due_ns()
+            missed = self._missed(due_ns, now_ns)
             try:
                 sent = self._engine.poll(now_ns)
             except BusLost as lost:
                 self._lose_bus(str(lost))
                 continue
+            if sent and not missed:
+                missed = self._missed(due_ns, time.monotonic_ns())  # made in time, but left late
             if now_ns - last_report_ns >= _REPORT_EVERY_NS:
                 last_report_ns = now_ns
                 self._report = self._bridge.report(now_ns)
             if sent:
-                period_ns = self._notifier.watchdog_period_ns
-                if period_ns and late_ns <= DEADLINE_MISS_NS and now_ns - last_watchdog_ns >= period_ns:
-                    last_watchdog_ns = now_ns
-                    self._notifier.send("WATCHDOG=1")
-                gc.collect(2 if self._engine.cycles % _FULL_COLLECTION_EVERY == 0 else 0)
+                if not missed:
+                    self._feed_watchdog(now_ns)
+                cycles += 1
+                gc.collect(2 if cycles % _FULL_COLLECTION_EVERY == 0 else 0)
             if stopping and self._bridge.stopped:
+                self._report = self._bridge.report(now_ns)
                 return
+
+    def _missed(self, due_ns: int, now_ns: int) -> bool:
+        """Whether what was due is so late that the bridge must know."""
+        late_ns = now_ns - due_ns
+        if late_ns < DEADLINE_MISS_NS:
+            return False
+        self.deadline_misses += 1
+        self._bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
+        return True
+
+    def _feed_watchdog(self, now_ns: int) -> None:
+        period_ns = self._notifier.watchdog_period_ns
+        if period_ns and now_ns - self._watchdog_ns >= period_ns:
+            self._watchdog_ns = now_ns
+            self._notifier.send("WATCHDOG=1")
 
     def _answer_requests(self) -> None:
         while True:
@@ -216,7 +238,8 @@ class BridgeLoop:
                 question, future = self._requests.get_nowait()
             except queue.Empty:
                 return
-            future.set_result(question(time.monotonic_ns()))
+            if future.set_running_or_notify_cancel():
+                future.set_result(question(time.monotonic_ns()))
 
     def _lose_bus(self, why: str) -> None:
         logger.error("bus lost: %s", why)
@@ -227,15 +250,16 @@ class BridgeLoop:
     def _reopen(self) -> None:
         """Try until the interface is back or a stop is asked for, with growing pauses."""
         pause_s = _REOPEN_FIRST_S
-        while self._bus is None and not self._stop_requested.is_set():
+        while self._bus is None and not self._stop_requested.wait(pause_s):
             try:
                 self._bus = self._open()
             except BusError as error:
                 logger.debug("%s", error)
-                self._stop_requested.wait(pause_s)
-                self._answer_requests()
-                self._report = self._bridge.report(time.monotonic_ns())
                 pause_s = min(2 * pause_s, _REOPEN_MOST_S)
+                now_ns = time.monotonic_ns()
+                self._answer_requests()
+                self._report = self._bridge.report(now_ns)
+                self._feed_watchdog(now_ns)  # a bus that is gone is no hang, and a restart would not bring it back
         if self._bus is None:
             raise _Stopped
         now_ns = time.monotonic_ns()

@@ -28,7 +28,8 @@ _RECEIVE_BUFFER_BYTES = 1 << 20
 def group_of(channel: str) -> tuple[str, int]:
     """The multicast group (administratively scoped) and port that stand for the bus `channel`."""
     digest = zlib.crc32(channel.encode())
-    return f"239.83.{digest >> 8 & 0xFF}.{(digest & 0xFF) or 1}", 20000 + (digest >> 16) % 20000
+    # Below the ports of ROS 2's discovery (7400 and up) and of the kernel's own choice (32768 and up).
+    return f"239.83.{digest >> 8 & 0xFF}.{(digest & 0xFF) or 1}", 5100 + (digest >> 16) % 2200
 
 
 class LoopbackBus(can.BusABC):

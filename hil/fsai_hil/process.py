@@ -33,10 +33,11 @@ from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
+from fsai_vcu.runtime.realtime import go_real_time
 from fsai_vcu.runtime.recording import CandumpWriter
 
 PROGRAM: Final = "fsai-vcu vcu"
-TRUTH_PERIOD_NS: Final = 10_000_000
+TRUTH_PERIOD_NS: Final = 20_000_000  # faster than any sensor looks
 HELD_UP_NS: Final = 50_000_000  # half of what the VCU grants the AI computer
 REOPEN_NS: Final = 250_000_000
 COMMANDS_PERIOD_NS: Final = 50_000_000
@@ -89,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
     process = VcuProcess(world, bus, args)
+    go_real_time()  # a car is never late; where it is not allowed to say so, this one may be
     try:
         with _signals(process.stop):
             process.loop()

@@ -11,6 +11,7 @@ from fsai_hil.stack import Stack, StackError
 
 ANSWER_TIMEOUT_S = 20.0
 ASK_AGAIN_S = 1.0
+ASK_PAUSE_S = 0.3
 _SPIN_S = 0.1
 
 
@@ -108,7 +109,9 @@ class RosOperator:
             reason = message
             if time.monotonic() > until:
                 raise StackError(f"autonomous was not accepted for {timeout_s:g} s: {message}; {self.describe()}")
-            self.spin()
+            pause = time.monotonic() + ASK_PAUSE_S
+            while time.monotonic() < pause:
+                self.spin()
 
     def emergency_brake(self) -> tuple[bool, str]:
         return self._trigger("/emergency_brake")

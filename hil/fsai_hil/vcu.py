@@ -80,9 +80,8 @@ from fsai_vcu.interface.signals import rows
 TORQUE_LIMIT_NM: Final = 195.0  # interface specification v4.0: axle torque request 0-195 Nm
 WHEEL_RPM_MOST: Final = 1250.0  # signal database: range of the wheel speeds
 KMH_PER_MPS: Final = 3.6
-FRAME_SPACING_NS: Final = 250_000  # about one frame of eight bytes at 500 kbit/s
-GPS_SPACING_NS: Final = 200_000
-GPS_PHASE_NS: Final = 2_600_000  # after the VCU's own frames
+# Each device hands its frames to the bus at once, and the bus puts them one behind the other.
+GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -552,7 +551,7 @@ class SimulatedVcu:
     # ------------------------------------------------------------ what it says
 
     def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> list[_Message]:
-        """Everything that is sent in this revision, 0x520 first, the rest spread behind it."""
+        """Everything that is sent in this revision, 0x520 first."""
         builders: dict[type, Callable[[int], Image]] = {
             VcuStatus: self._status_image,
             VcuDriveFront: self._drive_front_image,
@@ -570,16 +569,11 @@ class SimulatedVcu:
             decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
         declared = {row.image: BY_NAME[row.message] for row in rows(self.codec.mapping)}
         messages: list[_Message] = []
-        sensors = 0
         for kind in (*builders, *(GPS_IMAGES if gps else ())):
             message = declared[kind]
             if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
                 continue
-            if message.flow is Flow.FROM_SENSOR:
-                phase_ns = GPS_PHASE_NS + sensors * GPS_SPACING_NS
-                sensors += 1
-            else:
-                phase_ns = len(messages) * FRAME_SPACING_NS
+            phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0
             period_ns = message.period_ns[self.revision.name] * decimation.get(kind, 1)
             frame = self._frames_of(builders[kind]) if kind in builders else self._gps_frames_of(kind)
             messages.append(_Message(period_ns, phase_ns, frame))

@@ -19,7 +19,12 @@ LATERAL_GAIN_1PM = 0.25
 STEER_MAX_RAD = math.radians(8.0)
 
 
+ORIGIN = Motion()
+
+
 class Phase(Enum):
+    """Where the demo is."""
+
     SWEEP = "sweep"
     ACCELERATE = "accelerate"
     STOP = "stop"
@@ -42,7 +47,7 @@ class DemoState:
     phase: Phase = Phase.SWEEP
     since_ns: int = 0
     distance_m: float = 0.0  # driven when the phase began
-    line: Motion | None = None  # the straight line: from here, along this yaw
+    line: Motion = ORIGIN  # the straight line: from here, along this yaw
     sweep: SweepState = NOT_BEGUN
 
 
@@ -76,10 +81,8 @@ def _next(state: DemoState, view: CarView) -> DemoState:
     return replace(state, phase=NEXT[state.phase], since_ns=view.now_ns, distance_m=view.motion.distance_m)
 
 
-def _straight_on(line: Motion | None, motion: Motion) -> float:
+def _straight_on(line: Motion, motion: Motion) -> float:
     """Steering that brings the car back to the line on which it started."""
-    if line is None:
-        return 0.0
     yaw = math.remainder(motion.yaw_rad - line.yaw_rad, 2.0 * math.pi)
     dx, dy = motion.x_m - line.x_m, motion.y_m - line.y_m
     left = math.cos(line.yaw_rad) * dy - math.sin(line.yaw_rad) * dx

@@ -25,7 +25,6 @@ INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 REWARD_KNOWN, REWARD_UNKNOWN = 1.0, 0.8
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 1.5
-COST_CROSSING = 2.0  # a border cone that was left is right further on: the chain has gone out through the border
 COST_BENDING = 0.8  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.25
 
@@ -87,7 +86,7 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
     n_bends, n_cones = len(bends), len(xy)
 
     x, y, heading, bend, cost = (np.zeros(1) for _ in range(5))
-    counted = np.zeros((1, n_cones))  # the side on which a chain has counted a cone, 0: not yet
+    counted = np.zeros((1, n_cones), dtype=bool)  # by each chain so far
     history: list[tuple[Ints, Floats, Floats, Floats, Floats]] = []  # parent, start x, start y, start heading, bend
 
     # Each cone's reward for either side: what its colour (or earlier lanes) say.
@@ -119,18 +118,11 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
         reward = np.where(is_left, reward_left, reward_right)
         wrong = np.maximum(0.0, np.where(is_left, -side, side)) * (1.0 - _ramp(size, BORDER_FAR_M, OUTSIDE_M))
         was = counted[parent]
-        sign = np.where(is_left, 1.0, -1.0)
-        crossed = (was * sign < 0.0) & (size < OUTSIDE_M)
-        gain = (
-            COST_IN_THE_WAY * in_the_way
-            + COST_WRONG_SIDE * wrong
-            + COST_CROSSING * crossed
-            - reward * as_border * (was == 0.0)
-        )
+        charge = COST_IN_THE_WAY * in_the_way + COST_WRONG_SIDE * wrong - reward * as_border * ~was
         jerk = np.abs(b - bend[parent]) / settings.curvature_max_1pm
         new_cost = (
             cost[parent]
-            + (gain * beside).sum(axis=1)
+            + (charge * beside).sum(axis=1)
             + COST_BENDING * jerk * jerk * 0.5
             + COST_CURVATURE * (b / settings.curvature_max_1pm) ** 2
         )
@@ -146,8 +138,7 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
         kept = order[np.sort(first)[: settings.beam]]
 
         history.append((parent[kept], x[parent[kept]], y[parent[kept]], heading[parent[kept]], b[kept]))
-        fresh = beside[kept] & (as_border[kept] > 0.3) & (was[kept] == 0.0)
-        counted = np.where(fresh, sign[kept], was[kept])
+        counted = was[kept] | (beside[kept] & (as_border[kept] > 0.3))
         x, y, heading, bend, cost = end_x[kept], end_y[kept], end_heading[kept], b[kept], new_cost[kept]
         x, y = _drawn_to_middle(x, y, heading, bend, xy, side)
 

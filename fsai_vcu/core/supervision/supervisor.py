@@ -483,6 +483,19 @@ def bus_lost(state: SupervisorState, detail: str, now_ns: int) -> SupervisorStat
     return replace(strike(state, Reason.BUS_LOST, detail, now_ns), sequence=Sequence.NONE)
 
 
+def bus_back(state: SupervisorState, lost_since_ns: int, now_ns: int) -> SupervisorState:
+    """The bus is open again. While it was lost nothing could be heard and nothing be said: that time is no silence of
+    the car's (an emergency asked for meanwhile has not even been sent), no missing feedback, and no part of a stop.
+    """
+    return replace(
+        state,
+        heard_ns=None if state.heard_ns is None else state.heard_ns + now_ns - lost_since_ns,
+        driving_since_ns=now_ns if state.driving else None,
+        stop=None if state.stop is None else replace(state.stop, since_ns=now_ns),
+        stop_window_rpm=None,
+    )
+
+
 def command_valid(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> bool:
     """Whether the command in the slot may still be obeyed: of this run, and neither it nor its data too old."""
     command = inputs.command

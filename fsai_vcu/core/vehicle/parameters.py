@@ -96,12 +96,10 @@ class VehicleParameters:
         """The most torque that an axle can give at a road speed."""
         motor_rpm = abs(self.wheel_rpm_of_speed(speed_mps)) * self.gear_ratio
         curve = self.torque_curve_rpm_nm
-        if motor_rpm >= curve[-1][0]:
-            return curve[-1][1] if motor_rpm < self.motor_speed_max_rpm else 0.0
         for (low_rpm, low_nm), (high_rpm, high_nm) in itertools.pairwise(curve):
             if motor_rpm < high_rpm:
                 return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
-        return curve[-1][1]
+        return curve[-1][1] if motor_rpm < self.motor_speed_max_rpm else 0.0
 
     def with_steer_limit(self, steer_limit_deg: float) -> VehicleParameters:
         """The same car behind an interface whose steering limit is another one."""

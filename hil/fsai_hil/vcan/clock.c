@@ -9,7 +9,6 @@
  * off over the next such period, so that the time never steps nor runs backwards; the wall clock follows its steps.
  */
 #define _GNU_SOURCE
-#include <errno.h>
 #include <stdatomic.h>
 #include <stdint.h>
 #include <stdlib.h>

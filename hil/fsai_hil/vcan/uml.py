@@ -6,8 +6,9 @@ the command's output comes through a console of its own, live.
 
 What makes it fast: every system call and page fault of a process inside is a hand-over between two host processes. On
 one host processor that is a context switch; across two it is a wake-up of an idle one, which costs several times more.
-So the whole machine is kept on the one processor that is least busy. And Python files are to be compiled beforehand,
-because nothing can be cached inside.
+So the whole machine is kept on the one processor that is least busy. Reading the clock would be such a system call, and
+the commonest: `clock.c` gives programs one to read without. And Python files are to be compiled beforehand, because
+nothing can be cached inside.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from fsai_hil.vcan.clock import preloaded_clock
 from fsai_hil.vcan.errors import TIMED_OUT, VcanError
 from fsai_hil.vcan.native import end_group
 from fsai_hil.vcan.network import bring_up
@@ -138,6 +140,10 @@ def run_in_uml(
         if any(character.isspace() for character in str(exchange)):
             raise VcanError(f"the folder for temporary files has a blank in its name: {exchange}")
         init = exchange / "init"
+        clock = preloaded_clock(exchange)
+        if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
+            clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
+        env = {**env, **clock}
         init.write_text(_init_script(argv, cwd, env, results_dir, exchange, needed, module_files(uml.modules, modules)))
         init.chmod(0o755)
         with (results_dir / "uml-kernel.log").open("wb") as log:

@@ -217,7 +217,7 @@ def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
 # ---------------------------------------------------------------- vehicle state
 
 
-def state_to_msg(report: BridgeReport, stamp: Time) -> VehicleStateMsg:
+def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> VehicleStateMsg:
     message = VehicleStateMsg()
     message.header.stamp = stamp
     message.header.frame_id = ODOM_FRAME
@@ -274,6 +274,9 @@ def state_to_msg(report: BridgeReport, stamp: Time) -> VehicleStateMsg:
         counts = vehicle.counts
         message.wheel_pulses = np.array((counts.fl, counts.fr, counts.rl, counts.rr), dtype=np.uint16)
 
+    message.command_age_s = float(command_age_s)
+    message.standing = bool(report.standing)
+
     motion = report.motion
     message.x, message.y, message.yaw_rad = float(motion.x_m), float(motion.y_m), float(motion.yaw_rad)
     message.speed_mps, message.yaw_rate_radps = float(motion.speed_mps), float(motion.yaw_rate_radps)
@@ -291,9 +294,9 @@ def state_to_msg(report: BridgeReport, stamp: Time) -> VehicleStateMsg:
     message.laps = _count(sent.lap_counter)
     message.listen_only = bool(report.listen_only)
 
-    message.emergency, message.stopping = report.emergency or "", report.stopping or ""
-    message.gate_reasons = [str(reason) for reason in report.reasons]
-    message.why_not_driving = [str(reason) for reason in report.why_not_driving]
+    message.phase, message.emergency, message.stopping = report.phase, report.emergency or "", report.stopping or ""
+    message.gate_reasons = list(report.sentences)
+    message.why_not_driving = list(report.why_not_driving)
     return message
 
 

@@ -18,8 +18,8 @@ from rclpy.parameter import Parameter
 Value = bool | int | float | str
 
 
-class StartError(Exception):
-    """A node cannot start; the message is one clear line."""
+class NodeError(Exception):
+    """A node cannot start, or cannot go on; the message is one clear line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,9 @@ class Setting:
             type=Parameter.Type.from_parameter_value(self.default).value,
             description=self.description,
             additional_constraints="; ".join(constraints),
-            # rclpy would refuse `max_speed 5` where 5.0 is meant; `accept` does the type check, and takes the 5.
-            dynamic_typing=isinstance(self.default, float),
+            # A command line reads `revision:=2026` and `max_speed:=5` as integers, which rclpy would refuse for a text
+            # and for a float; `problem` does the type check, and takes them.
+            dynamic_typing=isinstance(self.default, (float, str)),
         )
         if self.low is not None and self.high is not None:
             if isinstance(self.default, float):
@@ -61,10 +62,10 @@ class Setting:
     def problem(self, value: object) -> str | None:
         """Why `value` cannot be this parameter; None when it can."""
         wanted = type(self.default)
-        numeric = isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool)
-        if type(value) is not wanted and not numeric:
-            return f"{self.name} must be of type {wanted.__name__}, not {type(value).__name__}"
-        if self.choices and value not in self.choices:
+        whole = isinstance(self.default, (float, str)) and isinstance(value, int) and not isinstance(value, bool)
+        if type(value) is not wanted and not whole:
+            return f"{self.name} must be {_TYPE_WORDS[wanted]}, not {value!r}"
+        if self.choices and str(value) not in self.choices:
             return f"{self.name} must be one of {', '.join(self.choices)}, not '{value}'"
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             if not math.isfinite(value):
@@ -72,6 +73,9 @@ class Setting:
             if self.low is not None and self.high is not None and not self.low <= value <= self.high:
                 return f"{self.name} must be between {self.low:g} and {self.high:g}, not {value:g}"
         return None
+
+
+_TYPE_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
 class Settings:
@@ -87,7 +91,7 @@ class Settings:
         """Declares `table` on `node`.
 
         busy: why parameters that are not live cannot change now; None while they can.
-        Raises StartError when a value given at start does not fit.
+        Raises NodeError when a value given at start does not fit.
         """
         self._node = node
         self._table = {setting.name: setting for setting in table}
@@ -118,10 +122,10 @@ class Settings:
             InvalidParameterValueException,
             ParameterUninitializedException,
         ) as error:
-            raise StartError(f"parameter {setting.name}: {error}") from error
+            raise NodeError(f"parameter {setting.name}: {error}") from error
         problem = setting.problem(parameter.value)
         if problem:
-            raise StartError(f"parameter {problem}")
+            raise NodeError(f"parameter {problem}")
 
     def _accept(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         for parameter in parameters:

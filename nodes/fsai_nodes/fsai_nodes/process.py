@@ -2,79 +2,131 @@
 
 from __future__ import annotations
 
+import logging
+import logging.handlers
 import os
+import queue
 import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+import rclpy.logging
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from fsai_nodes.executor import make_executor
-from fsai_nodes.parameters import StartError
+from fsai_nodes.parameters import NodeError
 
 _STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
-class Stoppable(Protocol):
-    """A node that has something to finish before the process ends."""
+def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run the nodes that `factories` make until SIGINT or SIGTERM; returns the exit status.
 
-    def stop(self) -> None: ...
-
-
-def run(factories: Sequence[Callable[[], Node]], arguments: Sequence[str] | None = None) -> int:
-    """Run the nodes that `factories` make until a signal; returns the exit status.
-
-    A node that cannot start raises StartError: its line goes to stderr and the status is 1.
+    A node that cannot start or go on raises NodeError: its line goes to stderr after `name`, and the status is 1.
+    A node with a `stop` method is stopped before ROS is shut down.
     """
-    # Signals are taken by a thread of their own, so that nodes can finish in order (the bridge says goodbye to the
-    # car) while ROS still works. The mask must be set before any other thread is born, to be inherited by all.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
-    name = os.path.basename(sys.argv[0]).removesuffix(".py")
-    nodes: list[Node] = []
+    # Not rclpy's own handlers: nodes finish in order (the bridge says goodbye to the car) while ROS still works.
+    stop_signals = _StopSignals()
     try:
         rclpy.init(
             args=list(sys.argv if arguments is None else arguments), signal_handler_options=SignalHandlerOptions.NO
         )
-    except Exception as error:  # rclpy has no common class for what a bad --ros-args raises
-        print(f"{name}: {_first_line(error)}", file=sys.stderr)
+    except Exception as error:  # what a bad --ros-args raises has no class of its own
+        print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return 1
+    listener = _forward_logging()
+    executor = SingleThreadedExecutor()
+    stop_signals.wake(lambda: executor.create_task(lambda: None))
+    nodes: list[Node] = []
     status = 0
     try:
-        executor = make_executor()
-        threading.Thread(target=_await_signal, args=(executor.shutdown_soon,), daemon=True).start()
         for factory in factories:
-            node = factory()
-            nodes.append(node)
-            executor.add_node(node)
-        executor.spin()
-    except StartError as error:
+            nodes.append(factory())
+            executor.add_node(nodes[-1])
+        while not stop_signals.received.is_set():
+            executor.spin_once()
+    except NodeError as error:
         print(f"{name}: {error}", file=sys.stderr)
         status = 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     finally:
-        for node in nodes:
+        for node in reversed(nodes):
             stop = getattr(node, "stop", None)
             if stop is not None:
                 stop()
-        for node in nodes:
+        listener.stop()
+        executor.shutdown(timeout_sec=1.0)
+        for node in reversed(nodes):
             node.destroy_node()
         rclpy.try_shutdown()
     return status
 
 
-def _await_signal(stop: Callable[[], None]) -> None:
-    signal.sigwait(_STOP_SIGNALS)
-    stop()
-    # A second one means now: silence on the bus stops the car as well.
-    second = signal.sigwait(_STOP_SIGNALS)
-    os._exit(128 + second)
+class _StopSignals:
+    """SIGINT and SIGTERM as an event, from whatever thread the kernel hands them to.
+
+    The main thread waits inside the middleware, where Python's handlers do not run; Python's wake-up descriptor is
+    written at once, and a thread reads it.
+    """
+
+    def __init__(self) -> None:
+        self.received = threading.Event()
+        self._wake: Callable[[], object] = lambda: None
+        self._reader, writer = os.pipe()
+        os.set_blocking(writer, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        for number in _STOP_SIGNALS:
+            signal.signal(number, lambda _number, _frame: None)
+        threading.Thread(target=self._read, name="signals", daemon=True).start()
+
+    def wake(self, wake: Callable[[], object]) -> None:
+        """`wake` is called when a signal has come, from another thread."""
+        self._wake = wake
+        if self.received.is_set():
+            wake()
+
+    def _read(self) -> None:
+        while True:
+            for number in os.read(self._reader, 16):
+                if number not in _STOP_SIGNALS:
+                    continue
+                if self.received.is_set():
+                    # A second one means now: silence on the bus stops the car as well.
+                    os._exit(128 + number)
+                self.received.set()
+                self._wake()
 
 
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+def _forward_logging() -> logging.handlers.QueueListener:
+    """What the rooms below say by Python's logging goes to ROS's log, from a thread of its own.
+
+    ROS's log publishes to /rosout, and the CAN loop must never wait for that.
+    """
+    records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
+    source = logging.getLogger("fsai_vcu")
+    source.setLevel(logging.INFO)
+    source.addHandler(logging.handlers.QueueHandler(records))
+    source.propagate = False
+    listener = logging.handlers.QueueListener(records, _RosHandler())
+    listener.start()
+    return listener
+
+
+class _RosHandler(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        logger = rclpy.logging.get_logger(record.name)
+        text = self.format(record)
+        # One line for each severity: rclpy ties a severity to the line that logs.
+        if record.levelno >= logging.ERROR:
+            logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            logger.warning(text)
+        else:
+            logger.info(text)
+
+
+def _one_line(error: BaseException) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__

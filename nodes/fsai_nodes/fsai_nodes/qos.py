@@ -1,11 +1,15 @@
-"""Quality of service of every topic, in one place. The README's table says the same for people; a test compares them."""
+"""Quality of service of every topic, in one place. The README's table says the same for people; a test compares."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 # A command older than this is stale for the bridge too (safety: vehicle command stale after 100 ms), so the
@@ -72,3 +76,13 @@ TOPICS: Mapping[str, QoSProfile] = MappingProxyType(
         "/diagnostics": DIAGNOSTICS,
     }
 )
+
+
+def publisher(node: Node, message_type: type[Any], topic: str) -> Publisher:
+    """A publisher with the table's quality of service.
+
+    Without rclpy's default event handlers: each is one more thing to wait for, every time that a node waits. The
+    subscriptions keep theirs, so a mismatch is still said, on the side where something is missing.
+    """
+    events = PublisherEventCallbacks(use_default_callbacks=False)
+    return node.create_publisher(message_type, topic, TOPICS[topic], event_callbacks=events)

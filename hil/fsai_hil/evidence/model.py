@@ -1,0 +1,967 @@
+"""The bridge, composed with the VCU's state machine and a witness, as one thing that can be searched.
+
+What runs is the real code: a `Bridge` with its supervisor and gate, and the VCU's transition table of `as_machine`.
+This module saves its state, puts it back, and says what the environment may do. What stands in for something:
+
+- the codec hands images on as they are (each command is encoded by the real one, once per different command);
+- odometry is left out: it fills a logging field;
+- the plausibility checks' verdicts are the environment's choice (the checks have tests of their own);
+- wheels may change their speed from one cycle to the next: more than any car can do.
+
+Time. A state holds ages, not times, and an age is rounded down to the nearest point that the rules can tell apart:
+0, and T - 1 ns and T of every timer that looks at it. One move is one cycle of 10 ms under one choice of the
+environment. Where that changes nothing, waiting is what matters: then the move waits until the next timer has run for
+T - 1 ns, or for T, with the same choice kept up all the while. So all timers run as they do on the car, the cycle at
+T - 1 ns and the one at T are both made, and what happens at an age in between counts as happening right after the
+last edge before it.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Final, cast
+
+from fsai_hil.as_machine import Situation, Table, taken, transition_table
+from fsai_hil.evidence.invariants import Limits, Witness
+from fsai_hil.evidence.search import Move, Problem
+from fsai_hil.profiles import SPECIFICATION, Profile
+from fsai_vcu.core.bridge import Bridge, BridgeConfig
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.supervision import supervisor
+from fsai_vcu.core.supervision.gate import GateState
+from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
+from fsai_vcu.core.supervision.supervisor import Asked, Decision, Latch, Mode, SupervisorState
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.interface.codec import Codec, Decoded, EncodeError
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import (
+    AiCommand,
+    Image,
+    VcuBrake,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuStatus,
+    VcuSteer,
+    VehicleState,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.revisions import revision
+
+MS: Final = 1_000_000
+S: Final = 1_000_000_000
+CYCLE_NS: Final = 10 * MS
+NOW: Final = 1_000 * S  # every state is looked at as if it were now
+NEVER: Final = -1
+AI_LOST_NS: Final = 100 * MS  # interface specification v4.0: echo, or one of the five messages
+
+STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
+CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
+
+
+# ---------------------------------------------------------------- what the environment may choose
+
+_NO_COMMAND = "none"
+_THIS_RUN, _OTHER_RUN = 0, -1
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """A command as the searched controller sends it. `in_order` is what the safety rules say of it."""
+
+    words: str
+    in_order: bool
+    steering_rad: float = 0.0
+    throttle: float = 0.0
+    brake: float = 0.0
+    speed_limit_mps: float = 50.0
+    data_age_ns: int = 0
+    run: int = _THIS_RUN
+    finished: bool = False
+    estop: bool = False
+
+
+_LEFT = math.radians(20.0)
+COMMANDS: Final[Mapping[str, Ask]] = {
+    "drive": Ask("throttle, steering left", True, _LEFT, 0.5),
+    "drive right": Ask("throttle, steering right", True, -_LEFT, 1.0),
+    "coast": Ask("neither pedal", True),
+    "brake": Ask("brake", True, _LEFT, 0.0, 0.4),
+    "both": Ask("throttle and brake together", True, _LEFT, 0.5, 0.4),
+    "finished": Ask("throttle, and the mission is finished", True, _LEFT, 0.5, finished=True),
+    "estop": Ask("throttle, and an emergency brake", True, _LEFT, 0.5, estop=True),
+    "old": Ask("throttle, on data of 500 ms less 1 ns", True, _LEFT, 0.5, data_age_ns=500 * MS - 1),
+    "too old": Ask("throttle, on data of 500 ms", False, _LEFT, 0.5, data_age_ns=500 * MS),
+    "far too old": Ask("throttle, on data of 700 ms", False, _LEFT, 0.5, data_age_ns=700 * MS),
+    "future": Ask("throttle, on data 21 ms ahead", False, _LEFT, 0.5, data_age_ns=-21 * MS),
+    "other run": Ask("throttle, for the run before", False, _LEFT, 0.5, run=_OTHER_RUN),
+    "nan": Ask("throttle, and a steering angle that is no number", False, math.nan, 0.5),
+    "infinite": Ask("infinite throttle", False, _LEFT, math.inf),
+    "beyond": Ask("throttle of 150 %", False, _LEFT, 1.5),
+    "negative": Ask("a negative brake with throttle", False, _LEFT, 0.5, -0.1),
+    "beyond steering": Ask("steering beyond the car's own limit", False, math.radians(31.0), 0.5),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What the environment does in one cycle. The defaults: a car that is well and at rest, a planner that drives."""
+
+    command: str = "drive"
+    lost: frozenset[str] = frozenset()  # messages of the car that do not come
+    unreadable: bool = False  # 0x520 comes, but its AS_STATE is none
+    rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
+    go: bool = False
+    asms: bool = True
+    sdc_open: bool = False
+    ami: Ami = Ami.TRACKDRIVE
+    car_off: bool = False
+    says: AsState | None = None  # whatever the VCU's state machine thinks
+    fault: bool = False
+    angle_max_deg: float = 30.0
+    torque_max_nm: float = 195.0
+    request: str | None = None
+    confirm: bool = True
+    frames: int = 5  # how many of the cycle's five frames go out
+    event: str | None = None
+    steer_odd: bool = False
+    wheel_odd: bool = False
+
+    @property
+    def words(self) -> str:
+        """The choice in words: only what is out of the ordinary, and what matters in every cycle."""
+        if self.event == "restart":
+            return "the process dies and another one takes its place"
+        parts: list[str] = []
+        if self.car_off:
+            parts.append("the car is switched off")
+        else:
+            if self.says is not None:
+                parts.append(f"the car says {self.says.label}")
+            parts.append(
+                "wheels turn with " + "/".join(map(str, self.rpm)) + " rpm" if any(self.rpm) else "wheels stand"
+            )
+            parts.append("Go on" if self.go else "Go off")
+            if not self.asms:
+                parts.append("ASMS off")
+            if self.sdc_open:
+                parts.append("the shutdown circuit opens")
+            if self.fault:
+                parts.append("FAULT_STATUS 1")
+            if self.ami is not Ami.TRACKDRIVE:
+                parts.append(f"the AMI shows {self.ami.label}")
+            if self.lost:
+                parts.append("lost: " + ", ".join(name for name in CAR_MESSAGES if name in self.lost))
+            if self.unreadable:
+                parts.append("0x520 with an AS_STATE outside the table")
+            if self.angle_max_deg != 30.0:
+                parts.append(f"ANGLE_MAX {self.angle_max_deg:g} deg")
+            if self.torque_max_nm != 195.0:
+                parts.append(f"TRQ_MAX {self.torque_max_nm:g} Nm")
+        if self.steer_odd:
+            parts.append("the steering does not follow")
+        if self.wheel_odd:
+            parts.append("one wheel does not fit the others")
+        if self.event is not None:
+            parts.append(self.event)
+        if self.request is not None:
+            parts.append(f"asked for: {self.request}")
+        if not self.confirm:
+            parts.append("resets not confirmed")
+        parts.append("no command" if self.command == _NO_COMMAND else f"command: {COMMANDS[self.command].words}")
+        if self.frames < 5:
+            parts.append("no frame goes out" if not self.frames else f"only {self.frames} of 5 frames go out")
+        return "; ".join(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What is searched: the configuration of the AI side and the car at the other end."""
+
+    config: BridgeConfig = field(default_factory=lambda: BridgeConfig(steer_rate_degps=1500.0))
+    revision: str = "2026"
+    car: VehicleParameters = CARS["2026"]
+    profile: Profile = SPECIFICATION
+    first_state: AsState = AsState.AS_INIT
+    limits: OperationalLimits = field(default_factory=lambda: OperationalLimits(8.0, 120.0, 12.0))
+
+
+# ---------------------------------------------------------------- the clocks
+
+# Names are those of the fields that hold them; `VCU …` and `witness …` are the other two parties' own.
+_CLOCKS: Final = (
+    "status", "heard", "driving", "speeds", "still", "stop", "window", "pedals", "cycle", "command", "data",
+    "listening", "reopened", "complete", "steer odd", "wheel odd",
+    "said status", "said speeds", "said steer", "said axles",
+    "VCU state", "VCU hears", "VCU echo",
+    "witness driving", "witness still", "witness command", "witness data", "witness heard", "witness pedals",
+)  # fmt: skip
+
+
+def _edges(c: BridgeConfig) -> tuple[tuple[int, ...], ...]:
+    """The ages at which each clock matters. A gap that is seen when a frame comes has its edge a cycle earlier too."""
+    vcu = (c.vcu_stale_ns, c.vcu_lost_ns)
+    heard = (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns)
+    launch = (c.launch_wait_ns, c.launch_wait_ns + c.command_stale_ns, c.launch_wait_ns + c.command_lost_ns)
+    speeds = (c.feedback_stale_ns - CYCLE_NS, c.feedback_stale_ns, c.feedback_lost_ns)
+    steer = (c.feedback_stale_ns, c.feedback_lost_ns)
+    odd = (c.implausible_ns, c.implausible_lost_ns)
+    command = (c.command_stale_ns, c.command_lost_ns)
+    data = (c.sensor_stale_ns, c.sensor_stale_ns + c.command_lost_ns - c.command_stale_ns)
+    return (
+        vcu, heard, launch, speeds, (c.standstill_ns,), (c.stop_timeout_ns,), (c.stop_window_ns,), (c.both_pedals_ns,),
+        (), command, data, (c.listen_first_ns,), (c.vcu_lost_ns,), (c.send_lost_ns,), odd, odd,
+        vcu, speeds, steer, (c.feedback_stale_ns,),
+        (5 * S, 15 * S), (100 * MS,), (100 * MS,),
+        launch, (c.standstill_ns,), command, data, heard, (c.both_pedals_ns,),
+    )  # fmt: skip
+
+
+_CYCLE_CLOCK: Final = _CLOCKS.index("cycle")
+_CYCLE_AGES: Final = (0, 10 * MS, 20 * MS)  # the gate's longest step
+_READY_NS: Final = 5 * S
+
+
+# ---------------------------------------------------------------- what stands in for the rest of the world
+
+
+@dataclass(frozen=True, slots=True)
+class _Said(Frame):
+    """A frame that carries its image along."""
+
+    decoded: Decoded = field(default_factory=lambda: Decoded(None))
+
+
+def _frame(can_id: int, image: Image | None, now: int, handshake: bool | None = None) -> _Said:
+    return _Said(can_id, b"", now, decoded=Decoded(image, (), handshake))
+
+
+# The same few frames come again and again.
+@cache
+def _status_frame(bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, now: int) -> _Said:
+    image = VcuStatus(handshake=bit, go_signal=go, as_state=state, ami=ami, fault=fault, t_rx_ns=now)
+    return _frame(0x520, image, now, bit)
+
+
+@cache
+def _unreadable_frame(bit: bool, now: int) -> _Said:
+    return _frame(0x520, None, now, bit)
+
+
+@cache
+def _front_frame(torque_max_nm: float, now: int) -> _Said:
+    return _frame(0x521, VcuDriveFront(0.0, 0.0, torque_max_nm, now), now)
+
+
+@cache
+def _rear_frame(torque_max_nm: float, now: int) -> _Said:
+    return _frame(0x522, VcuDriveRear(0.0, 0.0, torque_max_nm, now), now)
+
+
+@cache
+def _steer_frame(angle_max_deg: float, now: int) -> _Said:
+    return _frame(0x523, VcuSteer(0.0, angle_max_deg, 0.0, now), now)
+
+
+@cache
+def _brake_frame(braking: bool, now: int) -> _Said:
+    pct = 30.0 if braking else 0.0
+    return _frame(0x524, VcuBrake(pct, pct, pct, pct, t_rx_ns=now), now)
+
+
+@cache
+def _speeds_frame(rpm: tuple[int, int, int, int], now: int) -> _Said:
+    return _frame(0x525, WheelSpeeds(*rpm, now), now)
+
+
+class _PlainCodec:
+    """The codec that hands on what a frame carries."""
+
+    def decode(self, frame: _Said) -> Decoded:
+        return frame.decoded
+
+
+@cache
+def _codec(revision_name: str) -> Codec:
+    return Codec(revision(revision_name))
+
+
+class _NoOdometry:
+    motion = Motion()
+
+    def update(self, *_: object) -> Motion:
+        return self.motion
+
+    def reset(self, _: int) -> None:
+        """Nothing to forget."""
+
+
+class SearchedBridge(Bridge):
+    """The bridge, whose plausibility checks say what the environment wants."""
+
+    steer_odd = False
+    wheel_odd = False
+
+    def _check(self, asked: AiCommand, vehicle: VehicleState, now_ns: int) -> None:
+        steer, wheels = self._steering.implausible_since_ns, self._wheels.implausible_since_ns
+        driving = self._state.driving
+        self._steering = _steering_since(now_ns if steer is None else steer) if self.steer_odd and driving else _FITS[0]
+        self._wheels = _wheel_since(now_ns if wheels is None else wheels) if self.wheel_odd and driving else _FITS[1]
+
+
+_FITS = (SteeringCheck(), WheelCheck())
+
+
+def _steering_since(t_ns: int) -> SteeringCheck:
+    return SteeringCheck(implausible_since_ns=t_ns)
+
+
+def _wheel_since(t_ns: int) -> WheelCheck:
+    return WheelCheck(implausible_since_ns=t_ns)
+
+
+class _Vcu:
+    """The other end: the real transition table, what was heard last, and the handshake."""
+
+    __slots__ = (
+        "ai_ns", "bit", "brake", "direction", "echo_ns", "estop", "front", "go_before", "heard", "needs_power_cycle",
+        "rear", "since_ns", "state", "status", "steer",
+    )  # fmt: skip
+
+    def __init__(self, first: AsState) -> None:
+        self.switch_off(first)
+
+    def switch_off(self, first: AsState) -> None:
+        self.state = first
+        self.since_ns = NOW
+        self.heard = False
+        self.ai_ns: int | None = None  # the last complete cycle
+        self.echo_ns: int | None = None  # since when the echo is awaited
+        self.bit = False
+        self.go_before = True
+        self.needs_power_cycle = False
+        self.estop = False
+        self.status = MissionStatus.NOT_SELECTED
+        self.direction = Direction.NEUTRAL
+        self.front = self.rear = self.steer = self.brake = False
+
+
+# ---------------------------------------------------------------- the composition
+
+# A state: what can be told apart without a clock, and the ages.
+State = tuple[tuple[object, ...], tuple[int, ...]]
+
+_HELD_STOP, _STEERED_STOP = Asked.MANUAL, Asked.MISSION_DONE
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """A closed part of everything that can happen: a setting, and what the environment may do in it."""
+
+    name: str
+    covers: str
+    choices: tuple[Choice, ...]
+    """All of them in AS_DRIVING; elsewhere those numbered below `anywhere`."""
+    anywhere: int
+    setting: Setting = field(default_factory=Setting)
+    endings: Mapping[str, Choice] = field(default_factory=dict)
+    bounds_ns: Mapping[str, int] = field(default_factory=dict)
+
+
+class Composition:
+    """Bridge, VCU and witness under one scope's environment: a model for `search.explore`."""
+
+    def __init__(self, scope: Scope) -> None:
+        setting = scope.setting
+        self.scope = scope
+        self.config = setting.config
+        self.choices = list(scope.choices)
+        self._anywhere = scope.anywhere
+        self.endings: dict[str, int] = {}
+        for name, choice in scope.endings.items():
+            if choice not in self.choices:
+                raise ValueError(f"{scope.name}: the ending {name!r} is none of the scope's choices")
+            self.endings[name] = self.choices.index(choice)
+        entry = revision(setting.revision)
+        self._codec = _codec(setting.revision)
+        self._bridge = self._new_bridge()
+        rpm_per_mps = 60.0 / (2.0 * math.pi * setting.car.rolling_radius_m) * setting.car.gear_ratio
+        rate = setting.config.steer_rate_degps
+        assert rate is not None, "the search sets the rate: a cycle must be enough for the steering"
+        self.limits = Limits(
+            steer_deg=min(entry.steer_limit_deg, setting.limits.max_steer_deg),
+            steer_step_deg=rate * CYCLE_NS / 1e9,
+            torque_nm=min(195.0, setting.limits.max_axle_torque_nm),
+            motor_rpm=int(min(4000.0, setting.limits.max_speed_mps * rpm_per_mps)),
+            front_driven=setting.car.driven_front,
+            rear_driven=setting.car.driven_rear,
+            brakes_by_motor=setting.config.service_brake == "motor",
+            may_send=not setting.config.listen_only,
+        )
+        self._table: Table = transition_table(setting.profile)
+        self._vcu = _Vcu(setting.first_state)
+        self._witness = Witness()
+        self._situation = Situation()
+        self._edges = _edges(setting.config)
+        self._ages = tuple(
+            _CYCLE_AGES if index == _CYCLE_CLOCK else tuple(sorted({0, *(a for e in edges for a in (e - 1, e))}))
+            for index, edges in enumerate(self._edges)
+        )
+        self._encoded: dict[AiCommand, tuple[Problem, ...]] = {}
+
+    def _new_bridge(self) -> SearchedBridge:
+        setting = self.scope.setting
+        made = SearchedBridge(
+            cast(Codec, _PlainCodec()),
+            revision(setting.revision),
+            setting.car,
+            setting.config,
+            setting.limits,
+            first_run_id=1,
+            now_ns=NOW,
+        )
+        made._odometry = cast(Any, _NoOdometry())
+        return made
+
+    # ------------------------------------------------------------ states
+
+    def initial(self) -> State:
+        """Nothing has been sent or heard: both sides have just been switched on."""
+        self._bridge = self._new_bridge()
+        self._bridge._gate = GateState(cycle_ns=None)
+        self._vcu = _Vcu(self.scope.setting.first_state)
+        self._witness = Witness()
+        disc, raw = self._save(NOW)
+        return disc, self._rounded(raw)
+
+    def _rounded(self, raw: Sequence[int]) -> tuple[int, ...]:
+        return tuple(
+            [
+                age if age <= 0 else points[bisect_right(points, age) - 1]
+                for age, points in zip(raw, self._ages, strict=True)
+            ]
+        )
+
+    def _save(self, now: int) -> tuple[tuple[object, ...], list[int]]:
+        """The whole composition at `now`: what is no time, and the ages, not yet rounded."""
+        b, v, w, c = self._bridge, self._vcu, self._witness, self.config
+        s, g = b._state, b._gate
+
+        def age(t_ns: int | None) -> int:
+            return NEVER if t_ns is None else max(0, now - t_ns)
+
+        speeds_age = age(s.speeds_ns)
+        still_known = s.still_since_ns is not None and s.speeds_ns is not None and speeds_age < c.feedback_stale_ns
+        stop = s.stop
+        steers = None if stop is None else stop.cause in supervisor._STEERS_WHILE_STOPPING
+        window = None if stop is None else s.stop_window_rpm
+        command = b._command if b._command is not None and b._command.run_id == s.run_id else None
+        if command is not None:
+            content = (
+                command.steering_rad, command.throttle, command.brake, command.mission_finished, command.estop_request,
+            )  # fmt: skip
+        else:
+            content = None
+        brake_newer = False
+        brake = b._images.get("brake")
+        if g.zero_cycles == 1 and brake is not None:
+            brake_newer = brake.t_rx_ns > g.zero_since_ns
+        status = b._images.get("status")
+        speeds = b._images.get("speeds")
+        steer = b._images.get("steer")
+        axle = b._images.get("drive_rear")
+        silent_bit = v.bit
+        disc = (
+            # supervisor
+            (s.as_state, s.go, s.fault, s.was_silent, s.sequence, s.fastest_rpm, s.mission, s.confirmed, s.mode,
+             s.power_up and c.autonomous_at_power_up, steers, s.emergency is not None, window),
+            # gate
+            (g.steer_deg, g.brake, g.torque_there, g.zero_cycles, g.torque_running, g.tried_torque, g.tried_brake,
+             g.awaiting, brake_newer, g.run_id == s.run_id),
+            # the bridge's shell
+            (b._handshake != silent_bit, content, b._bus_lost is not None, b._stop_cycles_left),
+            # what the car has said
+            (None if status is None else (status.as_state, status.go_signal, status.fault),
+             None if speeds is None else speeds.all_rpm, None if steer is None else steer.angle_max_deg,
+             None if axle is None else axle.torque_max_nm, None if brake is None else brake.rear_request_pct == 0.0),
+            # VCU
+            (v.state, v.heard, v.go_before, v.needs_power_cycle, v.estop, v.status, v.direction, v.front, v.rear,
+             v.steer, v.brake),
+            # witness
+            (w.silence, w.path, w.handshake != silent_bit, w.autonomous, w.latched, w.pushes, w.alarm,
+             w.no_more_torque, w.restarted, w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed, w.torque_runs,
+             w.steer_deg),
+        )  # fmt: skip
+        vcu_age = NEVER
+        if v.state is AsState.AS_READY:
+            vcu_age = min(age(v.since_ns), _READY_NS)
+        elif v.state is AsState.EMERGENCY_BRAKE:
+            vcu_age = age(v.since_ns)
+        has_command = command is not None
+        w_speeds_fresh = w.speeds_ns is not None and now - w.speeds_ns < 100 * MS
+        raw = [
+            age(s.status_ns),
+            age(s.heard_ns),
+            age(s.driving_since_ns),
+            speeds_age,
+            s.speeds_ns - s.still_since_ns if still_known else NEVER,  # type: ignore[operator]
+            age(stop.since_ns) if stop is not None else NEVER,
+            age(s.stop_window_ns) if window is not None else NEVER,
+            age(s.both_pedals_since_ns),
+            age(g.cycle_ns),
+            age(b._command_ns) if has_command else NEVER,
+            age(command.t_sensor_ns) if command is not None else NEVER,
+            NEVER if b._listening_until_ns is None else age(b._listening_until_ns - c.listen_first_ns),
+            NEVER if b._reopened_until_ns is None else age(b._reopened_until_ns - c.vcu_lost_ns),
+            age(b._last_complete_ns),
+            age(b._steering.implausible_since_ns),
+            age(b._wheels.implausible_since_ns),
+            NEVER if status is None else age(status.t_rx_ns),
+            NEVER if speeds is None else age(speeds.t_rx_ns),
+            NEVER if steer is None else age(steer.t_rx_ns),
+            NEVER if axle is None else age(axle.t_rx_ns),
+            vcu_age,
+            age(v.ai_ns),
+            age(v.echo_ns),
+            age(w.driving_ns),
+            w.speeds_ns - w.still_ns if w_speeds_fresh and w.still_ns is not None else NEVER,  # type: ignore[operator]
+            age(w.command_ns),
+            NEVER if w.command_ns is None else age(w.data_ns),
+            age(w.heard_ns),
+            age(w.pedals_ns),
+        ]
+        return disc, raw
+
+    def _load(self, state: State) -> None:
+        """Put the composition back as it was saved, at `NOW`."""
+        (sup, gat, shell, said, vcu, wit), ages = cast(Any, state)
+        b, v, w, c = self._bridge, self._vcu, self._witness, self.config
+        t = [None if age < 0 else NOW - age for age in ages]
+        speeds_ns, still = t[3], ages[4]
+        steers = sup[10]
+        stop = None if steers is None else Latch(_STEERED_STOP if steers else _HELD_STOP, cast(int, t[5]))
+        window = sup[12]
+        b._state = SupervisorState(
+            as_state=sup[0],
+            go=sup[1],
+            fault=sup[2],
+            status_ns=t[0],
+            heard_ns=t[1],
+            was_silent=sup[3],
+            sequence=sup[4],
+            ready_since_ns=NOW if sup[0] is AsState.AS_READY else None,
+            driving_since_ns=t[2],
+            speeds_ns=speeds_ns,
+            fastest_rpm=sup[5],
+            still_since_ns=None if still < 0 else cast(int, speeds_ns) - still,
+            run_id=2,
+            mission=sup[6],
+            confirmed=sup[7],
+            mode=sup[8],
+            power_up=sup[9],
+            stop=stop,
+            emergency=_EMERGENCY if sup[11] else None,
+            stop_window_ns=0 if window is None else cast(int, t[6]),
+            stop_window_rpm=window,
+            both_pedals_since_ns=t[7],
+        )
+        brake_newer = gat[8]
+        b._gate = GateState(
+            steer_deg=gat[0],
+            brake=gat[1],
+            cycle_ns=t[8],
+            torque_there=gat[2],
+            zero_cycles=gat[3],
+            zero_since_ns=NOW - 2 if brake_newer else NOW,
+            torque_running=gat[4],
+            tried_torque=gat[5],
+            tried_brake=gat[6],
+            awaiting=gat[7],
+            run_id=2 if gat[9] else 1,
+        )
+        b._decision = _NO_DECISION
+        b._handshake = shell[0]
+        content = shell[1]
+        b._command_ns = 0
+        if content is None:
+            b._command = None
+        else:
+            b._command = VehicleCommand(
+                cast(int, t[10]), 2, content[0], content[1], content[2], 50.0, content[3], content[4]
+            )
+            b._command_ns = cast(int, t[9])
+        b._bus_lost = "the interface is gone" if shell[2] else None
+        b._stop_cycles_left = shell[3]
+        b._listening_until_ns = None if t[11] is None else t[11] + c.listen_first_ns
+        b._reopened_until_ns = None if t[12] is None else t[12] + c.vcu_lost_ns
+        b._last_complete_ns = t[13]
+        b._steering = _FITS[0] if t[14] is None else _steering_since(t[14])
+        b._wheels = _FITS[1] if t[15] is None else _wheel_since(t[15])
+        b._unanswered_ns = None
+        images: dict[str, Any] = {}
+        status, rpm, angle_max, torque_max, zero = said
+        if status is not None:
+            as_state, go, fault = status
+            images["status"] = _status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, t[16]).decoded.image
+        if rpm is not None:
+            images["speeds"] = _speeds_frame(rpm, t[17]).decoded.image
+        if angle_max is not None:
+            images["steer"] = _steer_frame(angle_max, t[18]).decoded.image
+        if torque_max is not None:
+            images["drive_front"] = _front_frame(torque_max, t[19]).decoded.image
+            images["drive_rear"] = _rear_frame(torque_max, t[19]).decoded.image
+        if zero is not None:
+            images["brake"] = _brake_frame(not zero, NOW - 1).decoded.image
+        b._images = images
+        b._vehicle = None
+
+        (v.state, v.heard, v.go_before, v.needs_power_cycle, v.estop, v.status, v.direction, v.front, v.rear, v.steer,
+         v.brake) = vcu  # fmt: skip
+        v.bit = False
+        v.since_ns = NOW if t[20] is None else t[20]
+        v.ai_ns, v.echo_ns = t[21], t[22]
+
+        (w.silence, w.path, w.handshake, w.autonomous, w.latched, w.pushes, w.alarm, w.no_more_torque, w.restarted,
+         w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed, w.torque_runs, w.steer_deg) = wit  # fmt: skip
+        w.as_state = None if status is None else status[0]
+        w.go = False if status is None else status[1]
+        w.status_ns = t[16]
+        w.rpm, w.speeds_ns = rpm, t[17]
+        w.angle_max_deg, w.steer_ns = angle_max, t[18]
+        w.torque_max_nm, w.axle_ns = torque_max, t[19]
+        w.driving_ns = t[23]
+        w.still_ns = None if ages[24] < 0 else cast(int, w.speeds_ns) - ages[24]
+        w.command_ns, w.data_ns = t[25], t[26] or 0
+        w.heard_ns = t[27]
+        w.pedals_ns = t[28]
+        w.steer_odd_ns, w.wheel_odd_ns = t[14], t[15]
+
+    # ------------------------------------------------------------ moves
+
+    def safe(self, state: State) -> bool:
+        """The car is not in AS_DRIVING (at rest, finished, or braked by itself), and no torque stands at the VCU."""
+        vcu = cast(Any, state[0][4])
+        return vcu[0] is not AsState.AS_DRIVING or not (vcu[1] or vcu[7] or vcu[8])
+
+    def moves(self, state: State) -> Iterable[Move[State]]:
+        said = cast(Any, state[0][3])[0]
+        driving = said is not None and said[0] is AsState.AS_DRIVING
+        driving = driving or cast(Any, state[0][4])[0] is AsState.AS_DRIVING
+        count = len(self.choices) if driving else self._anywhere
+        for label in range(count):
+            choice = self.choices[label]
+            (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS)
+            target = disc, self._rounded(raw)
+            if problems or target != state:
+                yield Move(label, CYCLE_NS, target, problems, asked)
+                continue
+            waits = self._waits(state[1], raw)
+            if not waits:
+                yield Move(label, CYCLE_NS, target, (), asked)
+            for wait_ns in waits:
+                step_ns = min(CYCLE_NS, wait_ns)
+                ages = state[1]
+                if wait_ns > step_ns:
+                    # An age that grew in the cycle just tried grows for as long as the same choice is kept up.
+                    ages = tuple(
+                        [
+                            old + wait_ns - step_ns if old >= 0 and new == old + CYCLE_NS else old
+                            for old, new in zip(ages, raw, strict=True)
+                        ]
+                    )
+                (disc, later), problems, asked = self._cycle((state[0], ages), choice, step_ns)
+                yield Move(label, wait_ns, (disc, self._rounded(later)), problems, asked)
+
+    def _waits(self, ages: tuple[int, ...], raw: Sequence[int]) -> tuple[int, ...]:
+        """How long until the next timer has run for T - 1 ns and for T; none if no timer runs that has not run out."""
+        nearest: int | None = None
+        for age, new, edges in zip(ages, raw, self._edges, strict=True):
+            if age < 0 or new != age + CYCLE_NS:
+                continue
+            for edge in edges:
+                if edge > age:
+                    if nearest is None or edge - age < nearest:
+                        nearest = edge - age
+                    break
+        return () if nearest is None else (nearest - 1, nearest)
+
+    def _cycle(
+        self, state: State, choice: Choice, step_ns: int
+    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Problem, ...], AiCommand | None]:
+        """One cycle of the whole composition, `step_ns` after the state was saved."""
+        self._load(state)
+        now = NOW + step_ns
+        problems: list[Problem] = []
+        if choice.event == "restart":
+            self._bridge = self._new_bridge()
+            self._witness.restart()
+        w = self._witness
+        if choice.car_off:
+            self._vcu.switch_off(self.scope.setting.first_state)
+        else:
+            self._look(choice, now)
+            self._car_speaks(choice, now)
+        b = self._bridge
+        b.steer_odd, b.wheel_odd = choice.steer_odd, choice.wheel_odd
+        if choice.event is not None:
+            self._happens(choice.event, now)
+        if choice.request is not None:
+            self._requested(choice.request, now, problems)
+        if choice.confirm:
+            for role in supervisor.ROLES:
+                if role not in b._state.confirmed:
+                    b.on_reset_confirmed(role, b._state.run_id)
+        if choice.command != _NO_COMMAND:
+            self._commanded(COMMANDS[choice.command], now, problems)
+        asked = b.cycle(now)
+        if b._config.autonomous_at_power_up and b._state.mode is Mode.AUTONOMOUS:
+            w.autonomous = True  # what the configuration allows nobody has to ask for
+        if asked is not None:
+            problems += w.on_cycle(asked, self.limits, now)
+            problems += self._frames(asked)
+            problems += self._sent(choice, asked, now)
+        w.steer_odd_ns, w.wheel_odd_ns = b._steering.implausible_since_ns, b._wheels.implausible_since_ns
+        return self._save(now), tuple(problems), asked
+
+    # ------------------------------------------------------------ the car
+
+    def _look(self, choice: Choice, now: int) -> None:
+        """The VCU looks at everything once."""
+        v = self._vcu
+        if choice.says is not None:
+            if v.state is not choice.says:
+                v.state, v.since_ns = choice.says, now
+            return
+        s = self._situation
+        lost = v.heard and (
+            (v.ai_ns is not None and now - v.ai_ns >= 100 * MS)
+            or (v.echo_ns is not None and now - v.echo_ns >= 100 * MS)
+        )
+        up = v.heard and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
+        s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, True, choice.go, choice.ami, choice.sdc_open
+        s.go_rising = choice.go and not v.go_before
+        v.go_before = choice.go
+        s.ebs_armed = s.tractive_system_running = up
+        s.ebs_unavailable = not up
+        s.power_cycle_needed = v.needs_power_cycle
+        s.slowest_wheel_rpm, s.fastest_wheel_rpm = min(choice.rpm), max(choice.rpm)
+        s.bms_fault = choice.fault
+        s.comms_lost = lost
+        s.estop_request = v.estop
+        s.mission_status = MissionStatus.NOT_SELECTED if lost else v.status
+        s.direction = v.direction
+        s.torque_requested, s.brake_requested, s.steer_requested = v.front or v.rear, v.brake, v.steer
+        s.ready_wait_over = now - v.since_ns >= self.scope.setting.profile.ready_wait_ns
+        s.emergency_timer_over = now - v.since_ns >= self.scope.setting.profile.emergency_timer_ns
+        row = taken(self._table, v.state, s)
+        if row is not None:
+            if row.target is AsState.EMERGENCY_BRAKE:
+                v.needs_power_cycle = True
+            if row.reset:
+                v.needs_power_cycle = False
+            if row.target is not v.state:
+                v.state, v.since_ns = row.target, now
+
+    def _car_speaks(self, choice: Choice, now: int) -> None:
+        v, w, lost = self._vcu, self._witness, choice.lost
+        say = self._bridge.on_frame
+        if v.echo_ns is None:
+            v.bit = not v.bit
+            v.echo_ns = now
+        if STATUS not in lost:
+            w.handshake = v.bit
+            if choice.unreadable:
+                w.on_any_status(now)
+                say(_unreadable_frame(v.bit, now))
+            else:
+                fault = choice.fault
+                w.on_status(v.state, choice.go, fault, now)
+                say(_status_frame(v.bit, choice.go, v.state, choice.ami, fault, now))
+        if AXLES not in lost:
+            w.torque_max_nm, w.axle_ns = choice.torque_max_nm, now
+            say(_front_frame(choice.torque_max_nm, now))
+            say(_rear_frame(choice.torque_max_nm, now))
+        if STEER not in lost:
+            w.angle_max_deg, w.steer_ns = choice.angle_max_deg, now
+            say(_steer_frame(choice.angle_max_deg, now))
+        if BRAKE not in lost:
+            w.on_brake(not v.brake)
+            say(_brake_frame(v.brake, now))
+        if SPEEDS not in lost:
+            w.on_speeds(choice.rpm, now)
+            say(_speeds_frame(choice.rpm, now))
+
+    # ------------------------------------------------------------ people, planner and loop
+
+    def _happens(self, event: str, now: int) -> None:
+        b, w = self._bridge, self._witness
+        driving = w.as_state is AsState.AS_DRIVING
+        match event:
+            case "an intruder sends 0x511":
+                b.on_frame(Frame(0x511, bytes(4), now))
+                w.alarm = w.alarm or (driving and not b._config.listen_only)
+            case "the loop misses its deadline":
+                b.loop_fault("a deadline was missed by 50 ms", now)
+                w.alarm = w.alarm or driving
+            case "the bus is lost":
+                b.bus_lost("the interface is gone", now)
+                w.bus_gone = True
+                w.no_more_torque = w.no_more_torque or driving
+                w.path = 0
+            case "the bus is back":
+                b.bus_back(now)
+                w.bus_gone = False
+            case "the software is stopped":
+                b.begin_stop(now)
+
+    def _requested(self, request: str, now: int, problems: list[Problem]) -> None:
+        b, w = self._bridge, self._witness
+        match request:
+            case "the emergency brake":
+                accepted, _ = b.emergency_brake("somebody asked for it", now)
+                w.latched = w.latched or accepted
+            case "reset":
+                accepted, _ = b.reset(now)
+                if accepted and w.latched:
+                    if w.as_state not in (AsState.AS_INIT, AsState.AS_OFF):
+                        problems.append(Problem("6", "reset accepted outside AS_INIT and AS_OFF"))
+                    w.latched = False
+            case mode:
+                accepted, _ = b.set_mode(mode, now)
+                if not accepted:
+                    return
+                if mode not in ("autonomous", "manual"):
+                    problems.append(Problem("2", f"the unknown mode {mode!r} was accepted"))
+                elif mode == "autonomous" and w.as_state not in (
+                    AsState.AS_INIT,
+                    AsState.AS_OFF,
+                    AsState.AS_READY,
+                ):
+                    problems.append(Problem("2", "autonomous accepted where the car could launch at once"))
+                w.autonomous = mode == "autonomous"
+                if mode == "manual" and w.as_state is AsState.AS_DRIVING:
+                    w.no_more_torque = True
+
+    def _commanded(self, ask: Ask, now: int, problems: list[Problem]) -> None:
+        b, w = self._bridge, self._witness
+        refused = b.on_command(
+            VehicleCommand(
+                now - ask.data_age_ns,
+                b._state.run_id + ask.run,
+                ask.steering_rad,
+                ask.throttle,
+                ask.brake,
+                ask.speed_limit_mps,
+                ask.finished,
+                ask.estop,
+            ),
+            now,
+        )
+        if refused:
+            return
+        absurd = not (
+            math.isfinite(ask.steering_rad)
+            and 0.0 <= ask.throttle <= 1.0
+            and 0.0 <= ask.brake <= 1.0
+            and abs(ask.steering_rad) <= math.radians(30.0)
+            and ask.data_age_ns >= -20 * MS
+            and ask.run == _THIS_RUN
+        )
+        if absurd:
+            problems.append(Problem("7", f"taken, though out of order: {ask.words}"))
+            return
+        w.on_command(
+            ask.throttle > 0.0 and ask.brake == 0.0, ask.throttle > 0.0 and ask.brake > 0.0, now - ask.data_age_ns, now
+        )
+
+    # ------------------------------------------------------------ the wire
+
+    def _frames(self, asked: AiCommand) -> Sequence[Problem]:
+        """The real codec takes it, and makes the five frames of it (rule 8)."""
+        problems = self._encoded.get(asked)
+        if problems is None:
+            problems = ()
+            try:
+                ids = [frame.can_id for frame in self._codec.encode_command(asked)]
+                if ids != [0x510, 0x511, 0x512, 0x513, 0x514]:
+                    problems = (Problem("8", f"a cycle of the frames {ids}"),)
+            except EncodeError as error:
+                problems = (Problem("8", str(error)),)
+            self._encoded[asked] = problems
+        return problems
+
+    def _sent(self, choice: Choice, asked: AiCommand, now: int) -> Sequence[Problem]:
+        """The frames leave one after another; the VCU looks after each, and keeps what it saw last."""
+        b, v = self._bridge, self._vcu
+        problems: list[Problem] = []
+        brake = asked.front_brake_pct > 0.0 or asked.rear_brake_pct > 0.0
+        if not choice.car_off:
+            for number in range(choice.frames):
+                before = (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake)
+                v.heard = True
+                match number:
+                    case 0:
+                        v.estop, v.status, v.direction = asked.estop_request, asked.mission_status, asked.direction
+                        if asked.handshake == v.bit:
+                            v.echo_ns = None
+                    case 1:
+                        v.front = asked.front_torque_nm > 0.0
+                    case 2:
+                        v.rear = asked.rear_torque_nm > 0.0
+                    case 3:
+                        v.steer = asked.steer_deg != 0.0
+                    case _:
+                        v.brake = brake
+                        v.ai_ns = now
+                if v.ai_ns is None:
+                    v.ai_ns = now
+                if (v.front or v.rear) and v.brake:
+                    problems.append(Problem("1", "the VCU sees torque and brake at the same time"))
+                if before != (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake):
+                    self._look(choice, now)
+        complete = choice.frames == 5
+        b.on_sent(complete, now)
+        self._witness.on_sent(asked, complete)
+        return problems
+
+    # ------------------------------------------------------------ words
+
+    def told(self, trace: Sequence[Move[State]]) -> list[str]:
+        """A trace in words, one line per move; moves alike are told once."""
+        lines: list[str] = []
+        time_ns = 0
+        for move in trace:
+            time_ns += move.duration_ns
+            state = cast(Any, move.target[0])
+            said = state[3][0]
+            heard = "no AS state seen" if said is None else f"{said[0].label} seen"
+            lines.append(
+                f"{time_ns / 1e9:8.3f} s  {self.choices[move.label].words}\n"
+                f"            -> {heard}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
+            )
+        return lines
+
+
+_EMERGENCY: Final = Latch(Asked.OPERATOR, 0)
+_NO_DECISION: Final = Decision()
+
+
+def _told_command(asked: AiCommand | None) -> str:
+    if asked is None:
+        return "nothing"
+    parts = [asked.mission_status.label, asked.direction.label]
+    if asked.estop_request:
+        parts.append("ESTOP_REQUEST")
+    if asked.torque_requested:
+        parts.append(f"torque {asked.front_torque_nm:g}/{asked.rear_torque_nm:g} Nm")
+    if asked.brake_requested:
+        parts.append(f"brake {asked.front_brake_pct:g} %")
+    if asked.steer_deg:
+        parts.append(f"steering {asked.steer_deg:g} deg")
+    return " ".join(parts)

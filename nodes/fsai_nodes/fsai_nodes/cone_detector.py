@@ -1,0 +1,55 @@
+"""cone_detector: /raw_cones to /detected_cones. Keeps the cones that a sensor is sure enough of."""
+
+from __future__ import annotations
+
+import math
+
+from fsai_msgs.msg import Cone, ConeArray
+from rclpy.node import Node
+
+from fsai_nodes.parameters import Setting, Settings
+from fsai_nodes.qos import TOPICS, publisher
+
+SETTINGS = (
+    Setting(
+        "confidence_threshold",
+        0.5,
+        "Raw cones with a lower confidence are dropped.",
+        low=0.0,
+        high=1.0,
+        live=True,
+    ),
+)
+
+
+def believable(cone: Cone, threshold: float) -> bool:
+    """Whether a cone counts: sure enough, and at a place that is one (a NaN is refused by every comparison)."""
+    return cone.confidence >= threshold and math.isfinite(cone.x) and math.isfinite(cone.y)
+
+
+class ConeDetector(Node):
+    """Keeps stamp and frame of the raw cones, so that the age of a command tells the age of its measurement."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("cone_detector", **options)
+        self._settings = Settings(self, SETTINGS, self._on_change)
+        self._on_change("confidence_threshold")
+        self._publisher = publisher(self, ConeArray, "/detected_cones")
+        self.create_subscription(ConeArray, "/raw_cones", self._on_cones, TOPICS["/raw_cones"])
+
+    def _on_change(self, _name: str) -> None:
+        self._threshold = self._settings.number("confidence_threshold")
+
+    def _on_cones(self, raw: ConeArray) -> None:
+        raw.cones = [cone for cone in raw.cones if believable(cone, self._threshold)]
+        self._publisher.publish(raw)
+
+
+def main() -> int:
+    from fsai_nodes.process import run
+
+    return run([ConeDetector], "cone_detector")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

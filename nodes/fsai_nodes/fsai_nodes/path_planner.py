@@ -1,0 +1,125 @@
+"""path_planner: /detected_cones to /path and /planner_status, for the run that the bridge announces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleState
+from nav_msgs.msg import Path
+from rclpy.node import Node
+
+from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
+from fsai_nodes.edge import Clocks
+from fsai_nodes.parameters import Setting, Settings
+from fsai_nodes.qos import TOPICS, publisher
+from fsai_vcu.core.driving import Run
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.planning.planner import Planner
+from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
+from fsai_vcu.core.vehicle.parameters import CARS
+
+_PLANNER = PlannerSettings()
+_MISSIONS = MissionSettings()
+# Cones seen so long ago make every command stale (safety: data older than 500 ms).
+_COLD_NS = 500_000_000
+
+SETTINGS = (
+    Setting("car", "2026", "Vehicle parameters to plan with.", choices=tuple(CARS)),
+    Setting(
+        "laps",
+        _MISSIONS.trackdrive_laps,
+        "Laps of a trackdrive. Takes effect with the next run.",
+        low=1,
+        high=100,
+        live=True,
+    ),
+    Setting(
+        "range_max_m",
+        _PLANNER.range_max_m,
+        "Cones further away are not used, in metres. Takes effect with the next run.",
+        *PLANNER_RANGES["range_max_m"],
+        live=True,
+    ),
+    Setting(
+        "horizon_m",
+        _PLANNER.horizon_m,
+        "How far to look for the lane, in metres. Takes effect with the next run.",
+        *PLANNER_RANGES["horizon_m"],
+        live=True,
+    ),
+)
+
+
+class PathPlanner(Node):
+    """Plans with every set of cones; forgets everything when the bridge announces a new run, and says so."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("path_planner", **options)
+        self._settings = Settings(self, SETTINGS, lambda _name: None)
+        self._clocks = Clocks(self)
+        self._planner = self._new_planner()
+        self._run: Run | None = None
+        self._state: VehicleState | None = None
+        self._path = publisher(self, Path, "/path")
+        self._status = publisher(self, PlannerStatus, "/planner_status")
+        self._confirmation = publisher(self, ResetConfirmation, "/reset_confirmation")
+        self.create_subscription(RunState, "/run_state", self._on_run, TOPICS["/run_state"])
+        self.create_subscription(VehicleState, "/vehicle_state", self._on_state, TOPICS["/vehicle_state"])
+        self.create_subscription(ConeArray, "/detected_cones", self._on_cones, TOPICS["/detected_cones"])
+
+    def _new_planner(self) -> Planner:
+        number = self._settings.number
+        return Planner(
+            CARS[self._settings.text("car")],
+            replace(_PLANNER, range_max_m=number("range_max_m"), horizon_m=number("horizon_m")),
+            replace(_MISSIONS, trackdrive_laps=self._settings.integer("laps")),
+        )
+
+    def _on_run(self, message: RunState) -> None:
+        run = run_from_msg(message)
+        known, self._run = self._run, run
+        if known is not None and known.run_id == run.run_id and known.mission == run.mission:
+            self._planner.on_run(run)
+            return
+        # A new planner, not a cleaned one: parameters changed since the last run take effect, and nothing can be left.
+        self._planner = self._new_planner()
+        self._planner.reset(run)
+        self._state = None  # odometry began anew; what was received before is of the last run
+        self._confirmation.publish(ResetConfirmation(role=ResetConfirmation.PLANNER, run_id=run.run_id))
+        self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
+
+    def _on_state(self, message: VehicleState) -> None:
+        if self._run is not None and message.run_id == self._run.run_id:
+            self._state = message
+
+    def _on_cones(self, message: ConeArray) -> None:
+        state = self._state
+        if self._run is None or state is None:
+            return
+        now_ns = self._clocks.now_ns()
+        seen_ns = self._clocks.steady_of(message.header.stamp, now_ns)
+        if now_ns - seen_ns >= _COLD_NS:
+            self.get_logger().warning(
+                f"cones are {(now_ns - seen_ns) / 1e6:.0f} ms old: not used", throttle_duration_sec=1.0
+            )
+            return
+        motion = motion_from_state(state, self._clocks.steady_of(state.header.stamp, now_ns))
+        plan = self._planner.on_cones(cones_from_msg(message, seen_ns), motion)
+        if plan is None:
+            # An empty path says: no way known. Silence would let the last path be driven on.
+            self._path.publish(path_to_msg(np.empty((0, 2)), message.header.stamp))
+            return
+        status, path = plan_to_msgs(plan, self._clocks.stamp_of(plan.t_sensor_ns))
+        self._status.publish(status)
+        self._path.publish(path)
+
+
+def main() -> int:
+    from fsai_nodes.process import run
+
+    return run([PathPlanner], "path_planner")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

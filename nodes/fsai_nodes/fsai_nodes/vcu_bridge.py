@@ -1,0 +1,577 @@
+"""vcu_bridge: between ROS and the car. The only node that knows the bus, and it knows it through a loop of its own.
+
+A managed (lifecycle) node that configures and activates itself unless told otherwise. Callbacks of topics only replace
+the latest command in the loop's slot; services ask the loop and wait for its answer; a timer publishes what the
+loop last reported. Nothing here decides anything about the car.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from fsai_msgs.action import RunMission
+from fsai_msgs.msg import ResetConfirmation, RunState, VehicleCommand, VehicleState
+from fsai_msgs.srv import SetMode
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.timer import Timer
+from sensor_msgs.msg import Imu, NavSatFix
+from std_srvs.srv import Trigger
+
+from fsai_nodes.conversions import (
+    BASE_FRAME,
+    ODOM_FRAME,
+    UNKNOWN,
+    command_from_msg,
+    fix_to_msg,
+    imu_to_msg,
+    odometry_to_msg,
+    run_to_msg,
+    state_to_msg,
+)
+from fsai_nodes.diagnosis import diagnostics_of
+from fsai_nodes.edge import Clocks
+from fsai_nodes.news import News
+from fsai_nodes.parameters import NodeError, Setting, Settings
+from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.waiting import GoalError, Outcome, Waiting
+from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
+from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.database import DatabaseError
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.revisions import REVISIONS, Revision
+from fsai_vcu.interface.wheels import WheelMapping
+from fsai_vcu.runtime.bus import BusError
+from fsai_vcu.runtime.limits_file import read_limits
+from fsai_vcu.runtime.lock import AlreadyRunning
+from fsai_vcu.runtime.loop import BridgeLoop
+
+_CONFIG = BridgeConfig()
+_SAME_AS_REVISION = "same_as_revision"
+_DIAGNOSTICS_PERIOD_S = 1.0
+_FEEDBACK_PERIOD_NS = 200_000_000
+_INACTIVE = "vcu_bridge is not active: nothing is sent to the car"
+
+# The times of the graded reactions; the safety rules' defaults.
+_TIMES = (
+    ("command_stale", _CONFIG.command_stale_ns, "Age of the last /vehicle_cmd from which on torque is zero"),
+    ("command_lost", _CONFIG.command_lost_ns, "Age of the last /vehicle_cmd at which the car is braked to rest"),
+    ("sensor_stale", _CONFIG.sensor_stale_ns, "Age of the data behind a command at which it counts as stale"),
+    ("vcu_stale", _CONFIG.vcu_stale_ns, "Silence of 0x520 from which on torque is zero"),
+    ("vcu_lost", _CONFIG.vcu_lost_ns, "Silence of 0x520 at which ESTOP_REQUEST is sent"),
+    ("feedback_stale", _CONFIG.feedback_stale_ns, "Silence of wheel speeds or steering at which the car is braked"),
+    ("feedback_lost", _CONFIG.feedback_lost_ns, "Silence of wheel speeds or steering at which ESTOP_REQUEST is sent"),
+    ("implausible", _CONFIG.implausible_ns, "Duration of implausible feedback after which the car is braked"),
+    (
+        "implausible_lost",
+        _CONFIG.implausible_lost_ns,
+        "Duration of implausible feedback after which ESTOP_REQUEST is sent",
+    ),
+)
+
+SETTINGS = (
+    Setting(
+        "can_interface",
+        "vcan0",
+        "The bus: a SocketCAN interface such as can0, loopback:NAME (a stand-in on one machine), or KIND:CHANNEL.",
+    ),
+    Setting("revision", "2026", "Revision of the car's CAN interface.", choices=tuple(REVISIONS)),
+    Setting("car", _SAME_AS_REVISION, "Vehicle parameters.", choices=(_SAME_AS_REVISION, *CARS)),
+    Setting("dbc_files", "", "DBC files to use instead of the revision's own, separated by commas. Empty: its own."),
+    Setting(
+        "wheel_mapping",
+        "",
+        "Wheels whose sensors are wired to another wheel's input, such as fl=fr,fr=fl. Empty: as documented.",
+    ),
+    Setting(
+        "limits",
+        "",
+        "Operational limits: the path of a TOML file, or the limits themselves, such as max_speed_mps=5.0,"
+        "max_axle_torque_nm=100,max_steer_deg=20. Empty: none but the car's.",
+    ),
+    Setting(
+        "listen_only",
+        False,
+        "Never send. (Sending anything energises the tractive system and arms the EBS.)",
+    ),
+    Setting(
+        "autonomous_at_power_up",
+        False,
+        "Enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF.",
+    ),
+    Setting(
+        "service_brake",
+        "hydraulic",
+        "How the car is held and stopped. motor: by the motors alone, for the official simulator, which takes every "
+        "hydraulic request for an emergency.",
+        choices=("hydraulic", "motor"),
+    ),
+    Setting("holding_brake_pct", _CONFIG.holding_brake_pct, "Brake that holds the car at rest.", low=0.0, high=100.0),
+    Setting("stop_brake_pct", _CONFIG.stop_brake_pct, "Brake of a service-brake stop.", low=10.0, high=100.0),
+    *(
+        Setting(f"{name}_ms", default_ns / 1e6, f"{words}, in ms.", low=10.0, high=2000.0)
+        for name, default_ns, words in _TIMES
+    ),
+    Setting("real_time", True, "Ask for SCHED_FIFO and locked memory for the CAN loop; go on without when refused."),
+    Setting("publish_rate_hz", 50.0, "How often state, odometry and IMU are published, in Hz.", low=20.0, high=100.0),
+    Setting("imu_frame_id", "imu_link", "frame_id of /imu: the axes of the PCAN-GPS as it is mounted."),
+    Setting("gps_frame_id", "gps_link", "frame_id of /gps/fix."),
+    Setting("publish_tf", True, "Broadcast odom -> base_link, where tf2_ros is installed.", live=True),
+    Setting("autostart", True, "Configure and activate without being asked."),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Configured:
+    """What configuring has read and checked; activation makes a loop of it."""
+
+    codec: Codec
+    revision: Revision
+    car_name: str
+    config: BridgeConfig
+    limits: OperationalLimits | None
+    bus: str
+    real_time: bool
+
+
+class VcuBridge(LifecycleNode):
+    """Raises NodeError from its constructor when it starts by itself and cannot."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("vcu_bridge", **options)
+        self._state_label = "unconfigured"
+        self._trouble = ""  # why the last transition failed
+        self._last_answer = ""
+        self._settings = Settings(self, SETTINGS, lambda _name: None, self._why_fixed)
+        self._clocks = Clocks(self)
+        self._configured: _Configured | None = None
+        self._loop: BridgeLoop | None = None
+        self._news = News()
+        self._last_run: tuple[object, str] | None = None
+        self._last_fix_ns = self._last_imu_ns = 0
+        self._sensor_ns: int | None = None  # of the data behind the last command that came in
+        self._timers: list[Timer] = []
+        self._goals: dict[bytes, _Following] = {}  # by goal id
+        self._transforms = _TransformSender(self)
+
+        self._vehicle_state = publisher(self, VehicleState, "/vehicle_state")
+        self._run_state = publisher(self, RunState, "/run_state")
+        self._odometry = publisher(self, Odometry, "/odometry")
+        self._imu = publisher(self, Imu, "/imu")
+        self._fix = publisher(self, NavSatFix, "/gps/fix")
+        self._diagnostics = publisher(self, DiagnosticArray, "/diagnostics")
+        self.create_subscription(VehicleCommand, "/vehicle_cmd", self._on_command, TOPICS["/vehicle_cmd"])
+        self.create_subscription(
+            ResetConfirmation, "/reset_confirmation", self._on_confirmation, TOPICS["/reset_confirmation"]
+        )
+        self.create_service(SetMode, "/set_mode", self._on_set_mode)
+        self.create_service(Trigger, "/emergency_brake", self._on_emergency_brake)
+        self.create_service(Trigger, "/reset", self._on_reset)
+        # A goal is followed by the publishing timer; its result is handed over when that timer has an outcome.
+        self._missions = ActionServer(
+            self,
+            RunMission,
+            "/run_mission",
+            execute_callback=self._result_of,
+            goal_callback=self._on_goal,
+            handle_accepted_callback=self._follow,
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+        )
+        if self._settings.flag("autostart"):
+            for transition in (self.trigger_configure, self.trigger_activate):
+                if transition() != TransitionCallbackReturn.SUCCESS:
+                    trouble = self._trouble or "cannot start"
+                    self.destroy_node()
+                    raise NodeError(trouble)
+
+    # ------------------------------------------------------------ lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            self._configured = self._configure()
+        except NodeError as error:
+            return self._failed(str(error))
+        self._state_label = "inactive"
+        limits = self._configured.limits
+        for line in limits.described() if limits is not None else ("none but the car's own",):
+            self.get_logger().info(f"operational limits: {line}")
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        configured = self._configured
+        assert configured is not None, "the lifecycle activates only what is configured"
+        bridge = Bridge(
+            configured.codec,
+            configured.revision,
+            CARS[configured.car_name],
+            configured.config,
+            configured.limits,
+            # Drawn anew, so that no planner or controller takes this bridge's first run for an old one's.
+            first_run_id=secrets.randbelow(2**30) + 1,
+            now_ns=self._clocks.now_ns(),
+        )
+        try:
+            loop = BridgeLoop(bridge, configured.codec, configured.bus, real_time=configured.real_time)
+        except (BusError, AlreadyRunning) as error:
+            return self._failed(str(error))
+        loop.start()
+        self._loop = loop
+        self._news, self._last_run = News(), None
+        self._timers = [
+            self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
+            self._clocks.every(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
+        ]
+        self._state_label = "active"
+        sends = "listens only: nothing is sent" if configured.config.listen_only else "drives the bus"
+        self.get_logger().info(
+            f"active on {configured.bus}, interface revision {configured.revision.name}, "
+            f"car {configured.car_name}; {sends}"
+        )
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._end_loop()
+        self._state_label = "inactive"
+        self.get_logger().info("inactive: silent on the bus")
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._configured = None
+        self._state_label = "unconfigured"
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._end_loop()
+        self._state_label = "finalized"
+        return super().on_shutdown(state)
+
+    def stop(self) -> None:
+        """The process ends: say goodbye to the car first."""
+        if self._loop is not None:
+            self.trigger_deactivate()
+
+    def destroy_node(self) -> None:
+        # rclpy destroys what a node made, but not an action server: it would stay in the ROS graph.
+        self._missions.destroy()
+        super().destroy_node()
+
+    def _failed(self, why: str) -> TransitionCallbackReturn:
+        self._trouble = why
+        if not self._settings.flag("autostart"):  # else the process ends with this line
+            self.get_logger().error(why)
+        return TransitionCallbackReturn.FAILURE
+
+    def _end_loop(self) -> None:
+        loop, self._loop = self._loop, None
+        if loop is None:
+            return
+        for timer in self._timers:
+            self.destroy_timer(timer)
+        self._timers = []
+        loop.stop()
+        report = loop.report()
+        self._publish_state(report, self._clocks.now_ns())
+        self._step_goals(report, Outcome(False, "bridge_stopped", "vcu_bridge was stopped"))
+
+    def _why_fixed(self) -> str | None:
+        if self._state_label == "unconfigured":
+            return None
+        return f"vcu_bridge is {self._state_label}; first: ros2 lifecycle set /vcu_bridge deactivate, then cleanup"
+
+    def _configure(self) -> _Configured:
+        """Read and check all parameters. Raises NodeError."""
+        text, number = self._settings.text, self._settings.number
+        revision = REVISIONS[text("revision")]
+        files = [FilePath(name.strip()) for name in text("dbc_files").split(",") if name.strip()]
+        try:
+            codec = Codec(revision, files or None, wheel_mapping_of(text("wheel_mapping")))
+            limits = limits_of(text("limits"))
+            config = BridgeConfig(
+                autonomous_at_power_up=self._settings.flag("autonomous_at_power_up"),
+                listen_only=self._settings.flag("listen_only"),
+                service_brake="motor" if text("service_brake") == "motor" else "hydraulic",
+                holding_brake_pct=number("holding_brake_pct"),
+                stop_brake_pct=number("stop_brake_pct"),
+                **{f"{name}_ns": round(number(f"{name}_ms") * 1e6) for name, _, _ in _TIMES},
+            )
+        except (DatabaseError, LimitsError, ValueError) as error:
+            raise NodeError(str(error)) from error
+        if config.motor_brakes:
+            config = official_simulator(config)
+        car = text("car")
+        return _Configured(
+            codec,
+            revision,
+            revision.name if car == _SAME_AS_REVISION else car,
+            config,
+            limits,
+            text("can_interface"),
+            self._settings.flag("real_time"),
+        )
+
+    # ------------------------------------------------------------ from ROS to the car
+
+    def _on_command(self, message: VehicleCommand) -> None:
+        loop = self._loop
+        if loop is None:
+            return
+        sensor_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
+        self._sensor_ns = sensor_ns
+        loop.submit_command(command_from_msg(message, sensor_ns))
+
+    def _on_confirmation(self, message: ResetConfirmation) -> None:
+        if self._loop is not None:
+            self._loop.confirm_reset(message.role, message.run_id)
+
+    def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
+        if self._loop is None:
+            response.success, response.message = False, _INACTIVE
+        else:
+            response.success, response.message = self._loop.set_mode(request.mode)
+        self._say_answer(f"set_mode '{request.mode}': {response.message}")
+        return response
+
+    def _on_emergency_brake(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._loop is None:
+            response.success, response.message = False, _INACTIVE
+        else:
+            response.success, response.message = self._loop.emergency_brake("asked for by /emergency_brake")
+        self._say_answer(f"emergency_brake: {response.message}")
+        return response
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._loop is None:
+            response.success, response.message = False, _INACTIVE
+        else:
+            response.success, response.message = self._loop.reset()
+        self._say_answer(f"reset: {response.message}")
+        return response
+
+    def _say_answer(self, line: str) -> None:
+        """To the log, once: who is refused tends to ask again at once."""
+        if line != self._last_answer:
+            self._last_answer = line
+            self.get_logger().info(line)
+
+    # ------------------------------------------------------------ from the car to ROS
+
+    def _publish(self) -> None:
+        loop = self._loop
+        if loop is None:
+            return
+        if not loop.running:
+            raise NodeError(f"the CAN loop ended by itself: {loop.failure or 'no reason known'}")
+        report = loop.report()
+        now_ns = self._clocks.now_ns()
+        logger = self.get_logger()
+        for line in self._news.of(report):
+            if line.warning:
+                logger.warning(line.text)
+            else:
+                logger.info(line.text)
+        self._publish_state(report, now_ns)
+        self._publish_motion(report)
+        self._step_goals(report, None)
+
+    def _publish_state(self, report: BridgeReport, now_ns: int) -> None:
+        # The run goes out before the first state that belongs to it, so that nobody drives a new run with old memory.
+        run = (report.run, report.mode)
+        if run != self._last_run:
+            self._last_run = run
+            self._run_state.publish(run_to_msg(report.run, report.mode, self._clocks.stamp_of(report.t_ns)))
+        command_age_s = math.nan if self._sensor_ns is None else (now_ns - self._sensor_ns) / 1e9
+        stamp = self._clocks.stamp_of(report.motion.t_ns)
+        self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
+
+    def _publish_motion(self, report: BridgeReport) -> None:
+        stamp = self._clocks.stamp_of(report.motion.t_ns)
+        # Making a message costs more than asking whether anybody wants it.
+        if self._odometry.get_subscription_count():
+            self._odometry.publish(odometry_to_msg(report.motion, stamp))
+        if self._settings.flag("publish_tf"):
+            self._transforms.send(report, stamp)
+        if self._imu.get_subscription_count():
+            measured = report.gps.acceleration or report.gps.dynamics
+            if measured is not None and measured.t_rx_ns != self._last_imu_ns:
+                self._last_imu_ns = measured.t_rx_ns
+                self._imu.publish(imu_to_msg(report.gps, self._settings.text("imu_frame_id"), self._clocks.stamp_of))
+        if self._fix.get_subscription_count():
+            latitude = report.gps.latitude
+            if latitude is not None and latitude.t_rx_ns != self._last_fix_ns:
+                fix = fix_to_msg(report.gps, self._settings.text("gps_frame_id"), self._clocks.stamp_of)
+                if fix is not None:
+                    self._last_fix_ns = latitude.t_rx_ns
+                    self._fix.publish(fix)
+
+    def _publish_diagnostics(self) -> None:
+        loop = self._loop
+        if loop is None:
+            return
+        more: dict[str, object] = {"bus reopened": loop.reopened, "deadline misses": loop.deadline_misses}
+        for index, sentence in enumerate(loop.scheduling_refused, 1):
+            more[f"not real-time {index}"] = sentence
+        stamp = self._clocks.stamp_of(self._clocks.now_ns())
+        self._diagnostics.publish(diagnostics_of(loop.report(), stamp, more))
+
+    # ------------------------------------------------------------ /run_mission
+
+    def _on_goal(self, request: RunMission.Goal) -> GoalResponse:
+        try:
+            Waiting(request.mission, request.until, request.timeout_s, 0)
+        except GoalError as error:
+            self.get_logger().error(f"run_mission refused: {error}")
+            return GoalResponse.REJECT
+        if self._loop is None:
+            self.get_logger().error(f"run_mission refused: {_INACTIVE}")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _follow(self, handle: ServerGoalHandle) -> None:
+        goal = handle.request
+        waiting = Waiting(goal.mission, goal.until, goal.timeout_s, self._clocks.now_ns())
+        self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
+
+    def _step_goals(self, report: BridgeReport, ending: Outcome | None) -> None:
+        for following in list(self._goals.values()):
+            handle = following.handle
+            if following.outcome is not None:
+                continue  # its result is being handed over
+            outcome = ending
+            if handle.is_cancel_requested:
+                outcome = Outcome(False, "cancelled", "cancelled; the car goes on as it was")
+            if outcome is None:
+                outcome = following.waiting.step(report.run.as_state, _mission_shown(report), report.t_ns)
+            if outcome is not None:
+                following.outcome, following.report = outcome, report
+                handle.execute()
+            elif report.t_ns >= following.feedback_due_ns:
+                following.feedback_due_ns = report.t_ns + _FEEDBACK_PERIOD_NS
+                handle.publish_feedback(_feedback(report))
+
+    def _result_of(self, handle: ServerGoalHandle) -> RunMission.Result:
+        following = self._goals.pop(bytes(handle.goal_id.uuid))
+        outcome, report = following.outcome, following.report
+        assert outcome is not None and report is not None, "executed only when there is an outcome"
+        if outcome.success:
+            handle.succeed()
+        elif outcome.ended == "cancelled":
+            handle.canceled()
+        else:
+            handle.abort()
+        status = report.vehicle.status
+        cause = None if status is None else status.shutdown_cause
+        return RunMission.Result(
+            success=outcome.success,
+            ended=outcome.ended,
+            message=outcome.message,
+            as_state=_label(report),
+            shutdown_cause="" if cause is None else cause.label,
+            laps=report.command.lap_counter,
+            distance_m=float(report.motion.distance_m),
+            duration_s=following.waiting.duration_s(report.t_ns),
+        )
+
+
+@dataclass(slots=True, eq=False)
+class _Following:
+    """A goal on its way."""
+
+    handle: ServerGoalHandle
+    waiting: Waiting
+    feedback_due_ns: int = 0
+    outcome: Outcome | None = None
+    report: BridgeReport | None = None
+
+
+def _mission_shown(report: BridgeReport) -> Ami:
+    """The mission on the car's display; what the run has latched while nothing is heard."""
+    status = report.vehicle.status
+    return report.run.mission if status is None else status.ami
+
+
+def _label(report: BridgeReport) -> str:
+    return "UNKNOWN" if report.run.as_state is None else report.run.as_state.label
+
+
+def _feedback(report: BridgeReport) -> RunMission.Feedback:
+    as_state = report.run.as_state
+    return RunMission.Feedback(
+        as_state=UNKNOWN if as_state is None else int(as_state),
+        as_state_label=_label(report),
+        mission=_mission_shown(report).label,
+        mode=report.mode,
+        lap=report.command.lap_counter,
+        speed_mps=float(report.motion.speed_mps),
+        distance_m=float(report.motion.distance_m),
+        why_not_driving=list(report.why_not_driving),
+    )
+
+
+class _TransformSender:
+    """odom -> base_link on /tf, where tf2_ros is installed; it is not on the package index, so it may be missing."""
+
+    def __init__(self, node: LifecycleNode) -> None:
+        try:
+            from tf2_ros import TransformBroadcaster
+        except ImportError:
+            self._broadcaster = None
+            node.get_logger().info("tf2_ros is not installed: no transform odom -> base_link; /odometry has the pose")
+        else:
+            self._broadcaster = TransformBroadcaster(node)
+
+    def send(self, report: BridgeReport, stamp: Time) -> None:
+        if self._broadcaster is None:
+            return
+        from geometry_msgs.msg import TransformStamped
+
+        motion = report.motion
+        message = TransformStamped()
+        message.header.stamp = stamp
+        message.header.frame_id = ODOM_FRAME
+        message.child_frame_id = BASE_FRAME
+        message.transform.translation.x, message.transform.translation.y = float(motion.x_m), float(motion.y_m)
+        message.transform.rotation.z = math.sin(motion.yaw_rad / 2)
+        message.transform.rotation.w = math.cos(motion.yaw_rad / 2)
+        self._broadcaster.sendTransform(message)
+
+
+def limits_of(text: str) -> OperationalLimits | None:
+    """The operational limits in a parameter: a file's path, or the limits themselves. Raises LimitsError."""
+    if not text.strip():
+        return None
+    if "=" not in text:
+        return read_limits(text.strip())
+    try:
+        return parse_limits(tomllib.loads(text.replace(",", "\n").replace(";", "\n")))
+    except tomllib.TOMLDecodeError as error:
+        raise LimitsError(f"parameter limits is '{text}', not like max_speed_mps=5.0: {error}") from error
+
+
+def wheel_mapping_of(text: str) -> WheelMapping:
+    """fl=fr,fr=fl. Raises ValueError."""
+    pairs = [part.strip() for part in text.split(",") if part.strip()]
+    for pair in pairs:
+        if pair.count("=") != 1:
+            raise ValueError(f"parameter wheel_mapping: '{pair}' is not like fl=fr")
+    return WheelMapping.of({wheel.strip(): source.strip() for wheel, source in (pair.split("=") for pair in pairs)})
+
+
+def main() -> int:
+    from fsai_nodes.process import run
+
+    return run([VcuBridge], "vcu_bridge")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,143 @@
+"""vehicle_controller: /path and /planner_status to /vehicle_cmd, at 50 Hz or more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from fsai_msgs.msg import PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
+from nav_msgs.msg import Path
+from rclpy.node import Node
+
+from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
+from fsai_nodes.edge import Clocks, nanoseconds
+from fsai_nodes.parameters import Setting, Settings
+from fsai_nodes.qos import TOPICS, publisher
+from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.settings import CONTROLLER_RANGES, ControllerSettings
+from fsai_vcu.core.driving import Plan, Run
+from fsai_vcu.core.vehicle.parameters import CARS
+
+_DEFAULT = ControllerSettings()
+_LIVE_SPEEDS = ("max_speed", "skidpad_max_speed", "acceleration_max_speed")
+
+SETTINGS = (
+    Setting(
+        "max_speed",
+        _DEFAULT.max_speed_mps,
+        "Highest speed in m/s on laps (autocross, trackdrive), in the skidpad and in the demo.",
+        *CONTROLLER_RANGES["max_speed_mps"],
+        live=True,
+    ),
+    Setting(
+        "skidpad_max_speed",
+        _DEFAULT.skidpad_max_speed_mps,
+        "Highest speed in m/s in the skidpad; max_speed holds there too.",
+        *CONTROLLER_RANGES["skidpad_max_speed_mps"],
+        live=True,
+    ),
+    Setting(
+        "acceleration_max_speed",
+        _DEFAULT.acceleration_max_speed_mps,
+        "Highest speed in m/s in the acceleration, where max_speed does not hold.",
+        *CONTROLLER_RANGES["acceleration_max_speed_mps"],
+        live=True,
+    ),
+    Setting("car", "2026", "Vehicle parameters to control with.", choices=tuple(CARS)),
+    # safety: /vehicle_cmd comes at 50 Hz or more
+    Setting("rate_hz", 50.0, "How often a command is sent, in Hz.", low=50.0, high=100.0),
+)
+
+
+class VehicleController(Node):
+    """Sends a command on every tick of the monotonic clock, with the newest plan and the newest state of the car."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("vehicle_controller", **options)
+        self._settings = Settings(self, SETTINGS, self._on_change)
+        self._clocks = Clocks(self)
+        self._controller = Controller(CARS[self._settings.text("car")], self._controller_settings())
+        self._run: Run | None = None
+        self._state: VehicleState | None = None
+        self._status: PlannerStatus | None = None
+        self._pending: Path | None = None  # a path whose status has not come yet
+        self._plan: Plan | None = None
+        self._command = publisher(self, VehicleCommand, "/vehicle_cmd")
+        self._confirmation = publisher(self, ResetConfirmation, "/reset_confirmation")
+        self.create_subscription(RunState, "/run_state", self._on_run, TOPICS["/run_state"])
+        self.create_subscription(VehicleState, "/vehicle_state", self._on_state, TOPICS["/vehicle_state"])
+        self.create_subscription(PlannerStatus, "/planner_status", self._on_status, TOPICS["/planner_status"])
+        self.create_subscription(Path, "/path", self._on_path, TOPICS["/path"])
+        self._clocks.every(1.0 / self._settings.number("rate_hz"), self._tick)
+
+    def _controller_settings(self) -> ControllerSettings:
+        top, skidpad, acceleration = (self._settings.number(name) for name in _LIVE_SPEEDS)
+        return replace(
+            _DEFAULT,
+            max_speed_mps=top,
+            skidpad_max_speed_mps=min(skidpad, top),
+            acceleration_max_speed_mps=acceleration,
+        )
+
+    def _on_change(self, name: str) -> None:
+        if name in _LIVE_SPEEDS:
+            self._controller.configure(self._controller_settings())
+
+    def _on_run(self, message: RunState) -> None:
+        run = run_from_msg(message)
+        known, self._run = self._run, run
+        if known is not None and known.run_id == run.run_id and known.mission == run.mission:
+            return
+        self._controller.reset(run)
+        self._state = self._status = self._pending = self._plan = None
+        self._confirmation.publish(ResetConfirmation(role=ResetConfirmation.CONTROLLER, run_id=run.run_id))
+        self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
+
+    def _on_state(self, message: VehicleState) -> None:
+        if self._run is not None and message.run_id == self._run.run_id:
+            self._state = message
+
+    def _on_status(self, message: PlannerStatus) -> None:
+        self._status = message
+        self._pair()
+
+    def _on_path(self, message: Path) -> None:
+        self._pending = message
+        if not message.poses:
+            self._plan = self._pending = None
+            return
+        self._pair()
+
+    def _pair(self) -> None:
+        """Path and status belong together by their stamp; in which order they come does not matter."""
+        status, path = self._status, self._pending
+        if status is None or path is None or nanoseconds(status.header.stamp) != nanoseconds(path.header.stamp):
+            return
+        self._pending = None
+        self._plan = plan_from_msgs(status, path, self._clocks.steady_of(path.header.stamp, self._clocks.now_ns()))
+
+    def _tick(self) -> None:
+        state, run = self._state, self._run
+        if state is None or run is None:
+            return
+        now_ns = self._clocks.now_ns()
+        command = self._controller.command(
+            self._plan,
+            motion_from_state(state, self._clocks.steady_of(state.header.stamp, now_ns)),
+            state.standing,
+            tuple(float(rpm) for rpm in state.wheel_speed_rpm),
+            math.degrees(state.steering_rad),
+            run,
+            now_ns,
+        )
+        self._command.publish(command_to_msg(command, self._clocks.stamp_of(command.t_sensor_ns)))
+
+
+def main() -> int:
+    from fsai_nodes.process import run
+
+    return run([VehicleController], "vehicle_controller")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

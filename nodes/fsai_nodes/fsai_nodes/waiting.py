@@ -1,0 +1,97 @@
+"""What a /run_mission goal waits for, as a table; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from fsai_vcu.interface.enums import Ami, AsState
+
+_OFF = frozenset({AsState.AS_INIT, AsState.AS_OFF})
+_FINISHED = frozenset({AsState.AS_FINISHED})
+_EMERGENCY = frozenset({AsState.EMERGENCY_BRAKE})
+_NONE: frozenset[AsState] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """`reached` ends it well, also where the car is there already; a change into `missed` ends it badly.
+
+    lost_by_off: so does AS_OFF after AS_DRIVING.
+    """
+
+    reached: frozenset[AsState]
+    missed: frozenset[AsState]
+    lost_by_off: bool
+
+
+GOALS: Mapping[str, Goal] = MappingProxyType(
+    {
+        "ready": Goal(frozenset({AsState.AS_READY}), _EMERGENCY | _FINISHED, True),
+        "driving": Goal(frozenset({AsState.AS_DRIVING}), _EMERGENCY | _FINISHED, False),
+        "finished": Goal(_FINISHED, _EMERGENCY, True),
+        "emergency": Goal(_EMERGENCY, _FINISHED, True),
+        "off": Goal(_OFF, _NONE, False),
+        "end": Goal(_FINISHED | _EMERGENCY, _NONE, True),
+    }
+)
+DEFAULT_GOAL = "finished"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How it ended: `ended` for programs, `message` for people."""
+
+    success: bool
+    ended: str
+    message: str
+
+
+class GoalError(ValueError):
+    """A goal that cannot be waited for; the message is one clear line."""
+
+
+class Waiting:
+    """One goal being waited for. Fed with what the car says; returns an outcome once."""
+
+    def __init__(self, mission: str, until: str, timeout_s: float, now_ns: int) -> None:
+        """Raises GoalError for an unknown mission or goal, or a timeout that is no time."""
+        self.until = until or DEFAULT_GOAL
+        if self.until not in GOALS:
+            raise GoalError(f"unknown goal '{until}': wait until one of {', '.join(GOALS)}")
+        missions = {ami.name.lower(): ami for ami in Ami if ami is not Ami.NOT_SELECTED}
+        if mission and mission.lower() not in missions:
+            raise GoalError(f"unknown mission '{mission}': one of {', '.join(missions)}, or none for any")
+        if not 0.0 <= timeout_s < float("inf"):
+            raise GoalError(f"timeout_s is {timeout_s}: 0 or more seconds")
+        self._mission = missions.get(mission.lower())
+        self._timeout_ns = round(timeout_s * 1e9)
+        self._began_ns = now_ns
+        self._before: AsState | None = None
+        self._drove = False
+
+    def duration_s(self, now_ns: int) -> float:
+        return (now_ns - self._began_ns) / 1e9
+
+    def step(self, as_state: AsState | None, mission: Ami, now_ns: int) -> Outcome | None:
+        """`as_state` and `mission` as the car says them now; None while nothing has been heard."""
+        goal = GOALS[self.until]
+        before, self._before = self._before, as_state
+        changed = before is not None and as_state is not before
+        self._drove |= as_state is AsState.AS_DRIVING
+        if as_state is not None:
+            underway = as_state in (AsState.AS_READY, AsState.AS_DRIVING)
+            if underway and self._mission is not None and mission is not self._mission:
+                words = f"{as_state.label} with mission {mission.label}, not {self._mission.label}"
+                return Outcome(False, "wrong_mission", words)
+            if as_state in goal.reached:
+                return Outcome(True, "reached", f"{as_state.label} reached")
+            if changed and as_state in goal.missed:
+                return Outcome(False, "missed", f"{as_state.label} instead of {self.until}")
+            if goal.lost_by_off and self._drove and as_state in _OFF:
+                return Outcome(False, "missed", f"{as_state.label} after AS_DRIVING, instead of {self.until}")
+        if self._timeout_ns and now_ns - self._began_ns >= self._timeout_ns:
+            state = "nothing heard from the car" if as_state is None else f"the car is in {as_state.label}"
+            return Outcome(False, "timeout", f"not {self.until} within {self._timeout_ns / 1e9:g} s: {state}")
+        return None

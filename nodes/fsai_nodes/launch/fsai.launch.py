@@ -1,0 +1,101 @@
+"""Starts the driving chain: ros2 launch fsai_nodes fsai.launch.py can_interface:=vcan0 max_speed:=5.0
+
+Arguments left empty leave the parameter file's value in force.
+"""
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
+
+# launch argument -> (nodes, parameter, type, what it is)
+ARGUMENTS = {
+    "can_interface": (("vcu_bridge",), "can_interface", str, "the bus, for example can0 or vcan0"),
+    "revision": (("vcu_bridge",), "revision", str, "interface revision of the car: 2021 or 2026"),
+    "car": (("vcu_bridge", "path_planner", "vehicle_controller"), "car", str, "vehicle parameters: 2021 or 2026"),
+    "limits": (("vcu_bridge",), "limits", str, "operational limits: a TOML file, or max_speed_mps=5.0,..."),
+    "listen_only": (("vcu_bridge",), "listen_only", bool, "never send: true or false"),
+    "autonomous_at_power_up": (("vcu_bridge",), "autonomous_at_power_up", bool, "true or false"),
+    "noise_level": (("sensor_simulator",), "noise_level", float, "imperfection of the simulated sensor; 0 is perfect"),
+    "truth_port": (("sensor_simulator",), "truth_port", int, "UDP port of the simulated car's true pose"),
+    "confidence_threshold": (("cone_detector",), "confidence_threshold", float, "0 to 1"),
+    "laps": (("path_planner",), "laps", int, "laps of a trackdrive"),
+    "max_speed": (("vehicle_controller",), "max_speed", float, "highest speed in m/s"),
+}
+NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge")
+
+
+def typed(text, kind):
+    """A launch argument's text as its parameter's type."""
+    if kind is bool:
+        if text.lower() not in ("true", "false"):
+            raise ValueError(f"'{text}' is neither true nor false")
+        return text.lower() == "true"
+    return kind(text)
+
+
+def start(context):
+    """The nodes, with the parameter file first and the arguments given on top."""
+    parameters = {name: {} for name in NODES}
+    for argument, (nodes, parameter, kind, _) in ARGUMENTS.items():
+        text = LaunchConfiguration(argument).perform(context)
+        if text:
+            for node in nodes:
+                parameters[node][parameter] = typed(text, kind)
+    file = LaunchConfiguration("params_file").perform(context)
+    simulated = typed(LaunchConfiguration("simulated").perform(context), bool)
+    composed = typed(LaunchConfiguration("composed").perform(context), bool)
+    separate = [name for name in NODES if simulated or name != "sensor_simulator"]
+    actions = []
+    if composed:
+        together = [name for name in separate if name != "vcu_bridge"]
+        separate = ["vcu_bridge"]
+        # One process, several nodes: arguments go by node name, as in a parameter file.
+        given = [
+            word
+            for name in together
+            for parameter, value in parameters[name].items()
+            for word in ("-p", f"{name}:{parameter}:={str(value).lower() if isinstance(value, bool) else value}")
+        ]
+        actions.append(
+            Node(
+                package="fsai_nodes",
+                executable="composed",
+                output="screen",
+                arguments=["--nodes", ",".join(together)],
+                ros_arguments=["--params-file", file, *given],
+            )
+        )
+    actions += [
+        Node(
+            package="fsai_nodes",
+            executable=name,
+            name=name,
+            output="screen",
+            parameters=[file, parameters[name]],
+            # Time for the bridge's goodbye to the car.
+            sigterm_timeout="15",
+        )
+        for name in separate
+    ]
+    return actions
+
+
+def generate_launch_description():
+    own_file = PathJoinSubstitution([FindPackageShare("fsai_nodes"), "config", "fsai.yaml"])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("params_file", default_value=own_file, description="YAML file of parameters"),
+            DeclareLaunchArgument("simulated", default_value="true", description="start the sensor simulator"),
+            DeclareLaunchArgument(
+                "composed", default_value="false", description="all nodes but the bridge in one process"
+            ),
+            *(
+                DeclareLaunchArgument(name, default_value="", description=words)
+                for name, (_, _, _, words) in ARGUMENTS.items()
+            ),
+            OpaqueFunction(function=start),
+        ]
+    )

@@ -1,0 +1,150 @@
+"""Nodes, a stand-in bus with a scripted VCU on it, and waiting for conditions, in one process."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState, Direction
+from fsai_vcu.interface.images import (
+    AiImage,
+    AiStatus,
+    VcuBrake,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuStatus,
+    VcuSteer,
+    WheelCounts,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.bus import open_bus
+
+PATIENCE_S = 20.0  # of a loaded machine; a condition that holds is seen at once
+
+
+def overrides(**values: object) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+class RosRig:
+    """An initialised rclpy, an executor, and what is in it."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.executor = SingleThreadedExecutor()
+        self.nodes: list[Node] = []
+        self.tester = self.add(Node("tester"))
+
+    def add(self, node: Node) -> Any:
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def start(self, kind: type[Node], **parameters: object) -> Any:
+        return self.add(kind(parameter_overrides=overrides(**parameters), use_global_arguments=False))
+
+    def spin_until(self, condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
+        until = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < until, f"waited {timeout_s:g} s in vain: {what}"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def ask(self, service_type: Any, name: str, **request: object) -> Any:
+        """The answer of a service."""
+        client = self.tester.create_client(service_type, name)
+        self.spin_until(client.service_is_ready, f"service {name}")
+        future = client.call_async(service_type.Request(**request))
+        self.spin_until(future.done, f"an answer of {name}")
+        self.tester.destroy_client(client)
+        return future.result()
+
+    def hear(self, message_type: Any, topic: str, qos: Any) -> list[Any]:
+        """What is published on `topic` from now on, as a list that grows."""
+        heard: list[Any] = []
+        self.tester.create_subscription(message_type, topic, heard.append, qos)
+        return heard
+
+    def __enter__(self) -> RosRig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for node in reversed(self.nodes):
+            stop = getattr(node, "stop", None)
+            if stop is not None:
+                stop()
+        self.executor.shutdown(timeout_sec=2.0)
+        for node in reversed(self.nodes):
+            node.destroy_node()
+        self.nodes.clear()
+        rclpy.try_shutdown()
+        # The bridge's loop freezes what lives when it starts; a node left so would stay in the ROS graph.
+        gc.unfreeze()
+        gc.collect()
+
+
+class ScriptedVcu:
+    """Says on a stand-in bus, every 10 ms, what the test wants the car to say; keeps what it hears."""
+
+    def __init__(self, bus: str, status: VcuStatus) -> None:
+        self._codec = Codec(revision("2026"))
+        self._bus = open_bus(bus)
+        self.status = status
+        self.speeds = WheelSpeeds()
+        self.heard: list[AiImage] = []
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def say(self, **changes: object) -> None:
+        self.status = replace(self.status, **changes)  # type: ignore[arg-type]
+
+    def last_status(self) -> AiStatus:
+        """The newest 0x510; the default before the first."""
+        return next((image for image in reversed(self.heard) if isinstance(image, AiStatus)), AiStatus())
+
+    def _images(self, handshake: bool) -> Iterable[object]:
+        yield replace(self.status, handshake=handshake)
+        yield VcuDriveFront(torque_max_nm=195.0)
+        yield VcuDriveRear(torque_max_nm=195.0)
+        yield VcuSteer(angle_max_deg=30.0)
+        yield VcuBrake()
+        yield self.speeds
+        yield WheelCounts()
+
+    def _run(self) -> None:
+        handshake = False
+        due = time.monotonic()
+        while not self._stop.is_set():
+            for image in self._images(handshake):
+                self._bus.send(self._codec.encode(image))  # type: ignore[arg-type]
+            due = max(due + 0.010, time.monotonic())
+            while (left := due - time.monotonic()) > 0:
+                frame = self._bus.recv(left)
+                if frame is not None:
+                    image = self._codec.decode(frame).image
+                    if image is not None:
+                        self.heard.append(image)  # type: ignore[arg-type]
+                    if isinstance(image, AiStatus):
+                        handshake = not image.handshake
+
+    def __enter__(self) -> ScriptedVcu:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(5.0)
+        self._bus.close()
+
+
+__all__ = ["AsState", "Direction", "RosRig", "ScriptedVcu", "overrides"]

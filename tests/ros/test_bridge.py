@@ -1,0 +1,321 @@
+"""The bridge as a node: what it answers, refuses and reports, and the reset that planner and controller confirm."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from itertools import count
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
+pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from fsai_msgs.action import RunMission
+from fsai_msgs.msg import ResetConfirmation, RunState, VehicleCommand, VehicleState
+from fsai_msgs.srv import SetMode
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient
+from ros_rig import RosRig, ScriptedVcu
+from std_srvs.srv import Trigger
+
+from fsai_nodes import qos
+from fsai_nodes.path_planner import PathPlanner
+from fsai_nodes.vcu_bridge import VcuBridge
+from fsai_nodes.vehicle_controller import VehicleController
+from fsai_vcu.interface.enums import Ami, AsState, EbsState, MissionStatus, TsState
+from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.runtime.bus import open_bus
+
+_numbers = count()
+
+
+@pytest.fixture
+def bus() -> str:
+    """A stand-in bus that nobody else is on."""
+    return f"loopback:bridge-{os.getpid()}-{next(_numbers)}"
+
+
+@pytest.fixture
+def vcu(bus: str) -> Iterator[ScriptedVcu]:
+    """A car that stands in AS_OFF with everything ready and no mission chosen."""
+    status = VcuStatus(
+        as_state=AsState.AS_OFF,
+        as_switch=True,
+        ts_switch=True,
+        ts_state=TsState.TS_RUNNING,
+        ebs_state=EbsState.EBS_ARMED,
+    )
+    with ScriptedVcu(bus, status) as started:
+        yield started
+
+
+def start_bridge(rig: RosRig, bus: str, **parameters: object) -> tuple[VcuBridge, list[VehicleState]]:
+    node = rig.start(VcuBridge, can_interface=bus, real_time=False, **parameters)
+    return node, rig.hear(VehicleState, "/vehicle_state", qos.STATE)
+
+
+def wait_for_car(rig: RosRig, states: list[VehicleState]) -> None:
+    rig.spin_until(lambda: bool(states) and states[-1].as_state == VehicleState.AS_OFF, "AS_OFF in /vehicle_state")
+
+
+def test_an_unknown_mode_is_refused_by_naming_the_valid_ones(rig: RosRig, bus: str) -> None:
+    start_bridge(rig, bus)
+    answer = rig.ask(SetMode, "/set_mode", mode="ludicrous")
+    assert not answer.success
+    assert "manual" in answer.message and "autonomous" in answer.message and "ludicrous" in answer.message
+
+
+def test_autonomous_is_refused_while_no_car_is_heard_and_taken_in_as_off(rig: RosRig, bus: str) -> None:
+    _, states = start_bridge(rig, bus)
+    assert not rig.ask(SetMode, "/set_mode", mode="autonomous").success
+    with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)):
+        wait_for_car(rig, states)
+        assert rig.ask(SetMode, "/set_mode", mode="autonomous").success
+        rig.spin_until(lambda: states[-1].mode == "autonomous", "the mode in /vehicle_state")
+        assert rig.ask(SetMode, "/set_mode", mode="manual").success
+
+
+def test_the_emergency_brake_latches_and_reset_clears_it_in_as_off(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    _, states = start_bridge(rig, bus)
+    wait_for_car(rig, states)
+    assert rig.ask(Trigger, "/emergency_brake").success
+    rig.spin_until(lambda: vcu.last_status().estop_request, "ESTOP_REQUEST on the bus")
+    rig.spin_until(lambda: bool(states[-1].emergency), "the reason in /vehicle_state")
+    assert rig.ask(Trigger, "/reset").success
+    rig.spin_until(lambda: not vcu.last_status().estop_request, "ESTOP_REQUEST cleared on the bus")
+
+
+@pytest.mark.parametrize(
+    "fields", [{"steering_rad": math.nan}, {"throttle": math.inf}, {"brake": 1.5}, {"speed_limit_mps": -1.0}]
+)
+def test_a_command_that_is_none_is_refused_and_reported(rig: RosRig, bus: str, fields: dict[str, float]) -> None:
+    node, states = start_bridge(rig, bus)
+    diagnostics = rig.hear(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    publisher = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    rig.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(states), "the bridge listens")
+    command = VehicleCommand(run_id=states[-1].run_id, **fields)
+    command.header.stamp = rig.tester.get_clock().now().to_msg()
+    publisher.publish(command)
+    (name,) = fields
+
+    def reported() -> bool:
+        return any(
+            value.key == "last detail of command_refused" and name in value.value
+            for message in diagnostics
+            for status in message.status
+            for value in status.values
+        )
+
+    rig.spin_until(reported, "the refusal in /diagnostics")
+    assert node._loop.report().reason_counts["command_refused"] == 1
+
+
+def test_a_new_run_is_confirmed_by_planner_and_controller_before_selected_is_sent(
+    rig: RosRig, bus: str, vcu: ScriptedVcu
+) -> None:
+    node, states = start_bridge(rig, bus)
+    wait_for_car(rig, states)
+    assert rig.ask(SetMode, "/set_mode", mode="autonomous").success
+    vcu.say(ami=Ami.TRACKDRIVE)
+    rig.spin_until(lambda: states[-1].mission == int(Ami.TRACKDRIVE), "the mission in /vehicle_state")
+    assert vcu.last_status().mission_status is MissionStatus.NOT_SELECTED
+
+    rig.start(PathPlanner)
+    rig.spin_until(lambda: "planner" in node._loop.report().confirmed, "the planner's confirmation")
+    assert vcu.last_status().mission_status is MissionStatus.NOT_SELECTED, "the controller has not confirmed yet"
+    rig.start(VehicleController)
+    rig.spin_until(lambda: vcu.last_status().mission_status is MissionStatus.SELECTED, "SELECTED on the bus")
+
+    run_id = states[-1].run_id
+    vcu.say(ami=Ami.SKIDPAD)
+    rig.spin_until(lambda: states[-1].run_id != run_id, "a new run for a new mission")
+    rig.spin_until(
+        lambda: len(node._loop.report().confirmed) == 2 and vcu.last_status().mission_status is MissionStatus.SELECTED,
+        "the new run's confirmation",
+    )
+
+
+def test_a_confirmation_of_another_run_does_not_count(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    node, states = start_bridge(rig, bus)
+    wait_for_car(rig, states)
+    publisher = rig.tester.create_publisher(ResetConfirmation, "/reset_confirmation", qos.CONFIRMATION)
+    run_id = states[-1].run_id
+    publisher.publish(ResetConfirmation(role="planner", run_id=run_id + 1))
+    publisher.publish(ResetConfirmation(role="controller", run_id=run_id))
+    rig.spin_until(lambda: "controller" in node._loop.report().confirmed, "the confirmation that counts")
+    assert "planner" not in node._loop.report().confirmed
+
+
+def test_a_late_listener_learns_the_run_in_hand(rig: RosRig, bus: str) -> None:
+    _, states = start_bridge(rig, bus)
+    rig.spin_until(lambda: bool(states), "the bridge publishes")
+    runs = rig.hear(RunState, "/run_state", qos.STATE)
+    rig.spin_until(lambda: bool(runs), "the latched run")
+    assert runs[0].run_id == states[-1].run_id
+
+
+def test_two_bridges_in_a_row_never_announce_the_same_run(rig: RosRig, bus: str) -> None:
+    first, _ = start_bridge(rig, bus)
+    run_id = first._loop.report().run.run_id
+    first.trigger_deactivate()
+    first.trigger_activate()
+    assert first._loop.report().run.run_id != run_id
+
+
+def test_the_controller_sends_commands_of_the_run_with_the_stamp_of_its_data(
+    rig: RosRig, bus: str, vcu: ScriptedVcu
+) -> None:
+    _, states = start_bridge(rig, bus)
+    rig.start(VehicleController)
+    commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    vcu.say(ami=Ami.STATIC_INSPECTION_A)
+    rig.spin_until(
+        lambda: bool(commands) and bool(states) and commands[-1].run_id == states[-1].run_id, "commands of the run"
+    )
+    now_ns = rig.tester.get_clock().now().nanoseconds
+    stamp = commands[-1].header.stamp
+    assert 0 <= now_ns - (stamp.sec * 10**9 + stamp.nanosec) < 5 * 10**9
+
+
+def test_odometry_is_published_to_whoever_listens(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    start_bridge(rig, bus)
+    heard = rig.hear(Odometry, "/odometry", qos.SENSOR)
+    rig.spin_until(lambda: bool(heard), "odometry")
+    assert (heard[0].header.frame_id, heard[0].child_frame_id) == ("odom", "base_link")
+
+
+def test_listen_only_is_shown_and_nothing_is_ever_sent(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    _, states = start_bridge(rig, bus, listen_only=True)
+    wait_for_car(rig, states)
+    rig.spin_until(lambda: len(states) > 50, "a second of states")
+    assert states[-1].listen_only
+    assert vcu.heard == []
+
+
+def test_operational_limits_come_from_a_file_or_from_the_parameter_itself(rig: RosRig, bus: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "limits.toml"
+    file.write_text("max_speed_mps = 4.5\n")
+    node, _ = start_bridge(rig, bus, limits=str(file))
+    assert node._loop.report().limits.max_speed_mps == 4.5
+    node.stop()
+    other, _ = start_bridge(rig, bus + "b", limits="max_speed_mps=3.5, max_steer_deg=20")
+    assert other._loop.report().limits.max_speed_mps == 3.5
+    assert other._loop.report().limits.max_steer_deg == 20.0
+
+
+# ---------------------------------------------------------------- lifecycle
+
+
+def state_of(rig: RosRig) -> str:
+    return str(rig.ask(GetState, "/vcu_bridge/get_state").current_state.label)
+
+
+def change(rig: RosRig, transition: int) -> bool:
+    return bool(rig.ask(ChangeState, "/vcu_bridge/change_state", transition=Transition(id=transition)).success)
+
+
+def test_the_bridge_activates_itself_unless_told_otherwise(rig: RosRig, bus: str) -> None:
+    start_bridge(rig, bus)
+    assert state_of(rig) == "active"
+
+
+def test_deactivation_silences_the_bus_and_activation_speaks_again(rig: RosRig, bus: str) -> None:
+    start_bridge(rig, bus, autostart=False)
+    assert state_of(rig) == "unconfigured"
+    assert not rig.ask(SetMode, "/set_mode", mode="manual").success
+    with open_bus(bus) as listener:
+
+        def somebody_sends() -> bool:
+            return listener.recv(0.0) is not None
+
+        assert change(rig, Transition.TRANSITION_CONFIGURE) and state_of(rig) == "inactive"
+        assert listener.recv(0.3) is None
+        assert change(rig, Transition.TRANSITION_ACTIVATE)
+        rig.spin_until(somebody_sends, "frames after activation")
+        assert change(rig, Transition.TRANSITION_DEACTIVATE) and state_of(rig) == "inactive"
+        while listener.recv(0.0) is not None:
+            pass
+        assert listener.recv(0.3) is None
+        answer = rig.ask(Trigger, "/emergency_brake")
+        assert not answer.success and "not active" in answer.message
+        assert change(rig, Transition.TRANSITION_ACTIVATE)
+        rig.spin_until(somebody_sends, "frames after activation")
+
+
+def test_a_bus_that_is_not_there_fails_the_activation_and_leaves_the_node_inactive(rig: RosRig) -> None:
+    rig.start(VcuBridge, autostart=False, can_interface="nosuch0")
+    assert change(rig, Transition.TRANSITION_CONFIGURE)
+    assert not change(rig, Transition.TRANSITION_ACTIVATE)
+    assert state_of(rig) == "inactive"
+
+
+# ---------------------------------------------------------------- /run_mission
+
+
+def follow(rig: RosRig, **goal: object):  # type: ignore[no-untyped-def]
+    """The goal's handle and the feedback so far."""
+    feedback: list[RunMission.Feedback] = []
+    client = ActionClient(rig.tester, RunMission, "/run_mission")
+    rig.spin_until(client.server_is_ready, "the action server")
+    future = client.send_goal_async(
+        RunMission.Goal(**goal), feedback_callback=lambda message: feedback.append(message.feedback)
+    )
+    rig.spin_until(future.done, "the goal's answer")
+    return future.result(), feedback
+
+
+def result_of(rig: RosRig, handle) -> RunMission.Result:  # type: ignore[no-untyped-def]
+    future = handle.get_result_async()
+    rig.spin_until(future.done, "the goal's result")
+    return future.result().result
+
+
+def test_a_goal_is_followed_with_feedback_to_its_result(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    _, states = start_bridge(rig, bus)
+    wait_for_car(rig, states)
+    vcu.say(ami=Ami.TRACKDRIVE)
+    handle, feedback = follow(rig, mission="trackdrive", until="ready")
+    assert handle.accepted
+    rig.spin_until(lambda: bool(feedback), "feedback")
+    assert feedback[0].as_state_label == "AS_OFF" and feedback[0].why_not_driving
+    vcu.say(as_state=AsState.AS_READY)
+    result = result_of(rig, handle)
+    assert result.success and result.ended == "reached" and result.as_state == "AS_READY"
+
+
+def test_a_goal_that_the_car_misses_ends_with_the_reason(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    _, states = start_bridge(rig, bus)
+    wait_for_car(rig, states)
+    handle, feedback = follow(rig, until="finished")
+    rig.spin_until(lambda: bool(feedback), "feedback")
+    vcu.say(as_state=AsState.EMERGENCY_BRAKE)
+    result = result_of(rig, handle)
+    assert not result.success and result.ended == "missed" and "EMERGENCY_BRAKE" in result.message
+
+
+def test_a_goal_can_be_cancelled_and_times_out(rig: RosRig, bus: str) -> None:
+    start_bridge(rig, bus)
+    handle, _ = follow(rig, until="finished")
+    rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
+    assert result_of(rig, handle).ended == "cancelled"
+    handle, _ = follow(rig, until="finished", timeout_s=0.1)
+    assert result_of(rig, handle).ended == "timeout"
+
+
+def test_a_goal_that_cannot_be_waited_for_is_rejected(rig: RosRig, bus: str) -> None:
+    start_bridge(rig, bus)
+    assert not follow(rig, until="lunch")[0].accepted
+    assert not follow(rig, mission="drag race")[0].accepted
+
+
+def test_stopping_the_bridge_ends_the_goals_that_it_follows(rig: RosRig, bus: str) -> None:
+    node, _ = start_bridge(rig, bus)
+    handle, feedback = follow(rig, until="finished")
+    rig.spin_until(lambda: bool(feedback), "feedback")
+    node.trigger_deactivate()
+    assert result_of(rig, handle).ended == "bridge_stopped"

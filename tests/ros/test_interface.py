@@ -1,0 +1,290 @@
+"""What `ros2 node/topic/service/param/action` see: names, types, quality of service, parameters."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
+pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
+
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from ros_rig import RosRig
+
+from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller
+from fsai_nodes.composed import CLASSES
+from fsai_nodes.parameters import NodeError
+
+CHECKOUT = Path(__file__).parents[2]
+README = (CHECKOUT / "nodes" / "README.md").read_text()
+MODULES = {
+    "sensor_simulator": (sensor_simulator, sensor_simulator.SensorSimulator),
+    "cone_detector": (cone_detector, cone_detector.ConeDetector),
+    "path_planner": (path_planner, path_planner.PathPlanner),
+    "vehicle_controller": (vehicle_controller, vehicle_controller.VehicleController),
+    "vcu_bridge": (vcu_bridge, vcu_bridge.VcuBridge),
+}
+TYPES = {
+    "/raw_cones": "fsai_msgs/msg/ConeArray",
+    "/detected_cones": "fsai_msgs/msg/ConeArray",
+    "/path": "nav_msgs/msg/Path",
+    "/planner_status": "fsai_msgs/msg/PlannerStatus",
+    "/vehicle_cmd": "fsai_msgs/msg/VehicleCommand",
+    "/vehicle_state": "fsai_msgs/msg/VehicleState",
+    "/run_state": "fsai_msgs/msg/RunState",
+    "/reset_confirmation": "fsai_msgs/msg/ResetConfirmation",
+    "/odometry": "nav_msgs/msg/Odometry",
+    "/imu": "sensor_msgs/msg/Imu",
+    "/gps/fix": "sensor_msgs/msg/NavSatFix",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+SERVICES = {
+    "/set_mode": "fsai_msgs/srv/SetMode",
+    "/emergency_brake": "std_srvs/srv/Trigger",
+    "/reset": "std_srvs/srv/Trigger",
+    "/vcu_bridge/change_state": "lifecycle_msgs/srv/ChangeState",
+    "/vcu_bridge/get_state": "lifecycle_msgs/srv/GetState",
+}
+PUBLISHERS = {
+    "sensor_simulator": {"/raw_cones"},
+    "cone_detector": {"/detected_cones"},
+    "path_planner": {"/path", "/planner_status", "/reset_confirmation"},
+    "vehicle_controller": {"/vehicle_cmd", "/reset_confirmation"},
+    "vcu_bridge": {"/vehicle_state", "/run_state", "/odometry", "/imu", "/gps/fix", "/diagnostics"},
+}
+
+
+def all_nodes(rig: RosRig) -> None:
+    rig.start(vcu_bridge.VcuBridge, can_interface=f"loopback:interface-{os.getpid()}", real_time=False)
+    rig.start(sensor_simulator.SensorSimulator, truth_port=20000 + os.getpid() % 10000)
+    rig.start(cone_detector.ConeDetector)
+    rig.start(path_planner.PathPlanner)
+    rig.start(vehicle_controller.VehicleController)
+
+
+def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) -> None:
+    all_nodes(rig)
+    see = rig.tester
+    rig.spin_until(lambda: set(MODULES) <= set(see.get_node_names()), "the five nodes")
+    topics = dict(see.get_topic_names_and_types())
+    assert {name: topics.get(name) for name in TYPES} == {name: [kind] for name, kind in TYPES.items()}
+    services = dict(see.get_service_names_and_types())
+    assert {name: services.get(name) for name in SERVICES} == {name: [kind] for name, kind in SERVICES.items()}
+    assert "/run_mission/_action/send_goal" in services
+    for node, wanted in PUBLISHERS.items():
+        published = {name for name, _ in see.get_publisher_names_and_types_by_node(node, "/")}
+        assert wanted <= published, node
+
+
+def promise(profile: QoSProfile, policy: str) -> object:
+    """A policy's value; a time that is not given is endless."""
+    value = getattr(profile, policy)
+    return 2**63 - 1 if isinstance(value, Duration) and not value.nanoseconds else getattr(value, "nanoseconds", value)
+
+
+def test_every_endpoint_has_the_quality_of_service_of_the_table(rig: RosRig) -> None:
+    all_nodes(rig)
+    see = rig.tester
+    rig.spin_until(lambda: set(MODULES) <= set(see.get_node_names()), "the five nodes")
+    for topic, wanted in qos.TOPICS.items():
+        endpoints = see.get_publishers_info_by_topic(topic) + see.get_subscriptions_info_by_topic(topic)
+        assert endpoints, topic
+        for endpoint in endpoints:
+            found = endpoint.qos_profile
+            for policy in ("reliability", "durability", "deadline", "lifespan"):
+                if policy == "lifespan" and endpoint.endpoint_type.name == "SUBSCRIPTION":
+                    continue  # lifespan is a publisher's promise
+                assert promise(found, policy) == promise(wanted, policy), (topic, endpoint.node_name, policy)
+
+
+def test_commands_are_reliable_keep_last_1_with_deadline_and_lifespan() -> None:
+    command = qos.TOPICS["/vehicle_cmd"]
+    assert command.reliability is ReliabilityPolicy.RELIABLE
+    assert (command.history, command.depth) == (HistoryPolicy.KEEP_LAST, 1)
+    assert command.deadline.nanoseconds == command.lifespan.nanoseconds == 100_000_000
+
+
+def test_sensors_are_best_effort_and_state_is_latched() -> None:
+    for topic in ("/raw_cones", "/detected_cones", "/odometry", "/imu", "/gps/fix"):
+        assert qos.TOPICS[topic].reliability is ReliabilityPolicy.BEST_EFFORT, topic
+    for topic in ("/vehicle_state", "/run_state", "/reset_confirmation"):
+        assert qos.TOPICS[topic].durability is DurabilityPolicy.TRANSIENT_LOCAL, topic
+        assert qos.TOPICS[topic].reliability is ReliabilityPolicy.RELIABLE, topic
+
+
+def test_the_readme_has_each_topics_quality_of_service() -> None:
+    words = (
+        (qos.COMMAND, "reliable, keep-last 1, deadline 100 ms, lifespan 100 ms"),
+        (qos.PLAN, "reliable, keep-last 1, lifespan 500 ms"),
+        (qos.SENSOR, "best effort, keep-last 1"),
+        (qos.STATE, "reliable, transient local, keep-last 1"),
+        (qos.CONFIRMATION, "reliable, transient local, keep-last 10"),
+        (qos.DIAGNOSTICS, "reliable, keep-last 10"),
+    )
+    rows = dict(re.findall(r"^\| `(/[\w/]+)` \|.*\| ([^|]+) \|$", README, re.MULTILINE))
+    for topic, profile in qos.TOPICS.items():
+        expected = next(text for known, text in words if known is profile)
+        assert rows.get(topic) == expected, topic
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_readme_has_each_parameter(name: str) -> None:
+    for setting in MODULES[name][0].SETTINGS:
+        assert f"`{setting.name}`" in README, f"{name}: {setting.name}"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_each_parameter_has_a_description_and_each_number_a_range(name: str, rig: RosRig) -> None:
+    module, kind = MODULES[name]
+    options = {"autostart": False} if name == "vcu_bridge" else {}
+    if name == "sensor_simulator":
+        options = {"truth_port": 20000 + os.getpid() % 10000}
+    rig.start(kind, **options)
+    names = [setting.name for setting in module.SETTINGS]
+    described = rig.ask(DescribeParameters, f"/{name}/describe_parameters", names=names).descriptors
+    for setting, descriptor in zip(module.SETTINGS, described, strict=True):
+        assert len(descriptor.description) > 10, setting.name
+        if isinstance(setting.default, float):
+            assert descriptor.floating_point_range[0].from_value < descriptor.floating_point_range[0].to_value
+        elif isinstance(setting.default, int) and not isinstance(setting.default, bool):
+            assert descriptor.integer_range[0].from_value < descriptor.integer_range[0].to_value
+        if not setting.live:
+            assert "fixed while the node is active" in descriptor.additional_constraints, setting.name
+
+
+def set_parameter(rig: RosRig, node: str, name: str, value: object) -> tuple[bool, str]:
+    message = Parameter(name, value=value).to_parameter_msg()
+    result = rig.ask(SetParameters, f"/{node}/set_parameters", parameters=[message]).results[0]
+    return result.successful, result.reason
+
+
+def test_max_speed_changes_while_the_controller_runs(rig: RosRig) -> None:
+    from fsai_vcu.interface.enums import Ami
+
+    node = rig.start(vehicle_controller.VehicleController)
+    assert set_parameter(rig, "vehicle_controller", "max_speed", 3.5) == (True, "")
+    speeds = {mission: node._controller.max_speed_mps(mission) for mission in Ami}
+    assert speeds[Ami.TRACKDRIVE] == speeds[Ami.SKIDPAD] == 3.5
+    assert speeds[Ami.ACCELERATION] > 10.0
+
+
+def test_a_whole_number_is_a_speed_too(rig: RosRig) -> None:
+    from fsai_vcu.interface.enums import Ami
+
+    node = rig.start(vehicle_controller.VehicleController)
+    assert set_parameter(rig, "vehicle_controller", "max_speed", 5) == (True, "")
+    assert node._controller.max_speed_mps(Ami.TRACKDRIVE) == 5.0
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 100.0, float("nan"), float("inf"), "fast", True])
+def test_a_max_speed_that_is_none_is_refused_with_the_reason(rig: RosRig, value: object) -> None:
+    rig.start(vehicle_controller.VehicleController)
+    done, reason = set_parameter(rig, "vehicle_controller", "max_speed", value)
+    assert not done and "max_speed" in reason
+
+
+def test_noise_level_and_confidence_threshold_change_while_running(rig: RosRig) -> None:
+    rig.start(sensor_simulator.SensorSimulator, truth_port=20000 + os.getpid() % 10000)
+    detector = rig.start(cone_detector.ConeDetector)
+    assert set_parameter(rig, "sensor_simulator", "noise_level", 0.0) == (True, "")
+    assert set_parameter(rig, "cone_detector", "confidence_threshold", 0.75) == (True, "")
+    assert detector._threshold == 0.75
+
+
+@pytest.mark.parametrize(("name", "value"), [("can_interface", "vcan7"), ("revision", "2021"), ("listen_only", True)])
+def test_the_bridge_refuses_to_change_its_bus_while_active_and_says_how_to(
+    rig: RosRig, name: str, value: object
+) -> None:
+    rig.start(vcu_bridge.VcuBridge, can_interface=f"loopback:fixed-{os.getpid()}", real_time=False)
+    done, reason = set_parameter(rig, "vcu_bridge", name, value)
+    assert not done and name in reason and "deactivate" in reason
+
+
+def test_a_bridge_that_waits_to_be_configured_takes_another_bus(rig: RosRig) -> None:
+    rig.start(vcu_bridge.VcuBridge, autostart=False)
+    assert set_parameter(rig, "vcu_bridge", "can_interface", "vcan7") == (True, "")
+
+
+def test_a_revision_given_as_a_number_is_that_revision(rig: RosRig) -> None:
+    node = rig.start(
+        vcu_bridge.VcuBridge, can_interface=f"loopback:revision-{os.getpid()}", real_time=False, revision=2021
+    )
+    assert node._configured.revision.name == "2021"
+
+
+def test_a_bridge_that_cannot_start_says_why() -> None:
+    with RosRig() as rig, pytest.raises(NodeError, match="no CAN interface 'nosuch0'"):
+        rig.start(vcu_bridge.VcuBridge, can_interface="nosuch0")
+
+
+def test_the_detector_drops_what_is_unsure_or_nowhere_and_keeps_the_stamp(rig: RosRig) -> None:
+    from fsai_msgs.msg import Cone, ConeArray
+
+    rig.start(cone_detector.ConeDetector, confidence_threshold=0.5)
+    heard = rig.hear(ConeArray, "/detected_cones", qos.SENSOR)
+    publisher = rig.tester.create_publisher(ConeArray, "/raw_cones", qos.SENSOR)
+    rig.spin_until(lambda: publisher.get_subscription_count() > 0, "the detector listens")
+    raw = ConeArray(
+        cones=[
+            Cone(x=1.0, y=1.0, confidence=0.5),
+            Cone(x=2.0, y=1.0, confidence=0.49),
+            Cone(x=float("nan"), y=1.0, confidence=1.0),
+            Cone(x=4.0, y=1.0, confidence=float("nan")),
+        ]
+    )
+    raw.header.stamp.sec = 77
+
+    def answered() -> bool:
+        publisher.publish(raw)  # best effort: the first may come before the connection stands
+        return bool(heard)
+
+    rig.spin_until(answered, "detected cones")
+    assert [cone.x for cone in heard[0].cones] == [1.0]
+    assert heard[0].header.stamp.sec == 77
+
+
+def test_every_timer_goes_by_the_monotonic_clock() -> None:
+    """rclpy's default timers go by the wall clock: they stand still when it is set back."""
+    for path in (CHECKOUT / "nodes" / "fsai_nodes" / "fsai_nodes").glob("*.py"):
+        for call in ast.walk(ast.parse(path.read_text())):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute):
+                if call.func.attr == "create_timer":
+                    assert any(keyword.arg == "clock" for keyword in call.keywords), path.name
+                assert (call.func.attr, ast.unparse(call.func.value)) != ("time", "time"), path.name
+
+
+def test_launch_file_and_parameter_files_name_nodes_and_parameters_that_exist() -> None:
+    import yaml
+
+    known = {name: {setting.name for setting in module.SETTINGS} for name, (module, _) in MODULES.items()}
+    package = CHECKOUT / "nodes" / "fsai_nodes"
+    for path in (package / "config").glob("*.yaml"):
+        for node, content in yaml.safe_load(path.read_text()).items():
+            assert set(content["ros__parameters"]) <= known[node], path.name
+    tree = ast.parse((package / "launch" / "fsai.launch.py").read_text())
+    table = next(
+        node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"
+    )
+    assert isinstance(table, ast.Dict)
+    for entry in table.values:
+        assert isinstance(entry, ast.Tuple)
+        for node in ast.literal_eval(entry.elts[0]):
+            assert ast.literal_eval(entry.elts[1]) in known[node]
+    assert set(CLASSES) == set(MODULES)
+
+
+def test_the_values_of_the_parameter_files_are_accepted() -> None:
+    import yaml
+
+    tables = {name: {setting.name: setting for setting in module.SETTINGS} for name, (module, _) in MODULES.items()}
+    for path in (CHECKOUT / "nodes" / "fsai_nodes" / "config").glob("*.yaml"):
+        for node, content in yaml.safe_load(path.read_text()).items():
+            for name, value in content["ros__parameters"].items():
+                assert tables[node][name].problem(value) is None, (path.name, node, name)

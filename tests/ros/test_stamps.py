@@ -1,0 +1,109 @@
+"""Header stamps become monotonic times, and steps of the wall clock change nothing."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsai_nodes.stamps import SAME_OFFSET_NS, WINDOW_NS, StampConverter
+
+MS, S = 1_000_000, 1_000_000_000
+WALL = 1_800_000_000 * S  # what a wall clock shows
+NOW = 5_000 * S  # what the monotonic clock shows
+
+
+def converter_at(offset_ns: int, steady_ns: int) -> StampConverter:
+    stamps = StampConverter()
+    stamps.observe(offset_ns + steady_ns, steady_ns)
+    return stamps
+
+
+def test_a_stamp_is_as_old_as_the_ros_clock_says() -> None:
+    stamps = converter_at(WALL, NOW)
+    assert stamps.to_steady(WALL + NOW - 30 * MS, NOW) == NOW - 30 * MS
+
+
+def test_there_and_back_is_the_same_instant() -> None:
+    stamps = converter_at(WALL, NOW)
+    assert stamps.to_steady(stamps.to_ros(NOW - 123_456_789), NOW) == NOW - 123_456_789
+
+
+@pytest.mark.parametrize("step_ns", [3600 * S, -3600 * S, 10 * S, -10 * S, 2 * S, -2 * S])
+def test_a_stamp_made_before_a_step_of_the_clock_keeps_its_age(step_ns: int) -> None:
+    stamps = converter_at(WALL, NOW)
+    stamp_ns = WALL + NOW - 20 * MS
+    stamps.observe(WALL + step_ns + NOW, NOW)
+    assert stamps.to_steady(stamp_ns, NOW) == NOW - 20 * MS
+
+
+@pytest.mark.parametrize("step_ns", [3600 * S, -3600 * S, 10 * S, -10 * S, 2 * S, -2 * S])
+def test_a_stamp_made_after_a_step_of_the_clock_is_believed_at_once(step_ns: int) -> None:
+    stamps = converter_at(WALL, NOW)
+    later = NOW + 50 * MS
+    stamps.observe(WALL + step_ns + later, later)
+    assert stamps.to_steady(WALL + step_ns + later - 5 * MS, later) == later - 5 * MS
+
+
+def test_the_offset_before_a_step_is_kept_for_the_window_and_no_longer() -> None:
+    stamps = converter_at(WALL, NOW)
+    new = WALL + 10 * S
+    stamps.observe(new + NOW, NOW)
+    stamp_ns = WALL + NOW  # made just before the step
+    within = NOW + WINDOW_NS
+    stamps.observe(new + within, within)
+    assert stamps.to_steady(stamp_ns, within) == NOW
+    after = within + 1
+    stamps.observe(new + after, after)
+    assert stamps.to_steady(stamp_ns, after) == NOW - 10 * S  # by the new clock: old, thus stale
+
+
+def test_the_offset_before_a_step_counts_from_the_step_even_if_nothing_was_converted_for_long() -> None:
+    stamps = converter_at(WALL, NOW - 60 * S)
+    stamps.observe(WALL + 10 * S + NOW, NOW)
+    assert stamps.to_steady(WALL + NOW - 20 * MS, NOW) == NOW - 20 * MS
+
+
+def test_a_stamp_of_the_future_counts_as_made_now() -> None:
+    stamps = converter_at(WALL, NOW)
+    assert stamps.to_steady(WALL + NOW + 3600 * S, NOW) == NOW
+
+
+def test_a_stamp_a_little_ahead_is_now_and_not_ancient_by_an_older_offset() -> None:
+    stamps = converter_at(WALL, NOW)
+    stamps.observe(WALL - 10 * S + NOW, NOW)  # the clock was set back
+    assert stamps.to_steady(WALL - 10 * S + NOW + 2 * MS, NOW) == NOW
+
+
+def test_slewing_is_no_step() -> None:
+    stamps = StampConverter()
+    for second in range(100):
+        # 500 ppm, the most that a clock is slewed by
+        stamps.observe(WALL + second * S + second * 500_000, second * S)
+    assert stamps.to_steady(WALL + 99 * S + 99 * 500_000, 99 * S) == 99 * S
+
+
+def test_a_stamp_of_zero_is_ancient() -> None:
+    stamps = converter_at(WALL, NOW)
+    assert stamps.to_steady(0, NOW) < NOW - 3600 * S
+
+
+def test_an_instant_before_the_epoch_becomes_the_epoch() -> None:
+    assert converter_at(0, 10 * S).to_ros(-5 * S) == 0
+
+
+@given(
+    step_ns=st.integers(-(10**14), 10**14),
+    age_ns=st.integers(0, 900 * MS),
+    since_step_ns=st.integers(0, 900 * MS),
+)
+def test_through_any_step_no_stamp_seems_older_than_it_is_by_more_than_noise_nor_to_come(
+    step_ns: int, age_ns: int, since_step_ns: int
+) -> None:
+    stamps = converter_at(WALL, NOW)
+    stamps.observe(WALL + step_ns + NOW, NOW)
+    now_ns = NOW + since_step_ns
+    stamps.observe(WALL + step_ns + now_ns, now_ns)
+    made_ns = now_ns - age_ns
+    stamp_ns = made_ns + WALL + (step_ns if made_ns >= NOW else 0)
+    assert now_ns - age_ns - SAME_OFFSET_NS <= stamps.to_steady(stamp_ns, now_ns) <= now_ns
