@@ -40,7 +40,9 @@ def call(node: Any, service_type: Any, name: str, request: Any, timeout_s: float
 
     client = node.create_client(service_type, name)
     if not client.wait_for_service(timeout_sec=timeout_s):
-        raise UserError(f"no bridge offers {name} (waited {timeout_s:g} s); is vcu_bridge running, on this ROS_DOMAIN_ID?")
+        raise UserError(
+            f"no bridge offers {name} (waited {timeout_s:g} s); is vcu_bridge running, on this ROS_DOMAIN_ID?"
+        )
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         # The answer to a first request is lost when the server has not yet discovered its client: ask again. Every

@@ -124,9 +124,7 @@ class CanBus:
         self.close()
 
 
-def open_bus(
-    spec: str, *, receive: Iterable[int] | None = None, may_send: Iterable[int] | None = None
-) -> CanBus:
+def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Iterable[int] | None = None) -> CanBus:
     """Open the bus `spec`.
 
     receive: 11-bit ids to hear (a kernel filter on SocketCAN); None hears everything.

@@ -1,8 +1,8 @@
 """The operational limits' file: one small TOML, imposed by an official for a venue.
 
-    max_speed_mps = 5.0
-    max_axle_torque_nm = 100
-    max_steer_deg = 20
+max_speed_mps = 5.0
+max_axle_torque_nm = 100
+max_steer_deg = 20
 """
 
 from __future__ import annotations

@@ -39,9 +39,7 @@ _REQUEST_TIMEOUT_S = 2.0
 _STOP_TIMEOUT_S = 10.0
 
 # What the bridge has use for; intruders on the AI's own ids are heard on purpose.
-RECEIVE_IDS = frozenset(
-    {0x120, *range(0x500, 0x503), *range(0x510, 0x515), *range(0x520, 0x527), *range(0x600, 0x641)}
-)
+RECEIVE_IDS = frozenset({0x120, *range(0x500, 0x503), *range(0x510, 0x515), *range(0x520, 0x527), *range(0x600, 0x641)})
 
 
 class BridgeLoop:

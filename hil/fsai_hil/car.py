@@ -102,8 +102,6 @@ class CarModel:
         return self.wheelbase_m - self.cog_to_rear_m
 
 
-
-
 def car_model(revision: str, official_simulator: bool = False) -> CarModel:
     """The simulated car of an interface revision; facts that car and AI side share come from one place."""
     car: VehicleParameters = CARS[revision]

@@ -123,7 +123,9 @@ class Demo:
             raise StackError(f"the simulated car left no verdict; see {self._args.out / 'vcu.log'}") from None
         wire = check_candump(self._log, Codec(revision(self._args.revision)), busy_machine=True)
         laps = ", ".join(f"{lap_s:.2f} s" for lap_s in verdict["lap_times_s"])
-        print(f"\njudge      {verdict['mission']}: {verdict['result'].upper()}", *verdict["reasons"], sep="\n           ")
+        print(
+            f"\njudge      {verdict['mission']}: {verdict['result'].upper()}", *verdict["reasons"], sep="\n           "
+        )
         print(f"laps       {verdict['laps']}" + (f" ({laps})" if laps else ""))
         print(f"speed      mean {verdict['mean_speed_mps']:.1f} m/s, top {verdict['top_speed_mps']:.1f} m/s")
         print(f"cones hit  {verdict['cones_hit']}, off course {verdict['off_course']}")

@@ -92,7 +92,11 @@ class Lockstep:
         if limits is not None:
             settings = replace(settings, max_speed_mps=min(settings.max_speed_mps, limits.max_speed_mps))
         self.computer = OnboardComputer(
-            self.bridge, self.world.codec, Planner(car, missions=missions), Controller(car, settings, missions), self._now_ns
+            self.bridge,
+            self.world.codec,
+            Planner(car, missions=missions),
+            Controller(car, settings, missions),
+            self._now_ns,
         )
         self.wire = WireChecker(self.world.codec)
         self._on_frame = on_frame
@@ -163,5 +167,3 @@ def confident(observation: ConeObservation, threshold: float = CONFIDENCE_THRESH
     return ConeObservation(
         observation.t_ns, observation.xy_m[keep], observation.color[keep], observation.confidence[keep]
     )
-
-

@@ -17,9 +17,7 @@ from fsai_hil.car import Pose
 from fsai_hil.tracks import Track
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Floats, Ints
 
-COLOURED: Final = np.array(
-    [ConeColor.BLUE, ConeColor.YELLOW, ConeColor.ORANGE, ConeColor.BIG_ORANGE], dtype=np.int64
-)
+COLOURED: Final = np.array([ConeColor.BLUE, ConeColor.YELLOW, ConeColor.ORANGE, ConeColor.BIG_ORANGE], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)

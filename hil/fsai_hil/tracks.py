@@ -559,9 +559,7 @@ def _measured(name: str, source: str, points: Sequence[tuple[ConeColor, Point]],
     if len(gates) >= 2:
         return _straight_at(name, source, xy, colors, start, _start_line(gates[0], ahead), gates[-1])
     # cones that make no circuit which can be walked: it can be driven and timed, but nothing is off course
-    return Track(
-        name, TrackKind.CIRCUIT, xy, colors, car_start=start, start_line=line, finish_line=line, source=source
-    )
+    return Track(name, TrackKind.CIRCUIT, xy, colors, car_start=start, start_line=line, finish_line=line, source=source)
 
 
 def _gates(big: Sequence[Point], ahead: Line) -> list[tuple[Point, ...]]:
@@ -608,9 +606,7 @@ def _straight_at(
     )
 
 
-def _skidpad_like(
-    points: Sequence[tuple[ConeColor, Point]], ahead: Line, gates: Sequence[Sequence[Point]]
-) -> bool:
+def _skidpad_like(points: Sequence[tuple[ConeColor, Point]], ahead: Line, gates: Sequence[Sequence[Point]]) -> bool:
     """Two rings of blue and yellow cones to the left and to the right of the first gate."""
     if not gates:
         return False
@@ -624,9 +620,7 @@ def _skidpad_like(
     return True
 
 
-def _skidpad_at(
-    name: str, source: str, xy: Floats, colors: Ints, start: Pose, gate: Sequence[Point]
-) -> Track:
+def _skidpad_at(name: str, source: str, xy: Floats, colors: Ints, start: Pose, gate: Sequence[Point]) -> Track:
     """The rules' skidpad, laid over the cones of a file."""
     ideal = skidpad_track()
     # the gate's own direction: across is from its rightmost to its leftmost cone, so that a start askew does no harm

@@ -293,4 +293,3 @@ def mission_named(name: str) -> Ami:
         return known[name.strip().lower()]
     except KeyError:
         raise ValueError(f"unknown mission {name!r}: choose one of {', '.join(known)}") from None
-

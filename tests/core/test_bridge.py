@@ -620,6 +620,49 @@ def test_an_emergency_on_a_lost_bus_is_latched_and_says_so() -> None:
     assert rig.sent.estop_request
 
 
+def test_an_emergency_asked_for_on_a_lost_bus_goes_out_when_it_is_back_however_long_that_took() -> None:
+    rig = Rig().autonomous()
+    rig.off = True
+    rig.bridge.bus_lost("unplugged", rig.now_ns)
+    rig.run_ms(1500)
+    assert rig.bridge.emergency_brake("now", rig.now_ns)[0]
+    rig.run_ms(1500)
+    rig.bridge.bus_back(rig.now_ns)
+    rig.off = False
+    rig.step(2)
+    assert rig.sent.estop_request
+
+
+def test_the_cars_own_power_cycle_is_seen_round_a_short_loss_of_the_bus() -> None:
+    rig = Rig().autonomous()
+    rig.bridge.emergency_brake("now", rig.now_ns)
+    rig.off = True
+    rig.run_ms(600)
+    rig.bridge.bus_lost("bus-off", rig.now_ns)
+    rig.run_ms(20)
+    rig.bridge.bus_back(rig.now_ns)
+    rig.run_ms(390)
+    rig.off = False
+    rig.step(2)
+    assert rig.report.emergency is None
+
+
+@pytest.mark.parametrize("lost_ms", [350, 800, 4000])
+def test_back_in_as_driving_the_car_is_braked_to_rest_even_before_its_wheels_are_heard_again(lost_ms: int) -> None:
+    rig = Rig().driving(rpm=300)
+    rig.off = True
+    rig.bridge.bus_lost("unplugged", rig.now_ns)
+    rig.run_ms(lost_ms)
+    rig.bridge.bus_back(rig.now_ns)
+    rig.now_ns += CYCLE
+    rig.say(rig.status)  # 0x520 comes first and is answered at once; wheel speeds and steering come after it
+    rig.cycle()
+    rig.off = False
+    rig.alive = brake_to_rest
+    rig.run_ms(2900)
+    assert (rig.report.emergency, rig.sent.mission_status) == (None, MissionStatus.FINISHED)
+
+
 def test_a_stranger_who_confirms_a_reset_is_reported_and_changes_nothing() -> None:
     rig = Rig()
     rig.confirming = False

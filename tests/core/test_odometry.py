@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -87,6 +88,13 @@ def test_spinning_driven_wheels_do_not_count_on_a_car_with_free_ones() -> None:
 def test_one_spinning_wheel_does_not_count_on_a_car_that_drives_them_all() -> None:
     odometry = Odometry(ADS_DV_2021)
     speeds = WheelSpeeds(100, 100, 100, 700, t_rx_ns=10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
+    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
+
+
+def test_spinning_front_wheels_do_not_count_on_a_car_that_drives_those_alone() -> None:
+    odometry = Odometry(replace(ADS_DV_2026, driven_front=True, driven_rear=False))
+    speeds = WheelSpeeds(700, 700, 100, 100, t_rx_ns=10 * MS)
     motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
 

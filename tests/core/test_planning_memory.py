@@ -45,7 +45,7 @@ def test_a_false_cone_that_is_not_seen_again_is_dropped() -> None:
     memory = ConeMemory(SETTINGS)
     real = np.array([[6.0, 1.5]])
     memory.add(np.vstack((real, [[5.0, -0.5]])), colors(1, 1), HERE)
-    for _ in range(3):
+    for _ in range(2):
         memory.add(real, colors(1), HERE)
     assert len(memory) == 1
 

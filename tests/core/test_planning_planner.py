@@ -41,7 +41,11 @@ def assert_clean(result: Result, line_m: np.ndarray, laps: int) -> None:
     assert (result.finished, result.stands, result.laps) == (True, True, laps)
 
 
-@pytest.mark.parametrize("eyes", [WORN, BLIND_TO_COLOR, replace(WORN, false_per_look=0.3)], ids=str)
+@pytest.mark.parametrize(
+    "eyes",
+    [WORN, BLIND_TO_COLOR, replace(WORN, false_per_look=0.3)],
+    ids=["colors", "no colors", "false cones"],
+)
 @pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026], ids=lambda car: car.name)
 def test_an_oval_is_driven_for_its_laps_without_leaving_the_lane(eyes: Eyes, car: VehicleParameters) -> None:
     line = oval()
@@ -125,8 +129,8 @@ def test_the_acceleration_is_driven_with_full_throttle_to_the_finish() -> None:
 
 def test_cones_that_close_the_exit_lane_are_not_driven_over() -> None:
     track = straight_lane()
-    wall = np.array([[77.5 + 27.0, y] for y in (-0.75, 0.0, 0.75)])
-    shorter = track.xy_m[:, 0] < 77.5 + 27.5
+    wall = np.array([[77.5 + 24.5, y] for y in (-0.75, 0.0, 0.75)])
+    shorter = track.xy_m[:, 0] < 77.5 + 25.0
     closed = Track(
         np.vstack((track.xy_m[shorter], wall)),
         np.concatenate((track.color[shorter], [int(ConeColor.ORANGE)] * 3)),
@@ -259,6 +263,7 @@ def test_another_run_id_or_mission_resets_and_the_same_run_does_not() -> None:
     plan = planner.on_cones(observation(LANE, 5), Motion(t_ns=5))
     assert plan is not None and plan.cones_count_all > 0
     planner.on_run(Run(3, Ami.AUTOCROSS, AsState.AS_READY))
+    assert planner.run.mission is Ami.AUTOCROSS
     plan = planner.on_cones(observation(LANE, 6), Motion(t_ns=6))
     assert plan is not None
     assert (plan.mission, plan.cones_count_all) == (Ami.AUTOCROSS, 0)

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from conftest import BusLog
 from fsai_hil.ros_operator import RosOperator
 from fsai_hil.stack import NODES, RunningProcess, Stack
 from fsai_hil.wire import WireReport, check_candump
-
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS

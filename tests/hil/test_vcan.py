@@ -6,9 +6,9 @@ import subprocess
 from collections.abc import Callable
 
 import pytest
+
 from conftest import BusLog
 from fsai_hil.stack import await_condition
-
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 

@@ -6,11 +6,11 @@ import math
 from dataclasses import replace
 
 import pytest
+
 from fsai_hil.lockstep import Lockstep, LockstepResult
 from fsai_hil.operator import At, Moment
 from fsai_hil.tracks import load_track
 from fsai_hil.world import WorldSetup, mission_named
-
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.interface.enums import Ami, AsState

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from vcu_bench import Bench
+
 from fsai_hil.operator import At, Await, Moment, Operator, Script
 from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, S
 from fsai_hil.switches import Switches
-from vcu_bench import Bench
-
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 
 

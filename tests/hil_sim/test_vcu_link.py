@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from fsai_hil.ai_link import AI_MESSAGES, AiLink
-from fsai_hil.profiles import MS, SPECIFICATION, S
 from vcu_bench import Bench
 
+from fsai_hil.ai_link import AI_MESSAGES, AiLink
+from fsai_hil.profiles import MS, SPECIFICATION, S
 from fsai_vcu.interface.enums import AsState, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from vcu_bench import Bench, codec
+
 from fsai_hil.indicators import Assi, Siren, Tsal
 from fsai_hil.power import SystemState
 from fsai_hil.profiles import MS, S
 from fsai_hil.vcu import SimulatedVcu
-from vcu_bench import Bench, codec
-
 from fsai_vcu.interface.enums import (
     AsState,
     BrakeStatus,

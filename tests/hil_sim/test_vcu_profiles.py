@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import pytest
-from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, S, profile
 from vcu_bench import Bench
 
+from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, S, profile
 from fsai_vcu.interface.enums import AsState, BrakeStatus, Direction, MissionStatus
 from fsai_vcu.interface.images import VcuBrake, VcuStatus
 

@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 from typing import Any
 
 import pytest
-from fsai_hil.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Fault, Row, Situation, taken, transition_table
-from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, Profile, S
 from vcu_bench import Bench
 
+from fsai_hil.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Fault, Row, Situation, taken, transition_table
+from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, Profile, S
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.images import Faults
 

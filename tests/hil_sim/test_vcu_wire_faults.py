@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from vcu_bench import Bench, codec
+
 from fsai_hil.faults import (
     KINDS,
     Delay,
@@ -17,8 +19,6 @@ from fsai_hil.faults import (
     WrongValues,
 )
 from fsai_hil.profiles import MS, S
-from vcu_bench import Bench, codec
-
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import VcuStatus, WheelSpeeds

@@ -117,9 +117,7 @@ def test_the_demonstration_passes() -> None:
 
 @pytest.mark.parametrize("revision", ["2021", "2026"])
 def test_a_second_mission_follows_without_a_restart_on_its_own_track(revision: str) -> None:
-    setup = WorldSetup(
-        missions=[Ami.ACCELERATION, Ami.AUTOCROSS], revision=revision, gps=False
-    )
+    setup = WorldSetup(missions=[Ami.ACCELERATION, Ami.AUTOCROSS], revision=revision, gps=False)
     world = World(setup)
     lap = follow(6.0)
 

@@ -12,7 +12,6 @@ from fsai_hil.operator import Operator
 from fsai_hil.profiles import MS, SPECIFICATION, Profile, S
 from fsai_hil.switches import Switches
 from fsai_hil.vcu import CarFeedback, SimulatedVcu
-
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import itertools
+import threading
+
+import can
 import pytest
 
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
-from fsai_vcu.runtime.bus import BusError, open_bus
+from fsai_vcu.runtime.bus import BusError, CanBus, open_bus
 
 
 def test_an_absent_interface_is_one_clear_line_that_names_it() -> None:
@@ -33,3 +38,52 @@ def test_a_bus_opened_for_the_ai_computer_refuses_every_other_id_before_the_wire
         pytest.raises(ValueError, match="must never be transmitted"),
     ):
         bus.send(Frame(can_id, b"\x00"))
+
+
+class SilentBus(can.BusABC):
+    """Nothing is ever heard on it; it notes how long it was asked to wait."""
+
+    def __init__(self) -> None:
+        super().__init__("silent")
+        self.waits: list[float | None] = []
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self.waits.append(timeout)
+        threading.Event().wait(min(timeout or 0.0, 0.02))
+        return None, False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise AssertionError("nothing is sent here")
+
+
+def test_a_wall_clock_that_is_set_back_does_not_make_a_wait_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall_s = itertools.count(2e9, -3600.0)
+    monkeypatch.setattr("can.bus.time", lambda: next(wall_s))
+    silent = SilentBus()
+    with CanBus(silent, "silent") as bus:
+        assert bus.recv(0.02) is None
+    assert all(wait is not None and wait <= 0.02 for wait in silent.waits), silent.waits
+
+
+def test_when_no_file_can_be_opened_any_more_it_says_so_and_leaves_nothing_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Opened(SilentBus):
+        closed = False
+
+        def fileno(self) -> int:
+            return 0
+
+        def shutdown(self) -> None:
+            super().shutdown()
+            Opened.closed = True
+
+    def refuse(_fd: int) -> int:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("fsai_vcu.runtime.bus._check_interface", lambda _channel: None)
+    monkeypatch.setattr("can.Bus", lambda **_options: Opened())
+    monkeypatch.setattr("os.dup", refuse)
+    with pytest.raises(BusError, match="cannot open CAN interface 'can0': Too many open files"):
+        open_bus("can0")
+    assert Opened.closed

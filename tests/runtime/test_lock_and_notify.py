@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from fsai_vcu.runtime.bus import BusError
 from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 
@@ -19,6 +20,20 @@ def test_a_second_bridge_on_the_same_interface_is_refused_and_told_who_holds_it(
             InterfaceLock("test-if")
     finally:
         lock.release()
+
+
+def test_one_interface_has_one_lock_however_it_is_spelt() -> None:
+    lock = InterfaceLock("vcan77")
+    try:
+        with pytest.raises(AlreadyRunning, match="already drives 'socketcan:vcan77'"):
+            InterfaceLock("socketcan:vcan77")
+    finally:
+        lock.release()
+
+
+def test_a_lock_that_cannot_be_had_at_all_is_not_put_down_to_another_bridge() -> None:
+    with pytest.raises(BusError, match="cannot lock CAN interface 'loopback:x+': .*too long"):
+        InterfaceLock("loopback:" + "x" * 120)
 
 
 def test_the_lock_is_free_again_after_its_release_and_other_interfaces_never_matter() -> None:

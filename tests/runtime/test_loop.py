@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +27,7 @@ from fsai_vcu.runtime import loop as loop_module
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.lock import AlreadyRunning
 from fsai_vcu.runtime.loop import BridgeLoop
+from fsai_vcu.runtime.pacing import MIN_GAP_NS
 
 REVISION = revision("2026")
 CODEC = Codec(REVISION)
@@ -34,7 +40,11 @@ def make_loop(spec: str, config: BridgeConfig | None = None) -> BridgeLoop:
 
 
 def eventually(condition: Callable[[], bool]) -> bool:
-    until = time.monotonic() + WAIT_S
+    return eventually_within(WAIT_S, condition)
+
+
+def eventually_within(wait_s: float, condition: Callable[[], bool]) -> bool:
+    until = time.monotonic() + wait_s
     while time.monotonic() < until:
         if condition():
             return True
@@ -207,3 +217,182 @@ def test_an_exception_in_the_loop_ends_it_with_an_emergency_request_on_the_wire(
             last = image if isinstance(image, AiStatus) else last
     assert isinstance(loop.failure, RuntimeError)
     assert last is not None and last.estop_request
+
+
+def test_whatever_keeps_it_from_starting_the_lock_is_free_again(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: object, **kwargs: object) -> CanBus:
+        raise OSError("Too many open files")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(loop_module, "open_bus", refuse)
+        with pytest.raises(OSError, match="Too many"):
+            make_loop(spec)
+    make_loop(spec).stop()
+
+
+def test_a_failure_before_the_first_turn_is_told_and_leaves_the_bus_closed(
+    spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> tuple[str, ...]:
+        raise RuntimeError("no such call")
+
+    monkeypatch.setattr(loop_module, "go_real_time", refuse)
+    bridge = Bridge(CODEC, REVISION, CARS["2026"], now_ns=time.monotonic_ns())
+    loop = BridgeLoop(bridge, CODEC, spec, real_time=True)
+    loop.start()
+    assert eventually(lambda: not loop.running)
+    assert isinstance(loop.failure, RuntimeError) and loop._bus is None
+    loop.stop()
+
+
+def test_what_real_time_scheduling_refuses_is_told_and_the_loop_goes_on(
+    spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop_module, "go_real_time", lambda: ("not allowed",))
+    bridge = Bridge(CODEC, REVISION, CARS["2026"], now_ns=time.monotonic_ns())
+    loop = BridgeLoop(bridge, CODEC, spec, real_time=True)
+    loop.start()
+    with open_bus(spec) as car:
+        status_heard(car)
+    loop.stop()
+    assert loop.scheduling_refused == ("not allowed",) and loop.failure is None
+
+
+@pytest.mark.parametrize("listen_only", [False, True])
+def test_a_full_garbage_collection_is_rare_whether_it_sends_or_only_listens(
+    spec: str, monkeypatch: pytest.MonkeyPatch, listen_only: bool
+) -> None:
+    collected: list[int] = []
+    monkeypatch.setattr(loop_module.gc, "collect", lambda generation=2: collected.append(generation))
+    loop = make_loop(spec, BridgeConfig(listen_only=listen_only))
+    loop.start()
+    try:
+        assert eventually(lambda: len(collected) > 30)
+    finally:
+        loop.stop()
+    assert collected.count(2) == 1, "only the one before the first turn"
+
+
+def test_a_cycle_that_was_made_in_time_and_leaves_late_is_a_fault_of_the_loop(
+    loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    held = threading.Event()
+    encode = loop._codec.encode_command
+
+    def slow_once(*args: Any) -> Any:
+        if not held.is_set():
+            held.set()
+            threading.Event().wait(0.3)
+        return encode(*args)
+
+    monkeypatch.setattr(loop._bridge, "loop_fault", lambda why, _now_ns: said.append(why))
+    monkeypatch.setattr(loop._codec, "encode_command", slow_once)
+    assert eventually(lambda: any(int(why.split()[4]) >= 300 for why in said))
+
+
+def test_a_question_that_was_not_answered_in_time_is_not_done_later_but_an_emergency_is(
+    loop: BridgeLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[object] = []
+
+    def do(*what: object) -> tuple[bool, str]:
+        done.append(what[0])
+        return True, "done"
+
+    for name in ("set_mode", "reset", "emergency_brake"):
+        monkeypatch.setattr(loop._bridge, name, do)
+    monkeypatch.setattr(loop_module, "_REQUEST_TIMEOUT_S", 0.05)
+    go_on, hangs = threading.Event(), threading.Event()
+
+    def hang(_now_ns: int) -> None:
+        hangs.set()
+        go_on.wait(WAIT_S)
+
+    loop._requests.put((hang, Future()))
+    assert hangs.wait(WAIT_S)
+    try:
+        refused = (False, "the CAN loop does not answer")
+        assert loop.set_mode("autonomous") == loop.reset() == loop.emergency_brake("now") == refused
+    finally:
+        go_on.set()
+    assert eventually(lambda: done == ["now"])
+    assert not eventually_within(0.1, lambda: done != ["now"])
+
+
+def test_the_emergency_request_goes_out_before_anything_is_logged(
+    loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+    last_words = loop._last_words
+
+    def broken(frame: object) -> None:
+        raise RuntimeError("a bug")
+
+    def speak(why: str) -> None:
+        order.append("request")
+        last_words(why)
+
+    monkeypatch.setattr(loop, "_last_words", speak)
+    monkeypatch.setattr(loop_module.logger, "exception", lambda *_: order.append("log"))
+    monkeypatch.setattr(loop._bridge, "on_frame", broken)
+    with open_bus(spec) as car:
+        car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_OFF)))
+        assert eventually(lambda: not loop.running)
+    assert order == ["request", "log"]
+
+
+def test_while_the_bus_is_gone_the_watchdog_is_fed_and_a_stop_does_not_hang(
+    spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(WAIT_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "20000")
+        monkeypatch.delenv("WATCHDOG_PID", raising=False)
+        loop = make_loop(spec)
+        loop.start()
+        attempts: list[int] = []
+
+        def absent(*args: object, **kwargs: object) -> CanBus:
+            attempts.append(1)
+            raise BusError("no such device")
+
+        def gone(self: CanBus, timeout_s: float) -> None:
+            raise BusLost("Network is down")
+
+        monkeypatch.setattr(loop_module, "open_bus", absent)
+        monkeypatch.setattr(CanBus, "recv", gone)
+        assert eventually(lambda: len(attempts) >= 2)
+        systemd.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                systemd.recv(64)
+        systemd.setblocking(True)
+        systemd.settimeout(WAIT_S)
+        assert systemd.recv(64) == b"WATCHDOG=1"
+        loop.stop()
+        assert not loop.running and loop.failure is None
+
+
+def test_it_does_not_open_a_lost_bus_again_before_two_sends_may_follow_each_other(
+    loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times: list[int] = []
+
+    def open_again(*args: object, **kwargs: object) -> CanBus:
+        times.append(time.monotonic_ns())
+        return open_bus(spec)
+
+    def gone(self: CanBus, timeout_s: float) -> None:
+        monkeypatch.setattr(CanBus, "recv", original)
+        times.append(time.monotonic_ns())
+        raise BusLost("bus-off")
+
+    original = CanBus.recv
+    monkeypatch.setattr(loop_module, "open_bus", open_again)
+    monkeypatch.setattr(CanBus, "recv", gone)
+    assert eventually(lambda: loop.reopened == 1)
+    lost_ns, opened_ns = times
+    assert opened_ns - lost_ns >= MIN_GAP_NS

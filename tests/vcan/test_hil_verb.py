@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fsai_hil.vcan import Place, VcanError
 
+from fsai_hil.vcan import Place, VcanError
 from fsai_vcu.cli.main import main
 
 CHECKOUT = Path(__file__).parents[2]

@@ -1,0 +1,291 @@
+"""The controller: from plan and motion to a command."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.control.speed_profile import curvature_along, speed_demand
+from fsai_vcu.core.driving import Motion, Plan, Run
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
+from fsai_vcu.interface.enums import Ami, AsState
+
+MS = 1_000_000
+CAR = ADS_DV_2026
+RUN = Run(3, Ami.AUTOCROSS, AsState.AS_DRIVING, may_move=True)
+STRAIGHT = np.column_stack((np.arange(0.0, 20.0, 0.5), np.zeros(40)))
+SETTINGS = ControllerSettings()
+
+
+def arc(radius: float, length: float = 18.0) -> np.ndarray:
+    a = np.arange(0.0, length, 0.5) / radius
+    return np.column_stack((radius * np.sin(a), radius * (1.0 - np.cos(a))))
+
+
+def moved(path: np.ndarray, x_m: float, y_m: float) -> np.ndarray:
+    return path + np.array([x_m, y_m])
+
+
+def bend_after(straight_m: float, radius: float) -> np.ndarray:
+    """Straight on, then a left bend."""
+    straight = np.column_stack((np.arange(0.0, straight_m, 0.5), np.zeros(round(2 * straight_m))))
+    return np.concatenate((straight, moved(arc(radius, 9.0), straight_m, 0.0)))
+
+
+def plan_of(path: np.ndarray, t_ns: int = 0, **more: object) -> Plan:
+    return replace(Plan(t_ns, RUN.run_id, RUN.mission, path), **more)  # type: ignore[arg-type]
+
+
+def ask(
+    plan: Plan | None,
+    speed_mps: float = 5.0,
+    controller: Controller | None = None,
+    run: Run = RUN,
+    now_ns: int = 0,
+    motion: Motion | None = None,
+) -> VehicleCommand:
+    if controller is None:
+        controller = Controller(CAR)
+        controller.reset(run)
+    motion = motion or Motion(t_ns=now_ns, speed_mps=speed_mps)
+    return controller.command(plan, motion, motion.speed_mps < 0.1, (0.0,) * 4, 0.0, run, now_ns)
+
+
+def test_before_the_car_may_move_everything_is_zero() -> None:
+    for mission in Ami:
+        run = Run(3, mission, AsState.AS_DRIVING, may_move=False)
+        command = ask(replace(plan_of(arc(8.0)), mission=mission), run=run)
+        assert (command.throttle, command.brake, command.steering_rad, command.speed_limit_mps) == (0, 0, 0, 0)
+        assert not command.mission_finished and not command.estop_request
+
+
+def test_a_free_straight_is_accelerated_on() -> None:
+    command = ask(plan_of(STRAIGHT), speed_mps=2.0)
+    assert command.throttle > 0.9
+    assert (command.brake, command.steering_rad) == (0.0, pytest.approx(0.0, abs=1e-9))
+
+
+def test_no_throttle_at_the_speed_that_is_set() -> None:
+    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.max_speed_mps).throttle == 0.0
+    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.max_speed_mps - 0.3).throttle > 0.0
+
+
+def test_the_speed_limit_is_a_little_over_the_speed_that_is_set() -> None:
+    controller = Controller(CAR, ControllerSettings(max_speed_mps=4.0))
+    controller.reset(RUN)
+    assert ask(plan_of(STRAIGHT), controller=controller).speed_limit_mps == pytest.approx(5.0)
+    controller.configure(ControllerSettings(max_speed_mps=3.0))
+    assert ask(plan_of(STRAIGHT), controller=controller).speed_limit_mps == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("radius", [12.0, -12.0, 6.0, -6.0])
+def test_on_a_circle_the_steering_is_the_circles_own(radius: float) -> None:
+    command = ask(plan_of(arc(radius)), speed_mps=0.0)
+    assert command.steering_rad == pytest.approx(math.atan(CAR.wheelbase_m / radius), rel=0.03)
+
+
+@pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026])
+@pytest.mark.parametrize("radius", [2.0, -2.0])
+def test_steering_never_exceeds_the_cars_limit(car: object, radius: float) -> None:
+    controller = Controller(car)  # type: ignore[arg-type]
+    controller.reset(RUN)
+    limit = car.steer_max_rad  # type: ignore[attr-defined]
+    assert ask(plan_of(arc(radius, 6.0)), 2.0, controller).steering_rad == pytest.approx(math.copysign(limit, radius))
+
+
+def test_steering_never_exceeds_a_lower_setting() -> None:
+    controller = Controller(CAR, ControllerSettings(max_steer_rad=0.1))
+    controller.reset(RUN)
+    assert ask(plan_of(arc(3.0)), 2.0, controller).steering_rad == pytest.approx(0.1)
+
+
+def test_the_car_beside_the_path_steers_back_to_it() -> None:
+    assert ask(plan_of(moved(STRAIGHT, 0.0, 0.5))).steering_rad > 0.05
+    assert ask(plan_of(moved(STRAIGHT, 0.0, -0.5))).steering_rad < -0.05
+
+
+def test_a_plan_is_carried_from_the_sensors_instant_to_the_present() -> None:
+    """Half a second at 6 m/s is 3 m: the bend that was 4 m ahead when it was seen is 1 m ahead now."""
+    bend = bend_after(4.0, 5.0)
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    for step in range(51):
+        motion = Motion(t_ns=step * 10 * MS, x_m=step * 0.06, speed_mps=6.0, distance_m=step * 0.06)
+        late = ask(plan_of(bend, 0), controller=controller, now_ns=step * 10 * MS, motion=motion)
+    at_once = ask(plan_of(moved(bend, -3.0, 0.0), 0), speed_mps=6.0)
+    assert late.steering_rad == pytest.approx(at_once.steering_rad, abs=0.01)
+    assert ask(plan_of(bend, 0), speed_mps=6.0).steering_rad < 0.5 * late.steering_rad
+
+
+def test_the_steering_is_early_by_its_own_delay() -> None:
+    bend = bend_after(2.0, 5.0)
+    slow, quick = (Controller(CAR, ControllerSettings(delay_s=delay, lookahead_s=0.01)) for delay in (0.0, 0.2))
+    slow.reset(RUN)
+    quick.reset(RUN)
+    assert ask(plan_of(bend), 6.0, quick).steering_rad > ask(plan_of(bend), 6.0, slow).steering_rad + 0.02
+
+
+def test_a_bend_ahead_is_braked_for_in_time() -> None:
+    bend = bend_after(8.0, 4.0)
+    far = bend_after(19.5, 4.0)
+    assert ask(plan_of(bend), speed_mps=8.0).brake > 0.1
+    assert ask(plan_of(far), speed_mps=6.5).brake == 0.0
+
+
+def test_a_corner_is_driven_no_faster_than_the_lateral_acceleration_allows() -> None:
+    corner = arc(6.0)
+    allowed = math.sqrt(SETTINGS.lateral_mps2 * 6.0)
+    demand = speed_demand(corner, np.arange(len(corner)) * 0.5, 5.0, 20.0, None, SETTINGS)
+    assert demand.allowed_mps <= math.sqrt(SETTINGS.end_of_path_mps**2 + 2 * SETTINGS.braking_mps2 * 18.0)
+    assert demand.allowed_mps == pytest.approx(allowed, rel=0.05)
+
+
+def test_curvature_is_that_of_the_circle() -> None:
+    assert curvature_along(arc(5.0)) == pytest.approx(np.full(36, 0.2), rel=0.01)
+    assert curvature_along(STRAIGHT) == pytest.approx(np.zeros(40), abs=1e-9)
+    assert curvature_along(STRAIGHT[:2]) == pytest.approx(np.zeros(2))
+
+
+def test_the_brake_once_used_is_held_until_it_is_needed_much_less() -> None:
+    """Between the two thresholds it stays as it was, so that it does not chatter."""
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    between = 0.5 * (SETTINGS.brake_on_mps2 + SETTINGS.brake_off_mps2)
+    speed = 5.0
+    stop = speed * SETTINGS.reaction_s + speed**2 / (2.0 * between)
+    assert ask(plan_of(STRAIGHT, stop_distance_m=stop), speed, controller).brake == 0.0
+    assert ask(plan_of(STRAIGHT, stop_distance_m=0.5 * stop), speed, controller).brake > 0.0
+    assert ask(plan_of(STRAIGHT, stop_distance_m=stop), speed, controller).brake > 0.0
+    assert ask(plan_of(STRAIGHT, stop_distance_m=4.0 * stop), speed, controller).brake == 0.0
+
+
+@pytest.mark.parametrize("path", [None, np.zeros((0, 2)), STRAIGHT[:2], np.full((20, 2), np.nan)])
+def test_without_a_usable_path_the_car_is_braked_gently_with_its_steering_held(path: np.ndarray | None) -> None:
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    steering = ask(plan_of(arc(8.0)), 4.0, controller).steering_rad
+    assert steering > 0.1
+    command = ask(None if path is None else plan_of(path), 4.0, controller)
+    assert (command.throttle, command.brake) == (0.0, SETTINGS.gentle_brake)
+    assert command.steering_rad == steering
+
+
+def test_a_plan_of_another_run_or_mission_is_no_plan() -> None:
+    for plan in (plan_of(STRAIGHT, run_id=2), plan_of(STRAIGHT, mission=Ami.SKIDPAD)):
+        assert ask(plan, 2.0).throttle == 0.0
+
+
+def test_a_plan_that_lies_behind_the_car_is_no_path() -> None:
+    assert ask(plan_of(moved(STRAIGHT, -30.0, 0.0)), 4.0).brake == SETTINGS.gentle_brake
+
+
+@pytest.mark.parametrize(
+    ("age_s", "throttle", "brake"), [(0.39, True, False), (0.41, False, False), (0.81, False, True)]
+)
+def test_on_an_old_plan_there_is_first_no_throttle_and_then_the_brake(
+    age_s: float, throttle: bool, brake: bool
+) -> None:
+    command = ask(plan_of(STRAIGHT, 0), speed_mps=1.0, now_ns=round(age_s * 1000) * MS)
+    assert (command.throttle > 0.0, command.brake > 0.0) == (throttle, brake)
+
+
+def test_a_command_carries_the_stamp_of_the_sensor_data_behind_it_and_its_run() -> None:
+    command = ask(plan_of(STRAIGHT, 70 * MS), now_ns=100 * MS)
+    assert (command.t_sensor_ns, command.run_id) == (70 * MS, RUN.run_id)
+    command = ask(None, motion=Motion(t_ns=90 * MS), now_ns=100 * MS)
+    assert command.t_sensor_ns == 90 * MS
+
+
+def test_laps_and_cones_are_passed_on_and_kept_while_plans_are_missing() -> None:
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    plan = plan_of(STRAIGHT, laps=2, cones_count_actual=7, cones_count_all=90)
+    for given_plan in (plan, None):
+        command = ask(given_plan, controller=controller)
+        assert (command.laps, command.cones_count_actual, command.cones_count_all) == (2, 7, 90)
+
+
+def test_the_mission_is_finished_at_the_stopping_place_and_stays_so() -> None:
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    assert not ask(plan_of(STRAIGHT, finished=True, stop_distance_m=10.0), 5.0, controller).mission_finished
+    command = ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.2), 2.0, controller)
+    assert command.mission_finished
+    assert (command.throttle, command.brake > 0.0) == (0.0, True)
+    command = ask(plan_of(STRAIGHT, finished=False), 2.0, controller)
+    assert command.mission_finished
+    assert command.throttle == 0.0
+
+
+def test_the_way_driven_since_the_plan_counts_towards_the_stopping_place() -> None:
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    plan = plan_of(STRAIGHT, 0, finished=True, stop_distance_m=2.0)
+    for step in range(31):
+        motion = Motion(t_ns=step * 10 * MS, x_m=step * 0.06, speed_mps=6.0, distance_m=step * 0.06)
+        command = ask(plan, controller=controller, now_ns=step * 10 * MS, motion=motion)
+    assert command.mission_finished
+
+
+def test_after_the_finish_there_is_no_throttle() -> None:
+    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 3.0).throttle == 0.0
+
+
+def test_a_car_nearly_at_rest_after_the_finish_is_finished_wherever_it_is() -> None:
+    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 0.3).mission_finished
+
+
+def test_another_run_makes_the_controller_forget_that_it_was_finished() -> None:
+    controller = Controller(CAR)
+    controller.reset(RUN)
+    assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.0), 1.0, controller).mission_finished
+    again = replace(RUN, run_id=4)
+    assert not ask(plan_of(STRAIGHT, run_id=4), 1.0, controller, run=again).mission_finished
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    data=st.lists(st.tuples(st.floats(-60, 60), st.floats(-60, 60)), min_size=0, max_size=30),
+    speed=st.floats(0, 25),
+    yaw_rate=st.floats(-3, 3),
+    age_ms=st.integers(0, 1500),
+    finished=st.booleans(),
+    stop=st.none() | st.floats(0, 100),
+    mission=st.sampled_from(list(Ami)),
+    may_move=st.booleans(),
+)
+def test_whatever_the_plan_the_command_is_in_order_and_never_asks_for_throttle_and_brake(
+    data: list[tuple[float, float]],
+    speed: float,
+    yaw_rate: float,
+    age_ms: int,
+    finished: bool,
+    stop: float | None,
+    mission: Ami,
+    may_move: bool,
+) -> None:
+    run = Run(3, mission, AsState.AS_DRIVING, may_move)
+    controller = Controller(CAR)
+    controller.reset(run)
+    path = np.array(data, dtype=np.float64).reshape(-1, 2)
+    plan = Plan(0, 3, mission, path, finished=finished, stop_distance_m=stop)
+    for step in range(3):
+        now = (age_ms + 20 * step) * MS
+        motion = Motion(t_ns=now, speed_mps=speed, yaw_rate_radps=yaw_rate, distance_m=speed * now / 1e9)
+        command = controller.command(plan, motion, False, (speed * 30,) * 4, 0.0, run, now)
+        assert command.problems(CAR.steer_max_rad) == ()
+        assert not (command.throttle > 0.0 and command.brake > 0.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("max_speed_mps", 0.0), ("max_steer_rad", 1.0), ("delay_s", math.nan)])
+def test_a_setting_outside_its_range_is_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        ControllerSettings(**{name: value})

@@ -1,0 +1,100 @@
+"""Counting the passages of a line."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.missions.laps import LapState, advance_laps, gate_seen, staged
+
+LAP_MIN_M = 20.0
+RADIUS_M = 20.0
+
+
+def straight_to(state: LapState, start_m: float, end_m: float, y_m: float = 0.0, yaw_rad: float = 0.0) -> LapState:
+    x = start_m
+    while x <= end_m:
+        state = advance_laps(state, Motion(x_m=x, y_m=y_m, yaw_rad=yaw_rad, distance_m=x), LAP_MIN_M)
+        x += 0.5
+    return state
+
+
+def circling(laps: float, drift_m_per_lap: float = 0.0, gate: bool = False, start: LapState | None = None) -> LapState:
+    """Round a circle that touches the origin along x, the line 8 m ahead of it."""
+    state = start or staged(Motion(), 8.0)
+    length = 2.0 * math.pi * RADIUS_M
+    for step in range(round(laps * length / 0.5)):
+        way = step * 0.5
+        angle = way / RADIUS_M
+        drift = drift_m_per_lap * way / length
+        here = Motion(
+            x_m=RADIUS_M * math.sin(angle) + drift,
+            y_m=RADIUS_M * (1.0 - math.cos(angle)),
+            yaw_rad=math.remainder(angle, 2.0 * math.pi),
+            distance_m=way,
+        )
+        along = (8.0 - way) % length
+        if gate and along < 10.0:
+            at = (way + along) / RADIUS_M
+            state = gate_seen(
+                state,
+                RADIUS_M * math.sin(at) + drift,
+                RADIUS_M * (1.0 - math.cos(at)),
+                math.remainder(at, 2.0 * math.pi),
+                here,
+                LAP_MIN_M,
+            )
+        state = advance_laps(state, here, LAP_MIN_M)
+    return state
+
+
+def test_the_first_passage_begins_lap_1_and_completes_none() -> None:
+    state = straight_to(staged(Motion(), 8.0), 0.0, 7.5)
+    assert (state.passages, state.laps) == (0, 0)
+    state = straight_to(state, 7.6, 9.0)
+    assert (state.passages, state.laps) == (1, 0)
+
+
+def test_a_passage_is_counted_once() -> None:
+    assert straight_to(staged(Motion(), 8.0), 0.0, 40.0).passages == 1
+
+
+@pytest.mark.parametrize("gate", [True, False])
+@pytest.mark.parametrize("drift", [0.0, 3.0, -3.0])
+def test_ten_laps_are_ten_with_drift_and_without_with_a_gate_and_without(gate: bool, drift: float) -> None:
+    assert circling(10.5, drift, gate).laps == 10
+
+
+def test_standing_on_the_line_and_rocking_over_it_counts_once() -> None:
+    state = staged(Motion(), 8.0)
+    distance = 0.0
+    for x in [*[0.5 * i for i in range(18)], *[7.5, 8.5] * 30]:
+        distance += 0.5
+        state = advance_laps(state, Motion(x_m=x, distance_m=min(distance, 19.0)), LAP_MIN_M)
+    assert state.passages == 1
+
+
+def test_a_line_beside_which_the_car_passes_is_not_passed() -> None:
+    assert straight_to(staged(Motion(), 8.0), 0.0, 30.0, y_m=6.0).passages == 0
+
+
+def test_a_line_that_is_passed_the_wrong_way_is_not_passed() -> None:
+    state = staged(Motion(), 8.0)
+    for step in range(60):
+        here = Motion(x_m=20.0 - 0.5 * step, yaw_rad=math.pi, distance_m=0.5 * step)
+        state = advance_laps(state, here, LAP_MIN_M)
+    assert state.passages == 0
+
+
+def test_the_rest_of_a_gate_just_passed_is_not_another_gate() -> None:
+    state = straight_to(staged(Motion(), 8.0), 0.0, 9.0)
+    here = Motion(x_m=9.0, distance_m=9.0)
+    assert gate_seen(state, 10.0, 0.0, 0.0, here, LAP_MIN_M) == state
+
+
+def test_a_gate_that_is_seen_replaces_the_line_that_was_assumed() -> None:
+    state = gate_seen(staged(Motion(), 8.0), 11.0, 0.0, 0.0, Motion(), LAP_MIN_M)
+    assert straight_to(state, 0.0, 10.5).passages == 0
+    assert straight_to(state, 0.0, 11.5).passages == 1

@@ -1,0 +1,97 @@
+"""One turn of the loop in virtual time: what is answered, and what becomes of a cycle that does not go out whole."""
+
+from __future__ import annotations
+
+import pytest
+
+from fsai_vcu.core.bridge import Bridge
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.bus import BusLost
+from fsai_vcu.runtime.engine import Engine
+
+MS = 1_000_000
+REVISION = revision("2026")
+CODEC = Codec(REVISION)
+STATUS = CODEC.encode(VcuStatus(as_state=AsState.AS_OFF))
+
+
+class Wire:
+    """Where the frames go: takes `takes` more of them, then drops one after another or breaks."""
+
+    def __init__(self) -> None:
+        self.sent: list[int] = []
+        self.takes: int | None = None
+        self.breaks = False
+
+    def send(self, frame: Frame) -> bool:
+        if self.takes == 0:
+            if self.breaks:
+                raise BusLost("Network is down")
+            self.sent.append(-frame.can_id)
+            return False
+        if self.takes is not None:
+            self.takes -= 1
+        self.sent.append(frame.can_id)
+        return True
+
+
+@pytest.fixture
+def wire() -> Wire:
+    return Wire()
+
+
+@pytest.fixture
+def bridge() -> Bridge:
+    return Bridge(CODEC, REVISION, CARS["2026"])
+
+
+@pytest.fixture
+def engine(bridge: Bridge, wire: Wire) -> Engine:
+    """One that has listened for its 200 ms and has just answered a 0x520 at 300 ms."""
+    made = Engine(bridge, CODEC, wire.send, 0)
+    for now_ns in range(0, 301 * MS, 10 * MS):
+        made.on_frame(Frame(0x520, STATUS.data, now_ns))
+        made.poll(now_ns)
+    assert wire.sent[-5:] == [0x510, 0x511, 0x512, 0x513, 0x514]
+    wire.sent.clear()
+    return made
+
+
+def test_a_0x520_is_answered_with_the_five_frames_at_once(engine: Engine, wire: Wire) -> None:
+    engine.on_frame(Frame(0x520, STATUS.data, 310 * MS))
+    assert engine.poll(310 * MS)
+    assert wire.sent == [0x510, 0x511, 0x512, 0x513, 0x514]
+
+
+@pytest.mark.parametrize("kind", ["extended", "remote", "error"])
+def test_what_only_looks_like_a_0x520_is_not_answered(engine: Engine, wire: Wire, kind: str) -> None:
+    engine.on_frame(Frame(0x520, b"" if kind == "remote" else STATUS.data, 310 * MS, **{kind: True}))
+    assert not engine.poll(310 * MS)
+    assert wire.sent == []
+
+
+def test_the_rest_of_a_cycle_that_lost_a_frame_is_not_sent(engine: Engine, bridge: Bridge, wire: Wire) -> None:
+    wire.takes = 2
+    assert engine.poll(315 * MS)
+    assert wire.sent == [0x510, 0x511, -0x512]
+    assert engine.incomplete_cycles == bridge.report(315 * MS).incomplete_cycles == 1
+
+
+def test_a_bus_that_breaks_in_the_middle_of_a_cycle_is_told_on(engine: Engine, wire: Wire) -> None:
+    wire.takes, wire.breaks = 3, True
+    with pytest.raises(BusLost):
+        engine.poll(315 * MS)
+
+
+def test_the_next_cycle_keeps_its_distance_from_when_the_frames_really_left(bridge: Bridge, wire: Wire) -> None:
+    engine = Engine(bridge, CODEC, wire.send, 0, lambda: 304 * MS)
+    for now_ns in range(0, 301 * MS, 10 * MS):
+        engine.on_frame(Frame(0x520, STATUS.data, now_ns))
+        engine.poll(now_ns)
+    engine.on_frame(Frame(0x520, STATUS.data, 310 * MS))
+    assert engine.due_ns() == 312 * MS
