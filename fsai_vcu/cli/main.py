@@ -48,10 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
-    if hasattr(module, "parse"):
-        args = module.parse(parser, arguments[1:])
-    else:
-        args = parser.parse_args(arguments[1:])
+    parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
+    args = parse(parser, arguments[1:])
     try:
         return int(module.run(args))
     except UserError as error:

@@ -48,7 +48,8 @@ def _as_text(state: Any) -> str:
         f"mode      {state.mode}" + ("   (listen only: nothing is sent)" if state.listen_only else ""),
         f"AS state  {state.as_state_label}",
         f"mission   {state.mission_label}",
-        f"speed     {state.speed_mps:.1f} m/s   steering {math.degrees(state.steering_rad):+.1f} deg   lap {state.laps}",
+        f"speed     {state.speed_mps:.1f} m/s   lap {state.laps}",
+        f"steering  {math.degrees(state.steering_rad):+.1f} deg",
         "switches  "
         f"ASMS {'on' if state.as_switch else 'off'}, TSMS {'on' if state.ts_switch else 'off'}, "
         f"Go {'on' if state.go_signal else 'off'}",

@@ -1,7 +1,7 @@
 """The data that flows through the driving chain: cones seen, motion, plan; and the run they belong to.
 
-Frames: *vehicle frame* is ISO 8855 / REP-103 with its origin at the rear axle's centre on the ground (x forward, y left);
-*odometry frame* is the vehicle frame where the run began.
+Frames: *vehicle frame* is ISO 8855 / REP-103 with its origin at the rear axle's centre on the ground (x forward,
+y left); *odometry frame* is the vehicle frame where the run began.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import ctypes
 import os
 import resource
 import sys
+from pathlib import Path
 
 FIFO_PRIORITY = 45  # above ordinary threads, below the kernel's own interrupt threads (50)
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT: pages stay once touched; untouched thread stacks are not filled.
@@ -22,10 +23,10 @@ def go_real_time() -> tuple[str, ...]:
     refused = []
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
-        for thread in os.listdir("/proc/self/task"):
+        for thread in Path("/proc/self/task").iterdir():
             # The others too, just below: one that is put aside while it holds the interpreter would hold the loop up.
             with contextlib.suppress(ProcessLookupError):
-                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY - 5))
+                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY - 5))
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
     except (PermissionError, OSError) as error:
         refused.append(

@@ -1,7 +1,7 @@
 """`make demo`: one mission with the real nodes, each its own process, against the simulated car; then the verdict.
 
-On vcan0 where this kernel has one, otherwise on the loopback stand-in. It follows the run as any script of a team could:
-over ROS topics, the /set_mode service and the /run_mission action. Everything it leaves behind is in one folder.
+On vcan0 where this kernel has one, otherwise on the loopback stand-in. It follows the run as any script of a team
+could: over ROS topics, the /set_mode service and the /run_mission action. Everything it leaves behind is in one folder.
 """
 
 from __future__ import annotations

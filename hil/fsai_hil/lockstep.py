@@ -77,7 +77,10 @@ class Lockstep:
         config: BridgeConfig | None = None,
         on_frame: Callable[[Frame], None] | None = None,
     ) -> None:
-        """`on_frame` sees every frame of the bus, in order (a log). Raises ValueError for a setup that cannot be built."""
+        """`on_frame` sees every frame of the bus, in order (a log).
+
+        Raises ValueError for a setup that cannot be built.
+        """
         self.world = World(setup)
         chosen = revision(setup.revision)
         car = CARS[setup.revision]

@@ -6,6 +6,7 @@ kills it starts again. After each run the bus log is checked against the rules t
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -25,7 +26,6 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.revisions import revision
-import itertools
 
 REVISION = "2026"
 START_S = 120.0  # five interpreters that import ROS at once, on one slow processor

@@ -32,7 +32,7 @@ def test_one_interface_has_one_lock_however_it_is_spelt() -> None:
 
 
 def test_a_lock_that_cannot_be_had_at_all_is_not_put_down_to_another_bridge() -> None:
-    with pytest.raises(BusError, match="cannot lock CAN interface 'loopback:x+': .*too long"):
+    with pytest.raises(BusError, match=r"cannot lock CAN interface 'loopback:x+': .*too long"):
         InterfaceLock("loopback:" + "x" * 120)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS, MIN_GAP_NS, PERIOD_NS, Pacing
-import itertools
 
 MS = 1_000_000
 
