@@ -23,14 +23,18 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
     from fsai_vcu.runtime.recording import CandumpWriter
 
+    if args.seconds is not None and not 0.0 <= args.seconds < float("inf"):
+        raise UserError(f"--seconds is {args.seconds:g}, not a time")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a stopped service closes its log as Ctrl-C does
     name = args.interface.partition(":")[2] or args.interface
     try:
         bus = open_bus(args.interface)
-        writer = CandumpWriter(args.output, name)
     except BusError as error:
         raise UserError(str(error)) from error
+    try:
+        writer = CandumpWriter(args.output, name)
     except OSError as error:
+        bus.close()
         raise UserError(f"cannot write {args.output}: {error.strerror}") from error
     until_ns = None if args.seconds is None else time.monotonic_ns() + int(args.seconds * 1e9)
     with bus, writer:

@@ -107,7 +107,6 @@ class Bridge:
 
         self._listening_until_ns: int | None = None  # known from the first cycle on
         self._bus_lost: str | None = None
-        self._bus_lost_since_ns = 0
         self._reopened_until_ns: int | None = None  # after a bus loss: silent until 0x520 is heard, or this
         self._last_complete_ns: int | None = None
         self._stop_cycles_left: int | None = None  # None: no stop asked for
@@ -256,11 +255,11 @@ class Bridge:
 
     def bus_lost(self, why: str, now_ns: int) -> None:
         """The interface is gone, down or bus-off: silence until `bus_back`."""
-        if self._bus_lost is None:
-            self._bus_lost_since_ns = now_ns
+        if self._bus_lost is not None:
+            return
         self._bus_lost = why
         self._drop_command(why, now_ns)
-        self._state = supervisor.bus_lost(self._state, why, now_ns)
+        self._state = supervisor.bus_lost(self._config, self._state, why, now_ns)
 
     def bus_back(self, now_ns: int) -> None:
         """The interface is open again. Silent until the car is heard, but not for longer than it may be."""
@@ -269,7 +268,7 @@ class Bridge:
         self._bus_lost = None
         self._last_complete_ns = None
         self._reopened_until_ns = now_ns + self._config.vcu_lost_ns
-        self._state = supervisor.bus_back(self._state, self._bus_lost_since_ns, now_ns)
+        self._state = supervisor.bus_back(self._state, now_ns)
 
     def loop_fault(self, why: str, now_ns: int) -> None:
         """The loop raised an exception, or missed a deadline by 50 ms."""
@@ -358,7 +357,7 @@ class Bridge:
         if since is not None and now_ns - since >= self._config.send_lost_ns and self._state.driving:
             why = f"no complete cycle sent for {(now_ns - since) / 1e6:.0f} ms"
             self._drop_command(why, now_ns)
-            self._state = supervisor.bus_lost(self._state, why, now_ns)
+            self._state = supervisor.bus_lost(self._config, self._state, why, now_ns)
             self._last_complete_ns = now_ns
 
     def _listening(self, now_ns: int) -> bool:

@@ -53,7 +53,11 @@ def parse_limits(mapping: Mapping[str, object]) -> OperationalLimits:
     for name, value in mapping.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise LimitsError(f"{name} is {value!r}: a limit is a number")
-        if not math.isfinite(value) or value < 0.0:
-            raise LimitsError(f"{name} is {value}: a limit is a finite number of 0 or more")
-        values[name] = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number) or number < 0.0:
+            raise LimitsError(f"{name} is {number}: a limit is a finite number of 0 or more")
+        values[name] = number
     return OperationalLimits(**values)

@@ -116,6 +116,8 @@ class BridgeLoop:
         """The loop's answer. What is not answered in time is not done later behind the asker's back, unless it is
         `better_late` than never.
         """
+        if not self.running:
+            return False, "the CAN loop does not run: nothing is sent"
         future: Future[object] = Future()
         self._requests.put((question, future))
         try:

@@ -15,7 +15,7 @@ _MCL_FLAGS = 1 | 2 | 4
 _SWITCH_INTERVAL_S = 0.0005  # how long another Python thread may keep the interpreter from the loop
 
 
-def go_real_time() -> tuple[str, ...]:
+def go_real_time(priority: int = FIFO_PRIORITY) -> tuple[str, ...]:
     """SCHED_FIFO for the calling thread and, just below it, the process's others; memory locked.
 
     Returns what was not allowed, in words.
@@ -26,8 +26,8 @@ def go_real_time() -> tuple[str, ...]:
         for thread in Path("/proc/self/task").iterdir():
             # The others too, just below: one that is put aside while it holds the interpreter would hold the loop up.
             with contextlib.suppress(ProcessLookupError):
-                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY - 5))
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority - 5))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (PermissionError, OSError) as error:
         refused.append(
             f"real-time scheduling not allowed ({error.strerror}): the loop may be late under load; "

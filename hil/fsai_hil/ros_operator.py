@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from fsai_hil.stack import Stack, StackError
+from fsai_hil.stack import ROS_ENVIRONMENT, Stack, StackError
 
 ANSWER_TIMEOUT_S = 20.0
 ASK_AGAIN_S = 1.0
@@ -21,7 +21,7 @@ class RosOperator:
     def __init__(self, stack: Stack, name: str = "operator") -> None:
         self._stack = stack
         # rclpy reads its environment once, when it is first initialised.
-        os.environ.update({key: stack.environ[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+        os.environ.update({key: stack.environ[key] for key in ROS_ENVIRONMENT})
         import rclpy
         from fsai_msgs.action import RunMission
         from fsai_msgs.msg import VehicleState

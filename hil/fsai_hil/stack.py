@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import IO
 
 NODES = ("vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller")
+ROS_ENVIRONMENT = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_BUILTIN_TRANSPORTS")
 STOP_TIMEOUT_S = 15.0
 _POLL_S = 0.02
 
@@ -120,6 +121,8 @@ class Stack:
             os.environ,
             ROS_DOMAIN_ID=str(self.domain_id),
             ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+            # Processes are killed here on purpose: no memory shared between them may be left locked by the dead.
+            FASTDDS_BUILTIN_TRANSPORTS="UDPv4",
             PYTHONUNBUFFERED="1",
         )
 

@@ -29,7 +29,8 @@ def test_no_limits_at_all_are_no_error() -> None:
         ({"max_speed_mps": True}, "max_speed_mps is True: a limit is a number"),
         ({"max_speed_mps": math.nan}, "max_speed_mps is nan: a limit is a finite number of 0 or more"),
         ({"max_speed_mps": math.inf}, "max_speed_mps is inf: a limit is a finite number of 0 or more"),
-        ({"max_axle_torque_nm": -1}, "max_axle_torque_nm is -1: a limit is a finite number of 0 or more"),
+        ({"max_speed_mps": 10**400}, "max_speed_mps is inf: a limit is a finite number of 0 or more"),
+        ({"max_axle_torque_nm": -1}, "max_axle_torque_nm is -1.0: a limit is a finite number of 0 or more"),
     ],
 )
 def test_a_limit_that_cannot_be_used_is_refused_in_one_line(mapping: dict[str, object], words: str) -> None:

@@ -272,7 +272,7 @@ def test_a_silence_in_as_driving_begins_the_three_seconds_anew_and_is_no_drive()
 
 
 def test_a_bus_loss_breaks_the_sequence() -> None:
-    ready = supervisor.bus_lost(hear(chosen(), READY, T0), "unplugged", T0)
+    ready = supervisor.bus_lost(CONFIG, hear(chosen(), READY, T0), "unplugged", T0)
     assert ready.stop is None
     assert hear(ready, READY, T0).sequence is Sequence.NONE
     assert hear(ready, DRIVING, T0).sequence is Sequence.NONE
@@ -724,7 +724,7 @@ def test_an_intruder_and_a_loop_fault_are_emergencies_in_as_driving_only(reason:
 
 def test_a_bus_loss_in_as_driving_brakes_to_rest() -> None:
     state, inputs = driving()
-    state = supervisor.bus_lost(state, "unplugged", NOW)
+    state = supervisor.bus_lost(CONFIG, state, "unplugged", NOW)
     state, decision = supervise(CONFIG, state, inputs)
     assert (decision.phase, decision.estop) == (Phase.STOPPING, False)
     assert state.stop is not None and state.stop.cause is Reason.BUS_LOST

@@ -103,6 +103,17 @@ class Chain:
         )
         assert run.vcu.alive, run.vcu.last_words()
 
+    def driven_by_hand(self, run: CarRun) -> None:
+        """An interactive car, whose switches a person types, is brought to driving; it stays until it is told to end."""
+        run.type("on")
+        self.autonomous()
+        self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+        run.type("ami autocross")
+        self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
+        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
+        run.type("go")
+        self.driving(run)
+
     @property
     def state(self) -> Any:
         return self.operator.state
@@ -190,22 +201,24 @@ def test_manual_while_driving_is_a_controlled_stop_that_ends_finished(chain: Cha
 
 
 def test_a_killed_planner_brings_the_car_to_rest_by_the_service_brake(chain: Chain) -> None:
-    with chain.car("planner_killed") as run:
-        chain.autonomous()
-        chain.driving(run)
-        chain.stack.processes["path_planner"].signal(signal.SIGKILL)
-        state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
-        assert state.as_state == AsState.AS_FINISHED, chain.operator.describe()
-        assert state.mode == "manual", "a stop for lost commands is latched"
-        assert "command" in state.stopping
+    try:
+        with chain.car("planner_killed") as run:
+            chain.autonomous()
+            chain.driving(run)
+            chain.stack.processes["path_planner"].signal(signal.SIGKILL)
+            state = chain.operator.await_state(lambda s: s.stopping, STOP_S, "a stop is on its way")
+            assert "command" in state.stopping
+            state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
+            assert state.as_state == AsState.AS_FINISHED, chain.operator.describe()
+            assert state.mode == "manual", "a stop for lost commands is latched"
+    finally:
+        chain.stack.start_node("path_planner")
     assert chain.wire is not None and chain.wire.ok, chain.wire
-    chain.stack.start_node("path_planner")
 
 
 def test_a_killed_bridge_is_an_emergency_stop_and_a_new_one_never_drives_on(chain: Chain) -> None:
-    with chain.car("bridge_killed") as run:
-        chain.autonomous()
-        chain.driving(run)
+    with chain.car("bridge_killed", auto=False) as run:
+        chain.driven_by_hand(run)
         bridge = chain.stack.processes["vcu_bridge"]
         bridge.signal(signal.SIGKILL)
         bridge.wait(STOP_S)
@@ -235,16 +248,9 @@ def test_the_emergency_brake_service_stops_the_car_at_once_and_stays_latched(cha
 
 
 def test_the_remote_emergency_stop_ends_a_run_whose_switches_a_person_works(chain: Chain) -> None:
-    """The interactive car: a person types the switches, and a new power-up clears the latched request of before."""
+    """The new power-up also shows that the emergency request of before has been cleared by the car's power cycle."""
     with chain.car("remote_estop", auto=False) as run:
-        run.type("on")
-        chain.autonomous()
-        chain.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
-        run.type("ami autocross")
-        chain.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
-        chain.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
-        run.type("go")
-        chain.driving(run)
+        chain.driven_by_hand(run)
         run.type("estop")
         state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
         assert state.as_state == AsState.EMERGENCY_BRAKE

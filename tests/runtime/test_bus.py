@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import itertools
+import socket
 import threading
 
 import can
@@ -11,7 +12,7 @@ import pytest
 
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
-from fsai_vcu.runtime.bus import BusError, CanBus, open_bus
+from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 
 
 def test_an_absent_interface_is_one_clear_line_that_names_it() -> None:
@@ -49,6 +50,7 @@ class SilentBus(can.BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         self.waits.append(timeout)
+        assert len(self.waits) < 10, self.waits
         threading.Event().wait(min(timeout or 0.0, 0.02))
         return None, False
 
@@ -87,3 +89,54 @@ def test_when_no_file_can_be_opened_any_more_it_says_so_and_leaves_nothing_open(
     with pytest.raises(BusError, match="cannot open CAN interface 'can0': Too many open files"):
         open_bus("can0")
     assert Opened.closed
+
+
+def test_a_bus_off_is_a_loss_of_the_bus_and_other_error_frames_are_not() -> None:
+    with open_bus("loopback:errors") as controller, open_bus("loopback:errors") as bus:
+        controller.send(Frame(0x004, bytes(8), error=True))  # a problem of the controller, which goes on
+        heard = bus.recv(1.0)
+        assert heard is not None and heard.error
+        controller.send(Frame(0x040, bytes(8), error=True))
+        with pytest.raises(BusLost, match="bus-off"):
+            bus.recv(1.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "lost"),
+    [
+        (can.CanOperationError("Transmit buffer full"), False),
+        (can.CanOperationError("No buffer space available", errno.ENOBUFS), False),
+        (can.CanOperationError("Network is down", errno.ENETDOWN), True),
+        (can.CanOperationError("No such device", errno.ENODEV), True),
+    ],
+)
+def test_a_full_queue_drops_the_frame_and_an_interface_that_is_gone_is_a_loss(
+    error: can.CanError, lost: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    silent = SilentBus()
+    monkeypatch.setattr(silent, "send", refuse)
+    with CanBus(silent, "can0", may_send=AI_IDS) as bus:
+        if lost:
+            with pytest.raises(BusLost, match="can0: "):
+                bus.send(Frame(0x510, bytes(8)))
+        else:
+            assert bus.send(Frame(0x510, bytes(8))) is False
+
+
+def test_at_most_some_ten_frames_wait_in_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame_bytes = 768  # what the kernel charges a socket for one frame on a 64-bit machine
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stand_in:
+
+        class Opened(SilentBus):
+            def fileno(self) -> int:
+                return stand_in.fileno()
+
+        monkeypatch.setattr("fsai_vcu.runtime.bus._check_interface", lambda _channel: None)
+        monkeypatch.setattr("can.Bus", lambda **_options: Opened())
+        with open_bus("can0"):
+            # A poll finds the socket writable up to half of its buffer.
+            frames = stand_in.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) / 2 / frame_bytes
+    assert 5 <= frames <= 12

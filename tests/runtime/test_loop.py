@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import socket
 import threading
 import time
@@ -19,8 +20,9 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import Ami, AsState, MissionStatus
-from fsai_vcu.interface.images import AiStatus, VcuStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime import loop as loop_module
@@ -225,9 +227,10 @@ def test_whatever_keeps_it_from_starting_the_lock_is_free_again(spec: str, monke
 
     with monkeypatch.context() as patched:
         patched.setattr(loop_module, "open_bus", refuse)
-        with pytest.raises(OSError, match="Too many"):
+        with pytest.raises(OSError, match="Too many") as kept:  # and with it all that the constructor held
             make_loop(spec)
     make_loop(spec).stop()
+    assert kept.value
 
 
 def test_a_failure_before_the_first_turn_is_told_and_leaves_the_bus_closed(
@@ -320,6 +323,12 @@ def test_a_question_that_was_not_answered_in_time_is_not_done_later_but_an_emerg
     assert not eventually_within(0.1, lambda: done != ["now"])
 
 
+def test_after_its_end_a_question_is_answered_at_once(loop: BridgeLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop_module, "_REQUEST_TIMEOUT_S", 1e9)
+    loop.stop()
+    assert loop.emergency_brake("late") == (False, "the CAN loop does not run: nothing is sent")
+
+
 def test_the_emergency_request_goes_out_before_anything_is_logged(
     loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -372,6 +381,7 @@ def test_while_the_bus_is_gone_the_watchdog_is_fed_and_a_stop_does_not_hang(
         systemd.setblocking(True)
         systemd.settimeout(WAIT_S)
         assert systemd.recv(64) == b"WATCHDOG=1"
+        assert loop.report().bus_lost == "Network is down"
         loop.stop()
         assert not loop.running and loop.failure is None
 
@@ -396,3 +406,105 @@ def test_it_does_not_open_a_lost_bus_again_before_two_sends_may_follow_each_othe
     assert eventually(lambda: loop.reopened == 1)
     lost_ns, opened_ns = times
     assert opened_ns - lost_ns >= MIN_GAP_NS
+
+
+def test_the_loops_own_bus_takes_no_other_id_than_the_five(loop: BridgeLoop) -> None:
+    assert loop._bus is not None
+    for can_id in (0x501, 0x50F, 0x515, 0x520, 0x600):
+        with pytest.raises(ValueError, match="must never be transmitted"):
+            loop._bus.send(Frame(can_id, b"\x00"))
+
+
+def test_somebody_else_on_our_ids_is_heard_and_its_own_frames_are_not(loop: BridgeLoop, spec: str) -> None:
+    with open_bus(spec) as other:
+        status_heard(other)
+        assert "intruder" not in loop.report().reason_counts
+        other.send(Frame(0x513, b"\x00\x00"))
+        assert eventually(lambda: loop.report().reason_details.get("intruder") == "0x513 [00 00]")
+
+
+def test_a_stop_while_moving_leaves_the_car_to_its_emergency_brake_and_then_is_silent(spec: str) -> None:
+    loop = make_loop(spec)
+    loop.start()
+    over = threading.Event()
+    heard: list[AiStatus] = []
+
+    def talk() -> None:
+        with open_bus(spec) as car:
+            while not over.is_set():
+                car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True)))
+                car.send(CODEC.encode(WheelSpeeds(200, 200, 200, 200)))
+                until = time.monotonic() + 0.01
+                while (left_s := until - time.monotonic()) > 0:
+                    frame = car.recv(left_s)
+                    image = None if frame is None else CODEC.decode(frame).image
+                    if isinstance(image, AiStatus):
+                        heard.append(image)
+
+    talker = threading.Thread(target=talk)
+    talker.start()
+    try:
+        assert eventually(lambda: bool(heard))
+        before = len(heard)
+        loop.stop()
+        assert not loop.running and loop.report().emergency is not None
+        assert "this software was stopped" in loop.report().emergency
+        assert eventually(lambda: len(heard) >= before + 5)
+        sent = len(heard)
+        assert not eventually_within(0.1, lambda: len(heard) > sent), "it still sends after its stop"
+    finally:
+        over.set()
+        talker.join()
+    assert all(status.estop_request and status.direction is Direction.FORWARD for status in heard[-5:])
+    assert not heard[-6].estop_request
+
+
+def test_a_hang_is_told_before_the_first_cycle_after_it(loop: BridgeLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    cycle = loop._bridge.cycle
+
+    def cycle_noted(now_ns: int) -> object:
+        order.append("cycle")
+        return cycle(now_ns)
+
+    def hang(_now_ns: int) -> None:
+        threading.Event().wait(0.3)
+        order.append("hung")
+
+    monkeypatch.setattr(loop._bridge, "loop_fault", lambda *_: order.append("fault"))
+    monkeypatch.setattr(loop._bridge, "cycle", cycle_noted)
+    loop._requests.put((hang, Future()))
+    assert eventually(lambda: "hung" in order and "cycle" in order[order.index("hung") :])
+    assert order[order.index("hung") + 1] == "fault"
+
+
+def test_the_watchdog_is_not_fed_by_cycles_that_missed_their_deadline(
+    spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(WAIT_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "2000")
+        monkeypatch.delenv("WATCHDOG_PID", raising=False)
+        loop = make_loop(spec)
+        late = threading.Event()
+        monkeypatch.setattr(loop, "_missed", lambda *_: late.is_set())
+        late.set()
+        loop.start()
+        first_ns = loop.report().t_ns
+        assert eventually(lambda: loop.report().t_ns - first_ns > 100_000_000)
+        assert systemd.recv(64) == b"READY=1"
+        systemd.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            systemd.recv(64)
+        systemd.settimeout(WAIT_S)
+        late.clear()
+        assert systemd.recv(64) == b"WATCHDOG=1"
+        loop.stop()
+
+
+def test_no_garbage_is_collected_by_surprise_while_it_runs(loop: BridgeLoop) -> None:
+    assert not gc.isenabled()
+    loop.stop()
+    assert gc.isenabled()

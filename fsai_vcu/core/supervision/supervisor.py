@@ -294,8 +294,12 @@ class Decision:
 
 def heard(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
     """A frame of 0x520 came, whatever is in it: the car is switched on."""
-    silent = state.heard_ns is not None and t_ns - state.heard_ns >= config.power_cycle_ns
-    return replace(state, heard_ns=t_ns, was_silent=state.was_silent or silent)
+    return replace(state, heard_ns=t_ns, was_silent=_was_silent(config, state, t_ns))
+
+
+def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
+    """Whether the car has been silent for a power cycle's time since it was last believed."""
+    return state.was_silent or (state.heard_ns is not None and now_ns - state.heard_ns >= config.power_cycle_ns)
 
 
 def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -> SupervisorState:
@@ -478,18 +482,19 @@ def strike(state: SupervisorState, reason: Reason, detail: str, now_ns: int) -> 
     return state
 
 
-def bus_lost(state: SupervisorState, detail: str, now_ns: int) -> SupervisorState:
+def bus_lost(config: BridgeConfig, state: SupervisorState, detail: str, now_ns: int) -> SupervisorState:
     """The bus is gone: whatever follows, the drive needs the whole sequence anew."""
-    return replace(strike(state, Reason.BUS_LOST, detail, now_ns), sequence=Sequence.NONE)
+    silent = _was_silent(config, state, now_ns)
+    return replace(strike(state, Reason.BUS_LOST, detail, now_ns), sequence=Sequence.NONE, was_silent=silent)
 
 
-def bus_back(state: SupervisorState, lost_since_ns: int, now_ns: int) -> SupervisorState:
+def bus_back(state: SupervisorState, now_ns: int) -> SupervisorState:
     """The bus is open again. While it was lost nothing could be heard and nothing be said: that time is no silence of
     the car's (an emergency asked for meanwhile has not even been sent), no missing feedback, and no part of a stop.
     """
     return replace(
         state,
-        heard_ns=None if state.heard_ns is None else state.heard_ns + now_ns - lost_since_ns,
+        heard_ns=None if state.heard_ns is None else now_ns,
         driving_since_ns=now_ns if state.driving else None,
         stop=None if state.stop is None else replace(state.stop, since_ns=now_ns),
         stop_window_rpm=None,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from fsai_hil.evidence.search import Problem
-from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import AiCommand
 
 MS: Final = 1_000_000
@@ -94,6 +94,7 @@ class Witness:
         "axle_ns",
         "bus_gone",
         "command_ns",
+        "confirmed",
         "data_ns",
         "driving_ns",
         "echoed",
@@ -101,6 +102,7 @@ class Witness:
         "handshake",
         "heard_ns",
         "latched",
+        "mission",
         "no_more_torque",
         "path",
         "pedals_ns",
@@ -127,6 +129,7 @@ class Witness:
         self.go = False
         self.status_ns: int | None = None
         self.heard_ns: int | None = None  # any 0x520, believed or not
+        self.mission = Ami.NOT_SELECTED
         self.silence = False  # the car was silent for as long as a power cycle takes, and was not believed since
         self.path = 0  # 1 AS_OFF, 2 then AS_READY, 3 then AS_DRIVING; 0 anything else
         self.driving_ns: int | None = None
@@ -140,6 +143,7 @@ class Witness:
         self.handshake = False
         # what people and the planner said
         self.autonomous = False
+        self.confirmed = False  # planner and controller have reset themselves for this mission
         self.latched = False
         self.pushes = False  # the newest command in order asks for throttle and no brake
         self.command_ns: int | None = None
@@ -166,8 +170,12 @@ class Witness:
             self.silence = True
         self.heard_ns = now_ns
 
-    def on_status(self, as_state: AsState, go: bool, fault: bool, now_ns: int) -> None:
+    def on_status(self, as_state: AsState, go: bool, fault: bool, ami: Ami, now_ns: int) -> None:
         self.on_any_status(now_ns)
+        idle = as_state in (*OFF, AsState.AS_READY)
+        entered_off = as_state in OFF and self.as_state is not None and (self.as_state not in OFF or self.silence)
+        if entered_off or (ami is not self.mission and (idle or self.as_state is None)):
+            self.mission, self.confirmed = ami, False
         if self.silence:
             self.path = 0
             if as_state in OFF:
@@ -280,6 +288,10 @@ class Witness:
                 wrong("5", f"{asked.mission_status.name} before AS_DRIVING")
             if asked.mission_status is MissionStatus.SELECTED and state is not AsState.AS_READY and not self.autonomous:
                 wrong("5", "SELECTED though nobody chose autonomous")
+            if asked.mission_status is MissionStatus.SELECTED and (
+                self.mission is Ami.NOT_SELECTED or not self.confirmed
+            ):
+                wrong("5", "SELECTED without a mission, or before planner and controller have reset themselves")
 
         if self.latched and not asked.estop_request:
             wrong("6", "ESTOP_REQUEST falls back to 0 and nobody cleared it")

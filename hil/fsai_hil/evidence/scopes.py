@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import combinations, product
 from typing import Final
 
-from fsai_hil.evidence.model import CAR_MESSAGES, COMMANDS, SPEEDS, STATUS, Choice, Scope, Setting
+from fsai_hil.evidence.model import BRAKE, CAR_MESSAGES, COMMANDS, SPEEDS, STATUS, Choice, Scope, Setting
 from fsai_hil.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import BridgeConfig, official_simulator
 from fsai_vcu.core.limits import OperationalLimits
@@ -44,14 +44,14 @@ ENDINGS: Final = {
     _DEAF: _CUT_OFF,
 }
 BOUNDS_NS: Final = {
-    # 3 s of standing still, 300 ms for a lost command, 0.5 s of proven rest, and the cycles between
-    _SILENCE_AND_STANDS: 3_300_000_000 + 500_000_000 + 100_000_000,
+    # 3 s of standing still, 300 ms for a lost command, 0.5 s of proven rest, the cycles between, and what the
+    # rounding of ages counts twice
+    _SILENCE_AND_STANDS: 5 * S,
     # the same, and a deceleration that does not show within 0.5 s
-    _SILENCE_AND_MOVES: 3_300_000_000 + 500_000_000 + 100_000_000,
-    # 0x520 stale for 100 ms, and the cycles between
-    _DEAF: 200_000_000,
+    _SILENCE_AND_MOVES: 5 * S,
+    # 0x520 stale for 100 ms, the cycles between, and a process that still listens its 200 ms
+    _DEAF: 500_000_000,
 }
-_ENDING_CHOICES = tuple(ENDINGS.values())
 
 
 def _scope(
@@ -61,20 +61,27 @@ def _scope(
     driving: Iterable[Choice] = (),
     *,
     setting: Setting | None = None,
-    endings: bool = True,
+    endings: Iterable[str] = (_SILENCE_AND_STANDS, _SILENCE_AND_MOVES),
     bounds: bool = True,
+    from_start: bool = False,
 ) -> Scope:
-    """A scope: the path into AS_DRIVING and `everywhere` in every state, `driving` only in AS_DRIVING."""
-    first = tuple(dict.fromkeys((*PATH, *everywhere, *(_ENDING_CHOICES if endings else ()))))
+    """A scope: the path into AS_DRIVING and `everywhere` in every state, `driving` only in AS_DRIVING.
+
+    While the first 200 ms are listened to, only the path, unless `from_start`.
+    """
+    ways = {name: ENDINGS[name] for name in endings}
+    path = () if from_start else (*PATH, *ways.values())
+    first = tuple(dict.fromkeys((*path, *everywhere)))
     rest = tuple(choice for choice in dict.fromkeys(driving) if choice not in first)
     return Scope(
         name,
         covers,
         (*first, *rest),
         len(first),
+        len(path),
         setting or Setting(),
-        ENDINGS if endings else {},
-        BOUNDS_NS if endings and bounds else {},
+        ways,
+        BOUNDS_NS if bounds else {},
     )
 
 
@@ -87,14 +94,12 @@ _PEOPLE: Final[tuple[dict[str, object], ...]] = (
     {"request": "autonomous"},
     {"request": "the emergency brake"},
     {"request": "reset"},
-    {"request": "sideways"},
     {"asms": False},
-    {"sdc_open": True},
     {"fault": True},
-    {"ami": Ami.NOT_SELECTED},
+    {"sdc_open": True},
     {"ami": Ami.ACCELERATION},
+    {"ami": Ami.NOT_SELECTED},
     {"confirm": False},
-    {"car_off": True},
     {"go": False},
     {"command": "finished"},
     {"command": "none"},
@@ -104,35 +109,43 @@ _PEOPLE: Final[tuple[dict[str, object], ...]] = (
 def _run(name: str = "run", setting: Setting | None = None, *, bounds: bool = True) -> Scope:
     return _scope(
         name,
-        "people: mode requests, emergency brake, reset, Go, ASMS, E-stop, AMI, resets not confirmed, car off and on; "
-        "wheels standing, moving; planner driving, finished, silent",
-        (*_each(_GO, *_PEOPLE), *_each(_WELL, *_PEOPLE[:7], {"ami": Ami.NOT_SELECTED}, {"confirm": False})),
+        "people: mode requests, emergency brake, reset, Go, ASMS, E-stop, faults, AMI, resets not confirmed; wheels "
+        "standing, moving; planner driving, finished, silent",
+        _each(_GO, *_PEOPLE),
         (replace(_GO, rpm=MOVING), *_each(replace(_GO, rpm=MOVING), *_PEOPLE)),
         setting=setting,
         bounds=bounds,
     )
 
 
+def _power_cycle() -> Scope:
+    return _scope(
+        "power cycle",
+        "the car switched off for any time and on again in every state, with and without an emergency; its reset",
+        _each(_GO, {"car_off": True}, {"request": "the emergency brake"}, {"request": "reset"}),
+        (replace(_GO, rpm=MOVING), replace(_GO, rpm=MOVING, car_off=True)),
+    )
+
+
 def _commands() -> Scope:
-    kinds = ("none", *COMMANDS)
+    kinds = ("none", *(kind for kind in COMMANDS if kind != "drive right"))
     return _scope(
         "commands",
         "every kind of command: in order, absurd, stale, of another run, both pedals; wheels standing, slowing, moving",
-        (),
+        _each(_GO, {"command": "estop"}, {"command": "finished"}, {"command": "both"}),
         [
-            replace(_GO, command=kind, rpm=rpm)
-            for kind, rpm in product(kinds, (STANDING, ROLLING, MOVING))
-            if kind != "drive right"
+            *(replace(_GO, command=kind, rpm=MOVING) for kind in kinds),
+            *(replace(_GO, command=kind) for kind in ("none", "drive", "coast", "brake", "both", "finished", "estop")),
+            *(replace(_GO, command=kind, rpm=ROLLING) for kind in ("none", "drive", "brake")),
         ],
     )
 
 
 def _messages() -> Scope:
-    lost = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
-    choices = [
-        replace(_GO, lost=some, rpm=rpm, command=command)
-        for some, (rpm, command) in product(lost, ((MOVING, "drive"), (STANDING, "drive"), (MOVING, "brake")))
-    ]
+    pairs = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
+    choices = [replace(_GO, lost=lost, rpm=MOVING) for lost in pairs]
+    choices += [replace(_GO, lost=lost) for lost in pairs if len(lost) < 2]
+    choices += [replace(_GO, lost=lost, command="brake", rpm=MOVING) for lost in (frozenset(), frozenset((BRAKE,)))]
     unreadable = _each(replace(_GO, unreadable=True), {}, {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))})
     everywhere = [replace(_GO, lost=frozenset((STATUS,))), replace(_GO, unreadable=True), _CUT_OFF]
     return _scope(
@@ -140,6 +153,7 @@ def _messages() -> Scope:
         "each of the car's messages and each pair of them fresh, late and lost; 0x520 that cannot be read",
         everywhere,
         (*choices, *unreadable),
+        endings=ENDINGS,
     )
 
 
@@ -147,33 +161,41 @@ def _sends() -> Scope:
     return _scope(
         "sends",
         "cycles that go out whole, in part, not at all, for any time; pedals changing under it",
-        (),
+        _each(_GO, {"frames": 0}, {"frames": 3}),
         [
-            replace(_GO, frames=frames, command=command, rpm=rpm)
-            for frames, command, rpm in product((0, 1, 3, 4, 5), ("drive", "brake", "none"), (MOVING, STANDING))
+            *(replace(_GO, frames=f, command=c, rpm=MOVING) for f, c in product(range(6), ("drive", "brake", "none"))),
+            *(replace(_GO, frames=f, command=c) for f, c in product((0, 3, 5), ("drive", "none"))),
         ],
+        endings=ENDINGS,
     )
 
 
-_EVENTS: Final = (
+_TROUBLE: Final = (
     "an intruder sends 0x511",
     "the loop misses its deadline",
     "the bus is lost",
     "the bus is back",
     "the software is stopped",
-    "restart",
 )
+_RESTART: Final = "restart"
 
 
-def _events() -> Scope:
+def _trouble() -> Scope:
     return _scope(
-        "events",
-        "restart of the process, of the car, of both; intruder, fault of the loop, bus lost and back, orderly end",
-        [
-            *_each(_GO, *({"event": event} for event in _EVENTS), {"car_off": True}, {"asms": False}),
-            replace(_WELL, request="reset"),
-        ],
-        _each(replace(_GO, rpm=MOVING), {}, *({"event": event} for event in _EVENTS), {"car_off": True}),
+        "trouble",
+        "intruder, fault of the loop, bus lost and back, orderly end, in any order and at any time",
+        _each(_GO, *({"event": event} for event in _TROUBLE)),
+        _each(replace(_GO, rpm=MOVING), {}, *({"event": event} for event in _TROUBLE)),
+        setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, stop_cycles=2)),
+    )
+
+
+def _restarts() -> Scope:
+    return _scope(
+        "restarts",
+        "the process dies and comes back in every state of the car, moving and standing; so does the car",
+        _each(_GO, {"event": _RESTART}, {"asms": False}, {"car_off": True}),
+        _each(replace(_GO, rpm=MOVING), {}, {"event": _RESTART}, {"command": "brake"}),
     )
 
 
@@ -192,38 +214,59 @@ def _any_car() -> Scope:
             *_each(replace(driving, says=AsState.AS_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
             replace(_GO, says=AsState.AS_READY, request="autonomous"),
         ],
-        endings=False,
+        endings=(),
+        from_start=True,
+    )
+
+
+def _restarts_any_car() -> Scope:
+    states = (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)
+    return _scope(
+        "restarts, any car",
+        "the process dies and comes back beside a VCU that goes on as if nothing had happened",
+        [
+            *(replace(_GO, says=state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
+            *(replace(_GO, says=state, event=_RESTART) for state in states),
+            *(replace(_GO, says=state, request="autonomous") for state in states),
+        ],
+        endings=(),
+        from_start=True,
     )
 
 
 def _plausibility() -> Scope:
     return _scope(
         "plausibility",
-        "steering that does not follow, a wheel that does not fit, with and without a planner that brakes",
+        "steering that does not follow, a wheel that does not fit, planner driving and finished",
         (),
         [
             replace(_GO, steer_odd=steer, wheel_odd=wheel, command=command, rpm=rpm)
-            for steer, wheel, command, rpm in product(
-                (False, True), (False, True), ("drive", "brake", "finished"), (MOVING, ROLLING, STANDING)
+            for (steer, wheel), (command, rpm) in product(
+                product((False, True), (False, True)), (("drive", MOVING), ("finished", MOVING), ("drive", STANDING))
             )
         ],
     )
 
 
 def _limits() -> Scope:
-    speeds = [(rpm, 0, 0, rpm) for rpm in (9, 10, 300, 301, 501, 720)]
+    steering = product(("drive", "drive right"), (30.0, 5.0))
+    speeds = [
+        ((300, 0, 0, 501), 195.0),
+        ((401, 0, 601, 0), 195.0),
+        ((0, 701, 0, 301), 195.0),
+        (MOVING, 40.0),
+        (MOVING, 0.0),
+    ]
     return _scope(
         "limits",
         "live ANGLE_MAX and TRQ_MAX, wheel speeds round the constant-power steps, steering left and right at its rate",
         (),
         [
-            replace(_GO, command=command, rpm=rpm, angle_max_deg=angle, torque_max_nm=torque)
-            for command, rpm, angle, torque in product(
-                ("drive", "drive right"), (MOVING, *speeds), (30.0, 5.0, 0.0), (195.0, 40.0, 0.0)
-            )
+            *(replace(_GO, command=command, rpm=MOVING, angle_max_deg=angle) for command, angle in steering),
+            *(replace(_GO, command="drive right", rpm=rpm, torque_max_nm=torque) for rpm, torque in speeds),
         ],
         setting=Setting(
-            config=BridgeConfig(steer_rate_degps=600.0),
+            config=BridgeConfig(steer_rate_degps=1500.0),
             revision="2021",
             car=CARS["2021"],
             first_state=AsState.AS_OFF,
@@ -232,7 +275,13 @@ def _limits() -> Scope:
 
 
 def _power_up() -> Scope:
-    return _run("power-up", Setting(config=BridgeConfig(steer_rate_degps=1500.0, autonomous_at_power_up=True)))
+    setting = Setting(config=BridgeConfig(steer_rate_degps=1500.0, autonomous_at_power_up=True))
+    return _scope(
+        "power-up",
+        "a process that enters autonomous by itself: car off and on, manual asked for, wheels turning",
+        _each(_GO, {"car_off": True}, {"request": "manual"}, {"request": "sideways"}, {"rpm": MOVING}),
+        setting=setting,
+    )
 
 
 def _official() -> Scope:
@@ -252,13 +301,21 @@ def _official() -> Scope:
 def _listening() -> Scope:
     return _scope(
         "listen only",
-        "a process that only listens, beside a VCU that says any AS state",
+        "a process that only listens: nothing that happens makes it send",
         [
-            *(replace(_GO, says=state, rpm=rpm) for state, rpm in product(AsState, (STANDING, MOVING))),
-            *_each(_GO, *({"event": event} for event in _EVENTS), {"request": "the emergency brake"}),
+            *(replace(_GO, says=state) for state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)),
+            *_each(
+                replace(_GO, says=AsState.AS_DRIVING, rpm=MOVING),
+                {"event": "an intruder sends 0x511"},
+                {"event": "the loop misses its deadline"},
+                {"event": "the software is stopped"},
+                {"request": "the emergency brake"},
+            ),
+            replace(_GO, says=AsState.AS_OFF, request="autonomous"),
         ],
         setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, listen_only=True)),
-        endings=False,
+        endings=(),
+        from_start=True,
     )
 
 
@@ -269,8 +326,11 @@ def all_scopes() -> tuple[Scope, ...]:
         _commands(),
         _messages(),
         _sends(),
-        _events(),
+        _trouble(),
+        _restarts(),
+        _power_cycle(),
         _any_car(),
+        _restarts_any_car(),
         _plausibility(),
         _limits(),
         _power_up(),

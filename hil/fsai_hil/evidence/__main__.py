@@ -1,0 +1,155 @@
+"""`python -m fsai_hil.evidence`: the exhaustive search, its figures, and the seeded faults that show it can fail."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from fsai_hil.evidence.invariants import RULES
+from fsai_hil.evidence.model import Composition, Scope, State, swift_copies
+from fsai_hil.evidence.scopes import all_scopes, scope
+from fsai_hil.evidence.search import Search, explore
+from fsai_hil.evidence.seeded import SEEDS, search_seed
+
+EXAMPLE = "example: python -m fsai_hil.evidence --scope messages --seeded"
+
+
+def searched(one: Scope) -> tuple[Search[State], dict[str, Any]]:
+    """Search one scope: what was found, and the figures."""
+    began = time.monotonic()
+    with swift_copies():
+        model = Composition(one)
+        found = explore(model, bounds_ns=one.bounds_ns)
+        trace = model.told(found.trace)
+    figures: dict[str, Any] = {
+        "scope": one.name,
+        "covers": one.covers,
+        "choices": len(one.choices),
+        "states": found.states,
+        "transitions": found.transitions,
+        "depth": found.depth,
+        "checks": dict(model.checks) | {"safe end": found.states * len(found.bounds_ns)},
+        "safe_end_s": {name: bound / 1e9 for name, bound in found.bounds_ns.items()},
+        "seconds": round(time.monotonic() - began, 2),
+        "holds": found.holds,
+        "problems": [{"rule": p.rule, "words": p.words} for p in found.problems],
+        "trace": trace,
+    }
+    return found, figures
+
+
+def _print_scope(figures: dict[str, Any]) -> None:
+    print(
+        f"{figures['scope']:20} {figures['states']:8,} {figures['transitions']:12,} {figures['depth']:6} "
+        f"{figures['seconds']:8.1f} s",
+        flush=True,
+    )
+    for problem in figures["problems"]:
+        print(f"  BROKEN, rule {problem['rule']}: {problem['words']}")
+    for line in figures["trace"]:
+        print(f"  {line}")
+
+
+def search_all(names: Sequence[str], *, quiet: bool) -> list[dict[str, Any]]:
+    """Search the scopes of those names (none: all), printing as it goes."""
+    scopes = [scope(name) for name in names] or list(all_scopes())
+    if not quiet:
+        print(f"{'scope':20} {'states':>8} {'transitions':>12} {'depth':>6} {'time':>10}")
+    results = []
+    for one in scopes:
+        _, figures = searched(one)
+        results.append(figures)
+        if not quiet:
+            _print_scope(figures)
+    return results
+
+
+def _print_totals(results: Sequence[dict[str, Any]]) -> None:
+    print(
+        f"{'in all':20} {sum(r['states'] for r in results):8,} {sum(r['transitions'] for r in results):12,} "
+        f"{max(r['depth'] for r in results):6} {sum(r['seconds'] for r in results):8.1f} s"
+    )
+    print("\nWhat each scope leaves free; everything else in it behaves:")
+    for figures in results:
+        print(f"  {figures['scope']}: {figures['covers']}")
+    print("\nCycles held against each rule:")
+    for rule, words in RULES.items():
+        count = sum(r["checks"].get(rule, 0) for r in results)
+        print(f"  {rule:>9}  {count:10,}  {words}")
+    print("\nThe safe end (not in AS_DRIVING, or no torque at a VCU that has the car at rest), at the latest after:")
+    latest: dict[str, float] = {}
+    for figures in results:
+        for name, seconds in figures["safe_end_s"].items():
+            latest[name] = max(latest.get(name, 0.0), seconds)
+    for name, seconds in latest.items():
+        print(f"  {seconds:6.2f} s  with {name}")
+
+
+def search_seeds(*, quiet: bool) -> list[dict[str, Any]]:
+    """Put every seeded fault in, one after another; each must be found."""
+    results = []
+    for seed in SEEDS:
+        began = time.monotonic()
+        found, trace = search_seed(seed)
+        rules = sorted({problem.rule for problem in found.problems})
+        result = {
+            "seed": seed.name,
+            "rule": seed.rule,
+            "scope": seed.scope,
+            "found": seed.rule in rules,
+            "rules": rules,
+            "steps": len(found.trace),
+            "words": [problem.words for problem in found.problems],
+            "trace": trace,
+            "seconds": round(time.monotonic() - began, 2),
+        }
+        results.append(result)
+        if not quiet:
+            verdict = f"rule {', '.join(rules)}" if result["found"] else f"NOT FOUND (expected rule {seed.rule})"
+            print(f"  {seed.name:58} {verdict:18} {result['steps']:3} steps {result['seconds']:6.1f} s", flush=True)
+    return results
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m fsai_hil.evidence",
+        description="Visit every reachable state of supervisor and gate and the VCU; check every rule.",
+        epilog=EXAMPLE,
+    )
+    parser.add_argument("--scope", action="append", default=[], metavar="NAME", help="search only this scope")
+    parser.add_argument("--seeded", action="store_true", help="then put faults into the rules: all must be found")
+    parser.add_argument("--only-seeded", action="store_true", help="only the seeded faults")
+    parser.add_argument("--traces", action="store_true", help="with --seeded: tell each trace in words")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    options = parser.parse_args(arguments)
+    try:
+        results = [] if options.only_seeded else search_all(options.scope, quiet=options.json)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    if results and not options.json:
+        _print_totals(results)
+    seeds: list[dict[str, Any]] = []
+    if options.seeded or options.only_seeded:
+        if not options.json:
+            print(f"\nSeeded faults: {len(SEEDS)} mistakes in rules, times and functions; each must be found")
+        seeds = search_seeds(quiet=options.json)
+        if not options.json and options.traces:
+            for seed in seeds:
+                print(f"\n{seed['seed']}: {'; '.join(seed['words'])}")
+                for line in seed["trace"]:
+                    print(f"  {line}")
+    holds = all(result["holds"] for result in results) and all(seed["found"] for seed in seeds)
+    if options.json:
+        print(json.dumps({"holds": holds, "scopes": results, "seeded": seeds}, indent=1))
+    else:
+        print("\n" + ("Every rule holds in every state." if holds else "BROKEN: see above."))
+    return 0 if holds else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
