@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import signal
 import subprocess
@@ -95,16 +96,17 @@ class Chain:
 
     def driving(self, run: CarRun) -> None:
         """Wait until the car drives at speed."""
-        self.operator.await_that(
-            lambda: self.state.as_state == AsState.AS_DRIVING and self.state.speed_mps > CRUISE_MPS,
-            POWER_UP_S + DRIVE_S,
-            "the car drives",
-            *NODES,
-        )
+
+        def decided() -> bool:
+            ended = self.state.as_state == AsState.EMERGENCY_BRAKE and not math.isnan(self.state.status_age_s)
+            return ended or (self.state.as_state == AsState.AS_DRIVING and self.state.speed_mps > CRUISE_MPS)
+
+        self.operator.await_that(decided, POWER_UP_S + DRIVE_S, "the car drives", *NODES)
+        assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
         assert run.vcu.alive, run.vcu.last_words()
 
     def driven_by_hand(self, run: CarRun) -> None:
-        """An interactive car, whose switches a person types, is brought to driving; it stays until it is told to end."""
+        """An interactive car, whose switches a person types, drives; it stays until it is told to end."""
         run.type("on")
         self.autonomous()
         self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
