@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 LINTED := fsai_vcu hil nodes tests
 
-.PHONY: help setup demo test lint format clean
+.PHONY: help setup demo test verify lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -18,6 +18,9 @@ demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; p
 test: setup lint  ## everything: lint, types, tests, and the HIL suite on a real vcan0
 	$(BIN)/pytest -q --ignore=tests/hil
 	$(BIN)/fsai-vcu hil
+
+verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
+	$(BIN)/python -m fsai_hil.evidence --seeded
 
 lint: setup  ## ruff and mypy
 	$(BIN)/ruff check $(LINTED)

@@ -15,6 +15,7 @@ ROOMS = {
     "runtime": CHECKOUT / "fsai_vcu" / "runtime",
     "cli": CHECKOUT / "fsai_vcu" / "cli",
     "hil": CHECKOUT / "hil" / "fsai_hil",
+    "evidence": CHECKOUT / "hil" / "fsai_hil" / "evidence",
     "nodes": CHECKOUT / "nodes" / "fsai_nodes",
 }
 
@@ -26,7 +27,10 @@ FORBIDDEN = {
     "core": CLOCKS_AND_IO | ROS | {"os", "pathlib", "random", "fsai_vcu.runtime", "fsai_vcu.cli", "fsai_hil"},
     "runtime": ROS | {"fsai_vcu.cli", "fsai_hil"},
     "hil": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate", "fsai_nodes"},
+    # The evidence searches the supervisor and the gate from within; nothing else in hil may know them.
+    "evidence": ROS | {"fsai_vcu.runtime", "fsai_vcu.cli"},
 }
+APART = {"hil": "evidence"}  # a room within the room, with rules of its own
 
 
 def imports_of(path: Path) -> Iterator[str]:

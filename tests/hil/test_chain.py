@@ -12,7 +12,7 @@ import math
 import os
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -161,6 +161,18 @@ def test_an_unknown_mode_is_refused_with_the_valid_ones_and_nothing_else_happens
     assert not accepted
     assert "sport" in message and "manual" in message and "autonomous" in message
     chain.stack.check_alive(*NODES)
+
+
+def test_the_operators_commands_reach_the_bridge_and_say_what_it_says(
+    chain: Chain, verb: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    status = verb("status", "--json")
+    assert status.returncode == 0, status.stderr
+    state = json.loads(status.stdout.splitlines()[-1])
+    assert state["mode"] == "manual" and state["status_age_s"] is None
+    assert any("0x520" in condition for condition in state["why_not_driving"])
+    refused = verb("mode", "sport")
+    assert refused.returncode == 1 and "autonomous" in refused.stderr and "manual" in refused.stderr
 
 
 def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:

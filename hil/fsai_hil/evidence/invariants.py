@@ -154,7 +154,7 @@ class Witness:
         self.no_more_torque = False  # a stop is latched for this run
         self.steer_odd_ns: int | None = None
         self.wheel_odd_ns: int | None = None
-        self.restarted = False  # the process was restarted and has not seen AS_OFF since
+        self.restarted = True  # the process is new and has not seen AS_OFF yet
         self.bus_gone = False
         # what went out
         self.torque_may_be_there = True
@@ -226,7 +226,6 @@ class Witness:
         fresh = Witness()
         for name in self.__slots__:
             setattr(self, name, getattr(fresh, name))
-        self.restarted = True
 
     # ------------------------------------------------------------ what went out
 

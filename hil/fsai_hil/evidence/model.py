@@ -542,6 +542,7 @@ class Composition:
         steer, axle = images.get("steer"), images.get("drive_rear")
         # An echo counts if it is newer than the first zero cycle.
         brake_newer = brake is not None and g.zero_cycles == 1 and brake.t_rx_ns > g.zero_since_ns
+        echoed = brake_newer and brake is not None and brake.rear_request_pct == 0.0
         silent_bit = v.bit
         table = self._table_runs  # else the VCU is whatever the environment says
 
@@ -566,7 +567,7 @@ class Composition:
             # what the car has said
             (None if status is None else (status.as_state, status.go_signal and driving, status.fault and driving),
              None if speeds is None else speeds.all_rpm, None if steer is None else steer.angle_max_deg,
-             None if axle is None else axle.torque_max_nm, brake_newer and brake.rear_request_pct == 0.0),
+             None if axle is None else axle.torque_max_nm, echoed),
             # VCU
             (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
              v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake),
@@ -720,9 +721,8 @@ class Composition:
     # ------------------------------------------------------------ moves
 
     def safe(self, state: State) -> bool:
-        """The car is not in AS_DRIVING (at rest, finished, or braked by itself), and no torque stands at the VCU."""
-        vcu = cast(Any, state[0][4])
-        return vcu[0] is not AsState.AS_DRIVING or not (vcu[1] or vcu[7] or vcu[8])
+        """The car is out of AS_DRIVING: finished, off, or braking by itself. There the VCU ignores torque requests."""
+        return cast(Any, state[0][4])[0] is not AsState.AS_DRIVING
 
     def moves(self, state: State) -> Iterable[Move[State]]:
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
@@ -773,7 +773,12 @@ class Composition:
     ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Problem, ...], AiCommand | None]:
         """One cycle of the whole composition, `step_ns` after the state was saved."""
         self._load(state)
-        now = NOW + step_ns
+        return self.live(choice, NOW + step_ns)
+
+    def live(
+        self, choice: Choice, now: int
+    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Problem, ...], AiCommand | None]:
+        """One cycle at `now`: what the composition is then, what is wrong with it, and what was sent."""
         problems: list[Problem] = []
         if choice.event == "restart":
             self._bridge = self._new_bridge()

@@ -36,9 +36,13 @@ class Move(Generic[S]):
 class Model(Protocol[S]):
     """What is searched."""
 
-    endings: Mapping[str, int]
-    """Ways in which the environment can behave from any moment on, each by the label it keeps choosing: under every
-    one of them a safe end must come."""
+    @property
+    def endings(self) -> Mapping[str, int]:
+        """Ways in which the environment can behave from any moment on, each by the label it keeps choosing.
+
+        Under every one of them a safe end must come.
+        """
+        ...
 
     def initial(self) -> S: ...
 

@@ -99,7 +99,7 @@ def _forgets_the_live_limit(original: Callable[..., Any], config: Any, axle: Any
     return original(config, None if axle is None else replace(axle, torque_max_nm=195.0), *rest)
 
 
-def _gate_sees_go(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
+def _gate_may_move(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
     return original(config, state, replace(decision, may_move=True), *rest)
 
 
@@ -135,7 +135,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "run",
         lambda: (
             *_output(Phase.LAUNCH_WAIT, torque=True, steer=Steer.COMMAND, brake=Brake.COMMAND)(),
-            (bridge, "gate", partial(_gate_sees_go, bridge.gate)),
+            (bridge, "gate", partial(_gate_may_move, gating.gate)),
         ),
     ),
     Seed("a command lasts 150 ms", "2", "commands", config={"command_stale_ns": 150 * MS}),
@@ -166,7 +166,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
     # ---- rest
     Seed("one look at the wheels proves rest", "3", "run", lambda: ((supervisor, "standing", _only_fast),)),
     Seed("rest is proven after 400 ms", "3", "run", config={"standstill_ns": 400 * MS}),
-    Seed("a wheel under 11 rpm stands", "3", "limits", config={"standstill_rpm": 301}),
+    Seed("a wheel under 301 rpm stands", "3", "limits", config={"standstill_rpm": 301}),
     # ---- limits
     Seed("ANGLE_MAX is not looked at", "4", "limits", _wrapped(gating, "_steering", _unlimited_steering)),
     Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
@@ -265,7 +265,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "commands",
         _reaction(Reason.COMMAND_STALE, REACTIONS[Reason.COMMAND_STALE][0]),
     ),
-    Seed("a stop without effect goes unnoticed", "safe end", "commands", _reaction(Reason.STOP_INEFFECTIVE)),
+    Seed("a stop without effect goes unnoticed", "safe end", "limits", _reaction(Reason.STOP_INEFFECTIVE)),
 )
 
 

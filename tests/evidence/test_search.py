@@ -1,0 +1,212 @@
+"""The search itself: what it visits, what it finds, and that what it leaves out changes nothing."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, cast
+
+import pytest
+
+from fsai_hil.evidence.__main__ import main
+from fsai_hil.evidence.model import CYCLE_NS, NOW, Composition, Scope, State, swift_copies
+from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
+from fsai_hil.evidence.search import Move, Problem, explore
+from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
+from fsai_vcu.core.supervision.gate import GateState
+from fsai_vcu.core.supervision.supervisor import SupervisorState
+
+
+@dataclass
+class Counter:
+    """Counts to ten by one or two; nine is forbidden where `bad`, ten is safe."""
+
+    bad: bool = False
+    stuck: bool = False
+    endings: Mapping[str, int] = field(default_factory=lambda: {"counting on": 0})
+
+    def initial(self) -> int:
+        return 0
+
+    def moves(self, state: int) -> Iterable[Move[int]]:
+        for label, step in enumerate((1, 2)):
+            target = min(10, state + step)
+            if self.stuck and state == 4 and label == 0:
+                target = 4
+            problems = (Problem("nine", "it is nine"),) if self.bad and target == 9 else ()
+            yield Move(label, step, target, problems)
+
+    def safe(self, state: int) -> bool:
+        return state == 10
+
+
+def test_the_search_visits_every_state_and_knows_the_longest_way_to_a_safe_end() -> None:
+    found = explore(Counter())
+    assert (found.states, found.transitions, found.depth) == (11, 22, 5)
+    assert found.bounds_ns == {"counting on": 10}
+    assert found.holds
+
+
+def test_the_first_problem_found_has_a_shortest_trace() -> None:
+    found = explore(Counter(bad=True))
+    assert [problem.rule for problem in found.problems] == ["nine"]
+    assert len(found.trace) == 5
+    assert found.trace[-1].target == 9
+    assert not found.holds
+
+
+def test_a_state_from_which_no_safe_end_comes_is_a_problem_and_so_is_one_that_comes_too_late() -> None:
+    stuck = explore(Counter(stuck=True))
+    assert [problem.rule for problem in stuck.problems] == ["safe end"]
+    assert stuck.trace[-1].target == 4
+    late = explore(Counter(), bounds_ns={"counting on": 9})
+    assert [problem.rule for problem in late.problems] == ["safe end"]
+
+
+def test_a_search_cut_short_does_not_claim_to_hold() -> None:
+    assert not explore(Counter(), most_states=5).holds
+
+
+# ---------------------------------------------------------------- the composition
+
+
+def reduced() -> Scope:
+    """A car that is driven, a planner that falls silent, a car that is not heard."""
+    choices = (*PATH, *ENDINGS.values(), replace(GO, rpm=MOVING), replace(GO, rpm=MOVING, command="brake"))
+    return Scope("reduced", "", choices, len(choices), len(PATH), endings=ENDINGS)
+
+
+def reached(model: Composition, most: int) -> list[State]:
+    """The states nearest to the beginning."""
+    states = [model.initial()]
+    seen = set(states)
+    for state in states:
+        if len(states) >= most:
+            break
+        for move in model.moves(state):
+            if move.target not in seen:
+                seen.add(move.target)
+                states.append(move.target)
+    return states
+
+
+def test_in_a_reduced_scope_every_rule_holds_in_every_state_and_a_safe_end_is_reached_from_each() -> None:
+    with swift_copies():
+        model = Composition(reduced())
+        found = explore(model, bounds_ns=dict.fromkeys(ENDINGS, 5_000_000_000))
+    assert found.problems == ()
+    assert found.complete
+    assert found.states > 500
+    assert set(found.bounds_ns) == set(ENDINGS)
+    # it drives and brakes, and every rule has had something to say
+    assert all(model.checks[rule] > 0 for rule in ("1", "2", "3", "4", "5", "6", "8", "9", "reactions"))
+
+
+def test_the_search_drives_the_car_and_sees_timers_at_their_edge_and_one_ns_before() -> None:
+    with swift_copies():
+        model = Composition(reduced())
+        moves = [move for state in reached(model, 1000) for move in model.moves(state)]
+    waits = {move.duration_ns for move in moves}
+    assert any(move.seen and cast(Any, move.seen).torque_requested for move in moves)
+    for edge_ns in (50_000_000, 100_000_000, 500_000_000, 3_000_000_000, 5_000_000_000):
+        assert {edge_ns - 1, edge_ns} <= waits
+
+
+def test_every_field_of_the_searched_states_is_known_to_the_composition() -> None:
+    """A new field must be thought of in `Composition`: is it part of the state, or may it be forgotten?"""
+    assert {spec.name for spec in fields(SupervisorState)} == {
+        "as_state", "go", "fault", "status_ns", "heard_ns", "was_silent", "sequence", "ready_since_ns",
+        "driving_since_ns", "speeds_ns", "fastest_rpm", "still_since_ns", "run_id", "mission", "confirmed", "mode",
+        "power_up", "stop", "emergency", "stop_window_ns", "stop_window_rpm", "both_pedals_since_ns",
+    }  # fmt: skip
+    assert {spec.name for spec in fields(GateState)} == {
+        "steer_deg", "brake", "cycle_ns", "torque_there", "zero_cycles", "zero_since_ns", "torque_running",
+        "tried_torque", "tried_brake", "awaiting", "run_id", "laps", "cones_actual", "cones_all",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["run", "commands", "sends", "trouble", "power cycle"])
+def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
+    """A bridge that is saved and put back in each cycle sends what one that lives on sends, until an age is rounded."""
+    chance = random.Random(name)
+    model, living = Composition(scope(name)), Composition(scope(name))
+    states = reached(model, 1200)
+    sent = torque = 0
+    for state in chance.sample(states, 100):
+        held: State = state
+        living._load(state)
+        for step in range(12):
+            choice = model.choices[chance.randrange(len(model.choices))]
+            # Ages go on as they are: compared is what is forgotten, not what is rounded.
+            (disc, ages), _, asked = model._cycle(held, choice, CYCLE_NS)
+            held = disc, tuple(ages)
+            _, _, expected = living.live(choice, NOW + (step + 1) * CYCLE_NS)
+            assert (asked is None) == (expected is None)
+            if asked is not None and expected is not None:
+                # The bit is counted from what the VCU sends, so that it does not double the states.
+                assert replace(asked, handshake=False) == replace(expected, handshake=False)
+                sent += 1
+                torque += asked.torque_requested
+    assert sent > 100
+    assert torque > 0
+
+
+# ---------------------------------------------------------------- it can fail
+
+_QUICK = (
+    "torque rises right after the brake",
+    "a cycle cut short counts as whole",
+    "a command lasts 1 ns too long",
+    "one look at the wheels proves rest",
+    "ANGLE_MAX is not looked at",
+    "FORWARD in AS_READY",
+    "AS_OFF clears the emergency",
+    "no command is out of order",
+    "the echo follows believed frames only",
+    "a new process believes that it saw AS_OFF and AS_READY",
+    "a lost 0x520 is only held",
+)
+
+
+@pytest.mark.parametrize("seed", [seed for seed in SEEDS if seed.name in _QUICK], ids=lambda seed: seed.name)
+def test_a_seeded_fault_is_found_and_told_in_words(seed: Seed) -> None:
+    found, trace = search_seed(seed)
+    assert seed.rule in {problem.rule for problem in found.problems}
+    assert 0 < len(trace) <= 16
+    assert all("sent:" in line for line in trace)
+
+
+def test_there_is_a_seed_for_every_rule_and_every_seed_names_a_scope_that_exists() -> None:
+    assert {seed.rule for seed in SEEDS} >= {"1", "2", "3", "4", "5", "6", "7", "9", "10", "reactions", "safe end"}
+    assert {seed.scope for seed in SEEDS} <= {one.name for one in all_scopes()}
+    assert len({seed.name for seed in SEEDS}) == len(SEEDS)
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_the_command_prints_figures_and_ends_with_0_where_everything_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--scope", "listen only"]) == 0
+    out = capsys.readouterr().out
+    assert "listen only" in out
+    assert "states" in out
+    assert "transitions" in out
+    assert "Every rule holds in every state." in out
+
+
+def test_the_command_ends_with_1_where_a_rule_breaks_and_tells_the_way(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fsai_vcu.core.supervision import gate
+
+    monkeypatch.setattr(gate, "constant_power_nm", lambda rpm: 195.0)
+    assert main(["--scope", "limits"]) == 1
+    out = capsys.readouterr().out
+    assert "BROKEN, rule 4" in out
+    assert "torque" in out
+
+
+def test_an_unknown_scope_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--scope", "nowhere"]) == 2
+    assert "unknown scope 'nowhere'" in capsys.readouterr().err
