@@ -7,19 +7,21 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 from fsai_hil.evidence.invariants import RULES
-from fsai_hil.evidence.model import Composition, Scope, State, swift_copies
+from fsai_hil.evidence.model import Composition, swift_copies
 from fsai_hil.evidence.scopes import all_scopes, scope
-from fsai_hil.evidence.search import Search, explore
+from fsai_hil.evidence.search import explore
 from fsai_hil.evidence.seeded import SEEDS, search_seed
 
 EXAMPLE = "example: python -m fsai_hil.evidence --scope messages --seeded"
 
 
-def searched(one: Scope) -> tuple[Search[State], dict[str, Any]]:
-    """Search one scope: what was found, and the figures."""
+def searched(name: str) -> dict[str, Any]:
+    """Search the scope of that name; its figures."""
+    one = scope(name)
     began = time.process_time()
     with swift_copies():
         model = Composition(one)
@@ -39,7 +41,7 @@ def searched(one: Scope) -> tuple[Search[State], dict[str, Any]]:
         "problems": [{"rule": p.rule, "words": p.words} for p in found.problems],
         "trace": trace,
     }
-    return found, figures
+    return figures
 
 
 def _print_scope(figures: dict[str, Any]) -> None:
@@ -56,15 +58,15 @@ def _print_scope(figures: dict[str, Any]) -> None:
 
 def search_all(names: Sequence[str], *, quiet: bool) -> list[dict[str, Any]]:
     """Search the scopes of those names (none: all), printing as it goes."""
-    scopes = [scope(name) for name in names] or list(all_scopes())
+    chosen = [scope(name).name for name in names] or [one.name for one in all_scopes()]
     if not quiet:
         print(f"{'scope':20} {'states':>8} {'transitions':>12} {'depth':>6} {'CPU time':>10}")
     results = []
-    for one in scopes:
-        _, figures = searched(one)
-        results.append(figures)
-        if not quiet:
-            _print_scope(figures)
+    with ProcessPoolExecutor() as pool:
+        for figures in pool.map(searched, chosen):
+            results.append(figures)
+            if not quiet:
+                _print_scope(figures)
     return results
 
 
@@ -91,28 +93,38 @@ def _print_totals(results: Sequence[dict[str, Any]]) -> None:
         print(f"  {seconds:6.2f} s  with {name}")
 
 
+def sought(name: str) -> dict[str, Any]:
+    """Put the seeded fault of that name in and search; what was found."""
+    seed = next(each for each in SEEDS if each.name == name)
+    began = time.process_time()
+    found, trace = search_seed(seed)
+    rules = sorted({problem.rule for problem in found.problems})
+    return {
+        "seed": seed.name,
+        "rule": seed.rule,
+        "scope": seed.scope,
+        "found": seed.rule in rules,
+        "rules": rules,
+        "steps": len(found.trace),
+        "words": [problem.words for problem in found.problems],
+        "trace": trace,
+        "seconds": round(time.process_time() - began, 2),
+    }
+
+
 def search_seeds(*, quiet: bool) -> list[dict[str, Any]]:
     """Put every seeded fault in, one after another; each must be found."""
     results = []
-    for seed in SEEDS:
-        began = time.process_time()
-        found, trace = search_seed(seed)
-        rules = sorted({problem.rule for problem in found.problems})
-        result = {
-            "seed": seed.name,
-            "rule": seed.rule,
-            "scope": seed.scope,
-            "found": seed.rule in rules,
-            "rules": rules,
-            "steps": len(found.trace),
-            "words": [problem.words for problem in found.problems],
-            "trace": trace,
-            "seconds": round(time.process_time() - began, 2),
-        }
-        results.append(result)
-        if not quiet:
-            verdict = f"rule {', '.join(rules)}" if result["found"] else f"NOT FOUND (expected rule {seed.rule})"
-            print(f"  {seed.name:58} {verdict:18} {result['steps']:3} steps {result['seconds']:6.1f} s", flush=True)
+    with ProcessPoolExecutor() as pool:
+        for result in pool.map(sought, [seed.name for seed in SEEDS]):
+            results.append(result)
+            if not quiet:
+                rules = ", ".join(result["rules"])
+                verdict = f"rule {rules}" if result["found"] else f"NOT FOUND (expected rule {result['rule']})"
+                print(
+                    f"  {result['seed']:58} {verdict:18} {result['steps']:3} steps {result['seconds']:6.1f} s",
+                    flush=True,
+                )
     return results
 
 
