@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import compileall
+import math
 import os
 import shutil
 import sys
@@ -46,6 +47,8 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
     from fsai_vcu.cli.main import UserError
 
+    if not 0.0 < args.timeout < math.inf:
+        raise UserError(f"--timeout is {args.timeout:g}, but must be a time in seconds")
     checkout = Path(__file__).resolve().parents[2]
     if not (checkout / _SUITE).is_dir():
         raise UserError(f"the suite is part of the source checkout, and {checkout} has no {_SUITE}")

@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 # verb -> (module, what it does in one line)
 VERBS: dict[str, tuple[str, str]] = {
@@ -22,6 +23,13 @@ VERBS: dict[str, tuple[str, str]] = {
 
 class UserError(Exception):
     """Something the user can put right; the message is one clear line."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the whole usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows what there is\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     name, summary = VERBS[verb]
     module = importlib.import_module(f"fsai_vcu.cli.{name}")
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"fsai-vcu {verb}",
         description=summary[0].upper() + summary[1:] + ".",
         epilog=f"example:\n  {module.EXAMPLE}",

@@ -16,8 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
     from fsai_vcu.cli.services import operator_node, vehicle_state
 
+    if not 0.0 <= args.wait < math.inf:
+        raise UserError(f"--wait is {args.wait:g}, not a time")
     with operator_node() as node:
         state = vehicle_state(node, args.wait)
     if args.json:

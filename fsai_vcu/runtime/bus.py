@@ -18,6 +18,7 @@ from pathlib import Path
 import can
 
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.reserved import RESERVED_IDS
 
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN, None}
 _SEND_BUFFER_BYTES = 8192  # doubled by the kernel, and full for a poll at half of that: about ten frames of 768 bytes
@@ -49,6 +50,9 @@ class CanBus:
     def __init__(self, bus: can.BusABC, spec: str, may_send: Iterable[int] | None = None) -> None:
         self._bus = bus
         self._may_send = None if may_send is None else frozenset(may_send)
+        reserved = sorted((self._may_send or frozenset()) & RESERVED_IDS)
+        if reserved:
+            raise ValueError(f"ids reserved for the car can never be allowed: {', '.join(map(hex, reserved))}")
         self.spec = spec
 
     def send(self, frame: Frame) -> bool:

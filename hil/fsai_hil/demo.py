@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -16,10 +17,11 @@ from typing import Any
 
 from fsai_hil.ros_operator import RosOperator
 from fsai_hil.stack import NODES, Stack, StackError
+from fsai_hil.tracks import load_track
 from fsai_hil.vcan import INTERFACE
 from fsai_hil.vcan.native import existing_vcan, namespace_prefix
 from fsai_hil.wire import check_candump
-from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_hil.world import World, WorldSetup, mission_named
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.revisions import REVISIONS, revision
 
@@ -41,6 +43,13 @@ def main() -> int:
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
     args = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
+    try:
+        _check(args)
+    except (ValueError, OSError) as error:
+        known = isinstance(error, OSError) and error.filename
+        print(f"demo: {f'{error.filename}: {error.strerror}' if known else error}", file=sys.stderr)
+        return 1
     inside = _in_own_vcan(args)
     if inside is not None:
         return inside
@@ -52,6 +61,15 @@ def main() -> int:
     except KeyboardInterrupt:
         print("demo: interrupted; every process has been ended", file=sys.stderr)
         return 130
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Raises ValueError or OSError for what would only fail once everything is running."""
+    if args.laps is not None and args.laps < 1:
+        raise ValueError(f"--laps is {args.laps}, but must be 1 or more")
+    track = load_track(args.track) if args.track else None
+    World(WorldSetup(missions=[mission_named(args.mission)], track=track, revision=args.revision, seed=args.seed))
+    args.out.mkdir(parents=True, exist_ok=True)
 
 
 def _in_own_vcan(args: argparse.Namespace) -> int | None:
@@ -76,7 +94,6 @@ class Demo:
         self._args = args
         on_vcan = existing_vcan() or bool(os.environ.get(_INSIDE))
         self._bus = args.bus or (INTERFACE if on_vcan else f"loopback:demo-{os.getpid()}")
-        args.out.mkdir(parents=True, exist_ok=True)
         for name in ("bus.log", "verdict.json", "run.png", *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
             (args.out / name).unlink(missing_ok=True)
         self._stack = Stack(self._bus, args.out)
@@ -86,8 +103,8 @@ class Demo:
 
     def run(self) -> int:
         args = self._args
-        kind = "vcan0 of this kernel" if self._bus == INTERFACE else "loopback stand-in: this kernel has no vcan"
-        _say(f"bus {self._bus} ({kind}), ROS domain {self._stack.domain_id}, logs in {args.out}")
+        kind = " (stand-in: this kernel has no vcan)" if args.bus is None and self._bus != INTERFACE else ""
+        _say(f"bus {self._bus}{kind}, ROS domain {self._stack.domain_id}, logs in {args.out}")
         with self._stack as stack:
             _say(f"starting {', '.join(NODES)}, each its own process")
             stack.start_verb("recorder", "record", "-i", self._bus, "-o", str(self._log))
@@ -96,7 +113,7 @@ class Demo:
             try:
                 operator.await_bridge(START_TIMEOUT_S)
                 vcu = stack.start_verb("vcu", *self._vcu_arguments())
-                _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say)}")
+                _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
                 result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, Screen().show, *NODES)
                 _say(f"run_mission: {result.message}")
             finally:
@@ -143,10 +160,13 @@ class Demo:
 
 
 def _node_parameters(args: argparse.Namespace) -> dict[str, dict[str, object]]:
-    bridge: dict[str, object] = {"revision": args.revision, "car": args.revision}
-    assert args.revision in CARS
-    planner: dict[str, object] = {} if args.laps is None else {"laps": args.laps}
-    return {"vcu_bridge": bridge, "path_planner": planner}
+    car = {"car": args.revision}
+    laps = {} if args.laps is None else {"laps": args.laps}
+    return {
+        "vcu_bridge": {"revision": args.revision, **car},
+        "path_planner": {**car, **laps},
+        "vehicle_controller": {**car},
+    }
 
 
 class Screen:

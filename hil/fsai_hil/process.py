@@ -89,7 +89,12 @@ def run(args: argparse.Namespace) -> int:
     except (BusError, DatabaseError, ValueError) as error:  # a TrackError is a ValueError
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
-    process = VcuProcess(world, bus, args)
+    try:
+        process = VcuProcess(world, bus, args)
+    except OSError as error:
+        bus.close()
+        print(f"{PROGRAM}: {args.log} cannot be written: {error.strerror}", file=sys.stderr)
+        return 1
     # A car is never late: this one is not either, where that is allowed. But the bridge under test goes first.
     go_real_time(FIFO_PRIORITY - 10)
     try:
@@ -105,6 +110,8 @@ def _setup(args: argparse.Namespace) -> WorldSetup:
         raise ValueError(f"--laps is {args.laps}, but must be 1 or more")
     if args.truth is not None and not 0 < args.truth < 65536:
         raise ValueError(f"--truth is {args.truth}, but a port is 1 to 65535")
+    if args.timeout is not None and not 0.0 < args.timeout < float("inf"):
+        raise ValueError(f"--timeout is {args.timeout:g}, but must be a time in seconds")
     return WorldSetup(
         missions=tuple(mission_named(name) for name in args.mission.split(",")),
         track=load_track(args.track) if args.track else None,
@@ -409,6 +416,7 @@ def _passed(process: VcuProcess) -> bool:
 
 def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
     world = process.world
+    saved_all = True
     verdicts: list[Verdict] = world.verdicts if world.verdicts else [world.verdict()]
     result = result_of(process)
     if args.result:
@@ -425,6 +433,7 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
             Path(args.result).write_text(json.dumps(saved) + "\n", encoding="utf-8")
         except OSError as error:
             print(f"{PROGRAM}: {args.result} cannot be written: {error.strerror}", file=sys.stderr)
+            saved_all = False
     if args.plot:
         from fsai_hil.plot import PlotError, save_plot
 
@@ -432,11 +441,14 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
             save_plot(Path(args.plot), world.runs[0].track, world.runs[0].samples, verdicts[0])
         except PlotError as error:
             print(f"{PROGRAM}: {error}", file=sys.stderr)
+            saved_all = False
     if args.auto or world.verdicts:
         for verdict in verdicts:
             print(verdict.summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
     if args.json:
         print(json.dumps(result), flush=True)
+    if not saved_all:
+        return 1
     if not args.auto:
         return 0
     return 0 if _passed(process) else 130 if process.interrupted == "ended by SIGINT" else 1

@@ -93,14 +93,16 @@ class RosOperator:
     def set_mode(self, mode: str) -> tuple[bool, str]:
         return self._call(self._set_mode, self._types[1].Request(mode=mode))
 
-    def become_autonomous(self, timeout_s: float, refused: Callable[[str], None] | None = None) -> str:
+    def become_autonomous(self, timeout_s: float, refused: Callable[[str], None] | None = None, *alive: str) -> str:
         """Ask for autonomous until the bridge accepts it (it does in AS_INIT, AS_OFF and AS_READY); its answer.
 
-        `refused` hears each new reason for which it does not.
+        `refused` hears each new reason for which it does not. Raises StackError when one of `alive` has ended.
         """
         until = time.monotonic() + timeout_s
         reason = ""
         while True:
+            if alive:
+                self._stack.check_alive(*alive)
             accepted, message = self.set_mode("autonomous")
             if accepted:
                 return message

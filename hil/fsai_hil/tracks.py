@@ -63,17 +63,6 @@ class TrackKind(Enum):
     CIRCUIT = "circuit"
 
 
-MISSION_KIND: Final[Mapping[Ami, TrackKind]] = {
-    Ami.ACCELERATION: TrackKind.ACCELERATION,
-    Ami.SKIDPAD: TrackKind.SKIDPAD,
-    Ami.AUTOCROSS: TrackKind.CIRCUIT,
-    Ami.TRACKDRIVE: TrackKind.CIRCUIT,
-    Ami.STATIC_INSPECTION_A: TrackKind.STATIC,
-    Ami.STATIC_INSPECTION_B: TrackKind.STATIC,
-    Ami.AUTONOMOUS_DEMO: TrackKind.STATIC,
-}
-
-
 @dataclass(frozen=True, slots=True)
 class Line:
     """A timing line across the lane: a point on it and the direction in which cars cross it."""
@@ -455,6 +444,7 @@ TAGS: Final[Mapping[str, ConeColor]] = {
     "orange": ConeColor.ORANGE,
     "big_orange": ConeColor.BIG_ORANGE,
 }
+FURTHEST_M: Final = 10_000.0  # no event's track is as large; degrees times 1e7 or millimetres look like this
 UNUSED_TAGS: Final = frozenset({"midpoint", "inactive"})  # some public files have them; they are no cones
 
 
@@ -499,6 +489,8 @@ def parse_track(text: str, source: str) -> Track:
             raise TrackError(f"{at}: {len(row)} columns where at least tag, x and y are needed")
         tag = row[0].strip()
         x, y = _number(row, 1, "x", at), _number(row, 2, "y", at)
+        if max(abs(x), abs(y)) > FURTHEST_M:
+            raise TrackError(f"{at}: {x:g}, {y:g} is further than {FURTHEST_M:g} m from the origin; are these metres?")
         if tag == "car_start":
             if start is not None:
                 raise TrackError(f"{at}: a second car_start")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
-from fsai_hil.car import Car, CarTruth, car_model
+from fsai_hil.car import Car, car_model
 from fsai_hil.faults import FrameFault
 from fsai_hil.judge import Judge, JudgeSettings, Verdict, check_track
 from fsai_hil.operator import At, Operator
@@ -95,6 +95,8 @@ class World:
     def __init__(self, setup: WorldSetup, codec: Codec | None = None) -> None:
         if not setup.missions:
             raise ValueError("no mission to drive")
+        if setup.seed < 0:
+            raise ValueError(f"seed is {setup.seed}, but must be 0 or more")
         self.setup = setup
         profile = profile_named(setup.profile)
         revision = revision_named(setup.revision)
@@ -223,10 +225,6 @@ class World:
     def samples(self) -> Sequence[Sample]:
         """The path driven in the present run."""
         return self._run.samples
-
-    @property
-    def car_truth(self) -> CarTruth:
-        return self.car.truth()
 
     @property
     def truth(self) -> Truth:

@@ -164,6 +164,10 @@ def test_an_auto_run_ends_by_itself_when_the_time_is_up_and_fails(capsys: pytest
         (["-i", "loopback:t", "--mission", "skidpad", "--track", "autocross"], "needs a track of kind skidpad"),
         (["-i", "loopback:t", "--laps", "0"], "--laps is 0"),
         (["-i", "loopback:t", "--truth", "70000"], "--truth is 70000"),
+        (["-i", "loopback:t", "--timeout", "nan"], "--timeout is nan"),
+        (["-i", "loopback:t", "--timeout", "inf"], "--timeout is inf"),
+        (["-i", "loopback:t", "--seed", "-1"], "seed is -1"),
+        (["-i", "loopback:t", "--log", "/absent/bus.log"], "/absent/bus.log cannot be written"),
     ],
 )
 def test_bad_input_gets_one_clear_line(argv: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,6 +175,14 @@ def test_bad_input_gets_one_clear_line(argv: list[str], words: str, capsys: pyte
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
+
+
+def test_a_result_that_cannot_be_saved_is_said_and_is_a_failure(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["-i", "loopback:t", "--auto", "--quiet", "--timeout", "0.1", "--json", "--result", "/absent/verdict.json"]
+    assert run(arguments(*argv)) == 1
+    said = capsys.readouterr()
+    assert "/absent/verdict.json cannot be written" in said.err
+    assert json.loads(said.out.splitlines()[-1])["result"] == "fail", "the verdict is printed all the same"
 
 
 def test_as_a_process_it_speaks_on_the_bus_tells_the_truth_and_ends_politely(tmp_path: Path) -> None:

@@ -140,3 +140,9 @@ def test_at_most_some_ten_frames_wait_in_the_kernel(monkeypatch: pytest.MonkeyPa
             # A poll finds the socket writable up to half of its buffer.
             frames = stand_in.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) / 2 / frame_bytes
     assert 5 <= frames <= 12
+
+
+@pytest.mark.parametrize("can_id", sorted(RESERVED_IDS))
+def test_no_bus_can_be_opened_that_would_let_a_reserved_id_out(can_id: int) -> None:
+    with pytest.raises(ValueError, match="reserved for the car"):
+        open_bus("loopback:reserved", may_send=[*AI_IDS, can_id])

@@ -1,0 +1,86 @@
+"""What a person or a script gets from the command line: exit statuses, one clear line, one JSON object."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import VERBS, main
+
+# People script against these.
+DRIVE_KEYS = {
+    "mission",
+    "result",
+    "reasons",
+    "as_states",
+    "laps",
+    "lap_times_s",
+    "cones_hit",
+    "off_course",
+    "max_lateral_error_m",
+    "mean_speed_mps",
+    "top_speed_mps",
+    "faults",
+    "gate_reasons",
+    "sim_time_s",
+    "wall_time_s",
+    "seed",
+}
+
+
+def test_the_last_line_of_a_drive_with_json_is_one_object_with_the_promised_keys(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["drive", "--mission", "static_inspection_b", "--seed", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert result.keys() >= DRIVE_KEYS
+    assert (result["mission"], result["result"], result["seed"]) == ("static_inspection_b", "pass", 3)
+    assert [entry["state"] for entry in result["as_states"]][-1] == "EMERGENCY_BRAKE"
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "words"),
+    [
+        (["fly"], 2, "no verb 'fly'"),
+        (["drive", "--laps", "many"], 2, "argument --laps: invalid int value: 'many'"),
+        (["drive", "--mission", "rally"], 1, "unknown mission 'rally'"),
+        (["drive", "--revision", "2030"], 1, "choose one of 2021, 2026"),
+        (["drive", "--track", "gone.csv"], 1, "gone.csv: cannot be read"),
+        (["drive", "--seed", "-1"], 1, "seed is -1, but must be 0 or more"),
+        (["drive", "--max-speed", "nan"], 1, "max_speed_mps is nan"),
+        (["drive", "--limits", "gone.toml"], 1, "gone.toml"),
+        (["drive", "--log", "/absent/bus.log"], 1, "/absent/bus.log: No such file or directory"),
+        (["status", "--wait", "nan"], 1, "--wait is nan, not a time"),
+    ],
+)
+def test_bad_input_gets_one_clear_line(
+    argv: list[str], status: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        assert main(argv) == status
+    except SystemExit as ended:
+        assert ended.code == status
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+
+
+@pytest.mark.parametrize("unit", ["1e300", "-20000"])
+def test_a_cone_that_is_too_far_away_to_be_in_metres_is_refused(
+    unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    track = tmp_path / "far.csv"
+    track.write_text(f"tag,x,y\ncar_start,0,0\nblue,{unit},1\n")
+    assert main(["drive", "--track", str(track)]) == 1
+    assert "far.csv: line 3:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_shows_its_help_with_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "--help"])
+    assert ended.value.code == 0
+    assert f"example:\n  fsai-vcu {verb}" in capsys.readouterr().out
