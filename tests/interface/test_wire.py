@@ -438,6 +438,17 @@ def test_a_handshake_bit_that_came_less_than_2_ms_before_may_be_unseen() -> None
     assert bus.run(0.05).check().ok
 
 
+@pytest.mark.parametrize(("age_ns", "broken"), [(2 * MS - 1, []), (2 * MS, ["rule 9"])])
+def test_the_very_first_handshake_bit_may_be_unseen_for_2_ms_too(age_ns: int, broken: list[str]) -> None:
+    """The AI computer spoke before the car did, and its frame crosses the car's first one."""
+    checker = WireChecker(CODEC)
+    first = CODEC.encode(VcuStatus(handshake=True, as_state=AsState.AS_OFF))
+    checker.on_frame(replace(first, t_ns=1_000 * MS))
+    for frame in CODEC.encode_command(AiCommand(), 1_000 * MS + age_ns):
+        checker.on_frame(frame)
+    assert rules(checker.report()) == broken
+
+
 def test_two_cycles_less_than_8_ms_apart_are_found() -> None:
     bus = Bus().run(0.1)
     bus.answer_ns = 8 * MS
