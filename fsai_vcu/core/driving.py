@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.immutable import Immutable
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,7 +30,7 @@ class ConeColor(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class ConeObservation:
+class ConeObservation(Immutable):
     """Cones seen at one instant, in the vehicle frame.
 
     xy_m: (N, 2) metres; color: (N,) ConeColor values; confidence: (N,) 0…1.
@@ -42,7 +43,7 @@ class ConeObservation:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(Immutable):
     """Dead-reckoned motion in the odometry frame. Rear-axle centre."""
 
     t_ns: int = 0
@@ -55,7 +56,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class Run(Immutable):
     """The run in hand: a new `run_id` asks planner and controller to forget everything and to confirm it.
 
     `may_move` is True once AS_DRIVING has lasted the 3 s in which the car must stand still.
@@ -68,7 +69,7 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(Immutable):
     """Where to drive, from the planner to the controller.
 
     path_m: (M, 2) vehicle frame of the instant `t_sensor_ns`, ordered forward, first point near the car.

@@ -14,6 +14,8 @@ from pathlib import Path
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
 
+from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
+
 _ENCODING = "cp1252"  # what the tools that write DBC files use
 
 # The parser passes over an unfinished last statement in silence, and with it over all that a file cut off there has
@@ -23,12 +25,6 @@ _WHOLE_STATEMENT = re.compile(r'.*;|BO_ \d+ .+|SG_ .+\[.*\] *".*" *\w.*')
 
 class DatabaseError(ValueError):
     """A signal database that is missing, malformed or not this car's. The message is one line for a person."""
-
-
-def dbc_dir() -> Path:
-    """The folder with the project's DBC files: inside the installed package, else in the checkout."""
-    packaged = Path(__file__).parent / "dbc"
-    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "dbc"
 
 
 def load_database(paths: Iterable[Path | str]) -> Database:

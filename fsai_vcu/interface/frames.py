@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fsai_vcu.interface.immutable import Immutable
+
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(Immutable):
     """A CAN 2.0 frame.
 
     `t_ns` is the integer monotonic time at which it was received (or is to be sent); 0 where it has no meaning.

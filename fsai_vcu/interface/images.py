@@ -22,12 +22,13 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
+from fsai_vcu.interface.immutable import Immutable
 
 # ---------------------------------------------------------------- AI -> VCU
 
 
 @dataclass(frozen=True, slots=True)
-class AiStatus:
+class AiStatus(Immutable):
     """0x510 AI2VCU_Status."""
 
     handshake: bool = False
@@ -43,7 +44,7 @@ class AiStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class AiDriveFront:
+class AiDriveFront(Immutable):
     """0x511 AI2VCU_Drive_F."""
 
     torque_nm: float = 0.0
@@ -52,7 +53,7 @@ class AiDriveFront:
 
 
 @dataclass(frozen=True, slots=True)
-class AiDriveRear:
+class AiDriveRear(Immutable):
     """0x512 AI2VCU_Drive_R."""
 
     torque_nm: float = 0.0
@@ -61,7 +62,7 @@ class AiDriveRear:
 
 
 @dataclass(frozen=True, slots=True)
-class AiSteer:
+class AiSteer(Immutable):
     """0x513 AI2VCU_Steer: bicycle-model road angle, positive turns left (ISO 8855)."""
 
     steer_deg: float = 0.0
@@ -69,7 +70,7 @@ class AiSteer:
 
 
 @dataclass(frozen=True, slots=True)
-class AiBrake:
+class AiBrake(Immutable):
     """0x514 AI2VCU_Brake."""
 
     front_pct: float = 0.0
@@ -81,7 +82,7 @@ AiImage = AiStatus | AiDriveFront | AiDriveRear | AiSteer | AiBrake
 
 
 @dataclass(frozen=True, slots=True)
-class AiCommand:
+class AiCommand(Immutable):
     """Everything that the AI computer says in one cycle: 0x510 to 0x514. The default is safe."""
 
     handshake: bool = False
@@ -134,7 +135,7 @@ class AiCommand:
 
 
 @dataclass(frozen=True, slots=True)
-class Faults:
+class Faults(Immutable):
     """The fault bits of 0x520. A bit that the database lacks is None."""
 
     ai_estop_request: bool | None = None
@@ -151,7 +152,7 @@ class Faults:
 
 
 @dataclass(frozen=True, slots=True)
-class VcuStatus:
+class VcuStatus(Immutable):
     """0x520 VCU2AI_Status."""
 
     handshake: bool = False
@@ -175,7 +176,7 @@ class VcuStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class VcuDriveFront:
+class VcuDriveFront(Immutable):
     """0x521 VCU2AI_Drive_F."""
 
     torque_nm: float = 0.0
@@ -185,7 +186,7 @@ class VcuDriveFront:
 
 
 @dataclass(frozen=True, slots=True)
-class VcuDriveRear:
+class VcuDriveRear(Immutable):
     """0x522 VCU2AI_Drive_R."""
 
     torque_nm: float = 0.0
@@ -195,7 +196,7 @@ class VcuDriveRear:
 
 
 @dataclass(frozen=True, slots=True)
-class VcuSteer:
+class VcuSteer(Immutable):
     """0x523 VCU2AI_Steer."""
 
     angle_deg: float = 0.0
@@ -205,7 +206,7 @@ class VcuSteer:
 
 
 @dataclass(frozen=True, slots=True)
-class VcuBrake:
+class VcuBrake(Immutable):
     """0x524 VCU2AI_Brake."""
 
     front_pct: float = 0.0
@@ -218,7 +219,7 @@ class VcuBrake:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelSpeeds:
+class WheelSpeeds(Immutable):
     """0x525 VCU2AI_Speeds."""
 
     fl_rpm: int = 0
@@ -233,7 +234,7 @@ class WheelSpeeds:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelCounts:
+class WheelCounts(Immutable):
     """0x526 VCU2AI_Wheel_counts: 16-bit pulse counters that wrap."""
 
     fl: int = 0
@@ -244,7 +245,7 @@ class WheelCounts:
 
 
 @dataclass(frozen=True, slots=True)
-class LogDynamics1:
+class LogDynamics1(Immutable):
     """0x500 VCU2LOG_Dynamics1."""
 
     speed_actual_kmh: int = 0
@@ -259,7 +260,7 @@ class LogDynamics1:
 
 
 @dataclass(frozen=True, slots=True)
-class LogStatus:
+class LogStatus(Immutable):
     """0x502 VCU2LOG_Status. The small state fields stay raw: they are for people and logs only."""
 
     assi: int = 0
@@ -274,7 +275,7 @@ class LogStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class VcuSystemStatus:
+class VcuSystemStatus(Immutable):
     """0x120 VCU_STATUS (2021 only): the VCU's inner state machine and its AI time-outs."""
 
     sm_sys: int = 0
@@ -310,7 +311,7 @@ VcuImage = (
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleState:
+class VehicleState(Immutable):
     """What the car has said so far. None means never heard; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
@@ -355,7 +356,7 @@ VEHICLE_FIELD_OF: dict[type, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Acceleration:
+class Acceleration(Immutable):
     """0x600 BMC_Acceleration, in the sensor's axes."""
 
     x_mg: float = 0.0
@@ -368,7 +369,7 @@ class Acceleration:
 
 
 @dataclass(frozen=True, slots=True)
-class RotationA:
+class RotationA(Immutable):
     """0x610 L3GD20_Rotation_A."""
 
     x_degps: float = 0.0
@@ -377,7 +378,7 @@ class RotationA:
 
 
 @dataclass(frozen=True, slots=True)
-class RotationB:
+class RotationB(Immutable):
     """0x611 L3GD20_Rotation_B."""
 
     z_degps: float = 0.0
@@ -385,7 +386,7 @@ class RotationB:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsStatus:
+class GpsStatus(Immutable):
     """0x620 GPS_Status."""
 
     antenna: int = 0
@@ -395,7 +396,7 @@ class GpsStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsCourseSpeed:
+class GpsCourseSpeed(Immutable):
     """0x621 GPS_CourseSpeed."""
 
     course_deg: float = 0.0
@@ -404,7 +405,7 @@ class GpsCourseSpeed:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsLongitude:
+class GpsLongitude(Immutable):
     """0x622 GPS_PositionLongitude: whole degrees, minutes and a letter (0 before a fix)."""
 
     minutes: float = 0.0
@@ -414,7 +415,7 @@ class GpsLongitude:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsLatitude:
+class GpsLatitude(Immutable):
     """0x623 GPS_PositionLatitude: whole degrees, minutes and a letter (0 before a fix)."""
 
     minutes: float = 0.0
@@ -424,7 +425,7 @@ class GpsLatitude:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsAltitude:
+class GpsAltitude(Immutable):
     """0x624 GPS_PositionAltitude."""
 
     altitude_m: float = 0.0
@@ -432,7 +433,7 @@ class GpsAltitude:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsDilutionA:
+class GpsDilutionA(Immutable):
     """0x625: PDOP, then HDOP."""
 
     pdop: float = 0.0
@@ -441,7 +442,7 @@ class GpsDilutionA:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsDilutionB:
+class GpsDilutionB(Immutable):
     """0x626: VDOP."""
 
     vdop: float = 0.0
@@ -449,7 +450,7 @@ class GpsDilutionB:
 
 
 @dataclass(frozen=True, slots=True)
-class GpsDateTime:
+class GpsDateTime(Immutable):
     """0x627 GPS_DateTime (UTC; the year counts from 2000)."""
 
     year: int = 0
@@ -462,7 +463,7 @@ class GpsDateTime:
 
 
 @dataclass(frozen=True, slots=True)
-class MagneticField:
+class MagneticField(Immutable):
     """0x628 BMC_MagneticField, in the sensor's axes."""
 
     x_ut: float = 0.0
@@ -472,7 +473,7 @@ class MagneticField:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceIo:
+class DeviceIo(Immutable):
     """0x630 IO: the device's own inputs and outputs."""
 
     input_1: bool = False
@@ -485,7 +486,7 @@ class DeviceIo:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceClock:
+class DeviceClock(Immutable):
     """0x640 RTC_DateTime: the device's own clock, with the full year."""
 
     second: int = 0
@@ -499,7 +500,7 @@ class DeviceClock:
 
 
 @dataclass(frozen=True, slots=True)
-class LogDynamics2:
+class LogDynamics2(Immutable):
     """0x501 AI2LOG_Dynamics2: sent by the PCAN-GPS, or by the AI computer on a car without one."""
 
     accel_longitudinal_mps2: float = 0.0
@@ -528,7 +529,7 @@ GpsImage = (
 
 
 @dataclass(frozen=True, slots=True)
-class GpsImu:
+class GpsImu(Immutable):
     """What the PCAN-GPS has said so far. None means never heard."""
 
     acceleration: Acceleration | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 
 
@@ -38,3 +39,9 @@ def revision(name: str) -> Revision:
         return REVISIONS[name]
     except KeyError:
         raise ValueError(f"unknown interface revision {name!r}: choose one of {', '.join(REVISIONS)}") from None
+
+
+def dbc_dir() -> Path:
+    """The folder with the project's DBC files: inside the installed package, else in the checkout."""
+    packaged = Path(__file__).parent / "dbc"
+    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "dbc"

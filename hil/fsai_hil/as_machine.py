@@ -17,6 +17,7 @@ from typing import Final
 
 from fsai_hil.profiles import Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.immutable import Immutable
 
 STANDING_RPM: Final = 10.0  # interface specification v4.0: above it a wheel turns, below it the wheel stands
 READY_STEER_DEG: Final = 5.0  # interface specification v4.0: measured steering for AS_READY -> AS_DRIVING
@@ -67,7 +68,7 @@ Condition = Callable[[Situation], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(Immutable):
     """A fault bit of 0x520: what raises it, and the SHUTDOWN_CAUSE of the stop that it brings."""
 
     name: str  # a field of fsai_vcu.interface.images.Faults
@@ -147,7 +148,7 @@ _EBS_UNAVAILABLE: Final = Fault(
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class Row(Immutable):
     """One transition. `fault` is set where it raises a fault bit; `reset` clears everything latched."""
 
     source: AsState

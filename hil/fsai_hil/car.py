@@ -18,6 +18,7 @@ from typing import Final
 
 from fsai_hil.vcu import Actuation, CarFeedback
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.interface.immutable import Immutable
 
 GRAVITY_MPS2: Final = 9.81
 SUBSTEP_NS: Final = 2_000_000
@@ -32,7 +33,7 @@ AT_REST: Final = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(Immutable):
     """Where the rear axle's centre is in the world, and where the car points."""
 
     x_m: float = 0.0
@@ -46,7 +47,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CarModel:
+class CarModel(Immutable):
     """The truth about the simulated car. It may differ from what the AI side believes: that is what testing is for."""
 
     # published facts, which `car_model` takes from the place where everybody takes them
@@ -137,7 +138,7 @@ def car_model(revision: str, official_simulator: bool = False) -> CarModel:
 
 
 @dataclass(frozen=True, slots=True)
-class CarTruth:
+class CarTruth(Immutable):
     """The true state of the car at one instant."""
 
     t_ns: int
@@ -150,7 +151,7 @@ class CarTruth:
     distance_m: float  # driven since the car was last placed
 
 
-@dataclass
+@dataclass(slots=True)
 class _DeadTime:
     """A request that takes effect later; requests keep their order."""
 
@@ -159,18 +160,41 @@ class _DeadTime:
     pending: deque[tuple[int, float]] = field(default_factory=deque)
 
     def request(self, now_ns: int, value: float) -> None:
-        newest = self.pending[-1][1] if self.pending else self.value
-        if value != newest:
-            self.pending.append((now_ns + self.delay_ns, value))
+        pending = self.pending
+        if value != (pending[-1][1] if pending else self.value):
+            pending.append((now_ns + self.delay_ns, value))
 
     def at(self, now_ns: int) -> float:
-        while self.pending and self.pending[0][0] <= now_ns:
-            self.value = self.pending.popleft()[1]
+        pending = self.pending
+        while pending and pending[0][0] <= now_ns:
+            self.value = pending.popleft()[1]
         return self.value
 
     def forget(self) -> None:
         self.pending.clear()
         self.value = 0.0
+
+
+class _Constants(Immutable):
+    """What a substep on the ground needs of the model and need not work out 500 times a second."""
+
+    __slots__ = (
+        "front_braking_n",
+        "front_weight_n",
+        "rear_braking_n",
+        "rear_weight_n",
+        "resistance_n",
+        "weight_n",
+    )
+
+    def __init__(self, m: CarModel) -> None:
+        full_n = m.brake_full_mps2 * m.mass_kg
+        self.front_braking_n = full_n * m.brake_front_share
+        self.rear_braking_n = full_n * (1.0 - m.brake_front_share)
+        self.weight_n = m.mass_kg * GRAVITY_MPS2
+        self.front_weight_n = self.weight_n * m.cog_to_rear_m / m.wheelbase_m
+        self.rear_weight_n = self.weight_n * m.cog_to_front_m / m.wheelbase_m
+        self.resistance_n = m.rolling_resistance * self.weight_n
 
 
 class Car:
@@ -183,6 +207,7 @@ class Car:
         self.t_ns = now_ns
         self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(self.model.origin_latitude_deg))
         self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
+        self._constants = _Constants(self.model)
         self.place(pose if pose is not None else Pose(), wheels_in_air)
 
     def place(self, pose: Pose, wheels_in_air: bool = False) -> None:
@@ -241,26 +266,27 @@ class Car:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
             rest = float(m.rpm_rest)
             rpm = (max(rpm[0], rest), max(rpm[1], rest), max(rpm[2], rest), max(rpm[3], rest))
-        revs, per_rev = self._pulse_revs, m.pulses_per_rev
+        fl, fr, rl, rr = self._pulse_revs
+        per_rev = m.pulses_per_rev
         return CarFeedback(
-            wheel_rpm=rpm,
-            pulses=(
-                int(revs[0] * per_rev) & 0xFFFF,
-                int(revs[1] * per_rev) & 0xFFFF,
-                int(revs[2] * per_rev) & 0xFFFF,
-                int(revs[3] * per_rev) & 0xFFFF,
+            rpm,
+            (
+                int(fl * per_rev) & 0xFFFF,
+                int(fr * per_rev) & 0xFFFF,
+                int(rl * per_rev) & 0xFFFF,
+                int(rr * per_rev) & 0xFFFF,
             ),
-            steer_deg=self._road_deg,
-            front_torque_nm=self._front_torque,
-            rear_torque_nm=self._rear_torque,
-            front_brake_pct=self._front_pct,
-            rear_brake_pct=self._rear_pct,
-            speed_mps=self._vx,
-            accel_xyz_mps2=(self._ax, self._ay, GRAVITY_MPS2),
-            yaw_rate_radps=self._yaw_rate,
-            latitude_deg=m.origin_latitude_deg + self._y / EARTH_METRES_PER_DEGREE,
-            longitude_deg=m.origin_longitude_deg + self._x / self._metres_per_degree_east,
-            course_deg=(90.0 - math.degrees(self._yaw)) % 360.0,
+            self._road_deg,
+            self._front_torque,
+            self._rear_torque,
+            self._front_pct,
+            self._rear_pct,
+            self._vx,
+            (self._ax, self._ay, GRAVITY_MPS2),
+            self._yaw_rate,
+            m.origin_latitude_deg + self._y / EARTH_METRES_PER_DEGREE,
+            m.origin_longitude_deg + self._x / self._metres_per_degree_east,
+            (90.0 - math.degrees(self._yaw)) % 360.0,
         )
 
     # ------------------------------------------------------------ what happens
@@ -379,14 +405,13 @@ class Car:
 
     def _roll(self, dt: float) -> None:
         """Wheels on the ground."""
-        m = self.model
+        m, const = self.model, self._constants
         vx, vy, yaw_rate = self._vx, self._vy, self._yaw_rate
         radius = m.wheel_radius_m
         front_drive = self._front_torque * m.driveline_efficiency / radius
         rear_drive = self._rear_torque * m.driveline_efficiency / radius
-        full = m.brake_full_mps2 * m.mass_kg
-        front_brake = full * m.brake_front_share * self._front_pct / 100.0
-        rear_brake = full * (1.0 - m.brake_front_share) * self._rear_pct / 100.0
+        front_brake = const.front_braking_n * self._front_pct / 100.0
+        rear_brake = const.rear_braking_n * self._rear_pct / 100.0
 
         if vx <= 0.0:
             rest = m.rolling_resistance * m.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
@@ -395,23 +420,22 @@ class Car:
                 return
 
         # loads on the axles, with the transfer of the last substep
-        weight = m.mass_kg * GRAVITY_MPS2
         transfer = m.mass_kg * self._ax * m.cog_height_m / m.wheelbase_m
-        front_load = weight * m.cog_to_rear_m / m.wheelbase_m - transfer
-        rear_load = weight * m.cog_to_front_m / m.wheelbase_m + transfer
+        front_load = const.front_weight_n - transfer
+        rear_load = const.rear_weight_n + transfer
         front_grip = m.friction * front_load
         rear_grip = m.friction * rear_load
 
         # what the tyres carry along, and what is left over to spin or lock the wheels
         front_asked = front_drive - front_brake
         rear_asked = rear_drive - rear_brake
-        front_force = min(front_grip, max(-front_grip, front_asked))
-        rear_force = min(rear_grip, max(-rear_grip, rear_asked))
+        front_force = _between(-front_grip, front_asked, front_grip)
+        rear_force = _between(-rear_grip, rear_asked, rear_grip)
         self._front_slip = self._slip(self._front_slip, front_asked - front_force, front_force / front_load, vx, dt)
         self._rear_slip = self._slip(self._rear_slip, rear_asked - rear_force, rear_force / rear_load, vx, dt)
 
         steer = math.radians(self._road_deg)
-        resistance = m.rolling_resistance * weight + 0.6 * m.drag_area_m2 * vx * vx  # half of 1.2 kg/m3 of air
+        resistance = const.resistance_n + 0.6 * m.drag_area_m2 * vx * vx  # half of 1.2 kg/m3 of air
         inertia = m.mass_kg + m.rotating_mass_kg
 
         blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
@@ -420,8 +444,8 @@ class Car:
             cos_steer, sin_steer = math.cos(steer), math.sin(steer)
             front_angle = steer - math.atan2(vy + to_front * yaw_rate, vx)
             rear_angle = -math.atan2(vy - to_rear * yaw_rate, vx)
-            front_left = math.sqrt(max(0.0, 1.0 - (front_force / front_grip) ** 2)) * front_grip
-            rear_left = math.sqrt(max(0.0, 1.0 - (rear_force / rear_grip) ** 2)) * rear_grip
+            front_left = math.sqrt(_positive(1.0 - (front_force / front_grip) ** 2)) * front_grip
+            rear_left = math.sqrt(_positive(1.0 - (rear_force / rear_grip) ** 2)) * rear_grip
             front_side = front_left * math.sin(m.tyre_c * math.atan(m.tyre_b * front_angle))
             rear_side = rear_left * math.sin(m.tyre_c * math.atan(m.tyre_b * rear_angle))
             along = front_force * cos_steer - front_side * sin_steer + rear_force - resistance
@@ -465,10 +489,10 @@ class Car:
         per_mps = RPM_PER_RADPS / radius
         front_slip, rear_slip = self._front_slip, self._rear_slip
         self._rpm = (
-            max(0.0, (vx_next - half) * cos_steer + sideways + front_slip) * per_mps,
-            max(0.0, (vx_next + half) * cos_steer + sideways + front_slip) * per_mps,
-            max(0.0, vx_next - half + rear_slip) * per_mps,
-            max(0.0, vx_next + half + rear_slip) * per_mps,
+            _positive((vx_next - half) * cos_steer + sideways + front_slip) * per_mps,
+            _positive((vx_next + half) * cos_steer + sideways + front_slip) * per_mps,
+            _positive(vx_next - half + rear_slip) * per_mps,
+            _positive(vx_next + half + rear_slip) * per_mps,
         )
 
     def _slip(self, slip_mps: float, excess_n: float, used: float, vx: float, dt: float) -> float:
@@ -478,7 +502,16 @@ class Car:
             slip_mps += excess_n * m.wheel_radius_m**2 / m.axle_inertia_kgm2 * dt
             return max(-vx, slip_mps)
         creep = used / m.slip_stiffness * vx
-        return slip_mps + (creep - slip_mps) * min(1.0, dt / 0.02)
+        share = dt / 0.02
+        return slip_mps + (creep - slip_mps) * (share if share < 1.0 else 1.0)
+
+
+def _positive(value: float) -> float:
+    return value if value > 0.0 else 0.0
+
+
+def _between(low: float, value: float, high: float) -> float:
+    return low if value < low else value if value < high else high
 
 
 def _toward(value: float, target: float, most: float) -> float:

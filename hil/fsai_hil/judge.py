@@ -27,6 +27,7 @@ from fsai_hil.tracks import (
 )
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.immutable import Immutable
 
 NS_PER_S: Final = 1e9
 STANDING_RPM: Final = 10.0  # interface specification v4.0: under it a wheel stands
@@ -37,7 +38,7 @@ RPM_TOLERANCE: Final = 0.95  # a wheel speed asked for counts as reached from he
 
 
 @dataclass(frozen=True, slots=True)
-class JudgeSettings:
+class JudgeSettings(Immutable):
     """The rules of the year. Lengths and times have the defaults of missions.md."""
 
     laps: int | None = None  # of a trackdrive; None: ten
@@ -83,7 +84,7 @@ LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(Immutable):
     """What the judge says at the end, or would say if the run ended now. Times in s since the world began."""
 
     mission: str
@@ -147,6 +148,11 @@ class _Crossing:
         return earlier + (t_ns - earlier) * before / (before - ahead)
 
 
+@dataclass(frozen=True, slots=True)
+class _Centreline(Immutable):
+    points: tuple[tuple[float, float], ...]
+
+
 class _Route:
     """Follows the car along the centreline, so that progress is driven and never jumped."""
 
@@ -156,15 +162,15 @@ class _Route:
     def __init__(self, track: Track) -> None:
         line = track.centreline_m
         assert line is not None  # callers ask only for tracks that have one
-        self._points = [(float(x), float(y)) for x, y in line]
+        self._line = _Centreline(tuple((float(x), float(y)) for x, y in line))
         self._closed = track.closed
         self._index: int | None = None
-        self.step_m = track.length_m / max(1, len(self._points) - (0 if track.closed else 1))
+        self.step_m = track.length_m / max(1, len(line) - (0 if track.closed else 1))
         self.progress_m = 0.0  # along the centreline since the run began
         self.lateral_m = 0.0  # positive: left of it
 
     def follow(self, x: float, y: float) -> None:
-        points = self._points
+        points = self._line.points
         count = len(points)
         if self._index is None or (self._closed and abs(self.lateral_m) > self.LOST_M):
             # found anew: no progress is credited for the way here. An open route is entered at its first pass
@@ -190,6 +196,13 @@ class _Route:
         self.lateral_m = ((bx - ax) * (y - py) - (by - ay) * (x - px)) / length if length else math.sqrt(best_d2)
 
 
+@dataclass(frozen=True, slots=True)
+class _ConeGrid(Immutable):
+    """Cones by the square in which they stand: number, x, y and radius of each."""
+
+    cells: Mapping[tuple[int, int], tuple[tuple[int, float, float, float], ...]]
+
+
 class _Surroundings:
     """Cones and borders around the car."""
 
@@ -198,11 +211,12 @@ class _Surroundings:
     def __init__(self, track: Track, model: CarModel) -> None:
         self._track = track
         self._model = model
-        self._cells: dict[tuple[int, int], list[tuple[int, float, float, float]]] = {}
+        cells: dict[tuple[int, int], list[tuple[int, float, float, float]]] = {}
         for i, ((x, y), color) in enumerate(zip(track.cones_xy_m, track.cone_colors, strict=True)):
             cell = (math.floor(x / self.CELL_M), math.floor(y / self.CELL_M))
             radius = CONE_RADIUS_M[ConeColor(int(color))]
-            self._cells.setdefault(cell, []).append((i, float(x), float(y), radius))
+            cells.setdefault(cell, []).append((i, float(x), float(y), radius))
+        self._grid = _ConeGrid({cell: tuple(cones) for cell, cones in cells.items()})
         self.hit: set[int] = set()
         self.off_course = 0
         self._off = False
@@ -219,7 +233,7 @@ class _Surroundings:
         forward, left = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
         for i in (column - 1, column, column + 1):
             for j in (row - 1, row, row + 1):
-                for cone, cx, cy, radius in self._cells.get((i, j), ()):
+                for cone, cx, cy, radius in self._grid.cells.get((i, j), ()):
                     along = abs((cx - x) * forward + (cy - y) * left) - m.length_m / 2.0
                     across = abs((cy - y) * forward - (cx - x) * left) - m.width_m / 2.0
                     if math.hypot(max(0.0, along), max(0.0, across)) < radius:

@@ -1,15 +1,16 @@
 """The person beside the car: walks the switches, chooses missions, gives Go, and presses what a scenario asks for.
 
 Pure: driven by the time and by what the car shows (ASSI, siren, display), like a person; it never looks at the state
-machine behind them. A person's work is a script: a generator that says what it waits to see, and moves switches when
-it has seen it.
+machine behind them. A person's work is a script: what to wait for, one thing after another, and what to do when it has
+been seen. Scripts are data, not running code, so that a run can be copied in the middle of one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
+from functools import partial
 from typing import Any, Final, Protocol
 
 from fsai_hil.indicators import Assi, Indicators, Siren
@@ -17,6 +18,7 @@ from fsai_hil.power import POWER_UP, PowerUp
 from fsai_hil.profiles import MS, S
 from fsai_hil.switches import Switches
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.immutable import Immutable
 
 HAND_NS: Final = 300 * MS  # from one switch to the next
 REACTION_NS: Final = 500 * MS  # from seeing to doing
@@ -45,17 +47,28 @@ class CarShows(Protocol):
     def shut_down(self) -> bool: ...
 
 
+def _at_once(car: CarShows) -> bool:
+    return True
+
+
 @dataclass(frozen=True, slots=True)
-class Await:
-    """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on with False instead."""
+class Await(Immutable):
+    """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on unseen instead."""
 
     what: str
-    seen: Callable[[CarShows], bool] = lambda car: True
+    seen: Callable[[CarShows], bool] = _at_once
     delay_ns: int = HAND_NS
     patience_ns: int | None = None
 
 
-Script = Generator[Await, bool, None]
+@dataclass(frozen=True, slots=True)
+class Do(Immutable):
+    """What the hands do, and what that adds to the script right here. Told whether the last thing awaited was seen."""
+
+    act: Callable[[Switches, bool], Script]
+
+
+Script = Sequence[Await | Do]
 
 
 class Moment(Enum):
@@ -69,7 +82,7 @@ class Moment(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class At:
+class At(Immutable):
     """Something that happens whatever the script is about: `after_ns` after a moment, `switch` becomes `value`.
 
     Raises ValueError for a switch that the car does not have.
@@ -92,15 +105,12 @@ class Operator:
     waited for, `done` that the script has ended, `log` what was done and when.
     """
 
-    def __init__(self, script: Callable[[Switches], Script] | None = None, at: Iterable[At] = ()) -> None:
-        self._begin = script
-        self._script: Script | None = None
-        self._await = Await("about to begin")
-        self._await_since_ns = 0
+    def __init__(self, script: Script = (), at: Iterable[At] = ()) -> None:
+        self._ahead = tuple(script)  # of the script
+        self._await_since_ns: int | None = None  # None: it has not begun
         self._seen_ns: int | None = None
         self._at = list(at)
         self._moments_ns: dict[Moment, int] = {}
-        self.done = script is None
         self.log: list[tuple[int, str]] = []
 
     @classmethod
@@ -108,39 +118,45 @@ class Operator:
         cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = (), switch_off_at_end: bool = True
     ) -> Operator:
         """One who has these missions driven one after another, from a car that is off to a car that is off."""
-        power_up = POWER_UP[revision]
-        return cls(lambda switches: drive_missions(switches, power_up, missions, switch_off_at_end), at)
+        return cls(drive_missions(POWER_UP[revision], missions, switch_off_at_end), at)
+
+    @property
+    def done(self) -> bool:
+        return not self._ahead
 
     @property
     def doing(self) -> str:
-        return "nothing left to do" if self.done else self._await.what
+        for step in self._ahead:
+            if isinstance(step, Await):
+                return step.what
+        return "nothing left to do"
 
     def act(self, now_ns: int, car: CarShows) -> None:
         """Look at the car at `now_ns` and move what is to be moved."""
         if self._at:
             self._events(now_ns, car)
-        if self._script is None and self._begin is not None:
-            self._script = self._begin(car.switches)
-            self._go_on(now_ns, None)
-        if self.done:
+        if self._await_since_ns is None:
+            self._go_on(now_ns, car.switches, True)
+        if not self._ahead:
             return
-        awaited = self._await
+        awaited = self._ahead[0]
+        assert isinstance(awaited, Await) and self._await_since_ns is not None  # `_go_on` does what is to be done
         if self._seen_ns is None and awaited.seen(car):
             self._seen_ns = now_ns
         if self._seen_ns is not None:
             if now_ns - self._seen_ns >= awaited.delay_ns:
                 self.log.append((now_ns, awaited.what))
-                self._go_on(now_ns, True)
+                self._ahead = self._ahead[1:]
+                self._go_on(now_ns, car.switches, True)
         elif awaited.patience_ns is not None and now_ns - self._await_since_ns >= awaited.patience_ns:
             self.log.append((now_ns, f"no longer waiting: {awaited.what}"))
-            self._go_on(now_ns, False)
+            self._ahead = self._ahead[1:]
+            self._go_on(now_ns, car.switches, False)
 
-    def _go_on(self, now_ns: int, seen: bool | None) -> None:
-        assert self._script is not None
-        try:
-            self._await = next(self._script) if seen is None else self._script.send(seen)
-        except StopIteration:
-            self.done = True
+    def _go_on(self, now_ns: int, switches: Switches, seen: bool) -> None:
+        """Do what is to be done before the next thing to wait for."""
+        while self._ahead and isinstance(step := self._ahead[0], Do):
+            self._ahead = (*step.act(switches, seen), *self._ahead[1:])
         self._await_since_ns = now_ns
         self._seen_ns = None
 
@@ -164,78 +180,133 @@ class Operator:
 # ---------------------------------------------------------------- scripts
 
 
-def drive_missions(
-    switches: Switches, power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end: bool = True
-) -> Script:
+def drive_missions(power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end: bool = True) -> Script:
     """Power up, choose the mission, give Go, wait for the end, switch off what this car wants off; then the next."""
-    on = False
+    script: list[Await | Do] = [*power_on(power_up)]
     for number, mission in enumerate(missions, start=1):
-        if not on:
-            yield from power_on(switches, power_up)
-            on = True
-        yield Await("waiting until the display offers the missions", lambda car: car.mission_selectable, REACTION_NS)
-        switches.ami = mission
-        if not switches.asms:  # the mission before ended with it
-            yield Await("turning ASMS on")
-            switches.asms = True
-        yield Await("waiting for yellow and blue: 5 s in AS_READY", _ready_for_go, REACTION_NS)
-        failed = yield Await("looking whether the car is still ready", _emergency, 0, patience_ns=0)
-        if not failed:
-            yield from give_go(switches)
-        yield Await("waiting for the end of the mission", lambda car: car.indicators.assi in ENDED, 0)
-        emergency = yield Await("looking how it ended", _emergency, 0, patience_ns=0)
-        if emergency:
-            yield Await("waiting until the siren falls silent", lambda car: car.indicators.siren is Siren.OFF)
-        else:
-            yield Await("letting the car stand", delay_ns=FINISHED_NS)
-        switches.go = False
         last = number == len(missions)
-        if last and not switch_off_at_end:
-            return
-        everything = ("asms", "tsms", "lvms")
-        yield from power_down(switches, everything if emergency or last else power_up.switches_off)
-        on = switches.lvms
+        if number > 1:
+            script.append(Do(partial(_power_on_again, power_up)))
+        script += (
+            Await("waiting until the display offers the missions", _offers_missions, REACTION_NS),
+            _put("ami", mission),
+            Do(_asms_on_again),  # the mission before may have ended with it
+            Await("waiting for yellow and blue: 5 s in AS_READY", _ready_for_go, REACTION_NS),
+            Await("looking whether the car is still ready", _emergency, 0, patience_ns=0),
+            Do(_go_unless_emergency),
+            Await("waiting for the end of the mission", _ended, 0),
+            Await("looking how it ended", _emergency, 0, patience_ns=0),
+            Do(partial(_let_it_end, power_up, last, switch_off_at_end)),
+        )
+    return script
 
 
-def power_on(switches: Switches, power_up: PowerUp) -> Script:
+def power_on(power_up: PowerUp) -> Script:
     """The switches in the order of this car's power-up."""
-    yield Await("checking the dongle, the E-stops and the remote", delay_ns=OFF_NS)
-    switches.dongle = True
-    switches.remote_estop = switches.car_estop = False
-    switches.remote_radio_ok = True
-    switches.go = False
-    for name in power_up.switches_on:
-        yield Await(f"turning {name.upper()} on")
-        setattr(switches, name, True)
+    return (
+        Await("checking the dongle, the E-stops and the remote", delay_ns=OFF_NS),
+        _put("dongle", True),
+        _put("remote_estop", False),
+        _put("car_estop", False),
+        _put("remote_radio_ok", True),
+        _put("go", False),
+        *(step for name in power_up.switches_on for step in _turn(name, True)),
+    )
 
 
-def power_down(switches: Switches, names: Iterable[str]) -> Script:
+def power_down(names: Iterable[str]) -> Script:
     """The switches off, one after another; LVMS only when the car has shut down."""
+    script: list[Await | Do] = []
     for name in names:
         if name == "lvms":
-            yield Await("waiting until the car has shut down", lambda car: car.shut_down)
-        yield Await(f"turning {name.upper()} off")
-        setattr(switches, name, False)
+            script.append(Await("waiting until the car has shut down", _shut_down))
+        script += _turn(name, False)
         if name == "lvms":
-            switches.ami = Ami.NOT_SELECTED  # the display forgets
+            script.append(_put("ami", Ami.NOT_SELECTED))  # the display forgets
+    return script
 
 
-def give_go(switches: Switches) -> Script:
+def give_go() -> Script:
     """Go; off and on again as long as the car stays ready and does not start."""
-    while True:
-        switches.go = True
-        started = yield Await(
-            "giving Go", lambda car: car.indicators.assi not in READY, delay_ns=0, patience_ns=GO_PATIENCE_NS
-        )
-        if started:
-            return
-        switches.go = False
-        yield Await("taking Go back", delay_ns=REACTION_NS)
+    return (
+        _put("go", True),
+        Await("giving Go", _no_longer_ready, delay_ns=0, patience_ns=GO_PATIENCE_NS),
+        Do(_again_unless_started),
+    )
+
+
+# ---------------------------------------------------------------- what hands do
+
+
+def _put(switch: str, value: Any) -> Do:
+    return Do(partial(_put_now, switch, value))
+
+
+def _turn(switch: str, on: bool) -> Script:
+    return Await(f"turning {switch.upper()} {'on' if on else 'off'}"), _put(switch, on)
+
+
+def _put_now(switch: str, value: Any, switches: Switches, seen: bool) -> Script:
+    setattr(switches, switch, value)
+    return ()
+
+
+def _power_on_again(power_up: PowerUp, switches: Switches, seen: bool) -> Script:
+    return () if switches.lvms else power_on(power_up)
+
+
+def _asms_on_again(switches: Switches, seen: bool) -> Script:
+    return () if switches.asms else _turn("asms", True)
+
+
+def _go_unless_emergency(switches: Switches, emergency: bool) -> Script:
+    return () if emergency else give_go()
+
+
+def _again_unless_started(switches: Switches, started: bool) -> Script:
+    if started:
+        return ()
+    return _put("go", False), Await("taking Go back", delay_ns=REACTION_NS), *give_go()
+
+
+def _let_it_end(power_up: PowerUp, last: bool, switch_off_at_end: bool, switches: Switches, emergency: bool) -> Script:
+    everything = emergency or last  # after an emergency only a power cycle leads on
+    off = power_down(("asms", "tsms", "lvms") if everything else power_up.switches_off)
+    return (
+        Await("waiting until the siren falls silent", _silent)
+        if emergency
+        else Await("letting the car stand", delay_ns=FINISHED_NS),
+        _put("go", False),
+        *(() if last and not switch_off_at_end else off),
+    )
+
+
+# ---------------------------------------------------------------- what is seen
+
+
+def _offers_missions(car: CarShows) -> bool:
+    return car.mission_selectable
 
 
 def _ready_for_go(car: CarShows) -> bool:
     return car.indicators.assi in (Assi.YELLOW_AND_BLUE, Assi.BLUE_FLASHING)
 
 
+def _no_longer_ready(car: CarShows) -> bool:
+    return car.indicators.assi not in READY
+
+
 def _emergency(car: CarShows) -> bool:
     return car.indicators.assi is Assi.BLUE_FLASHING
+
+
+def _ended(car: CarShows) -> bool:
+    return car.indicators.assi in ENDED
+
+
+def _silent(car: CarShows) -> bool:
+    return car.indicators.siren is Siren.OFF
+
+
+def _shut_down(car: CarShows) -> bool:
+    return car.shut_down

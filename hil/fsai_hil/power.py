@@ -13,6 +13,7 @@ from typing import Final
 
 from fsai_hil.profiles import MS
 from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, OpState, TsState
+from fsai_vcu.interface.immutable import Immutable
 
 
 class SystemState(IntEnum):
@@ -41,7 +42,7 @@ class SystemAction(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class PowerUp:
+class PowerUp(Immutable):
     """What differs between the cars of two interface revisions while they are switched on and off."""
 
     first_state: AsState

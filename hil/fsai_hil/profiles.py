@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
+from fsai_vcu.interface.immutable import Immutable
+
 MS: Final = 1_000_000
 S: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Profile:
+class Profile(Immutable):
     """One way in which a VCU behaves. Each field is a difference that somebody can meet."""
 
     name: str

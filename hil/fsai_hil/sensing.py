@@ -16,12 +16,13 @@ import numpy as np
 from fsai_hil.car import Pose
 from fsai_hil.tracks import Track
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Floats, Ints
+from fsai_vcu.interface.immutable import Immutable
 
 COLOURED: Final = np.array([ConeColor.BLUE, ConeColor.YELLOW, ConeColor.ORANGE, ConeColor.BIG_ORANGE], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
-class SensorSettings:
+class SensorSettings(Immutable):
     """How good the sensor is. All imperfections scale with `noise_level`; 0 is a perfect sensor."""
 
     range_m: float = 14.0

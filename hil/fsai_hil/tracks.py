@@ -22,6 +22,7 @@ import numpy as np
 from fsai_hil.car import Pose
 from fsai_vcu.core.driving import ConeColor, Floats, Ints
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.immutable import Immutable
 
 Point = tuple[float, float]
 
@@ -64,7 +65,7 @@ class TrackKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class Line(Immutable):
     """A timing line across the lane: a point on it and the direction in which cars cross it."""
 
     x_m: float
@@ -89,7 +90,7 @@ Rings = tuple[tuple[Point, ...], ...]
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(Immutable):
     """A laid-out track. Arrays must not be written to.
 
     `lane` is the drivable area: a union of shapes, each made of rings whose insides cancel (a ring-shaped lane is two).
@@ -646,7 +647,7 @@ def _skidpad_at(name: str, source: str, xy: Floats, colors: Ints, start: Pose, g
 
 
 @dataclass(frozen=True, slots=True)
-class _Walk:
+class _Walk(Immutable):
     """The lane as it was found between the cones."""
 
     left: tuple[Point, ...]

@@ -10,13 +10,16 @@ Source: the vehicle's interface specification v4.0 (2021) and the signal databas
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from operator import attrgetter
+from types import MappingProxyType
 from typing import Final, cast
 
 from fsai_hil.ai_link import AiLink
 from fsai_hil.as_machine import (
     CAR_FAULTS,
+    READY_STEER_DEG,
     STANDING_RPM,
     Row,
     Situation,
@@ -50,6 +53,7 @@ from fsai_vcu.interface.enums import (
     MissionStatus,
     ShutdownCause,
     SteeringStatus,
+    TsState,
 )
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
@@ -73,6 +77,7 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.signals import rows
@@ -85,7 +90,7 @@ GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames
 
 
 @dataclass(frozen=True, slots=True)
-class CarFeedback:
+class CarFeedback(Immutable):
     """What the VCU's sensors, and the PCAN-GPS, read of the car at one instant."""
 
     wheel_rpm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # FL FR RL RR, never negative
@@ -104,7 +109,7 @@ class CarFeedback:
 
 
 @dataclass(frozen=True, slots=True)
-class Actuation:
+class Actuation(Immutable):
     """What the VCU orders from the car's actuators now."""
 
     steer_deg: float = 0.0
@@ -119,7 +124,7 @@ class Actuation:
 
 
 @dataclass(frozen=True, slots=True)
-class Transition:
+class Transition(Immutable):
     """One change of the AS state and what brought it about."""
 
     t_ns: int
@@ -131,13 +136,14 @@ class Transition:
         return f"{self.source.label} -> {self.target.label}: {self.why}"
 
 
-@dataclass(slots=True)
-class _Message:
-    """One cyclic message; `frame` makes it as it is at a time."""
+@dataclass(frozen=True, slots=True)
+class _Message(Immutable):
+    """One cyclic message. `build` makes its image as it is at a time; None: the PCAN-GPS does."""
 
+    kind: type[Image]
     period_ns: int
     phase_ns: int
-    frame: Callable[[int], Frame]
+    build: Callable[[SimulatedVcu, int], Image] | None
 
 
 class SimulatedVcu:
@@ -175,12 +181,16 @@ class SimulatedVcu:
         self.transitions: list[Transition] = []
         self.history: list[tuple[int, AsState]] = [(now_ns, self.power_up.first_state)]
         self.response_times_ns: list[int] = []
+        self.comms_losses = 0  # how often AI_COMMS_LOST was raised
         self.power_cycles = 0
         self._now_ns = now_ns
         self._feedback = CarFeedback()
+        self._motion = _motion(self._feedback)
+        self._circumstances: object = None  # of the last look
         self._table = transition_table(profile)
         self._ai_faults = ai_faults(profile)
         self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
+        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS said last
         self._powered = False
         self._ebs_holds_without_power = False
         self._begin(now_ns)
@@ -213,6 +223,7 @@ class SimulatedVcu:
     def step(self, now_ns: int, feedback: CarFeedback) -> list[Frame]:
         """Live on until `now_ns`, where the sensors read `feedback`; returns the frames sent, each with its time."""
         self._feedback = feedback
+        self._motion = _motion(feedback)
         if not self.incoming.sound:
             for arrived in self.incoming.through((), now_ns):
                 self._hear(arrived)
@@ -231,7 +242,7 @@ class SimulatedVcu:
                 t_ns, order = due[0]
                 message = self._messages[order]
                 heapq.heapreplace(due, (t_ns + message.period_ns, order))
-                sent.append(message.frame(t_ns))
+                sent.append(self._frame(message, t_ns))
         if not self.outgoing.sound:
             return self.outgoing.through(sent, now_ns)
         return sent
@@ -243,8 +254,10 @@ class SimulatedVcu:
     def _begin(self, now_ns: int) -> None:
         """Everything as it is when low voltage comes on."""
         self._powered_ns = now_ns
+        self._settled_until_ns = now_ns
         self._link = AiLink(self.profile)
         self._link.response_times_ns = self.response_times_ns
+        self._comms_were_lost = False
         self._tractive_system = TractiveSystem(now_ns)
         self._ebs = EmergencyBrakeSystem(now_ns)
         self._device = PcanGps(now_ns)
@@ -273,9 +286,45 @@ class SimulatedVcu:
     # ------------------------------------------------------------ deciding
 
     def _look(self, now_ns: int) -> None:
-        """Look at everything once: subsystems first, then one row of the state machine."""
+        """Look at everything once: subsystems first, then one row of the state machine.
+
+        Where the last look changed nothing, and nothing that it looked at has changed, this one would not either: that
+        saves nine looks of ten, which were a tenth of a simulation's time.
+        """
+        circumstances = (self._link.requests, self._motion, _positions(self.switches))
+        if now_ns < self._settled_until_ns and circumstances == self._circumstances:
+            return
+        before = (self._state, self._tractive_system.state, self._ebs.state, self._go_before)
+        took = self._look_closely(now_ns)
+        after = (self._state, self._tractive_system.state, self._ebs.state, self._go_before)
+        self._circumstances = circumstances
+        self._settled_until_ns = now_ns if took or before != after else self._next_change_ns(now_ns)
+
+    def _next_change_ns(self, now_ns: int) -> int:
+        """Until when looking again changes nothing, if nothing else changes."""
+        if (
+            not self._activated
+            or self._comms_were_lost
+            or self._tractive_system.state in PASSING_TRACTIVE_STATES
+            or self._ebs.state in PASSING_EBS_STATES
+        ):
+            return now_ns
+        profile = self.profile
+        # A handshake that toggles after this look is missed at the earliest so much later.
+        change_ns = min(self._link.deadline_ns(), now_ns + profile.echo_timeout_ns)
+        for timer_ns in (profile.ready_wait_ns, profile.emergency_timer_ns):
+            over_ns = self._state_since_ns + timer_ns
+            if now_ns < over_ns < change_ns:
+                change_ns = over_ns
+        return change_ns
+
+    def _look_closely(self, now_ns: int) -> bool:
+        """Whether a row of the state machine was taken."""
         switches, link, s = self.switches, self._link, self._situation
         comms_lost = link.lost(now_ns)
+        if comms_lost and not self._comms_were_lost:
+            self.comms_losses += 1
+        self._comms_were_lost = comms_lost
         sdc_open = self.sdc_open
         self._follow_power(now_ns, sdc_open)
 
@@ -300,15 +349,10 @@ class SimulatedVcu:
         s.offboard_charger_fault = switches.offboard_charger_fault
         s.charge_procedure_fault = switches.charge_procedure_fault
         s.bms_fault = switches.bms_fault
-        status = link.status
         s.comms_lost = comms_lost
-        s.estop_request = status.estop_request
+        s.estop_request, status, s.direction, s.torque_requested, s.brake_requested, s.steer_requested = link.requests
         # what was said before the link was lost acknowledges nothing
-        s.mission_status = MissionStatus.NOT_SELECTED if comms_lost else status.mission_status
-        s.direction = status.direction
-        s.torque_requested = link.torque_requested
-        s.brake_requested = link.brake_requested
-        s.steer_requested = link.steer.steer_deg != 0.0
+        s.mission_status = MissionStatus.NOT_SELECTED if comms_lost else status
         in_state_ns = now_ns - self._state_since_ns
         s.ready_wait_over = in_state_ns >= self.profile.ready_wait_ns
         s.emergency_timer_over = in_state_ns >= self.profile.emergency_timer_ns
@@ -318,6 +362,7 @@ class SimulatedVcu:
         row = taken(self._table, self._state, s)
         if row is not None:
             self._take(row, now_ns)
+        return row is not None
 
     def _take(self, row: Row, now_ns: int) -> None:
         if row.fault is not None:
@@ -345,6 +390,7 @@ class SimulatedVcu:
             self.history.append((now_ns, target))
         self._state = target
         self._state_since_ns = now_ns
+        self._settled_until_ns = now_ns
 
     def _follow_power(self, now_ns: int, sdc_open: bool) -> None:
         """Shutdown, tractive system and EBS follow the switches, the shutdown circuit and the state."""
@@ -550,53 +596,33 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ what it says
 
-    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> list[_Message]:
+    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_Message, ...]:
         """Everything that is sent in this revision, 0x520 first."""
-        builders: dict[type, Callable[[int], Image]] = {
-            VcuStatus: self._status_image,
-            VcuDriveFront: self._drive_front_image,
-            VcuDriveRear: self._drive_rear_image,
-            VcuSteer: self._steer_image,
-            VcuBrake: self._brake_image,
-            WheelSpeeds: self._speeds_image,
-            WheelCounts: self._counts_image,
-            VcuSystemStatus: self._system_image,
-            LogDynamics1: self._log_dynamics_image,
-            LogStatus: self._log_status_image,
-        }
         decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
         if gps:
             decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
         declared = {row.image: BY_NAME[row.message] for row in rows(self.codec.mapping)}
         messages: list[_Message] = []
-        for kind in (*builders, *(GPS_IMAGES if gps else ())):
+        for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
             message = declared[kind]
             if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
                 continue
             phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0
             period_ns = message.period_ns[self.revision.name] * decimation.get(kind, 1)
-            frame = self._frames_of(builders[kind]) if kind in builders else self._gps_frames_of(kind)
-            messages.append(_Message(period_ns, phase_ns, frame))
-        return messages
+            messages.append(_Message(kind, period_ns, phase_ns, BUILDERS.get(kind)))
+        return tuple(messages)
 
-    def _frames_of(self, build: Callable[[int], Image]) -> Callable[[int], Frame]:
-        encode = self.codec.encode
-        return lambda t_ns: encode(build(t_ns))
-
-    def _gps_frames_of(self, kind: type[GpsImage]) -> Callable[[int], Frame]:
-        """What the PCAN-GPS repeats is encoded once: its frames are most of the bus."""
-        last_image: GpsImage | None = None
-        last = Frame(0)
-
-        def frame(t_ns: int) -> Frame:
-            nonlocal last_image, last
-            image = self._device.image(kind, t_ns, self._feedback)
-            if image is last_image:
-                return Frame(last.can_id, last.data, t_ns)
-            last_image, last = image, self.codec.encode(image)
-            return last if last.t_ns == t_ns else Frame(last.can_id, last.data, t_ns)
-
-        return frame
+    def _frame(self, message: _Message, t_ns: int) -> Frame:
+        if message.build is not None:
+            return self.codec.encode(message.build(self, t_ns))
+        # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
+        image = self._device.image(cast("type[GpsImage]", message.kind), t_ns, self._feedback)
+        last = self._repeated.get(message.kind)
+        if last is not None and image is last[0]:
+            return Frame(last[1].can_id, last[1].data, t_ns)
+        encoded = self.codec.encode(image)
+        self._repeated[message.kind] = (image, encoded)
+        return encoded if encoded.t_ns == t_ns else Frame(encoded.can_id, encoded.data, t_ns)
 
     def _warnings(self) -> dict[str, bool]:
         """The AI computer's faults where they do not stop the car: outside AS_DRIVING they are warnings."""
@@ -737,6 +763,40 @@ class SimulatedVcu:
             cones_count_all=status.cones_count_all,
             t_rx_ns=t_ns,
         )
+
+
+BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = MappingProxyType(
+    {
+        VcuStatus: SimulatedVcu._status_image,
+        VcuDriveFront: SimulatedVcu._drive_front_image,
+        VcuDriveRear: SimulatedVcu._drive_rear_image,
+        VcuSteer: SimulatedVcu._steer_image,
+        VcuBrake: SimulatedVcu._brake_image,
+        WheelSpeeds: SimulatedVcu._speeds_image,
+        WheelCounts: SimulatedVcu._counts_image,
+        VcuSystemStatus: SimulatedVcu._system_image,
+        LogDynamics1: SimulatedVcu._log_dynamics_image,
+        LogStatus: SimulatedVcu._log_status_image,
+    }
+)
+
+_positions: Final = attrgetter(*(field.name for field in fields(Switches)))
+
+# States which pass by themselves.
+PASSING_TRACTIVE_STATES: Final = frozenset({TsState.TS_PRECHARGE, TsState.TS_ACTIVATE})
+PASSING_EBS_STATES: Final = frozenset({EbsState.EBS_INIT, EbsState.EBS_CHARGING, EbsState.EBS_DISCHARGING})
+
+
+def _motion(feedback: CarFeedback) -> tuple[bool, bool, bool, bool]:
+    """What the state machine distinguishes of the car's motion and steering."""
+    rpm = feedback.wheel_rpm
+    fastest = max(rpm)
+    return (
+        fastest > STANDING_RPM,
+        fastest < STANDING_RPM,
+        min(rpm) > STANDING_RPM,
+        abs(feedback.steer_deg) < READY_STEER_DEG,
+    )
 
 
 # signal database: State_service_brake of 0x502

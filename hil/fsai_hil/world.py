@@ -6,8 +6,7 @@ process on a bus. Deterministic: the same setup and the same frames at the same 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -17,14 +16,16 @@ from fsai_hil.faults import FrameFault
 from fsai_hil.judge import Judge, JudgeSettings, Verdict, check_track
 from fsai_hil.operator import At, Operator
 from fsai_hil.profiles import profile as profile_named
+from fsai_hil.response import ResponseTimes
 from fsai_hil.sensing import ConeSensor, SensorSettings
 from fsai_hil.tracks import MISSION_TRACK, Track, load_track
 from fsai_hil.truth import Truth
-from fsai_hil.vcu import SimulatedVcu
+from fsai_hil.vcu import Actuation, CarFeedback, SimulatedVcu
 from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.revisions import revision as revision_named
 
 STEP_NS: Final = 2_000_000  # the grid on which the VCU looks and the car moves on
@@ -63,7 +64,7 @@ class WorldSetup:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(Immutable):
     """One point of the driven path."""
 
     t_s: float
@@ -120,6 +121,9 @@ class World:
         self.verdicts: list[Verdict] = []  # of the runs that are over
         self.runs: list[_Run] = []
         self._spoken_to = False
+        # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
+        self.actuator_faults: list[Callable[[Actuation, int], Actuation]] = []
+        self.sensor_faults: list[Callable[[CarFeedback, int], CarFeedback]] = []
         self._run = self._stage(setup.missions[0])
 
     # ------------------------------------------------------------ what goes in
@@ -135,16 +139,24 @@ class World:
         The world moves in steps of a fixed grid, so it does not matter in what portions time is handed over.
         """
         sent: list[Frame] = []
-        while self._now_ns + STEP_NS <= to_ns:
-            self._now_ns += STEP_NS
-            if self._now_ns >= self._next_look_ns or self._spoken_to or self.vcu.next_due_ns() <= self._now_ns:
+        now = self._now_ns + STEP_NS
+        while now <= to_ns:
+            self._now_ns = now
+            if now >= self._next_look_ns or self._spoken_to or self.vcu.next_due_ns() <= now:
                 self._spoken_to = False
-                self._step(self._now_ns, sent)
+                self._step(now, sent)
+            now += STEP_NS
         return sent
 
     def _step(self, now: int, sent: list[Frame]) -> None:
-        self.car.advance(now, self.vcu.actuation)
-        sent += self.vcu.step(now, self.car.feedback())
+        order = self.vcu.actuation
+        for actuator in self.actuator_faults:
+            order = actuator(order, now)
+        self.car.advance(now, order)
+        feedback = self.car.feedback()
+        for sensor in self.sensor_faults:
+            feedback = sensor(feedback, now)
+        sent += self.vcu.step(now, feedback)
         if now >= self._next_look_ns:
             self._next_look_ns += LOOK_NS
             self._look(now)
@@ -257,14 +269,15 @@ class World:
 
     def handshake(self) -> dict[str, Any]:
         """How fast the AI computer echoed the handshake, as scrutineering measures it."""
-        times = sorted(self.vcu.response_times_ns)
-        if not times:
+        times = ResponseTimes(self.vcu.response_times_ns).as_dict()
+        if not times["count"]:
             return {"echoes": 0}
         return {
-            "echoes": len(times),
-            "median_ms": round(times[len(times) // 2] / 1e6, 3),
-            "p99_ms": round(times[min(len(times) - 1, math.ceil(0.99 * len(times)) - 1)] / 1e6, 3),
-            "max_ms": round(times[-1] / 1e6, 3),
+            "echoes": times["count"],
+            "median_ms": times["p50_ms"],
+            "p99_ms": times["p99_ms"],
+            "p999_ms": times["p999_ms"],
+            "max_ms": times["max_ms"],
         }
 
     def faults(self) -> tuple[str, ...]:

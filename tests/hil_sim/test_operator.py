@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.operator import At, Await, Moment, Operator, Script
+from fsai_hil.operator import At, Await, Do, Moment, Operator, Script
 from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, S
 from fsai_hil.switches import Switches
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
@@ -189,14 +189,23 @@ def test_an_event_on_a_switch_that_the_car_lacks_is_refused_by_name() -> None:
 
 
 def test_a_script_of_ones_own_waits_acts_and_runs_out_of_patience() -> None:
-    def script(switches: Switches) -> Script:
-        yield Await("turning LVMS on", delay_ns=100 * MS)
+    def turn_on(switches: Switches, seen: bool) -> Script:
         switches.lvms = True
-        came = yield Await("waiting for a mission that cannot come", lambda car: car.mission_selectable, 0, S)
+        return ()
+
+    def crash_unless(switches: Switches, came: bool) -> Script:
         switches.crash = not came
+        return ()
 
     bench = Bench()
-    bench.operator = Operator(script)
+    bench.operator = Operator(
+        [
+            Await("turning LVMS on", delay_ns=100 * MS),
+            Do(turn_on),
+            Await("waiting for a mission that cannot come", lambda car: car.mission_selectable, 0, S),
+            Do(crash_unless),
+        ]
+    )
     bench.run(100 * MS)
     assert not bench.switches.lvms
     bench.run(2 * MS)

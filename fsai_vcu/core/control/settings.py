@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from fsai_vcu.interface.immutable import Immutable
+
 
 @dataclass(frozen=True, slots=True)
-class ControllerSettings:
+class ControllerSettings(Immutable):
     """Defaults drive robustly rather than fast."""
 
     max_speed_mps: float = 7.0  # autocross, trackdrive

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from fsai_vcu.interface.immutable import Immutable
+
 
 @dataclass(frozen=True, slots=True)
-class PlannerSettings:
+class PlannerSettings(Immutable):
     """Defaults suit a detector with some 0.1 m of noise that looks 10 to 20 m ahead, ten times a second or oftener."""
 
     # Cones believed at all

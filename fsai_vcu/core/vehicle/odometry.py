@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.images import GpsImu, VehicleState, WheelCounts
+from fsai_vcu.interface.immutable import Immutable
 
 NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class OdometrySettings:
+class OdometrySettings(Immutable):
     """Times in ns, the rest in SI units unless the name says otherwise."""
 
     fresh_ns: int = 100_000_000  # an older message is not believed: ten cycles of the bus
@@ -33,7 +34,7 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True, slots=True)
-class OdometryState:
+class OdometryState(Immutable):
     """Everything that dead reckoning remembers."""
 
     motion: Motion

@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from fsai_vcu.interface.immutable import Immutable
+
 GRAVITY_MPS2 = 9.81
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleParameters:
+class VehicleParameters(Immutable):
     """Geometry, masses and actuators of one car. SI units unless the name says otherwise.
 
     The reference point is the rear axle's centre on the ground. Steering angles are those of the bicycle model.
