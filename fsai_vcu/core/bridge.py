@@ -125,6 +125,10 @@ class Bridge:
         self._response_ns: int | None = None
         self._response_max_ns: int | None = None
 
+    @property
+    def config(self) -> BridgeConfig:
+        return self._config
+
     # ------------------------------------------------------------ what arrives
 
     @property
@@ -223,7 +227,10 @@ class Bridge:
         if role not in supervisor.ROLES:
             self._count_problem(f"reset confirmed by {role!r}: the roles are {', '.join(supervisor.ROLES)}")
             return
-        self._state = supervisor.confirm(self._state, role, run_id)
+        before = self._state
+        self._state = supervisor.confirm(before, role, run_id)
+        if self._state.stop is not before.stop:
+            self._note(Reason.STACK_RESTARTED, role)
 
     # ------------------------------------------------------------ what people ask
 
@@ -302,6 +309,8 @@ class Bridge:
         if self._bus_lost is not None or self._reopened_until_ns is not None or self.stopped:
             return None
 
+        if self._stop_cycles_left is not None:  # the car may have entered AS_DRIVING, or begun to roll, meanwhile
+            self._state = supervisor.begin_end(config, self._state, now_ns)
         self._state, decision = supervisor.supervise(
             config,
             self._state,
@@ -372,7 +381,7 @@ class Bridge:
     def _check(self, asked: AiCommand, vehicle: VehicleState, now_ns: int) -> None:
         """Compare what the car does with what it is asked for, as far as AS_DRIVING goes."""
         if not self._state.driving:
-            self._steering = forget_steering(self._steering)
+            self._steering = forget_steering()
             self._wheels = forget_wheels(self._wheels)
             return
         self._steering = check_steering(self._config, self._car, self._steering, asked.steer_deg, vehicle.steer, now_ns)

@@ -9,13 +9,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fsai_vcu.interface.immutable import Immutable
+
 
 class LimitsError(ValueError):
     """The limits given cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
-class OperationalLimits:
+class OperationalLimits(Immutable):
     """The most that may be asked of the car. Infinity means that the official limits nothing there."""
 
     max_speed_mps: float = math.inf

@@ -10,12 +10,13 @@ from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.supervision.reasons import words_of
 from fsai_vcu.interface.images import AiCommand, GpsImu, VehicleState
+from fsai_vcu.interface.immutable import Immutable
 
 NOTHING: Mapping[str, int] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
-class BridgeReport:
+class BridgeReport(Immutable):
     """A snapshot at `t_ns` (monotonic). Ages are None for what was never heard."""
 
     t_ns: int

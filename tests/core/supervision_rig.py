@@ -234,6 +234,7 @@ class Rig:
         # What the controller asks for
         self.command: VehicleCommand | None = VehicleCommand(0, 0)
         self.confirming = True
+        self.confirmed_run_id: int | None = None
         self.complete = True
         self.asked: AiCommand | None = None
         self.echo = AiCommand()
@@ -285,7 +286,8 @@ class Rig:
             self.now_ns += CYCLE
             self.speak()
             run = self.bridge.run
-            if self.confirming:
+            if self.confirming and run.run_id != self.confirmed_run_id:  # once for each run
+                self.confirmed_run_id = run.run_id
                 self.bridge.on_reset_confirmed("planner", run.run_id)
                 self.bridge.on_reset_confirmed("controller", run.run_id)
             if self.command is not None:

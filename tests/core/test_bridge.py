@@ -664,6 +664,57 @@ def test_back_in_as_driving_the_car_is_braked_to_rest_even_before_its_wheels_are
     assert (rig.report.emergency, rig.sent.mission_status) == (None, MissionStatus.FINISHED)
 
 
+@pytest.mark.parametrize("rpm", [0, 200])
+def test_a_car_that_enters_as_driving_while_the_software_ends_is_not_sent_forward_unbraked(rpm: int) -> None:
+    """Orderly stop: at rest zeros and NEUTRAL; moving, FORWARD with torque 0, brake and ESTOP_REQUEST."""
+    rig = Rig().ready()
+    rig.run_ms(600)
+    rig.bridge.begin_stop(rig.now_ns)
+    rig.step()
+    rig.rpm = (rpm, rpm, rpm, rpm)
+    rig.say_state(DRIVING, go_signal=True)
+    asked = rig.step()
+    assert asked is not None and not asked.torque_requested
+    if rpm:
+        assert asked.estop_request and asked.direction is Direction.FORWARD
+        assert rig.sent.brake_requested
+    else:
+        assert asked.direction is Direction.NEUTRAL and not asked.brake_requested and asked.steer_deg == 0.0
+        assert not asked.estop_request
+
+
+@pytest.mark.parametrize("role", ["planner", "controller"])
+def test_a_planner_or_controller_that_is_restarted_in_a_drive_does_not_resume_it(role: str) -> None:
+    """Safety rule 10: however quickly it is back, the run it knew nothing of is over; the next one needs no restart."""
+    rig = Rig().driving()
+    rig.bridge.on_reset_confirmed(role, rig.bridge.run.run_id)
+    rig.step(2)
+    assert not rig.sent.torque_requested and rig.sent.brake_requested
+    assert (rig.sent.mission_status, rig.sent.direction) == (MissionStatus.RUNNING, Direction.FORWARD)
+    assert rig.report.stopping is not None and role in rig.report.stopping
+    assert rig.report.reason_counts == {"stack_restarted": 1}
+    rig.alive = brake_to_rest
+    rig.run_ms(2500)
+    assert rig.sent.mission_status is MissionStatus.FINISHED and not rig.sent.estop_request
+    rig.say_state(AsState.AS_OFF, go_signal=False)
+    rig.step(2)
+    assert rig.sent.mission_status is MissionStatus.SELECTED
+    rig.say_state(AsState.AS_READY)
+    rig.step(2)
+    rig.say_state(DRIVING, go_signal=True)
+    rig.run_ms(3200)
+    assert rig.sent.torque_requested
+
+
+def test_a_second_confirmation_before_as_driving_changes_nothing() -> None:
+    rig = Rig().ready()
+    rig.bridge.on_reset_confirmed("planner", rig.bridge.run.run_id)
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=0.4, speed_limit_mps=8.0)
+    rig.run_ms(3200)
+    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
+
+
 def test_a_stranger_who_confirms_a_reset_is_reported_and_changes_nothing() -> None:
     rig = Rig()
     rig.confirming = False
@@ -846,6 +897,11 @@ def test_a_fuzzed_bus_does_not_fill_the_memory() -> None:
     for n in range(300):
         rig.bridge.on_reset_confirmed(f"role {n}", 1)
     assert len(rig.report.problem_counts) == 101 and rig.report.problem_counts["other problems"] == 200
+
+
+def test_a_bridge_tells_what_it_is_configured_to_do() -> None:
+    config = BridgeConfig(autonomous_at_power_up=True)
+    assert Rig(config).bridge.config is config and Rig().bridge.config == BridgeConfig()
 
 
 def test_the_snapshot_tells_ages_and_cannot_be_changed() -> None:

@@ -172,7 +172,41 @@ def test_without_the_cars_live_torque_limit_there_is_no_torque(age_ns: int | Non
 
 @pytest.mark.parametrize("speeds", [None, WheelSpeeds(0, 0, 0, 0, NOW - 100 * MS)])
 def test_without_fresh_wheel_speeds_there_is_no_torque(speeds: WheelSpeeds | None) -> None:
-    assert asks(vehicle=car(speeds=speeds))[0].rear_torque_nm == 0.0
+    for config in (CAR, CAR_2021):
+        asked, reasons = asks(vehicle=car(speeds=speeds), config=config)
+        assert (asked.front_torque_nm, asked.rear_torque_nm) == (0.0, 0.0)
+        assert reasons == frozenset()  # the supervisor names what is missing
+    asked, _ = asks(vehicle=car(speeds=WheelSpeeds(0, 0, 0, 0, NOW - 100 * MS + 1)))
+    assert asked.rear_torque_nm == 195.0
+
+
+def test_a_torque_limit_that_is_unknown_is_no_reason_while_no_torque_is_asked_for() -> None:
+    for what, order in ((decision(Phase.HOLDING), command()), (decision(), command(throttle=0.0))):
+        asked, reasons = asks(what=what, order=order, vehicle=car(drive_rear=None))
+        assert (asked.rear_torque_nm, reasons) == (0.0, frozenset())
+
+
+def test_live_limits_below_zero_allow_nothing() -> None:
+    vehicle = car(drive_rear=VcuDriveRear(0, 0, -20.0, NOW), steer=VcuSteer(0, -5.0, 0, NOW))
+    asked, _ = asks(order=command(steering_rad=math.radians(9.0)), vehicle=vehicle)
+    assert (asked.rear_torque_nm, asked.steer_deg) == (0.0, 0.0)
+
+
+def test_the_smallest_of_all_limits_is_in_force() -> None:
+    """Of the revision, the car, the interface and the official."""
+    for steer_deg, expected_deg in ((math.inf, 21.0), (21.5, 21.0), (20.5, 20.5)):
+        limits = OperationalLimits(max_steer_deg=steer_deg)
+        assert gate_config(BridgeConfig(), revision("2021"), ADS_DV_2021, limits).steer_limit_deg == expected_deg
+    for car_nm, official_nm, expected_nm in (
+        (195.0, math.inf, 195.0),
+        (300.0, math.inf, 195.0),
+        (150.0, math.inf, 150.0),
+        (150.0, 140.0, 140.0),
+        (150.0, 160.0, 150.0),
+    ):
+        weak = replace(ADS_DV_2026, axle_torque_max_nm=car_nm)
+        limits = OperationalLimits(max_axle_torque_nm=official_nm)
+        assert gate_config(BridgeConfig(), revision("2026"), weak, limits).torque_limit_nm == expected_nm
 
 
 def test_what_an_official_limits_is_never_exceeded() -> None:
@@ -190,6 +224,12 @@ def test_the_motor_speed_limit_ends_at_4000_rpm_and_at_zero() -> None:
     assert motor_rpm(1.0, 100.0, 4000) == 100
     assert motor_rpm(0.999, 100.0, 4000) == 99
     assert motor_rpm(math.inf, 100.0, 4000) == 4000
+    assert (motor_rpm(39.99, 100.0, 4000), motor_rpm(40.0, 100.0, 4000), motor_rpm(40.01, 100.0, 4000)) == (
+        3999,
+        4000,
+        4000,
+    )
+    assert (motor_rpm(0.0, 100.0, 4000), motor_rpm(-1.0, 100.0, 4000)) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -208,14 +248,30 @@ def test_logging_fields_saturate() -> None:
     assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
     for speed_mps, kmh in ((10.0, 36), (999.0, 255), (-1.0, 0), (math.nan, 0), (math.inf, 255)):
         assert gate(CAR, FREE, decision(), command(), car(), NOW, speed_mps)[1].speed_actual_kmh == kmh
+    assert asks()[0].speed_actual_kmh == 0
 
 
 def test_laps_stay_on_the_bus_when_the_planner_falls_silent_and_end_with_the_run() -> None:
-    state, _, _ = gate(CAR, FREE, decision(), command(laps=7, cones_count_all=44), car(), NOW)
-    _, asked, _ = gate(CAR, state, decision(Phase.FINISHED), None, car(AsState.AS_FINISHED), NOW)
-    assert (asked.lap_counter, asked.cones_count_all) == (7, 44)
-    _, asked, _ = gate(CAR, state, decision(Phase.IDLE, run_id=2), None, car(AsState.AS_OFF), NOW)
-    assert (asked.lap_counter, asked.cones_count_all) == (0, 0)
+    order = command(run_id=7, laps=3, cones_count_actual=5, cones_count_all=44)
+    state, _, _ = gate(CAR, FREE, decision(run_id=7), order, car(), NOW)
+    for as_state, silent in ((AsState.AS_DRIVING, None), (AsState.AS_FINISHED, None), (AsState.AS_FINISHED, order)):
+        late = None if silent is None else replace(silent, laps=9, cones_count_actual=9, cones_count_all=9)
+        state, asked, _ = gate(CAR, state, decision(Phase.FINISHED, run_id=7), late, car(as_state, rpm=0), NOW)
+        assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (3, 5, 44)
+    _, asked, _ = gate(CAR, state, decision(Phase.IDLE, run_id=8), None, car(AsState.AS_OFF), NOW)
+    assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
+
+
+def test_before_anything_has_run_the_logging_fields_are_zero_whatever_the_number_of_the_run() -> None:
+    for run_id in (0, 1, 7):
+        _, asked, _ = gate(CAR, GateState(), decision(Phase.IDLE, run_id=run_id), None, VehicleState(), NOW)
+        assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
+
+
+def test_the_speed_demanded_is_logged_while_the_car_drives_by_command() -> None:
+    assert asks(order=command(speed_limit_mps=10.0))[0].speed_demand_kmh == 36
+    assert asks(what=decision(Phase.HOLDING), order=command(speed_limit_mps=10.0))[0].speed_demand_kmh == 0
+    assert gate(CAR, FREE, decision(), None, car(), NOW)[1].speed_demand_kmh == 0
 
 
 # ---------------------------------------------------------------- steering (rule 4)
@@ -233,6 +289,15 @@ def test_the_steering_turns_at_the_actuators_rate_and_that_is_no_reason() -> Non
     assert steered(20.0, replace(FREE, cycle_ns=NOW - 8 * MS)).steer_deg == 0.3
 
 
+def test_the_steering_turns_no_faster_than_its_rate_from_cycle_to_cycle() -> None:
+    state = replace(FREE, cycle_ns=None)
+    for n in range(10):
+        now_ns = NOW + n * 10 * MS
+        order = command(t_sensor_ns=now_ns, steering_rad=math.radians(20.0))
+        state, asked, _ = gate(CAR, state, decision(), order, car(t_ns=now_ns), now_ns)
+        assert asked.steer_deg == pytest.approx(0.4 * n)
+
+
 def test_the_steering_arrives_in_the_end_in_spite_of_rounding() -> None:
     state = FREE
     for n in range(100):
@@ -243,9 +308,15 @@ def test_the_steering_arrives_in_the_end_in_spite_of_rounding() -> None:
 
 
 def test_after_a_pause_the_steering_does_not_jump() -> None:
+    for pause_ns, turned_deg in ((20 * MS, 0.8), (20 * MS - 1, 0.8 - 40e-9), (20 * MS + 1, 0.8), (5 * S, 0.8)):
+        order = command(steering_rad=math.radians(20.0))
+        state, _, _ = gate(CAR, replace(FREE, cycle_ns=NOW - pause_ns), decision(), order, car(), NOW)
+        assert state.steer_deg == pytest.approx(turned_deg, abs=1e-9)
     assert steered(20.0, replace(FREE, cycle_ns=NOW - 5 * S)).steer_deg == 0.8
-    assert steered(20.0, replace(FREE, cycle_ns=NOW + 5 * S)).steer_deg == 0.0
-    assert steered(20.0, replace(FREE, cycle_ns=None)).steer_deg == 0.0
+    for cycle_ns in (None, NOW, NOW + 5 * S):  # the first cycle, and time that does not pass
+        order = command(steering_rad=math.radians(20.0))
+        state, _, _ = gate(CAR, replace(FREE, cycle_ns=cycle_ns), decision(), order, car(), NOW)
+        assert state.steer_deg == 0.0
 
 
 def test_steering_stays_within_the_revision_the_live_angle_max_and_reports_what_is_beyond() -> None:
@@ -258,6 +329,19 @@ def test_steering_stays_within_the_revision_the_live_angle_max_and_reports_what_
     assert (asked.steer_deg, reasons) == (20.4, {Reason.STEER_CLAMPED})
     asked, reasons = asks(turned, order=command(steering_rad=math.radians(20.94)), vehicle=vehicle)
     assert (asked.steer_deg, reasons) == (20.9, frozenset())
+
+
+def test_half_the_signals_resolution_beyond_the_limit_is_nobodys_fault() -> None:
+    for degrees, reasons in ((0.049, frozenset()), (0.05, frozenset()), (0.051, {Reason.STEER_CLAMPED})):
+        order = command(steering_rad=math.radians(degrees))
+        assert math.degrees(order.steering_rad) == degrees
+        asked, found = asks(order=order, vehicle=car(steer=VcuSteer(0, 0.0, 0, NOW)))
+        assert (asked.steer_deg, found) == (0.0, reasons)
+
+
+def test_where_the_steering_is_to_be_zero_it_is_so_at_once() -> None:
+    for phase in (Phase.LAUNCH_WAIT, Phase.READY, Phase.FINISHED):
+        assert asks(replace(FREE, steer_deg=12.0), decision(phase), vehicle=car(rpm=0))[0].steer_deg == 0.0
 
 
 def test_an_angle_max_that_shrinks_is_obeyed_at_once() -> None:
@@ -340,6 +424,24 @@ def test_brake_wins_over_throttle() -> None:
     assert (asked.rear_torque_nm, asked.rear_brake_pct) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("phase", "percent"),
+    [
+        (Phase.READY, 30.0),
+        (Phase.LAUNCH_WAIT, 30.0),
+        (Phase.STOPPED, 30.0),
+        (Phase.STOPPING, 80.0),
+        (Phase.ESTOP_ASKED, 80.0),
+        (Phase.EMERGENCY_MOVING, 0.0),
+        (Phase.IDLE, 0.0),
+        (Phase.HOLDING, 40.0),
+    ],
+)
+def test_each_phase_brakes_with_its_own_share_and_holding_keeps_the_last(phase: Phase, percent: float) -> None:
+    asked, _ = asks(replace(FREE, brake=0.4), decision(phase), vehicle=car(rpm=0))
+    assert (asked.front_brake_pct, asked.rear_brake_pct) == (percent, percent)
+
+
 # ---------------------------------------------------------------- standstill (rule 3)
 
 
@@ -382,6 +484,32 @@ def test_after_a_start_the_vcu_may_hold_anything_so_the_first_cycle_is_all_zeros
     for what in (decision(), BRAKING):
         _, asked = cycle(GateState(run_id=1), what, NOW)
         assert not asked.torque_requested and not asked.brake_requested
+
+
+def test_after_a_start_one_whole_cycle_of_zeros_frees_the_brake_and_with_its_echo_the_torque() -> None:
+    for what in (decision(), BRAKING):
+        state, _ = cycle(GateState(run_id=1), what, NOW)
+        _, asked = cycle(state, what, NOW + 10 * MS)
+        assert asked.torque_requested is (what.torque) and asked.brake_requested is not what.torque
+
+
+def test_a_brake_that_nobody_ever_asked_for_is_not_kept() -> None:
+    state = GateState(run_id=1)
+    for n in range(5):
+        state, asked = cycle(state, decision(Phase.HOLDING), NOW + n * 10 * MS)
+        assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
+
+
+def test_a_gate_begins_with_nothing_but_the_torque_that_may_be_there() -> None:
+    begun = GateState()
+    assert (begun.torque_there, begun.torque_running, begun.awaiting) == (True, False, False)
+    assert (begun.tried_torque, begun.tried_brake, begun.zero_cycles, begun.zero_since_ns) == (False, False, 0, 0)
+    assert (begun.steer_deg, begun.brake, begun.cycle_ns, begun.run_id) == (0.0, 0.0, None, 0)
+
+
+def test_being_told_of_a_cycle_that_was_never_made_counts_nothing() -> None:
+    for complete in (True, False):
+        assert sent(GateState(), complete, NOW) == GateState()
 
 
 def test_torque_rises_after_one_complete_zero_cycle_that_0x524_has_echoed() -> None:
@@ -463,6 +591,51 @@ def test_torque_that_runs_goes_on_through_a_broken_cycle() -> None:
     assert cycle(state, decision(), NOW + 20 * MS)[1].torque_requested
 
 
+@pytest.mark.parametrize("complete", [False, None])
+def test_a_broken_cycle_of_zeros_takes_nothing_back(complete: bool | None) -> None:
+    for what in (decision(), BRAKING):
+        state, asked = cycle(FREE, decision(Phase.EMERGENCY_MOVING), NOW, complete)
+        assert not asked.torque_requested and not asked.brake_requested
+        _, asked = cycle(state, what, NOW + 10 * MS)
+        assert asked.torque_requested is what.torque and asked.brake_requested is not what.torque
+
+
+@pytest.mark.parametrize("complete", [False, None])
+@pytest.mark.parametrize("phase", [Phase.DRIVING, Phase.STOPPING])
+def test_what_was_tried_in_a_broken_cycle_must_be_followed_by_whole_zeros(phase: Phase, complete: bool | None) -> None:
+    """However many whole cycles of zeros went before."""
+    state, _ = cycle(FREE, decision(phase), NOW, complete)
+    state, _ = cycle(state, decision(Phase.EMERGENCY_MOVING), NOW + 10 * MS, False)
+    for n in range(2, 4):
+        state, asked = cycle(state, decision(), NOW + n * 10 * MS, brake=None)
+        assert not asked.torque_requested
+    assert cycle(state, decision(), NOW + 40 * MS, brake=None)[1].torque_requested
+
+
+def test_a_cycle_that_was_told_broken_stays_so() -> None:
+    made, _ = cycle(FREE, BRAKING, NOW, None)
+    broken = sent(made, False, NOW)
+    assert sent(broken, True, NOW + 1) == sent(broken, False, NOW + 1) == broken
+
+
+@pytest.mark.parametrize("axle", ["front", "rear"])
+def test_the_least_torque_that_the_signal_can_say_counts_as_one_on_either_axle(axle: str) -> None:
+    config = replace(CAR_2021, driven_front=axle == "front", driven_rear=axle == "rear")
+    state, asked, _ = gate(config, FREE, decision(), command(throttle=0.1 / 195.0), car(), NOW)
+    assert asked.front_torque_nm + asked.rear_torque_nm == 0.1
+    state, asked, _ = gate(config, sent(state, True, NOW), BRAKING, command(), car(), NOW)
+    assert not asked.brake_requested
+    _, asked, _ = gate(config, sent(state, True, NOW), BRAKING, command(), car(), NOW)
+    assert asked.brake_requested
+
+
+def test_the_least_brake_waits_for_the_torque_to_be_gone() -> None:
+    state, _ = cycle(FREE, decision(), NOW)
+    state, asked, _ = gate(CAR, state, decision(), command(brake=0.005), car(), NOW)
+    assert not asked.brake_requested and not asked.torque_requested
+    assert gate(CAR, sent(state, True, NOW), decision(), command(brake=0.005), car(), NOW)[1].rear_brake_pct == 0.5
+
+
 def test_torque_back_at_zero_in_a_broken_cycle_rises_only_after_a_whole_one() -> None:
     state, _ = cycle(FREE, decision(), NOW)
     state, asked = cycle(state, decision(Phase.HOLDING), NOW + 10 * MS, complete=False)
@@ -482,6 +655,22 @@ def test_being_told_twice_that_a_cycle_went_out_counts_it_once() -> None:
     state, _ = cycle(FREE, BRAKING, NOW)
     state, _ = cycle(state, decision(), NOW + 10 * MS)
     assert sent(state, True, NOW + 11 * MS) == state
+
+
+def test_the_least_brake_that_the_signal_can_say_counts_as_one() -> None:
+    state, asked, _ = gate(CAR, FREE, decision(), command(brake=0.005), car(), NOW)
+    assert asked.rear_brake_pct == 0.5
+    state = sent(state, True, NOW)
+    assert not cycle(state, decision(), NOW + 10 * MS)[1].torque_requested
+
+
+def test_a_gate_that_goes_on_saying_zero_comes_to_rest_in_one_state() -> None:
+    """An exhaustive search visits every state: there must be an end of them."""
+    state, states = GateState(run_id=1), set()
+    for _ in range(10):
+        state, _ = cycle(state, decision(Phase.IDLE), NOW)
+        states.add(state)
+    assert len(states) == 2
 
 
 @settings(max_examples=300, deadline=None)
@@ -534,6 +723,13 @@ def test_for_the_official_simulator_a_stop_is_torque_against_a_speed_limit_of_ze
 def test_for_the_official_simulator_a_brake_command_is_a_share_of_the_torque() -> None:
     asked, _ = asks(order=command(throttle=0.0, brake=0.5), config=MOTOR)
     assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm) == (97.5, 0)
+    assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
+
+
+def test_for_the_official_simulator_throttle_drives_as_anywhere() -> None:
+    asked, _ = asks(order=command(throttle=0.5), config=MOTOR)
+    assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm) == (97.5, 1318)
+    assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
 
 
 def test_for_the_official_simulator_nothing_ever_asks_for_the_hydraulic_brake() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -123,7 +124,80 @@ def test_without_fresh_feedback_nothing_is_compared_and_the_model_begins_anew(me
 
 
 def test_outside_as_driving_the_steering_model_is_forgotten() -> None:
-    assert forget_steering(SteeringCheck(((0, 3.0),), 2.0, 2.0, 2.0, 90 * MS, 50 * MS)) == SteeringCheck()
+    assert forget_steering() == SteeringCheck()
+
+
+def measured(angle_deg: float, t_ns: int) -> VcuSteer:
+    return VcuSteer(angle_deg, 30.0, 0.0, t_ns)
+
+
+def test_the_model_begins_where_the_steering_is_measured() -> None:
+    check = check_steering(CONFIG, CAR, SteeringCheck(), 7.0, measured(3.0, 5 * MS), 10 * MS)
+    assert check == SteeringCheck(((10 * MS, 7.0),), 0.0, 3.0, 3.0, 10 * MS, None)
+
+
+def test_until_the_first_request_has_passed_the_dead_time_the_steering_is_expected_to_go_straight() -> None:
+    check = check_steering(CONFIG, CAR, SteeringCheck(), 20.0, measured(0.2, 0), 0)
+    check = check_steering(CONFIG, CAR, check, 20.0, measured(0.2, 10 * MS), 10 * MS)
+    assert (check.slow_deg, check.fast_deg) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("dead_s", [0.05, 2.0])
+def test_a_request_acts_when_the_dead_time_is_over_and_not_before(dead_s: float) -> None:
+    car = replace(CAR, steer_dead_time_s=dead_s)
+    dead_ns = round(dead_s * 1000) * MS
+    begun = SteeringCheck(((0, 3.0), (10 * MS, 5.0), (20 * MS, 9.0)), 1.0, 1.0, 1.0, 0)
+    for now_ns, target_deg, left in (
+        (dead_ns - 1, 1.0, 3),
+        (dead_ns, 3.0, 2),
+        (dead_ns + 10 * MS - 1, 3.0, 2),
+        (dead_ns + 10 * MS, 5.0, 1),
+        (dead_ns + 20 * MS, 9.0, 0),
+    ):
+        check = check_steering(CONFIG, car, begun, 9.0, measured(1.0, now_ns), now_ns)
+        assert check.target_deg == target_deg
+        assert check.pending[: left or None] == (begun.pending[3 - left :] or ((now_ns, 9.0),))
+        assert len(check.pending) == (left or 1)
+
+
+def test_only_changes_of_the_request_are_remembered() -> None:
+    check = SteeringCheck()
+    for n, request_deg in enumerate((1.0, 1.0, 2.0, 2.0, 1.0)):
+        check = check_steering(CONFIG, CAR, check, request_deg, measured(0.0, n * CYCLE), n * CYCLE)
+    assert check.pending == ((0, 1.0), (2 * CYCLE, 2.0), (4 * CYCLE, 1.0))
+
+
+def test_what_was_asked_for_last_survives_a_loss_of_feedback() -> None:
+    before = SteeringCheck(((0, 1.0), (10 * MS, 2.0), (20 * MS, 3.0)), 0.5, 0.0, 0.0, 20 * MS)
+    assert check_steering(CONFIG, CAR, before, 3.0, None, 30 * MS).pending == ((20 * MS, 3.0),)
+    assert check_steering(CONFIG, CAR, SteeringCheck(), 3.0, None, 30 * MS).pending == ()
+
+
+def test_feedback_is_compared_until_it_is_100_ms_old() -> None:
+    begun = SteeringCheck(((0, 0.0),), 0.0, 0.0, 0.0, 0)
+    for age_ns, compared in ((100 * MS - 1, True), (100 * MS, False)):
+        check = check_steering(CONFIG, CAR, begun, 0.0, measured(9.0, 500 * MS - age_ns), 500 * MS)
+        assert (check.implausible_since_ns is not None) is compared
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_model_turns_between_three_quarters_and_five_quarters_of_the_cars_rate(sign: float) -> None:
+    begun = SteeringCheck(((0, sign * 90.0),), sign * 90.0, sign * 10.0, sign * 20.0, 0)
+    check = check_steering(CONFIG, CAR, begun, sign * 90.0, measured(0.0, 1000 * MS), 1000 * MS)
+    assert check.slow_deg == pytest.approx(sign * 40.0, abs=1e-9)
+    assert check.fast_deg == pytest.approx(sign * 70.0, abs=1e-9)
+    for now_ns in (0, -10 * MS):  # time that does not pass turns nothing
+        still = check_steering(CONFIG, CAR, begun, sign * 90.0, measured(0.0, now_ns), now_ns)
+        assert (still.slow_deg, still.fast_deg) == (sign * 10.0, sign * 20.0)
+
+
+def test_at_the_margin_itself_the_steering_is_plausible() -> None:
+    exact = replace(CAR, steer_backlash_rad=0.0)
+    for slow_deg, fast_deg in ((1.0, 3.0), (3.0, 1.0)):
+        begun = SteeringCheck(((0, 9.0),), 2.0, slow_deg, fast_deg, 10 * MS)
+        for angle_deg, plausible in ((-1.001, False), (-1.0, True), (5.0, True), (5.001, False)):
+            check = check_steering(CONFIG, exact, begun, 9.0, measured(angle_deg, 10 * MS), 10 * MS)
+            assert (check.implausible_since_ns is None) is plausible
 
 
 # ---------------------------------------------------------------- wheels
@@ -192,18 +266,91 @@ def test_a_motor_held_by_its_speed_limit_explains_a_driven_wheel_that_is_slow() 
     assert odd(DRAGGING, (50, 300, 300, 300)) != ""
 
 
-def test_slip_is_remembered_for_a_second() -> None:
-    check = check_wheels(CONFIG, CAR, WheelCheck(), DRIVING, WheelSpeeds(300, 300, 1200, 300, T), None, T)
+def test_a_motor_is_held_only_above_its_speed_limit_and_only_by_torque() -> None:
+    for limit_rpm, held in ((1049, True), (1050, False)):  # 300 rpm of the wheel are 1050 of the motor
+        dragging = AiCommand(rear_torque_nm=50.0, rear_motor_speed_max_rpm=limit_rpm)
+        assert (odd(dragging, (300, 300, 50, 300)) == "") is held
+        assert odd(AiCommand(rear_motor_speed_max_rpm=limit_rpm), (300, 300, 50, 300)) != ""
+
+
+def test_the_speed_limit_of_the_driven_axle_counts() -> None:
+    front_driven = replace(CAR, driven_front=True, driven_rear=False)
+    for asked, held in (
+        (AiCommand(front_torque_nm=50.0, front_motor_speed_max_rpm=4000), False),
+        (AiCommand(front_torque_nm=50.0, front_motor_speed_max_rpm=500), True),
+    ):
+        speeds = WheelSpeeds(50, 300, 300, 300, T)
+        check = check_wheels(CONFIG, front_driven, WheelCheck(), asked, speeds, None, T)
+        assert (check.implausible_since_ns is None) is held
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_slip_is_explained_for_the_wheels_of_the_driven_axle(wheel: int) -> None:
+    for front, rear in ((True, False), (False, True), (True, True)):
+        driven = front if wheel < 2 else rear
+        car = replace(CAR, driven_front=front, driven_rear=rear)
+        for rpm, asked in ((900, DRIVING), (50, DRAGGING)):
+            speeds = [300, 300, 300, 300]
+            speeds[wheel] = rpm
+            check = check_wheels(CONFIG, car, WheelCheck(), asked, WheelSpeeds(*speeds, t_rx_ns=T), None, T)
+            assert (check.implausible_since_ns is None) is driven
+
+
+@pytest.mark.parametrize(
+    ("asked", "rpm"),
+    [(DRIVING, (300, 300, 1200, 300)), (BRAKING, (0, 300, 300, 300)), (DRAGGING, (300, 300, 50, 300))],
+)
+def test_slip_is_remembered_for_a_second(asked: AiCommand, rpm: tuple[int, int, int, int]) -> None:
+    check = check_wheels(CONFIG, CAR, WheelCheck(), asked, WheelSpeeds(*rpm, T), None, T)
+    # As often as it is asked for: what was so last counts
+    check = check_wheels(CONFIG, CAR, check, asked, WheelSpeeds(*rpm, T), None, T)
     for after_ns, odd_wheel in ((1000 * MS - 1, False), (1000 * MS, True)):
         now_ns = T + after_ns
-        speeds = WheelSpeeds(300, 300, 1200, 300, now_ns)
-        later = check_wheels(CONFIG, CAR, check, COASTING, speeds, None, now_ns)
+        later = check_wheels(CONFIG, CAR, check, COASTING, WheelSpeeds(*rpm, now_ns), None, now_ns)
         assert (later.implausible_since_ns is not None) is odd_wheel
+
+
+@pytest.mark.parametrize("rpm", [(300, 300, 1200, 300), (0, 300, 300, 300), (300, 300, 50, 300)])
+def test_at_the_first_instant_of_the_clock_nothing_explains_slip(rpm: tuple[int, int, int, int]) -> None:
+    assert check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(*rpm, 0), None, 0).implausible_since_ns == 0
+    assert WheelCheck().detail == ""
+
+
+def test_a_wheel_is_held_against_the_middle_of_the_other_three() -> None:
+    assert odd(COASTING, (400, 500, 700, 700)).startswith("front left 400 rpm")
+    assert odd(COASTING, (300, 300, 420, 700)).startswith("rear right 700 rpm")
+    assert odd(COASTING, (300, 420, 420, 700)).startswith("rear right 700 rpm")
+
+
+def test_too_fast_and_too_slow_are_told_apart_however_little_it_is() -> None:
+    strict = BridgeConfig(wheel_margin_rpm=0.0, wheel_margin_fraction=0.0)
+    for asked, rpm, explained in (
+        (DRIVING, (300, 300, 301, 300), True),
+        (BRAKING, (300, 300, 301, 300), False),
+        (DRIVING, (300, 300, 299, 300), False),
+        (BRAKING, (300, 300, 299, 300), True),
+    ):
+        check = check_wheels(strict, CAR, WheelCheck(), asked, WheelSpeeds(*rpm, T), None, T)
+        assert (check.implausible_since_ns is None) is explained
+
+
+def test_wheels_that_turn_alike_are_never_odd_whatever_the_steering_reads() -> None:
+    assert odd(COASTING, (1000, 1000, 1060, 1000), 30.0) == ""
+    assert odd(COASTING, (1000, 1000, 1061, 1000), 30.0).startswith("rear left 1061 rpm of 1000, 1000, 1061, 1000")
+
+
+def test_without_steering_feedback_the_wheels_are_taken_to_roll_straight() -> None:
+    for rpm, named in ((710, False), (711, True)):
+        for wheel in range(4):
+            speeds = [500, 500, 500, 500]
+            speeds[wheel] = rpm
+            check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(*speeds, t_rx_ns=T), None, T)
+            assert (check.implausible_since_ns is not None) is named
 
 
 @pytest.mark.parametrize("steer_deg", [-30.0, -15.0, 15.0, 30.0])
 def test_wheels_on_their_own_circles_are_plausible(steer_deg: float) -> None:
-    rolling = tuple(round(400 * factor) for factor in wheel_factors(CAR, steer_deg))
+    rolling = tuple(round(900 * factor) for factor in wheel_factors(CAR, steer_deg))
     assert max(rolling) - min(rolling) > 60
     assert odd(COASTING, rolling, steer_deg) == ""  # type: ignore[arg-type]
 
@@ -213,7 +360,24 @@ def test_on_a_left_turn_the_right_wheels_go_farther_and_the_front_more_than_the_
     assert rear_left < 1.0 < rear_right and front_left < front_right
     assert front_left > rear_left and front_right > rear_right
     assert wheel_factors(CAR, 0.0) == (1.0, 1.0, 1.0, 1.0)
-    assert wheel_factors(CAR, 1000.0) == wheel_factors(CAR, 45.0)
+    for beyond_deg in (45.5, 1000.0):
+        assert wheel_factors(CAR, beyond_deg) == wheel_factors(CAR, 45.0) != wheel_factors(CAR, 44.5)
+        assert wheel_factors(CAR, -beyond_deg) == wheel_factors(CAR, -45.0) != wheel_factors(CAR, -44.5)
+
+
+@pytest.mark.parametrize("steer_deg", [-30.0, -1.0, 1.0, 20.0, 44.0])
+def test_each_wheel_rolls_on_the_circle_that_ackermann_gives_it(steer_deg: float) -> None:
+    """Radius by radius: the rear axle's centre turns about a point `centre` metres to its left."""
+    centre = CAR.wheelbase_m / math.tan(math.radians(steer_deg))
+    rear_left, rear_right = centre - CAR.track_m / 2, centre + CAR.track_m / 2
+    assert wheel_factors(CAR, steer_deg) == pytest.approx(
+        (
+            math.hypot(rear_left, CAR.wheelbase_m) / abs(centre),
+            math.hypot(rear_right, CAR.wheelbase_m) / abs(centre),
+            rear_left / centre,
+            rear_right / centre,
+        )
+    )
 
 
 def test_an_odd_wheel_counts_from_its_first_moment_and_stale_speeds_change_nothing() -> None:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
 
 import pytest
 from supervision_rig import Rig
 
 from fsai_vcu.core.bridge import BridgeConfig
+from fsai_vcu.core.supervision.config import MS, S
+from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
+from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -19,7 +24,7 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import Faults, VcuBrake
+from fsai_vcu.interface.images import Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
 
 
 def said(rig: Rig, words: str) -> bool:
@@ -244,3 +249,204 @@ def test_brake_states_that_the_official_simulator_leaves_at_zero_stop_nothing() 
 def test_nothing_is_unmet_while_driving() -> None:
     rig = Rig().driving()
     assert rig.report.why_not_driving == ()
+
+
+# ---------------------------------------------------------------- the whole answer, condition by condition
+
+NOW = 1000 * S
+BOTH = frozenset(ROLES)
+NO_COMMAND = "no fresh command from the controller, or 0x520 is late: torque is held at 0"
+
+
+def answer(
+    as_state: AsState = AsState.AS_READY,
+    *,
+    status: dict[str, Any] | None = None,
+    vehicle: dict[str, Any] | None = None,
+    state: dict[str, Any] | None = None,
+    now: Circumstances | None = None,
+    config: BridgeConfig | None = None,
+) -> tuple[str, ...]:
+    """Asked of a car and a process of which all is as it should be, but for what the test changes."""
+    said_last = VcuStatus(
+        as_switch=True,
+        ts_switch=True,
+        as_state=as_state,
+        ami=Ami.TRACKDRIVE,
+        steering_status=SteeringStatus.ACTIVE,
+        op_state=OpState.OP_AUTO,
+        ts_state=TsState.TS_RUNNING,
+        ebs_state=EbsState.EBS_ARMED,
+        go_signal=as_state is AsState.AS_DRIVING,
+        t_rx_ns=NOW,
+    )
+    seen: dict[str, Any] = {
+        "status": replace(said_last, **(status or {})),
+        "brake": VcuBrake(brake_status=BrakeStatus.READY, ebs_status=EbsStatus.ARMED, t_rx_ns=NOW),
+        "steer": VcuSteer(0.0, 30.0, 0.0, NOW),
+        **(vehicle or {}),
+    }
+    known: dict[str, Any] = {
+        "as_state": as_state,
+        "status_ns": NOW,
+        "sequence": Sequence.COMPLETE if as_state is AsState.AS_DRIVING else Sequence.READY_SEEN,
+        "ready_since_ns": NOW - 5 * S,
+        "driving_since_ns": NOW - 3 * S,
+        "run_id": 2,
+        "mission": Ami.TRACKDRIVE,
+        "confirmed": BOTH,
+        "mode": Mode.AUTONOMOUS,
+        **(state or {}),
+    }
+    return why_not_driving(
+        config or BridgeConfig(),
+        SupervisorState(**known),
+        VehicleState(**seen),
+        now or Circumstances(Phase.READY),
+        NOW,
+    )
+
+
+GO = "waiting for Go"
+
+
+def test_in_as_ready_the_rest_of_5_s_is_told() -> None:
+    for since_ns, left in (
+        (NOW - 5 * S, ()),
+        (NOW - 5 * S + 1, ("waiting in AS_READY: 0.0 s of 5 s left",)),
+        (NOW - 1 * S, ("waiting in AS_READY: 4.0 s of 5 s left",)),
+        (None, ("waiting in AS_READY: 5.0 s of 5 s left",)),
+    ):
+        assert answer(state={"ready_since_ns": since_ns}) == (*left, GO)
+
+
+def test_in_as_driving_the_rest_of_3_s_is_told_and_then_what_holds_the_torque() -> None:
+    for since_ns, held in (
+        (NOW - 3 * S, NO_COMMAND),
+        (NOW - 3 * S + 1, "standing still after AS_DRIVING: 0.0 s of 3 s left"),
+        (NOW - 1 * S, "standing still after AS_DRIVING: 2.0 s of 3 s left"),
+        (None, "standing still after AS_DRIVING: 3.0 s of 3 s left"),
+    ):
+        assert answer(AsState.AS_DRIVING, state={"driving_since_ns": since_ns}) == (held,)
+    assert answer(AsState.AS_DRIVING, status={"go_signal": False}) == ("Go is off (GO_SIGNAL 0)", NO_COMMAND)
+
+
+def test_a_stop_and_an_emergency_say_all_about_the_torque() -> None:
+    stop, emergency = Latch(Asked.MANUAL, NOW), Latch(Asked.OPERATOR, NOW)
+    assert answer(AsState.AS_DRIVING, state={"stop": stop}) == (
+        "stopping for good in this run because manual mode was asked for",
+    )
+    latched = (
+        "ESTOP_REQUEST is latched because the emergency brake was asked for: "
+        "reset in AS_INIT or AS_OFF, or switch the car off and on"
+    )
+    assert answer(AsState.AS_DRIVING, state={"emergency": emergency}) == (latched,)
+
+
+@pytest.mark.parametrize("as_state", [AsState.AS_READY, AsState.AS_DRIVING])
+def test_a_sequence_that_was_not_seen_is_named_in_as_ready_and_as_driving(as_state: AsState) -> None:
+    unseen = (
+        f"this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another (the car is in "
+        f"{as_state.label}): it takes AS_OFF first"
+    )
+    assert answer(as_state, state={"sequence": Sequence.NONE})[0] == unseen
+    assert unseen not in answer(as_state)
+
+
+def test_in_as_off_what_is_waited_for_depends_on_what_is_said() -> None:
+    for as_state in (AsState.AS_INIT, AsState.AS_OFF):
+        name = as_state.label
+        assert answer(as_state) == (f"waiting for AS_READY: the car is in {name}, SELECTED is being sent",)
+        assert answer(as_state, state={"sequence": Sequence.NONE}) == answer(as_state)
+        assert answer(as_state, state={"mode": Mode.MANUAL}) == (
+            "mode is manual: set autonomous in AS_INIT, AS_OFF or AS_READY",
+            f"the car is in {name}",
+        )
+
+
+def test_without_a_mission_nobody_is_asked_to_confirm() -> None:
+    assert answer(AsState.AS_OFF, state={"mission": Ami.NOT_SELECTED, "confirmed": frozenset()}) == (
+        "no mission is chosen on the AMI",
+        "the car is in AS_OFF",
+    )
+    for mission in (ami for ami in Ami if ami is not Ami.NOT_SELECTED):
+        assert answer(state={"mission": mission, "confirmed": frozenset({"planner"})}) == (
+            f"the controller has not confirmed its reset for run 2 ({mission.label})",
+            GO,
+        )
+
+
+def test_what_was_never_heard_is_not_taken_for_heard() -> None:
+    assert answer(vehicle={"status": None}) == ("no 0x520 from the car yet",)
+    assert answer(state={"status_ns": None}) == ("no 0x520 from the car yet",)
+    assert answer(vehicle={"brake": None, "steer": None}) == (GO,)
+    assert answer(status={"ebs_state": None}, vehicle={"brake": None}) == (GO,)
+
+
+def test_a_silence_is_named_from_100_ms_on() -> None:
+    assert answer(state={"status_ns": NOW - 100 * MS + 1}) == (GO,)
+    assert answer(state={"status_ns": NOW - 100 * MS}) == ("0x520 is missing for 0.1 s", GO)
+
+
+def test_the_phase_of_driving_means_driving_only_where_frames_go_out() -> None:
+    driving = Circumstances(Phase.DRIVING)
+    assert answer(AsState.AS_DRIVING, now=driving) == ()
+    for now, config, words in (
+        (replace(driving, stopped=True), BridgeConfig(), "this software was stopped and sends nothing any more"),
+        (replace(driving, bus_lost="gone"), BridgeConfig(), "the bus is lost: gone"),
+        (driving, BridgeConfig(listen_only=True), "listen_only: this process never sends"),
+    ):
+        assert answer(AsState.AS_DRIVING, now=now, config=config) == (words, NO_COMMAND)
+
+
+def test_a_process_that_was_stopped_does_not_say_that_it_listens() -> None:
+    assert answer(now=Circumstances(Phase.READY, listening=True)) == ("listening before the first cycle is sent", GO)
+    assert answer(now=Circumstances(Phase.READY, listening=True, stopped=True)) == (
+        "this software was stopped and sends nothing any more",
+        GO,
+    )
+
+
+@pytest.mark.parametrize("attribute", [spec.name for spec in fields(Faults)])
+def test_every_fault_of_the_car_is_named_as_its_signal_is(attribute: str) -> None:
+    signal = attribute.upper() if attribute.startswith("ai_") else f"{attribute.upper()}_FAULT"
+    faults = Faults(**{attribute: True})
+    assert answer(status={"fault": True, "faults": faults}) == (f"FAULT_STATUS is 1: {signal}", GO)
+
+
+@pytest.mark.parametrize("cause", [None, *ShutdownCause])
+def test_the_cause_of_a_shutdown_is_named_if_there_is_one(cause: ShutdownCause | None) -> None:
+    named = cause is not None and cause is not ShutdownCause.NO_SHUTDOWN
+    assert answer(status={"fault": True, "shutdown_cause": cause}) == (
+        f"FAULT_STATUS is 1: SHUTDOWN_CAUSE {cause.label}" if named and cause is not None else "FAULT_STATUS is 1",
+        GO,
+    )
+
+
+@pytest.mark.parametrize("status", [None, *EbsStatus])
+def test_where_0x520_says_nothing_of_the_ebs_0x524_does(status: EbsStatus | None) -> None:
+    brake = VcuBrake(brake_status=BrakeStatus.READY, ebs_status=status)
+    told = status is not None and status is not EbsStatus.ARMED
+    unarmed = (f"EBS is not armed (STATUS_EBS {status.label})",) if told and status is not None else ()
+    assert answer(status={"ebs_state": None}, vehicle={"brake": brake}) == (*unarmed, GO)
+    assert answer(vehicle={"brake": brake}) == (GO,)
+
+
+@pytest.mark.parametrize("status", [None, *BrakeStatus])
+def test_brakes_that_are_not_ready_are_named(status: BrakeStatus | None) -> None:
+    words = "an unknown value" if status is None else status.label
+    unready = () if status is BrakeStatus.READY else (f"the brakes are not ready (STATUS_BRK {words})",)
+    assert answer(vehicle={"brake": VcuBrake(brake_status=status, ebs_status=EbsStatus.ARMED)}) == (*unready, GO)
+
+
+@pytest.mark.parametrize("ts_state", [None, *TsState])
+def test_a_tractive_system_that_does_not_run_is_named_where_it_is_told(ts_state: TsState | None) -> None:
+    runs = ts_state in (None, TsState.TS_RUNNING)
+    stands = () if runs or ts_state is None else (f"the tractive system does not run ({ts_state.label})",)
+    assert answer(status={"ts_state": ts_state}) == (*stands, GO)
+
+
+@pytest.mark.parametrize("ebs_state", list(EbsState))
+def test_an_ebs_that_is_not_armed_is_named(ebs_state: EbsState) -> None:
+    unarmed = () if ebs_state is EbsState.EBS_ARMED else (f"EBS is not armed ({ebs_state.label})",)
+    assert answer(status={"ebs_state": ebs_state}) == (*unarmed, GO)

@@ -53,7 +53,8 @@ def roll(state: SupervisorState, rpm: int, t_ns: int) -> SupervisorState:
 
 def confirmed(state: SupervisorState) -> SupervisorState:
     for role in supervisor.ROLES:
-        state = supervisor.confirm(state, role, state.run_id)
+        if role not in state.confirmed:
+            state = supervisor.confirm(state, role, state.run_id)
     return state
 
 
@@ -99,6 +100,48 @@ def test_every_phase_has_a_row_in_the_output_table() -> None:
     assert set(OUTPUT) == set(Phase)
 
 
+@pytest.mark.parametrize(
+    ("phase", "row"),
+    [
+        (Phase.IDLE, "as acknowledged, NEUTRAL, steering ZERO, brake ZERO"),
+        (Phase.READY, "as acknowledged, NEUTRAL, steering ZERO, brake HOLDING"),
+        (Phase.LAUNCH_WAIT, "RUNNING, FORWARD, steering ZERO, brake HOLDING"),
+        (Phase.DRIVING, "RUNNING, FORWARD, steering COMMAND, brake COMMAND"),
+        (Phase.HOLDING, "RUNNING, FORWARD, steering HELD, brake KEPT"),
+        (Phase.STOPPING, "RUNNING, FORWARD, steering HELD_OR_COMMAND, brake SERVICE"),
+        (Phase.STOPPED, "FINISHED, NEUTRAL, steering HELD, brake HOLDING"),
+        (Phase.ESTOP_ASKED, "RUNNING, FORWARD, steering HELD, brake SERVICE"),
+        (Phase.FINISHED, "FINISHED, NEUTRAL, steering ZERO, brake HOLDING"),
+        (Phase.EMERGENCY_MOVING, "RUNNING, FORWARD, steering ZERO, brake ZERO"),
+        (Phase.EMERGENCY_STANDING, "RUNNING, NEUTRAL, steering ZERO, brake ZERO"),
+    ],
+)
+def test_the_output_table_is_that_of_the_safety_rules(phase: Phase, row: str) -> None:
+    out = OUTPUT[phase]
+    status = "as acknowledged" if out.mission_status is None else out.mission_status.name
+    assert f"{status}, {out.direction.name}, steering {out.steer.name}, brake {out.brake.name}" == row
+    assert isinstance(out.steer, Steer) and isinstance(out.brake, Brake)
+
+
+def test_every_phase_is_told_in_words_that_begin_with_its_as_state() -> None:
+    begins = {
+        Phase.IDLE: "no AS state yet, AS_INIT or AS_OFF",
+        Phase.READY: "AS_READY",
+        Phase.FINISHED: "AS_FINISHED",
+        Phase.EMERGENCY_MOVING: "EMERGENCY_BRAKE, ",
+        Phase.EMERGENCY_STANDING: "EMERGENCY_BRAKE, ",
+    }
+    assert len(Phase) == 11  # two with the same words would be one
+    for phase in Phase:
+        assert phase.value.startswith(begins.get(phase, "AS_DRIVING, ")), phase
+
+
+def test_every_stop_and_emergency_that_somebody_asked_for_is_told_in_a_sentence() -> None:
+    assert len(Asked) == 5
+    for cause in Asked:
+        assert len(cause.value.split()) >= 4, cause
+
+
 def test_torque_is_let_through_in_one_phase_only() -> None:
     assert [phase for phase in Phase if OUTPUT[phase].torque] == [Phase.DRIVING]
 
@@ -108,6 +151,30 @@ def test_every_reaction_gets_graver_with_time() -> None:
         after = [0 if step.after is None else getattr(CONFIG, step.after) for step in steps]
         assert after == sorted(after), reason
         assert [step.consequence for step in steps] == sorted(step.consequence for step in steps), reason
+
+
+def test_only_a_command_that_is_lost_makes_the_mode_manual() -> None:
+    takes_over = {
+        reason for reason, steps in REACTIONS.items() for step in steps if step.consequence is Consequence.STOP_MANUAL
+    }
+    assert takes_over == {Reason.COMMAND_STALE}
+
+
+def test_a_decision_that_nobody_has_made_is_safe_and_of_no_run() -> None:
+    nobodys = Decision()
+    assert not (nobodys.torque or nobodys.may_move or nobodys.estop)
+    assert (nobodys.mission_status, nobodys.direction) == (MissionStatus.NOT_SELECTED, Direction.NEUTRAL)
+    assert (nobodys.phase, nobodys.steer, nobodys.brake) == (Phase.IDLE, Steer.ZERO, Brake.ZERO)
+    assert nobodys.run_id == 0 < SupervisorState().run_id
+
+
+def test_a_process_that_has_heard_nothing_begins_with_nothing() -> None:
+    state, inputs = SupervisorState(), Inputs(T0)
+    assert not (state.go or state.fault or state.was_silent or state.driving or state.is_confirmed)
+    assert (state.mode, state.sequence, state.mission) == (Mode.MANUAL, Sequence.NONE, Ami.NOT_SELECTED)
+    assert (state.stop, state.emergency, state.fastest_rpm, state.stop_window_ns) == (None, None, 0, 0)
+    assert (inputs.command, inputs.command_ns, inputs.steer_ns, inputs.wheel_detail) == (None, 0, None, "")
+    assert supervisor.Latch(Reason.GO_OFF, T0).words == Reason.GO_OFF.words
 
 
 def test_every_reason_has_a_sentence_that_can_be_found_by_its_short_name() -> None:
@@ -228,6 +295,15 @@ def test_the_whole_sequence_lets_the_car_drive() -> None:
     assert launched().sequence is Sequence.COMPLETE
 
 
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_however_often_each_state_is_said_the_sequence_is_seen(frames: int) -> None:
+    state = SupervisorState()
+    for as_state in (INIT, OFF, READY, DRIVING):
+        for _ in range(frames):
+            state = hear(state, as_state, T0)
+    assert state.sequence is Sequence.COMPLETE
+
+
 @pytest.mark.parametrize(
     "path",
     [
@@ -320,6 +396,14 @@ def test_standing_is_not_believed_when_wheel_speeds_are_100_ms_old() -> None:
     assert supervisor.standing(CONFIG, stood(NOW), NOW + 100 * MS - 1)
     assert not supervisor.standing(CONFIG, stood(NOW), NOW + 100 * MS)
     assert not supervisor.standing(CONFIG, SupervisorState(), NOW)
+    assert not supervisor.standing(CONFIG, replace(stood(NOW), speeds_ns=None), NOW)
+    assert not supervisor.standing(CONFIG, replace(stood(NOW), still_since_ns=None), NOW)
+
+
+def test_wheel_speeds_are_fresh_for_less_than_100_ms() -> None:
+    assert supervisor.wheels_fresh(CONFIG, stood(NOW), NOW + 100 * MS - 1)
+    assert not supervisor.wheels_fresh(CONFIG, stood(NOW), NOW + 100 * MS)
+    assert not supervisor.wheels_fresh(CONFIG, SupervisorState(), NOW)
 
 
 def test_standing_is_not_put_together_from_before_and_after_a_gap() -> None:
@@ -832,6 +916,12 @@ def test_a_mission_is_not_done_before_it_may_begin() -> None:
     assert decide(state, done).phase is Phase.LAUNCH_WAIT
 
 
+def test_a_stop_in_the_first_three_seconds_does_not_steer() -> None:
+    for now_ns, steer in ((LAUNCH + 3 * S - 1, Steer.HELD), (LAUNCH + 3 * S, Steer.COMMAND)):
+        state, inputs = driving(now_ns, rpm=0)
+        assert decide(hear(state, DRIVING, now_ns, go_signal=False), inputs).steer is steer
+
+
 def test_the_mission_may_end_with_an_emergency_brake() -> None:
     state, inputs = driving()
     assert inputs.command is not None
@@ -870,12 +960,381 @@ def test_an_orderly_end_at_rest_in_as_driving_finishes_the_run() -> None:
     decision = supervisor.ending(decide(state, inputs))
     assert (decision.mission_status, decision.direction) == (MissionStatus.FINISHED, Direction.NEUTRAL)
     assert decision.brake is Brake.ZERO
+    assert (decision.steer, decision.torque, decision.estop) == (Steer.ZERO, False, False)
+    assert state.stop is not None and state.stop.words == "this software was stopped"
 
 
 def test_an_orderly_end_while_moving_leaves_the_car_to_its_emergency_brake() -> None:
     state, inputs = driving()
     decision = supervisor.ending(decide(supervisor.begin_end(CONFIG, state, NOW), inputs))
     assert (decision.estop, decision.direction, decision.brake) == (True, Direction.FORWARD, Brake.SERVICE)
+
+
+# ---------------------------------------------------------------- what a valid command is
+
+
+@pytest.mark.parametrize(
+    "age",
+    [
+        lambda inputs, ns: replace(inputs, command_ns=NOW - 100 * MS + ns),
+        lambda inputs, ns: replace(inputs, command=replace(inputs.command, t_sensor_ns=NOW - 500 * MS + ns)),
+        lambda inputs, ns: replace(inputs, command=replace(inputs.command, run_id=inputs.command.run_id + 1 - ns)),
+    ],
+)
+def test_a_command_that_is_not_valid_any_more_asks_for_nothing(age: Any) -> None:
+    """Of 100 ms, with data of 500 ms, or of another run."""
+    state, inputs = driving()
+    assert inputs.command is not None
+    estop = replace(inputs, command=replace(inputs.command, estop_request=True))
+    done = replace(inputs, command=replace(inputs.command, mission_finished=True))
+    for ns, obeyed in ((1, True), (0, False)):
+        assert decide(state, age(estop, ns)).estop is obeyed
+        after, _ = supervise(CONFIG, state, age(done, ns))
+        assert (after.stop is not None and after.stop.cause is Asked.MISSION_DONE) is obeyed
+
+
+def test_a_command_of_another_run_holds_the_torque_back_from_the_third_second_on() -> None:
+    state, inputs = driving(LAUNCH + 3 * S)
+    assert inputs.command is not None
+    other = replace(inputs, command=replace(inputs.command, run_id=state.run_id - 1))
+    assert decide(state, other).phase is Phase.HOLDING
+    assert decide(state, inputs).phase is Phase.DRIVING
+
+
+def test_a_command_that_ended_before_the_third_second_counts_as_lost_only_from_there_on() -> None:
+    for after_ns, phase in ((0, Phase.HOLDING), (300 * MS - 1, Phase.HOLDING), (300 * MS, Phase.STOPPING)):
+        state, inputs = driving(LAUNCH + 3 * S + after_ns)
+        assert decide(state, replace(inputs, command_ns=LAUNCH + 1 * S)).phase is phase
+
+
+def test_manual_asked_for_while_the_command_is_stale_is_no_fault() -> None:
+    state, inputs = aged_command(300 * MS)
+    state, _, _ = supervisor.set_mode(CONFIG, state, "manual", NOW)
+    state, decision = supervise(CONFIG, state, inputs)
+    assert (decision.phase, decision.reasons) == (Phase.STOPPING, frozenset())
+    assert state.stop is not None and state.stop.words == "manual mode was asked for"
+
+
+def test_the_brake_alone_is_not_both_pedals() -> None:
+    state, inputs = driving()
+    assert inputs.command is not None
+    for throttle, brake in ((0.0, 0.5), (0.5, 0.0), (0.0, 0.0)):
+        one = replace(inputs, command=replace(inputs.command, throttle=throttle, brake=brake))
+        assert decide(state, one).reasons == frozenset()
+
+
+def both_pedals(inputs: Inputs) -> Inputs:
+    assert inputs.command is not None
+    return replace(inputs, command=replace(inputs.command, throttle=0.5, brake=0.1))
+
+
+def test_both_pedals_of_a_command_from_before_the_third_second_count_from_there_on() -> None:
+    for after_ns, phase in ((100 * MS - 1, Phase.DRIVING), (100 * MS, Phase.ESTOP_ASKED)):
+        state, inputs = driving(LAUNCH + 3 * S)
+        state, _ = supervise(CONFIG, state, replace(both_pedals(inputs), command_ns=LAUNCH + 3 * S - 50 * MS))
+        assert decide(*refreshed(state, both_pedals(inputs), LAUNCH + 3 * S + after_ns)).phase is phase
+
+
+def test_both_pedals_are_timed_across_the_frames_of_the_car() -> None:
+    state, inputs = driving()
+    for n in range(10):
+        now_ns = NOW + n * 10 * MS
+        state, decision = supervise(CONFIG, *refreshed(hear(state, DRIVING, now_ns), both_pedals(inputs), now_ns))
+        assert decision.phase is Phase.DRIVING
+    assert decide(*refreshed(state, both_pedals(inputs), NOW + 100 * MS)).phase is Phase.ESTOP_ASKED
+
+
+def test_both_pedals_of_the_last_run_do_not_count_in_the_next() -> None:
+    state, inputs = driving()
+    state, _ = supervise(CONFIG, state, both_pedals(inputs))
+    state = confirmed(hear(state, OFF, NOW))
+    again_ns = NOW + 10 * S
+    for as_state in (READY, DRIVING):
+        state = hear(replace(state, heard_ns=again_ns), as_state, again_ns)
+    _, late = driving(again_ns + 3 * S)
+    assert late.command is not None
+    late = replace(late, command=replace(late.command, run_id=state.run_id))
+    decision = decide(*refreshed(state, both_pedals(late), again_ns + 3 * S))
+    assert (decision.phase, decision.reasons) == (Phase.DRIVING, {Reason.BOTH_PEDALS})
+
+
+def test_both_pedals_give_no_torque_back_that_something_else_holds() -> None:
+    state, inputs = driving()
+    decision = decide(replace(state, status_ns=NOW - 60 * MS), both_pedals(inputs))
+    assert (decision.phase, decision.reasons) == (Phase.HOLDING, {Reason.VCU_SILENT, Reason.BOTH_PEDALS})
+
+
+# ---------------------------------------------------------------- the words of what latched
+
+
+@pytest.mark.parametrize(
+    ("reason", "happens"),
+    [
+        (Reason.COMMAND_STALE, lambda state, inputs: (state, replace(inputs, command_ns=NOW - 300 * MS))),
+        (Reason.VCU_SILENT, lambda state, inputs: (replace(state, status_ns=NOW - 100 * MS), inputs)),
+        (Reason.WHEELS_STALE, lambda state, inputs: (replace(state, speeds_ns=NOW - 100 * MS), inputs)),
+        (Reason.STEERING_STALE, lambda state, inputs: (state, replace(inputs, steer_ns=NOW - 100 * MS))),
+        (
+            Reason.STEERING_IMPLAUSIBLE,
+            lambda state, inputs: (state, replace(inputs, steer_implausible_since_ns=NOW - 300 * MS)),
+        ),
+        (Reason.GO_OFF, lambda state, inputs: (replace(state, go=False), inputs)),
+        (Reason.FAULT_STATUS, lambda state, inputs: (replace(state, fault=True), inputs)),
+        (Reason.NOT_SEEN, lambda state, inputs: (replace(state, sequence=Sequence.NONE), inputs)),
+        (
+            Reason.BOTH_PEDALS,
+            lambda state, inputs: (replace(state, both_pedals_since_ns=NOW - 100 * MS), both_pedals(inputs)),
+        ),
+    ],
+)
+def test_what_says_all_by_itself_is_told_in_its_own_words(reason: Reason, happens: Any) -> None:
+    state, _ = supervise(CONFIG, *happens(*driving()))
+    latch = state.stop or state.emergency
+    assert latch is not None and latch.words == reason.words
+
+
+def test_what_was_asked_for_is_told_in_its_own_words() -> None:
+    state, inputs = driving()
+    assert inputs.command is not None
+    for changes, words in (
+        ({"mission_finished": True}, "the mission is done"),
+        ({"estop_request": True}, "the mission or its controller asked for the emergency brake"),
+    ):
+        after, _ = supervise(CONFIG, state, replace(inputs, command=replace(inputs.command, **changes)))
+        latch = after.stop or after.emergency
+        assert latch is not None and latch.words == words
+
+
+def test_who_has_not_confirmed_is_named() -> None:
+    state, inputs = driving()
+    for lacking, names in (
+        ({"planner"}, "controller"),
+        ({"controller"}, "planner"),
+        (set[str](), "planner and controller"),
+    ):
+        after, _ = supervise(CONFIG, replace(state, confirmed=frozenset(lacking)), inputs)
+        assert after.stop is not None and after.stop.words.endswith(f": run {state.run_id} by the {names}")
+
+
+def test_a_stop_without_effect_tells_how_fast_the_wheels_still_turn() -> None:
+    state, _ = after_stop(400, 500 * MS)
+    assert state.emergency is not None
+    assert state.emergency.words == "the service brake does not stop the car: 400 rpm"
+
+
+def test_an_end_while_moving_tells_that_the_car_was_not_known_to_stand() -> None:
+    state = supervisor.begin_end(CONFIG, driving()[0], NOW)
+    assert state.emergency is not None
+    assert state.emergency.words == "this software was stopped: the car was in AS_DRIVING and not known to stand"
+
+
+def test_the_answer_to_manual_says_what_happens() -> None:
+    off, (moving, _) = hear(SupervisorState(), OFF, T0), driving()
+    assert supervisor.set_mode(CONFIG, off, "manual", T0)[2] == "mode is manual"
+    assert supervisor.set_mode(CONFIG, moving, "manual", NOW)[2] == "mode is manual: the car is being stopped"
+
+
+def test_a_refusal_to_reset_says_why_nobody_knows_the_as_state() -> None:
+    assert supervisor.reset(CONFIG, SupervisorState(), T0)[2] == (
+        "reset refused: the car has not said its AS state yet (no 0x520)"
+    )
+
+
+# ---------------------------------------------------------------- what ends with a state, and what does not
+
+
+def test_what_led_to_a_stop_is_not_found_again_in_it() -> None:
+    for changes in ({"sequence": Sequence.NONE}, {"confirmed": frozenset[str]()}):
+        state, inputs = driving()
+        state, decision = supervise(CONFIG, replace(state, **changes), inputs)
+        assert decision.phase is Phase.STOPPING and len(decision.reasons) == 1
+        assert decide(state, inputs).reasons == frozenset()
+
+
+def test_a_process_that_finds_the_car_in_as_driving_knows_its_mission() -> None:
+    state = hear(SupervisorState(), DRIVING, T0, ami=Ami.SKIDPAD)
+    assert (state.mission, state.run_id) == (Ami.SKIDPAD, 2)
+
+
+def test_an_ami_that_is_turned_while_driving_disturbs_nothing() -> None:
+    state, inputs = driving()
+    state = hear(state, DRIVING, NOW, ami=Ami.ACCELERATION)
+    assert decide(state, inputs).phase is Phase.DRIVING
+
+
+def test_the_times_of_a_state_end_with_it() -> None:
+    ready = hear(chosen(), READY, T0)
+    assert (ready.ready_since_ns, ready.driving_since_ns) == (T0, None)
+    assert hear(ready, READY, T0 + 1).ready_since_ns == T0
+    begun = hear(ready, DRIVING, T0 + 2)
+    assert (begun.ready_since_ns, begun.driving_since_ns) == (None, T0 + 2)
+    assert hear(begun, DRIVING, T0 + 3).driving_since_ns == T0 + 2
+    assert hear(begun, FINISHED, T0 + 3).driving_since_ns is None
+
+
+def test_outside_as_driving_nothing_may_move() -> None:
+    assert not supervisor.may_move(CONFIG, SupervisorState(), T0)
+    for as_state in (FINISHED, EMERGENCY, OFF):
+        state = hear(launched(), as_state, LAUNCH)
+        assert not decide(state, Inputs(LAUNCH + 5 * S)).may_move
+
+
+def test_manual_asked_for_before_the_car_was_seen_at_rest_stays_manual() -> None:
+    state, _, _ = supervisor.set_mode(POWER_UP, at_rest(OFF, T0), "manual", T0)
+    state = hear(state, OFF, T0)
+    assert supervise(POWER_UP, state, Inputs(T0))[0].mode is Mode.MANUAL
+
+
+@pytest.mark.parametrize("by_whom", ["itself", "somebody"])
+def test_a_mode_that_was_lost_does_not_come_back_by_itself_before_the_next_power_up(by_whom: str) -> None:
+    state = at_rest(OFF, T0)
+    if by_whom == "itself":
+        state, _ = supervise(POWER_UP, state, Inputs(T0))
+    else:
+        state, _, _ = supervisor.set_mode(POWER_UP, state, "autonomous", T0)
+    assert state.mode is Mode.AUTONOMOUS
+    lost = replace(state, mode=Mode.MANUAL)  # as the loss of a command does
+    assert supervise(POWER_UP, lost, Inputs(T0))[0].mode is Mode.MANUAL
+
+
+def test_in_as_ready_selected_stays_whatever_the_mode_and_the_emergency() -> None:
+    ready = hear(chosen(), READY, T0)
+    for state in (replace(ready, mode=Mode.MANUAL), supervisor.ask_emergency(ready, Asked.OPERATOR, "", T0)):
+        assert decide(state, Inputs(T0)).mission_status is MissionStatus.SELECTED
+
+
+# ---------------------------------------------------------------- steering while stopping
+
+
+@pytest.mark.parametrize(
+    ("cause", "steer"),
+    [
+        (Asked.MISSION_DONE, Steer.COMMAND),
+        (Reason.GO_OFF, Steer.COMMAND),
+        (Reason.FAULT_STATUS, Steer.COMMAND),
+        (Reason.WHEELS_STALE, Steer.COMMAND),
+        (Reason.WHEEL_IMPLAUSIBLE, Steer.COMMAND),
+        (Reason.STEERING_STALE, Steer.HELD),
+        (Reason.STEERING_IMPLAUSIBLE, Steer.HELD),
+        (Reason.COMMAND_STALE, Steer.HELD),
+        (Reason.BUS_LOST, Steer.HELD),
+        (Reason.NOT_SEEN, Steer.HELD),
+        (Reason.NOT_CONFIRMED, Steer.HELD),
+        (Reason.STACK_RESTARTED, Steer.HELD),
+        (Asked.MANUAL, Steer.HELD),
+        (Asked.SHUTDOWN, Steer.HELD),
+    ],
+)
+def test_a_stop_follows_the_planner_only_where_neither_it_nor_the_steering_failed(
+    cause: Reason | Asked, steer: Steer
+) -> None:
+    state, inputs = driving()
+    state = replace(state, stop=supervisor.Latch(cause, NOW))
+    assert decide(state, inputs).steer is steer
+    assert decide(replace(state, mode=Mode.MANUAL), inputs).steer is Steer.HELD
+    assert decide(state, replace(inputs, command=None)).steer is Steer.HELD
+
+
+# ---------------------------------------------------------------- standing still, and a stop that shows no effect
+
+
+def test_a_car_that_comes_to_rest_is_seen_standing_half_a_second_later() -> None:
+    state = roll(roll(SupervisorState(), 100, T0), 0, T0 + 10 * MS)
+    for n in range(1, 51):
+        assert not supervisor.standing(CONFIG, state, state.speeds_ns or 0)
+        state = roll(state, 0, T0 + 10 * MS + n * 10 * MS)
+    assert supervisor.standing(CONFIG, state, T0 + 510 * MS)
+
+
+def test_a_stop_whose_wheels_fell_silent_at_rest_is_an_emergency_after_three_seconds_too() -> None:
+    state, inputs = stopping()
+    silent = replace(state, fastest_rpm=0, driving_since_ns=NOW + 1 * S)
+    for after_ns, phase in ((3 * S - 1, Phase.STOPPING), (3 * S, Phase.ESTOP_ASKED)):
+        fresh = replace(silent, status_ns=NOW + after_ns)
+        assert decide(fresh, replace(inputs, now_ns=NOW + after_ns)).phase is phase
+
+
+def test_wheel_speeds_that_are_too_old_prove_no_missing_deceleration() -> None:
+    state, inputs = stopping()
+    later_ns = NOW + 500 * MS
+    silent = replace(state, driving_since_ns=NOW + 1 * S, status_ns=later_ns, speeds_ns=later_ns - 100 * MS)
+    assert decide(silent, replace(inputs, now_ns=later_ns)).reasons == frozenset()
+    heard_ns = later_ns - 100 * MS + 1
+    assert decide(replace(silent, speeds_ns=heard_ns), replace(inputs, now_ns=later_ns)).reasons == {
+        Reason.STOP_INEFFECTIVE
+    }
+
+
+def test_the_deceleration_of_a_stop_is_measured_from_its_own_beginning() -> None:
+    state, inputs = driving(rpm=400)
+    state = replace(state, stop_window_ns=NOW - 60 * S, stop_window_rpm=100)  # of a stop in an earlier run
+    state, _, _ = supervisor.set_mode(CONFIG, state, "manual", NOW)
+    for n in range(50):
+        state, decision = supervise(CONFIG, *refreshed(state, inputs, NOW + n * 10 * MS))
+        assert decision.phase is Phase.STOPPING
+
+
+# ---------------------------------------------------------------- the bus goes and comes back
+
+
+def test_a_silence_that_lasted_before_the_bus_was_lost_is_a_power_cycle_all_the_same() -> None:
+    for silence_ns, cleared in ((1 * S - 1, False), (1 * S, True)):
+        state = supervisor.bus_lost(CONFIG, latched(EMERGENCY), "unplugged", T0 + silence_ns)
+        state = supervisor.bus_back(state, T0 + silence_ns)
+        assert (hear(state, OFF, T0 + silence_ns).emergency is None) is cleared
+
+
+def test_the_time_without_a_bus_is_no_silence_of_the_car() -> None:
+    state = supervisor.bus_lost(CONFIG, latched(EMERGENCY), "unplugged", T0)
+    back_ns = T0 + 60 * S
+    assert hear(supervisor.bus_back(state, back_ns), OFF, back_ns + 1 * S - 1).emergency is not None
+    assert hear(supervisor.bus_back(state, back_ns), OFF, back_ns + 1 * S).emergency is None
+    never = supervisor.bus_back(supervisor.ask_emergency(SupervisorState(), Asked.OPERATOR, "", T0), back_ns)
+    assert hear(never, OFF, back_ns + 60 * S).emergency is not None
+
+
+def test_the_time_without_a_bus_is_no_part_of_a_stop() -> None:
+    state, inputs = stopping(rpm=1000)
+    back_ns = NOW + 60 * S
+    state = supervisor.bus_back(supervisor.bus_lost(CONFIG, state, "unplugged", NOW), back_ns)
+    assert state.stop is not None and (state.stop.cause, state.stop.since_ns) == (Asked.MANUAL, back_ns)
+    later = refreshed(roll(state, 1000, back_ns), inputs, back_ns)
+    state, decision = supervise(CONFIG, *later)
+    assert decision.phase is Phase.STOPPING  # the wheels did not slow down while nothing could be said
+    assert decide(*refreshed(state, inputs, back_ns + 500 * MS - 1)).phase is Phase.STOPPING
+    assert decide(*refreshed(state, inputs, back_ns + 500 * MS)).phase is Phase.ESTOP_ASKED
+
+
+def test_after_a_bus_loss_the_feedback_has_three_seconds_to_come_back() -> None:
+    state, _ = driving()
+    back_ns = NOW + 60 * S
+    state = supervisor.bus_back(supervisor.bus_lost(CONFIG, state, "unplugged", NOW), back_ns)
+    for after_ns, phase in ((3 * S - 1, Phase.STOPPING), (3 * S, Phase.ESTOP_ASKED)):
+        now_ns = back_ns + after_ns
+        waiting = replace(state, status_ns=now_ns, stop=supervisor.Latch(Reason.BUS_LOST, now_ns))
+        assert decide(waiting, Inputs(now_ns)).phase is phase
+    idle = supervisor.bus_back(hear(chosen(), OFF, T0), T0 + 60 * S)
+    assert (idle.driving_since_ns, idle.stop) == (None, None)
+
+
+# ---------------------------------------------------------------- a process that is restarted (rule 10)
+
+
+@pytest.mark.parametrize("role", supervisor.ROLES)
+def test_who_confirms_the_run_once_more_in_as_driving_was_restarted_and_stops_it(role: str) -> None:
+    state, inputs = driving()
+    state = supervisor.confirm(state, role, state.run_id)
+    state, decision = supervise(CONFIG, state, inputs)
+    assert (decision.phase, state.mode) == (Phase.STOPPING, Mode.AUTONOMOUS)
+    assert state.stop is not None and state.stop.cause is Reason.STACK_RESTARTED
+    assert (state.stop.detail, state.stop.since_ns) == (role, NOW)
+
+
+def test_elsewhere_a_restarted_process_stops_nothing_and_the_first_confirmation_never_does() -> None:
+    for state in (SupervisorState(), chosen(), hear(chosen(), READY, T0), hear(launched(), EMERGENCY, LAUNCH)):
+        assert supervisor.confirm(confirmed(state), "planner", state.run_id) == confirmed(state)
+    late, _ = driving()
+    assert confirmed(replace(late, confirmed=frozenset())).stop is None
 
 
 # ---------------------------------------------------------------- configuration

@@ -13,6 +13,7 @@ import numpy as np
 
 from fsai_vcu.core.driving import Floats, Motion
 from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.interface.immutable import Immutable
 
 CONE_SIGMA_M = 0.2
 OFFSET_SIGMA_M = 0.15  # how far the line may move at the car from one observation to the next
@@ -24,7 +25,7 @@ FINISH_GATE_M = 8.0  # big orange cones count as the finish within this distance
 
 
 @dataclass(frozen=True, slots=True)
-class AccelerationState:
+class AccelerationState(Immutable):
     """The lane's line in the frame of the staged car at (x, y, yaw) of the odometry frame."""
 
     x_m: float

@@ -10,6 +10,7 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.steering_sweep import NOT_BEGUN, SweepState, advance_sweep
+from fsai_vcu.interface.immutable import Immutable
 
 STOP_BRAKE = 0.5  # half of full braking: from 5 m/s in some 4 m with the dead time
 REST_BRAKE = 0.2
@@ -43,7 +44,7 @@ NEXT = {
 
 
 @dataclass(frozen=True, slots=True)
-class DemoState:
+class DemoState(Immutable):
     phase: Phase = Phase.SWEEP
     since_ns: int = 0
     distance_m: float = 0.0  # driven when the phase began

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 from fsai_vcu.core.driving import Motion
+from fsai_vcu.interface.immutable import Immutable
 
 ARMING_M = 15.0  # the line must have been ahead, within this distance, before it can be passed
 PASSED_M = 6.0  # further behind it than this the car has not just passed it
@@ -20,7 +21,7 @@ DRIFT_MAX = 0.08  # … and by how much more of the way driven meanwhile
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class Line(Immutable):
     """A line across the lane in the odometry frame: its middle and the direction in which it is passed."""
 
     x_m: float
@@ -37,7 +38,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class LapState:
+class LapState(Immutable):
     """`passages` of the line: the first begins lap 1."""
 
     line: Line

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fsai_vcu.core.driving import Motion
+from fsai_vcu.interface.immutable import Immutable
 
 
 @dataclass(frozen=True, slots=True)
-class CarView:
+class CarView(Immutable):
     """What such a mission goes by. wheel_rpm: FL, FR, RL, RR; steer_rad: measured; standing: all wheels at rest."""
 
     now_ns: int
@@ -19,7 +20,7 @@ class CarView:
 
 
 @dataclass(frozen=True, slots=True)
-class MissionRequest:
+class MissionRequest(Immutable):
     """What it asks for, as in `VehicleCommand`. The default is at rest."""
 
     steering_rad: float = 0.0

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from fsai_vcu.interface.immutable import Immutable
+
 
 @dataclass(frozen=True, slots=True)
-class MissionSettings:
+class MissionSettings(Immutable):
     """Staging distances are from the car's nose to the line."""
 
     # Autocross / sprint and trackdrive

@@ -15,6 +15,7 @@ import numpy as np
 
 from fsai_vcu.core.driving import Floats, Motion
 from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.interface.immutable import Immutable
 
 STEP_M = 0.25  # of the path's table
 LEAD_M = 10.0  # of path before the staging place
@@ -84,7 +85,7 @@ def skidpad_course(settings: MissionSettings, nose_m: float) -> SkidpadCourse:
 
 
 @dataclass(frozen=True, slots=True)
-class SkidpadState:
+class SkidpadState(Immutable):
     """Where the odometry frame lies in the course frame, and how far along the path the car is."""
 
     x_m: float

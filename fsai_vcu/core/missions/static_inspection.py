@@ -13,6 +13,7 @@ from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.steering_sweep import NOT_BEGUN, SweepState, advance_sweep
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.immutable import Immutable
 
 # In the air a few newton metres spin the wheels: proportional and integral throttle, and never much of it.
 SPIN_GAIN = 0.06  # throttle per relative error
@@ -44,7 +45,7 @@ class Inspection:
 
 
 @dataclass(frozen=True, slots=True)
-class InspectionState:
+class InspectionState(Immutable):
     index: int = 0
     since_ns: int | None = None  # when the phase began
     t_ns: int | None = None

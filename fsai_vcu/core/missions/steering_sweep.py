@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from fsai_vcu.core.missions.request import CarView
 from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.interface.immutable import Immutable
 
 ENDS = (1.0, -1.0, 0.0)  # in units of the full angle, positive left
 PATIENCE_S = 2.0  # an end that is not reached by then is left all the same: the judge, not the car, stands still
@@ -13,7 +14,7 @@ STEP_MAX_S = 0.1  # a longer pause between two calls does not make the angle jum
 
 
 @dataclass(frozen=True, slots=True)
-class SweepState:
+class SweepState(Immutable):
     """`end`: index of the end under way; `angle_rad`: asked for; `held_s`: for how long that end has been asked for."""
 
     end: int = 0

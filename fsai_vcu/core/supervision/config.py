@@ -6,12 +6,14 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
+from fsai_vcu.interface.immutable import Immutable
+
 MS = 1_000_000
 S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class BridgeConfig:
+class BridgeConfig(Immutable):
     """How the AI side of one car behaves. A timer has run out *at* its value: T - 1 ns is still in time."""
 
     # Who may do what

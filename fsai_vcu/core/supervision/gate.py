@@ -21,6 +21,7 @@ from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VehicleState, WheelSpeeds
+from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.revisions import Revision
 
 AXLE_TORQUE_MAX_NM = 195.0  # interface specification v4.0: AXLE_TRQ_REQUEST 0 to 195 Nm
@@ -39,7 +40,7 @@ _TINY = 1e-9  # so that 12.3 / 0.1 counts as 123
 
 
 @dataclass(frozen=True, slots=True)
-class GateConfig:
+class GateConfig(Immutable):
     """The limits in force, each already the smallest of what revision, car, configuration and official allow."""
 
     steer_limit_deg: float
@@ -84,7 +85,7 @@ def gate_config(
 
 
 @dataclass(frozen=True, slots=True)
-class GateState:
+class GateState(Immutable):
     """What the gate remembers between cycles."""
 
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
@@ -94,7 +95,7 @@ class GateState:
     # The interlock. Before the first complete cycle the VCU may still hold what an earlier process said.
     torque_there: bool = True
     zero_cycles: int = 0  # complete cycles with both at zero since anything above it was tried; 2 means more
-    zero_since_ns: int = 0  # when the first of them was sent
+    zero_since_ns: int = 0  # while there is one of them: when it was sent
     torque_running: bool = False  # torque rose properly and has not been back at zero since
     tried_torque: bool = False  # what the cycle that is out now asks for
     tried_brake: bool = False
@@ -109,8 +110,7 @@ class GateState:
 
 def motor_rpm(speed_mps: float, rpm_per_mps: float, limit_rpm: int) -> int:
     """Motor speed for a road speed, rounded down, never above `limit_rpm`."""
-    rpm = speed_mps * rpm_per_mps
-    return limit_rpm if rpm >= limit_rpm else max(0, int(rpm + _TINY))
+    return max(0, int(min(speed_mps * rpm_per_mps, limit_rpm) + _TINY))
 
 
 def constant_power_nm(fastest_rpm: int) -> float:
@@ -139,17 +139,18 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
         awaiting=False,
         torque_there=torque,
         zero_cycles=min(state.zero_cycles + 1, 2) if zero else 0,
-        zero_since_ns=state.zero_since_ns if zero and state.zero_cycles else now_ns,
+        zero_since_ns=now_ns,
     )
 
 
 def _released(state: GateState, vehicle: VehicleState) -> bool:
     """Torque may rise from zero: a complete zero cycle that 0x524 has echoed, or two of them (safety rule 1)."""
-    if state.zero_cycles != 1:
-        return state.zero_cycles > 1
+    if state.zero_cycles > 1:
+        return True
     echo = vehicle.brake
     return (
-        echo is not None
+        state.zero_cycles == 1
+        and echo is not None
         and echo.t_rx_ns > state.zero_since_ns
         and echo.front_request_pct == 0.0
         and echo.rear_request_pct == 0.0
@@ -175,11 +176,10 @@ def _steering(
         wanted_deg = math.degrees(command.steering_rad)
         # The signal's own resolution, or half of it, is nobody's fault.
         beyond = abs(wanted_deg) > limit_deg + 0.05
-    wanted_deg = max(-limit_deg, min(limit_deg, wanted_deg))
     step_ns = 0 if state.cycle_ns is None else max(0, min(now_ns - state.cycle_ns, _LONGEST_STEP_NS))
     most_deg = config.steer_rate_degps * step_ns / 1e9
     turned_deg = max(state.steer_deg - most_deg, min(state.steer_deg + most_deg, wanted_deg))
-    # A limit that the car lowers is obeyed at once, however far that is.
+    # The limit after the rate: one that the car lowers is obeyed at once, however far that is.
     return max(-limit_deg, min(limit_deg, turned_deg)), beyond
 
 
@@ -219,8 +219,7 @@ def gate(
     reasons: set[Reason] = set()
     status, speeds = vehicle.status, vehicle.speeds
     driving = status is not None and status.as_state is AsState.AS_DRIVING
-    if state.awaiting:  # nobody has said what became of the cycle before: count it as broken
-        state = sent(state, False, now_ns)
+    state = sent(state, False, now_ns)  # if nobody has said what became of the cycle before, it counts as broken
 
     if not _obeys(config, decision, command, now_ns):
         command = None
@@ -246,14 +245,10 @@ def gate(
         throttle = command.throttle
 
     # Rule 2, as far as the gate sees it itself.
-    torque_allowed = (
-        driving
-        and status is not None
-        and now_ns - status.t_rx_ns < config.vcu_stale_ns
-        and direction is Direction.FORWARD
-        and not decision.estop
-    )
-    if throttle > 0.0 and not (torque_allowed and status is not None and status.go_signal and decision.may_move):
+    fresh = status is not None and now_ns - status.t_rx_ns < config.vcu_stale_ns
+    go = status is not None and status.go_signal
+    torque_allowed = driving and fresh and direction is Direction.FORWARD and not decision.estop
+    if throttle > 0.0 and not (torque_allowed and go and decision.may_move):
         throttle = 0.0
         reasons.add(Reason.TORQUE_BLOCKED)
 
@@ -273,10 +268,8 @@ def gate(
         reasons.add(Reason.TORQUE_LIMIT_UNKNOWN)
 
     # Rule 1.
-    if brake_pct > 0.0:
-        front_nm = rear_nm = 0.0
-        if state.torque_there:
-            brake_pct = 0.0
+    if state.torque_there:
+        brake_pct = 0.0
     if not (state.torque_running or _released(state, vehicle)):
         front_nm = rear_nm = 0.0
     torque = front_nm > 0.0 or rear_nm > 0.0
@@ -362,12 +355,16 @@ def _torque(config: GateConfig, vehicle: VehicleState, share: float, now_ns: int
     if config.driven_front:
         limit = _axle_limit_nm(config, vehicle.drive_front, speeds.fl_rpm, speeds.fr_rpm, now_ns)
         unknown = limit is None
-        front = math.floor((limit or 0.0) * share * 10.0 + _TINY) / 10.0  # the signal's 0.1 Nm, never up
+        front = _share_nm(limit, share)
     if config.driven_rear:
         limit = _axle_limit_nm(config, vehicle.drive_rear, speeds.rl_rpm, speeds.rr_rpm, now_ns)
         unknown = unknown or limit is None
-        rear = math.floor((limit or 0.0) * share * 10.0 + _TINY) / 10.0
+        rear = _share_nm(limit, share)
     return front, rear, unknown
+
+
+def _share_nm(limit_nm: float | None, share: float) -> float:
+    return 0.0 if limit_nm is None else math.floor(limit_nm * share * 10.0 + _TINY) / 10.0  # the signal's 0.1 Nm
 
 
 def _saturated(value: float, most: int) -> int:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.immutable import Immutable
 
 WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
 
@@ -19,7 +20,7 @@ WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
 
 
 @dataclass(frozen=True, slots=True)
-class SteeringCheck:
+class SteeringCheck(Immutable):
     """A model of the steering actuator, fed with the requests that were sent.
 
     `pending` are requests (time, deg) that have not passed the dead time yet. Two actuators follow those that have, a
@@ -45,7 +46,7 @@ def check_steering(
     """One cycle in AS_DRIVING: `request_deg` is what this cycle asks for. Outside AS_DRIVING begin anew instead."""
     if measured is None or now_ns - measured.t_rx_ns >= config.feedback_stale_ns:
         # Nothing to compare with (the supervisor names that); the model goes on from the next measurement.
-        return SteeringCheck(pending=check.pending[-1:], target_deg=check.target_deg, t_ns=now_ns)
+        return SteeringCheck(pending=check.pending[-1:], target_deg=check.target_deg)
     dead_ns = round(car.steer_dead_time_s * 1e9)
     pending, target = check.pending, check.target_deg
     while pending and now_ns - pending[0][0] >= dead_ns:
@@ -77,7 +78,7 @@ def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelCheck:
+class WheelCheck(Immutable):
     """Since when one wheel has not fitted the others, and until when slip explains what."""
 
     implausible_since_ns: int | None = None
@@ -106,18 +107,19 @@ def check_wheels(
 ) -> WheelCheck:
     """One cycle in AS_DRIVING: `asked` is the command that this cycle sends."""
     # What we ask for once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
-    until = now_ns + config.slip_memory_ns if check.implausible_since_ns is None else 0
-    spin_until = max(until, check.spin_until_ns) if asked.torque_requested else check.spin_until_ns
-    lock_until = max(until, check.lock_until_ns) if asked.brake_requested else check.lock_until_ns
+    explains = check.implausible_since_ns is None
+    until = now_ns + config.slip_memory_ns
+    spin_until = until if explains and asked.torque_requested else check.spin_until_ns
+    lock_until = until if explains and asked.brake_requested else check.lock_until_ns
     drag_until = check.drag_until_ns
     since, detail = check.implausible_since_ns, check.detail
     if speeds is not None and now_ns - speeds.t_rx_ns < config.feedback_stale_ns:
         rpm = speeds.all_rpm
         limit_rpm = max(asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm)
-        if asked.torque_requested and max(rpm) * car.gear_ratio > limit_rpm:
-            drag_until = max(until, drag_until)
+        if explains and asked.torque_requested and max(rpm) * car.gear_ratio > limit_rpm:
+            drag_until = until
         wheel = None
-        if max(rpm) - min(rpm) > config.wheel_margin_rpm:  # else no wheel can be too far from the others
+        if max(rpm) - min(rpm) > config.wheel_margin_rpm:  # wheels that turn alike are never odd
             wheel = _odd_wheel(
                 config,
                 car,
@@ -152,18 +154,18 @@ def _odd_wheel(
     for wheel in range(4):
         others = sorted(rolling[:wheel] + rolling[wheel + 1 :])
         middle = others[1]
-        beyond = rolling[wheel] - middle
-        if abs(beyond) <= config.wheel_margin_rpm + config.wheel_margin_fraction * middle:
+        if abs(rolling[wheel] - middle) <= config.wheel_margin_rpm + config.wheel_margin_fraction * middle:
             continue
-        explained = (spins and driven[wheel]) if beyond > 0 else (locks or (drags and driven[wheel]))
+        fast = rolling[wheel] > middle
+        explained = (spins and driven[wheel]) if fast else (locks or (drags and driven[wheel]))
         if not explained:
             return wheel
     return None
 
 
-def forget_steering(check: SteeringCheck) -> SteeringCheck:
+def forget_steering() -> SteeringCheck:
     """Outside AS_DRIVING the car ignores steering requests: the model begins anew."""
-    return check if check == _NEW_STEERING else _NEW_STEERING
+    return _NEW_STEERING
 
 
 _NEW_STEERING = SteeringCheck()
@@ -171,4 +173,4 @@ _NEW_STEERING = SteeringCheck()
 
 def forget_wheels(check: WheelCheck) -> WheelCheck:
     """The same for the wheels, but what explains slip is remembered."""
-    return check if check.implausible_since_ns is None else replace(check, implausible_since_ns=None, detail="")
+    return replace(check, implausible_since_ns=None, detail="")

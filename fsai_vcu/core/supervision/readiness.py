@@ -27,6 +27,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.images import Faults, VcuStatus, VehicleState
+from fsai_vcu.interface.immutable import Immutable
 
 READY_WAIT_NS = 5_000_000_000  # interface specification v4.0: at least 5 s in AS_READY
 READY_STEER_DEG = 5.0  # interface specification v4.0: measured steering under 5 deg
@@ -47,7 +48,7 @@ FAULT_NAMES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Circumstances:
+class Circumstances(Immutable):
     """What the bridge itself knows besides the supervisor's state."""
 
     phase: Phase
@@ -119,10 +120,10 @@ def _car_side(config: BridgeConfig, state: SupervisorState, vehicle: VehicleStat
     if status.ebs_state is not None:
         if status.ebs_state is not EbsState.EBS_ARMED:
             unmet.append(f"EBS is not armed ({status.ebs_state.label})")
-    elif brake is not None and brake.ebs_status not in (None, EbsStatus.ARMED):
-        unmet.append(f"EBS is not armed (STATUS_EBS {brake.ebs_status.label if brake.ebs_status else ''})")
-    if status.ts_state not in (None, TsState.TS_RUNNING):
-        unmet.append(f"the tractive system does not run ({status.ts_state.label if status.ts_state else ''})")
+    elif brake is not None and brake.ebs_status is not None and brake.ebs_status is not EbsStatus.ARMED:
+        unmet.append(f"EBS is not armed (STATUS_EBS {brake.ebs_status.label})")
+    if status.ts_state is not None and status.ts_state is not TsState.TS_RUNNING:
+        unmet.append(f"the tractive system does not run ({status.ts_state.label})")
     if status.op_state is OpState.OP_FAULT:
         unmet.append("OP_STATE is OP_FAULT")
     if status.fault:
@@ -136,8 +137,8 @@ def _car_side(config: BridgeConfig, state: SupervisorState, vehicle: VehicleStat
 def _named_faults(status: VcuStatus) -> str:
     faults: Faults = status.faults
     names = [name for attribute, name in FAULT_NAMES if getattr(faults, attribute)]
-    if status.shutdown_cause not in (None, ShutdownCause.NO_SHUTDOWN):
-        names.append(f"SHUTDOWN_CAUSE {status.shutdown_cause.label if status.shutdown_cause else ''}")
+    if status.shutdown_cause is not None and status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:
+        names.append(f"SHUTDOWN_CAUSE {status.shutdown_cause.label}")
     return f": {', '.join(names)}" if names else ""
 
 

@@ -37,6 +37,7 @@ class Reason(Enum):
     BUS_LOST = "bus_lost", "the bus was lost"
     NOT_SEEN = "not_seen", "AS_DRIVING, but this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another"
     NOT_CONFIRMED = "not_confirmed", "AS_DRIVING, but planner or controller never confirmed their reset for this run"
+    STACK_RESTARTED = "stack_restarted", "planner or controller was restarted in AS_DRIVING: this run is over"
     VCU_REBOOT = "vcu_reboot", "AS_STATE fell back out of AS_DRIVING: the VCU restarted or ASMS went off"
 
     # Guards of the gate

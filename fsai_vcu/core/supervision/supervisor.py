@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum, IntEnum
+from enum import Enum, IntEnum, auto
 from types import MappingProxyType
 
 from fsai_vcu.core.command import VehicleCommand
@@ -23,6 +23,7 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.immutable import Immutable
 
 OFF_LIKE = frozenset((AsState.AS_INIT, AsState.AS_OFF))
 """AS_STATE 0 is treated like AS_OFF in both revisions."""
@@ -46,10 +47,10 @@ MODES = tuple(mode.value for mode in Mode)
 class Sequence(IntEnum):
     """How much of AS_OFF -> AS_READY -> AS_DRIVING this process has itself seen, without a break."""
 
-    NONE = 0
-    OFF_SEEN = 1
-    READY_SEEN = 2
-    COMPLETE = 3
+    NONE = auto()
+    OFF_SEEN = auto()
+    READY_SEEN = auto()
+    COMPLETE = auto()
 
 
 _NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
@@ -86,24 +87,24 @@ class Phase(Enum):
 class Steer(Enum):
     """Where the steering request comes from."""
 
-    ZERO = 0
-    HELD = 1
-    COMMAND = 2
-    HELD_OR_COMMAND = 3  # by command while the planner may still speak
+    ZERO = auto()
+    HELD = auto()
+    COMMAND = auto()
+    HELD_OR_COMMAND = auto()  # by command while the planner may still speak
 
 
 class Brake(Enum):
     """Where the brake request comes from."""
 
-    ZERO = 0
-    HOLDING = 1
-    COMMAND = 2
-    KEPT = 3  # as in the cycle before: a stale command must not release a brake
-    SERVICE = 4
+    ZERO = auto()
+    HOLDING = auto()
+    COMMAND = auto()
+    KEPT = auto()  # as in the cycle before: a stale command must not release a brake
+    SERVICE = auto()
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class Output(Immutable):
     """One row of the output table. `mission_status` None: SELECTED once the mission is acknowledged."""
 
     mission_status: MissionStatus | None
@@ -136,15 +137,15 @@ OUTPUT: Mapping[Phase, Output] = MappingProxyType(
 class Consequence(IntEnum):
     """What follows from a fault, the graver the higher."""
 
-    REPORT = 0
-    HOLD = 1  # torque 0 while it lasts
-    STOP = 2  # service-brake stop, latched for this run
-    STOP_MANUAL = 3  # the same, and the mode becomes manual
-    ESTOP = 4  # ESTOP_REQUEST, latched
+    REPORT = auto()
+    HOLD = auto()  # torque 0 while it lasts
+    STOP = auto()  # service-brake stop, latched for this run
+    STOP_MANUAL = auto()  # the same, and the mode becomes manual
+    ESTOP = auto()  # ESTOP_REQUEST, latched
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Step(Immutable):
     """After an age of `after` (the name of a time in BridgeConfig, None: at once), `consequence`."""
 
     after: str | None
@@ -180,6 +181,7 @@ REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
         Reason.BUS_LOST: (Step(None, Consequence.STOP),),
         Reason.NOT_SEEN: (Step(None, Consequence.STOP),),
         Reason.NOT_CONFIRMED: (Step(None, Consequence.STOP),),
+        Reason.STACK_RESTARTED: (Step(None, Consequence.STOP),),
     }
 )
 
@@ -201,7 +203,7 @@ _STEERS_WHILE_STOPPING = frozenset(
 
 
 @dataclass(frozen=True, slots=True)
-class Latch:
+class Latch(Immutable):
     """A stop or an emergency, with its cause and since when."""
 
     cause: Reason | Asked
@@ -218,7 +220,7 @@ class Latch:
 
 
 @dataclass(frozen=True, slots=True)
-class SupervisorState:
+class SupervisorState(Immutable):
     """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
 
     # What 0x520 said
@@ -261,7 +263,7 @@ class SupervisorState:
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(Immutable):
     """What a cycle sees besides the state: the clock, the command slot, and the plausibility checks' verdicts."""
 
     now_ns: int
@@ -274,7 +276,7 @@ class Inputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(Immutable):
     """What this cycle is to say; the gate turns it into values. The default is safe."""
 
     phase: Phase = Phase.IDLE
@@ -320,8 +322,8 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
     ami_changed = status.ami is not mission and (now in IDLE_STATES or before is None)
     if entered_off or ami_changed:
         run_id, mission, confirmed = run_id + 1, status.ami, frozenset()
-    elif now is AsState.AS_DRIVING and anew and status.ami is not mission:
-        sequence = Sequence.NONE  # the car enters another mission than the one that was acknowledged
+    elif anew and status.ami is not mission:
+        sequence = Sequence.NONE  # the car enters AS_DRIVING for another mission than was acknowledged
 
     driving, ready = now is AsState.AS_DRIVING, now is AsState.AS_READY
     return replace(
@@ -338,7 +340,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
         mission=mission,
         confirmed=confirmed,
         power_up=state.power_up or power_cycle,
-        stop=state.stop if driving and not anew else None,
+        stop=None if anew else state.stop,
         emergency=None if power_cycle and off else state.emergency,
         both_pedals_since_ns=state.both_pedals_since_ns if driving else None,
     )
@@ -351,7 +353,7 @@ def on_speeds(config: BridgeConfig, state: SupervisorState, speeds: WheelSpeeds)
     still_since = state.still_since_ns
     if fastest >= config.standstill_rpm:
         still_since = None
-    elif still_since is None or state.speeds_ns is None or t_ns - state.speeds_ns >= config.feedback_stale_ns:
+    elif still_since is None or not wheels_fresh(config, state, t_ns):
         still_since = t_ns
     return replace(state, speeds_ns=t_ns, fastest_rpm=fastest, still_since_ns=still_since)
 
@@ -379,7 +381,8 @@ def vcu_lost(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
 
 
 def _state_name(state: SupervisorState) -> str:
-    return "no AS state yet" if state.as_state is None else state.as_state.label
+    assert state.as_state is not None  # every 0x520 that is believed has one
+    return state.as_state.label
 
 
 def _unknown_state(config: BridgeConfig, state: SupervisorState, now_ns: int) -> str | None:
@@ -423,9 +426,16 @@ def set_mode(config: BridgeConfig, state: SupervisorState, mode: str, now_ns: in
 
 
 def confirm(state: SupervisorState, role: str, run_id: int) -> SupervisorState:
-    """`role` has forgotten everything before run `run_id`. Another run's confirmation says nothing."""
+    """`role` has forgotten everything before run `run_id`. Another run's confirmation says nothing.
+
+    Each says so once for a run: one who says it again is a new process, and after a restart of any process the car
+    does not resume driving (safety rule 10).
+    """
     if role not in ROLES or run_id != state.run_id:
         return state
+    if role in state.confirmed and state.driving:
+        assert state.status_ns is not None  # AS_DRIVING was seen
+        state = strike(state, Reason.STACK_RESTARTED, role, state.status_ns)
     return replace(state, confirmed=state.confirmed | {role})
 
 
@@ -501,15 +511,17 @@ def bus_back(state: SupervisorState, now_ns: int) -> SupervisorState:
     )
 
 
-def command_valid(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> bool:
-    """Whether the command in the slot may still be obeyed: of this run, and neither it nor its data too old."""
+def valid_command(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> VehicleCommand | None:
+    """The command in the slot if it may still be obeyed: of this run, and neither it nor its data too old."""
     command = inputs.command
-    return (
-        command is not None
-        and command.run_id == state.run_id
-        and inputs.now_ns - inputs.command_ns < config.command_stale_ns
-        and inputs.now_ns - command.t_sensor_ns < config.sensor_stale_ns
-    )
+    if (
+        command is None
+        or command.run_id != state.run_id
+        or inputs.now_ns - inputs.command_ns >= config.command_stale_ns
+        or inputs.now_ns - command.t_sensor_ns >= config.sensor_stale_ns
+    ):
+        return None
+    return command
 
 
 def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs, supervised_ns: int) -> int:
@@ -541,10 +553,14 @@ def _stop_ineffective(
     return replace(state, stop_window_ns=now_ns, stop_window_rpm=state.fastest_rpm), False
 
 
+_AT_ONCE_NS = 0
+"""The age of what has no time: its only step waits for nothing."""
+
+
 def _ages(
-    config: BridgeConfig, state: SupervisorState, inputs: Inputs, valid: bool
+    config: BridgeConfig, state: SupervisorState, inputs: Inputs, command: VehicleCommand | None
 ) -> tuple[SupervisorState, list[tuple[Reason, int, str]]]:
-    """What is wrong in AS_DRIVING, for how long, and the details."""
+    """What is wrong in AS_DRIVING, for how long, and the details. `command` is a valid one."""
     now_ns = inputs.now_ns
     found: list[tuple[Reason, int, str]] = []
     assert state.status_ns is not None and state.driving_since_ns is not None  # AS_DRIVING was seen
@@ -553,19 +569,19 @@ def _ages(
 
     found.append((Reason.VCU_SILENT, now_ns - state.status_ns, ""))
     if state.sequence is not Sequence.COMPLETE and running:
-        found.append((Reason.NOT_SEEN, 0, ""))
+        found.append((Reason.NOT_SEEN, _AT_ONCE_NS, ""))
     elif not state.is_confirmed and running:
         missing = " and ".join(role for role in ROLES if role not in state.confirmed)
-        found.append((Reason.NOT_CONFIRMED, 0, f"run {state.run_id} by the {missing}"))
+        found.append((Reason.NOT_CONFIRMED, _AT_ONCE_NS, f"run {state.run_id} by the {missing}"))
     if not state.go:
-        found.append((Reason.GO_OFF, 0, ""))
+        found.append((Reason.GO_OFF, _AT_ONCE_NS, ""))
     if state.fault:
-        found.append((Reason.FAULT_STATUS, 0, ""))
+        found.append((Reason.FAULT_STATUS, _AT_ONCE_NS, ""))
 
     if state.stop is not None:
         state, ineffective = _stop_ineffective(config, state, state.stop, now_ns)
         if ineffective:
-            found.append((Reason.STOP_INEFFECTIVE, 0, f"{state.fastest_rpm} rpm"))
+            found.append((Reason.STOP_INEFFECTIVE, _AT_ONCE_NS, f"{state.fastest_rpm} rpm"))
 
     if supervised_ns < 0:
         return state, found
@@ -573,16 +589,14 @@ def _ages(
     autonomous = state.mode is Mode.AUTONOMOUS
     if autonomous and running:
         found.append((Reason.COMMAND_STALE, _command_age_ns(config, state, inputs, supervised_ns), ""))
-        command = inputs.command
         both_since = state.both_pedals_since_ns
-        if valid and command is not None and command.throttle > 0.0 and command.brake > 0.0:
+        if command is not None and command.throttle > 0.0 and command.brake > 0.0:
             if both_since is None:
                 both_since = max(inputs.command_ns, now_ns - supervised_ns)
             found.append((Reason.BOTH_PEDALS, now_ns - both_since, ""))
         else:
             both_since = None
-        if both_since != state.both_pedals_since_ns:
-            state = replace(state, both_pedals_since_ns=both_since)
+        state = replace(state, both_pedals_since_ns=both_since)
 
     # A message that never came is as old as it takes.
     never_ns = config.feedback_lost_ns
@@ -596,25 +610,23 @@ def _ages(
 
 
 def _react(
-    config: BridgeConfig, state: SupervisorState, inputs: Inputs, valid: bool
+    config: BridgeConfig, state: SupervisorState, inputs: Inputs, command: VehicleCommand | None
 ) -> tuple[SupervisorState, bool, frozenset[Reason]]:
     """Everything that the clock and the car's words ask for in AS_DRIVING: state, torque held back, reasons."""
     now_ns = inputs.now_ns
-    state, found = _ages(config, state, inputs, valid)
-    hold = not valid
+    state, found = _ages(config, state, inputs, command)
+    hold = command is None
     reasons: set[Reason] = set()
     for reason, age_ns, detail in found:
         for step in REACTIONS[reason]:
-            if age_ns < (0 if step.after is None else getattr(config, step.after)):
-                break
-            reasons.add(reason)
-            hold = hold or step.consequence is Consequence.HOLD
-            state = _apply(state, reason, step.consequence, detail, now_ns)
+            if step.after is None or age_ns >= getattr(config, step.after):
+                reasons.add(reason)
+                hold = hold or step.consequence is Consequence.HOLD
+                state = _apply(state, reason, step.consequence, detail, now_ns)
 
     if state.mode is Mode.MANUAL:
         return _begin_stop(state, Asked.MANUAL, "", now_ns), hold, frozenset(reasons)
-    command = inputs.command
-    if valid and command is not None:
+    if command is not None:
         if command.estop_request:
             state = ask_emergency(state, Asked.MISSION, "", now_ns)
         if command.mission_finished and may_move(config, state, now_ns):
@@ -662,9 +674,9 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
     now_ns = inputs.now_ns
     hold = True
     reasons: frozenset[Reason] = frozenset()
-    valid = command_valid(config, state, inputs)
+    command = valid_command(config, state, inputs)
     if state.driving:
-        state, hold, reasons = _react(config, state, inputs, valid)
+        state, hold, reasons = _react(config, state, inputs, command)
     elif (
         config.autonomous_at_power_up
         and state.power_up
@@ -681,9 +693,9 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
         mission_status = MissionStatus.SELECTED if acknowledged(state) else MissionStatus.NOT_SELECTED
     steer = row.steer
     if steer is Steer.HELD_OR_COMMAND:
-        speaks = valid and state.mode is Mode.AUTONOMOUS and may_move(config, state, now_ns)
-        by_command = speaks and state.stop is not None and state.stop.cause in _STEERS_WHILE_STOPPING
-        steer = Steer.COMMAND if by_command else Steer.HELD
+        assert state.stop is not None  # this phase is a stop
+        speaks = command is not None and state.mode is Mode.AUTONOMOUS and may_move(config, state, now_ns)
+        steer = Steer.COMMAND if speaks and state.stop.cause in _STEERS_WHILE_STOPPING else Steer.HELD
     return state, Decision(
         phase,
         mission_status,
@@ -693,7 +705,7 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
         row.brake,
         row.torque,
         state.run_id,
-        state.driving and may_move(config, state, now_ns),
+        may_move(config, state, now_ns),
         reasons,
     )
 
