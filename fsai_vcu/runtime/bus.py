@@ -2,7 +2,8 @@
 
 A frame either went out, or was dropped because the transmit queue is full (`send` returns False: a normal event), or
 the bus is gone (`BusLost`). Any python-can interface serves: `vcan0` and `can0` are SocketCAN channels, `loopback:NAME`
-is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface.
+is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. On one where a sender hears
+itself nobody may drive: his frames would look like an intruder's.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from fsai_vcu.interface.reserved import RESERVED_IDS
 
 _QUEUE_FULL = {errno.ENOBUFS, errno.EAGAIN, None}
 _SEND_BUFFER_BYTES = 8192  # doubled by the kernel, and full for a poll at half of that: about ten frames of 768 bytes
+_ECHOES_OWN = frozenset({"udp_multicast"})  # python-can interfaces on which a sender hears itself
 _ERROR_BUS_OFF = 0x040  # linux/can/error.h: CAN_ERR_BUSOFF, a bit of an error frame's id
 
 
@@ -49,10 +51,7 @@ class CanBus:
 
     def __init__(self, bus: can.BusABC, spec: str, may_send: Iterable[int] | None = None) -> None:
         self._bus = bus
-        self._may_send = None if may_send is None else frozenset(may_send)
-        reserved = sorted((self._may_send or frozenset()) & RESERVED_IDS)
-        if reserved:
-            raise ValueError(f"ids reserved for the car can never be allowed: {', '.join(map(hex, reserved))}")
+        self._may_send = _allowed(may_send)
         self.spec = spec
 
     def send(self, frame: Frame) -> bool:
@@ -80,15 +79,18 @@ class CanBus:
         heard = self.recv_stamped(timeout_s)
         return None if heard is None else heard[0]
 
-    def recv_stamped(self, timeout_s: float) -> tuple[Frame, int] | None:
-        """As `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs."""
+    def recv_stamped(self, timeout_s: float, *, bus_off_is_lost: bool = True) -> tuple[Frame, int] | None:
+        """As `recv`, with the bus's own time stamp of the frame in ns of the wall clock, for logs.
+
+        Whoever only listens may take a bus-off for the error frame that it is: `bus_off_is_lost=False`.
+        """
         try:
             message = self._next_message(timeout_s)
         except (can.CanError, OSError) as error:
             raise BusLost(f"{self.spec}: {error}") from error
         if message is None:
             return None
-        if message.is_error_frame and message.arbitration_id & _ERROR_BUS_OFF:
+        if bus_off_is_lost and message.is_error_frame and message.arbitration_id & _ERROR_BUS_OFF:
             raise BusLost(f"{self.spec}: bus-off")
         frame = Frame(
             message.arbitration_id,
@@ -135,7 +137,13 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
     may_send: see CanBus.
     Raises BusError with one clear line.
     """
+    may_send = _allowed(may_send)
     kind, channel = split_spec(spec)
+    if kind in _ECHOES_OWN and may_send is not None:
+        raise BusError(
+            f"'{kind}' brings a sender its own frames back, which nobody can tell from an intruder's; "
+            "a stand-in for a rehearsal on one machine is loopback:NAME"
+        )
     filters: list[can.typechecking.CanFilter] | None = None
     if receive is not None:
         filters = [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(receive)]
@@ -153,6 +161,15 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
             bus.shutdown()
             raise BusError(f"cannot open CAN interface '{spec}': {error.strerror}") from error
     return CanBus(bus, spec, may_send)
+
+
+def _allowed(may_send: Iterable[int] | None) -> frozenset[int] | None:
+    """The ids that may be transmitted. Raises ValueError for one that is reserved for the car."""
+    allowed = None if may_send is None else frozenset(may_send)
+    reserved = sorted((allowed or frozenset()) & RESERVED_IDS)
+    if reserved:
+        raise ValueError(f"ids reserved for the car can never be allowed: {', '.join(map(hex, reserved))}")
+    return allowed
 
 
 def _bound_queue(bus: can.BusABC) -> None:

@@ -13,6 +13,8 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.pacing import Pacing
 
 _STATUS_ID = 0x520  # VCU2AI_Status, which carries the handshake
+DEADLINE_MISS_NS = 50_000_000  # safety: a deadline missed by 50 ms is a fault of the loop
+CATCH_UP_NS = 10_000_000  # so late, what waits in the socket is older than it looks: it is heard before a word is said
 
 
 class Engine:
@@ -37,6 +39,7 @@ class Engine:
         self._pacing = Pacing(now_ns)
         self.cycles = 0
         self.incomplete_cycles = 0
+        self._whole_ns: int | None = None  # the last cycle that was sent whole, or the first that was tried
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of somebody else's, at `frame.t_ns`."""
@@ -48,13 +51,19 @@ class Engine:
         """When `poll` next has something to do, as things stand."""
         return self._pacing.due_ns()
 
+    def unsent_ns(self, now_ns: int) -> int:
+        """For how long no cycle has been sent whole, though each was tried; 0 if the last one was."""
+        return 0 if self._whole_ns is None else now_ns - self._whole_ns
+
     def poll(self, now_ns: int) -> bool:
         """Send what is due at `now_ns`. True if a cycle was due, sent whole or not."""
         if now_ns < self._pacing.due_ns():
             return False
         command = self._bridge.cycle(now_ns)
         left_ns = now_ns
-        if command is not None:
+        if command is None:
+            self._whole_ns = None
+        else:
             status, *others = self._codec.encode_command(command)
             complete = self._send(status)
             if self._clock is not None:
@@ -65,5 +74,7 @@ class Engine:
             self._bridge.on_sent(complete, now_ns)
             self.cycles += 1
             self.incomplete_cycles += not complete
+            if complete or self._whole_ns is None:
+                self._whole_ns = now_ns
         self._pacing.on_sent(left_ns)
         return True

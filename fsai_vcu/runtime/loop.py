@@ -23,19 +23,19 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
-from fsai_vcu.runtime.engine import Engine
+from fsai_vcu.runtime.engine import CATCH_UP_NS, DEADLINE_MISS_NS, Engine
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
 
 logger = logging.getLogger(__name__)
 
-DEADLINE_MISS_NS = 50_000_000  # safety: a deadline missed by 50 ms is a fault of the loop
 _REOPEN_FIRST_S, _REOPEN_MOST_S = 0.01, 1.0  # the first pause also keeps two sends apart
 _IDLE_WAIT_S = 0.02
 _REPORT_EVERY_NS = 10_000_000
 _FULL_COLLECTION_EVERY = 3000  # cycles, sent or not
 _REQUEST_TIMEOUT_S = 2.0
+_MOST_WAITING = 1000  # frames: more than a socket keeps
 _STOP_TIMEOUT_S = 10.0
 
 # What the bridge has use for; intruders on the AI's own ids are heard on purpose.
@@ -65,6 +65,7 @@ class BridgeLoop:
         self._report = bridge.report(time.monotonic_ns())
         self._thread = threading.Thread(target=self._run, name="can-loop", daemon=True)
         self._watchdog_ns = 0  # when it was last fed
+        self._pause_s = _REOPEN_FIRST_S  # before the next try to open a lost bus
         self.scheduling_refused: tuple[str, ...] = ()
         self.failure: BaseException | None = None
         self.reopened = 0
@@ -199,9 +200,16 @@ class BridgeLoop:
             due_ns = self._engine.due_ns()
             missed = self._missed(due_ns, now_ns)
             try:
+                if now_ns - due_ns >= CATCH_UP_NS:
+                    self._catch_up()
+                    now_ns = time.monotonic_ns()
                 sent = self._engine.poll(now_ns)
             except BusLost as lost:
                 self._lose_bus(str(lost))
+                continue
+            unsent_ns = self._engine.unsent_ns(now_ns)
+            if sent and unsent_ns >= self._bridge.config.send_lost_ns:
+                self._lose_bus(f"{self._spec}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms")
                 continue
             if sent and not missed:
                 missed = self._missed(due_ns, time.monotonic_ns())  # made in time, but left late
@@ -211,11 +219,22 @@ class BridgeLoop:
             if sent:
                 if not missed:
                     self._feed_watchdog(now_ns)
+                if self._engine.cycles > self._engine.incomplete_cycles or self._bridge.config.listen_only:
+                    self._pause_s = _REOPEN_FIRST_S  # the bus works again
                 cycles += 1
                 gc.collect(2 if cycles % _FULL_COLLECTION_EVERY == 0 else 0)
             if stopping and self._bridge.stopped:
                 self._report = self._bridge.report(now_ns)
                 return
+
+    def _catch_up(self) -> None:
+        """After a pause, hear everything that has waited: the oldest frame of it says nothing about now."""
+        assert self._bus is not None
+        for _ in range(_MOST_WAITING):
+            frame = self._bus.recv(0.0)
+            if frame is None:
+                return
+            self._engine.on_frame(frame)
 
     def _missed(self, due_ns: int, now_ns: int) -> bool:
         """Whether what was due is so late that the bridge must know."""
@@ -242,20 +261,21 @@ class BridgeLoop:
                 future.set_result(question(time.monotonic_ns()))
 
     def _lose_bus(self, why: str) -> None:
-        logger.error("bus lost: %s", why)
+        # A bus that opens and takes nothing is lost again and again: told once.
+        logger.log(logging.ERROR if self._pause_s == _REOPEN_FIRST_S else logging.DEBUG, "bus lost: %s", why)
         self._close_bus()
         self._bridge.bus_lost(why, time.monotonic_ns())
         self._report = self._bridge.report(time.monotonic_ns())
 
     def _reopen(self) -> None:
-        """Try until the interface is back or a stop is asked for, with growing pauses."""
-        pause_s = _REOPEN_FIRST_S
-        while self._bus is None and not self._stop_requested.wait(pause_s):
+        """Try until the interface is back or a stop is asked for. The pauses grow until a cycle has been sent whole."""
+        first = self._pause_s == _REOPEN_FIRST_S
+        while self._bus is None and not self._stop_requested.wait(self._pause_s):
+            self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
             try:
                 self._bus = self._open()
             except BusError as error:
                 logger.debug("%s", error)
-                pause_s = min(2 * pause_s, _REOPEN_MOST_S)
                 now_ns = time.monotonic_ns()
                 self._answer_requests()
                 self._report = self._bridge.report(now_ns)
@@ -266,7 +286,7 @@ class BridgeLoop:
         self.reopened += 1
         self._engine = Engine(self._bridge, self._codec, self._send, now_ns, time.monotonic_ns)
         self._bridge.bus_back(now_ns)
-        logger.warning("bus back: %s", self._spec)
+        logger.log(logging.WARNING if first else logging.DEBUG, "bus back: %s", self._spec)
 
     def _last_words(self, why: str) -> None:
         """One attempt at an emergency request after a failure of the loop itself."""

@@ -2,12 +2,16 @@
 
 It is the same engine, bridge, planner and controller that run on the car; only the clock is an argument, and the
 delay between a sensor's instant and the plan's arrival is a number instead of a process.
+
+On the car each of the three is a process, and processes fail: they hang, end and are started again, and the bus under
+them fills up or goes. All of that can be done to them here as well, with the effect it has there.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -18,10 +22,12 @@ from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.vehicle.odometry import MotionHistory
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.engine import Engine
+from fsai_vcu.runtime.engine import CATCH_UP_NS, DEADLINE_MISS_NS, Engine
 
 CONTROL_PERIOD_NS = 20_000_000  # 50 Hz, as the controller's node
 PERCEPTION_DELAY_NS = 40_000_000  # from the sensor's instant to the planner's input, as measured between the nodes
+REOPEN_FIRST_NS, REOPEN_MOST_NS = 10_000_000, 1_000_000_000  # the loop's pauses before it opens a lost bus again
+RECEIVE_BUFFER_FRAMES = 256  # what a socket keeps for a process that does not read: about 200 kB, some 830 B a frame
 
 
 class OnboardComputer:
@@ -32,23 +38,50 @@ class OnboardComputer:
         self.planner = planner
         self.controller = controller
         self.plan: Plan | None = None
+        self.commanded: VehicleCommand | None = None  # the controller's newest, before any filter
+        self._codec = codec
         self._out: list[Frame] = []
         self._now_ns = now_ns
         self._engine = Engine(bridge, codec, self._send, now_ns)
         self._seen: deque[ConeObservation] = deque()
         self._next_control_ns = now_ns
-        self._run_id: int | None = None
+        self._planner_run_id: int | None = None
+        self._controller_run_id: int | None = None
         self._history = MotionHistory()
+
         # Fault injection sits between the parts, where a real wire or topic would be.
         self.command_filter: Callable[[VehicleCommand, int], VehicleCommand | None] | None = None
+        self.plan_filter: Callable[[Plan | None, int], Plan | None] | None = None
+        self.takes_frame: Callable[[Frame], bool] | None = None  # False: the transmit queue is full (ENOBUFS)
+        self.planner_running = True
+        self.controller_running = True
+        self.bridge_running = True
+        self._hung_until_ns: int | None = None
+        self._unread: deque[Frame] = deque()
+        self._slot: VehicleCommand | None = None  # the newest command that a hanging bridge has not read
+        self._last_report: BridgeReport | None = None  # what a hanging bridge published last
+        self._bus_up = True
+        self._reopen_ns: int | None = None  # when the loop next tries to open a bus that took nothing
+        self._pause_ns = REOPEN_FIRST_NS
+        self.confine_failures = False  # an exception ends the process it comes from, not the simulation
+        self.failures: list[tuple[int, str, str]] = []  # when, which process, what
 
     def _send(self, frame: Frame) -> bool:
+        if self.takes_frame is not None and not self.takes_frame(frame):
+            return False
         self._out.append(Frame(frame.can_id, frame.data, self._now_ns))
         return True
 
     def on_frame(self, frame: Frame) -> None:
         """A frame from the car, at `frame.t_ns`."""
-        self._engine.on_frame(frame)
+        if self._hung_until_ns is not None:
+            if len(self._unread) < RECEIVE_BUFFER_FRAMES:
+                self._unread.append(frame)
+        elif self.bridge_running and self._bus_up:
+            if self.confine_failures:
+                self._confined("bridge", lambda: self._engine.on_frame(frame))
+            else:
+                self._engine.on_frame(frame)
 
     def on_cones(self, observation: ConeObservation) -> None:
         """Cones that a detector reports; the planner gets them after the perception's delay."""
@@ -60,30 +93,172 @@ class OnboardComputer:
         self._out = []
         while self._seen and self._seen[0].t_ns + PERCEPTION_DELAY_NS <= now_ns:
             observation = self._seen.popleft()
-            if self._run_id is not None:
-                self.plan = self.planner.on_cones(observation, self._history.at(observation.t_ns) or Motion())
+            if self._planner_run_id is not None and self.planner_running:
+                if self.confine_failures:
+                    self._confined("planner", lambda seen=observation: self._plan(seen, now_ns))  # type: ignore[misc]
+                else:
+                    self._plan(observation, now_ns)
         if now_ns >= self._next_control_ns:
             self._next_control_ns += CONTROL_PERIOD_NS
             self._control(now_ns)
-        self._engine.poll(now_ns)
+        if self.confine_failures:
+            self._confined("bridge", lambda: self._turn(now_ns))
+        else:
+            self._turn(now_ns)
         return self._out
 
     def report(self) -> BridgeReport:
         return self.bridge.report(self._now_ns)
 
+    # ------------------------------------------------------------ the bridge's process
+
+    def _turn(self, now_ns: int) -> None:
+        """What the bridge's loop does at this instant."""
+        if self._hung_until_ns is not None:
+            if now_ns >= self._hung_until_ns:
+                self._hung_until_ns = None
+                self._catch_up(now_ns)
+        elif self.bridge_running:
+            if self._reopen_ns is not None and now_ns >= self._reopen_ns:
+                self._reopen_ns = None
+                self.find_bus(now_ns)
+            if self._bus_up:
+                self._poll(now_ns)
+
+    def _poll(self, now_ns: int) -> None:
+        """Send what is due; a bus that takes nothing for too long is given up and opened again, with growing pauses."""
+        engine = self._engine
+        sent = engine.poll(now_ns)
+        unsent_ns = engine.unsent_ns(now_ns)
+        if sent and unsent_ns >= self.bridge.config.send_lost_ns:
+            self.lose_bus(f"no complete cycle sent for {unsent_ns / 1e6:.0f} ms", now_ns)
+            self._reopen_ns = now_ns + self._pause_ns
+            self._pause_ns = min(2 * self._pause_ns, REOPEN_MOST_NS)
+        elif sent and engine.cycles > engine.incomplete_cycles:
+            self._pause_ns = REOPEN_FIRST_NS
+
+    def _catch_up(self, now_ns: int) -> None:
+        """The loop goes on after a pause: it is as late as it is, and hears all that has waited before it speaks."""
+        waiting, self._unread = self._unread, deque()
+        if not (self.bridge_running and self._bus_up):
+            return
+        engine = self._engine
+        if waiting:
+            engine.on_frame(replace(waiting[0], t_ns=now_ns))  # the loop stamps a frame when it reads it
+        if self._slot is not None:
+            self.bridge.on_command(self._slot, now_ns)
+            self._slot = None
+        late_ns = now_ns - engine.due_ns()
+        if late_ns >= DEADLINE_MISS_NS:
+            self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
+        for frame in list(waiting)[1:]:
+            if late_ns < CATCH_UP_NS:
+                self._poll(now_ns)  # between two frames, as always
+            engine.on_frame(replace(frame, t_ns=now_ns))
+        self._poll(now_ns)
+
+    def _confined(self, process: str, work: Callable[[], object]) -> None:
+        """Do `work`; what it raises ends its process, as it does on the car."""
+        try:
+            work()
+        except Exception as error:
+            self.failures.append((self._now_ns, process, f"{type(error).__name__}: {error}"))
+            if process == "planner":
+                self.planner_running = False
+            elif process == "controller":
+                self.controller_running = False
+            else:
+                self.bridge_running = False  # the loop's last words fail too, or come too late to matter: silence
+
+    def due_ns(self) -> int:
+        """When the bridge next has something to send, as things stand."""
+        return self._engine.due_ns()
+
+    def hang_bridge(self, until_ns: int) -> None:
+        """The bridge's process is stopped until then; what the bus brings meanwhile waits in its socket."""
+        if self._hung_until_ns is None:
+            self._last_report = self.report()
+        self._hung_until_ns = until_ns
+
+    def kill_bridge(self) -> None:
+        """The bridge's process ends without a word."""
+        self.bridge_running = False
+        self._unread.clear()
+        self._slot = None
+
+    def start_bridge(self, bridge: Bridge, now_ns: int) -> None:
+        """A new process of the bridge begins."""
+        self.bridge = bridge
+        self._engine = Engine(bridge, self._codec, self._send, now_ns)
+        self.bridge_running = True
+        self._hung_until_ns = None
+
+    def lose_bus(self, why: str, now_ns: int) -> None:
+        """Bus-off, or the interface is down: nothing is heard and nothing sent until `find_bus`."""
+        self._bus_up = False
+        self._unread.clear()
+        if self.bridge_running:
+            self.bridge.bus_lost(why, now_ns)
+
+    def find_bus(self, now_ns: int) -> None:
+        """The loop has opened the interface again."""
+        self._bus_up = True
+        if self.bridge_running:
+            self._engine = Engine(self.bridge, self._codec, self._send, now_ns)
+            self.bridge.bus_back(now_ns)
+
+    # ------------------------------------------------------------ planner and controller
+
+    def start_planner(self, planner: Planner) -> None:
+        """A new process of the planner begins; it knows nothing of the run in hand."""
+        self.planner = planner
+        self.planner_running = True
+        self._planner_run_id = None
+
+    def start_controller(self, controller: Controller) -> None:
+        """A new process of the controller begins."""
+        self.controller = controller
+        self.controller_running = True
+        self._controller_run_id = None
+
+    def _plan(self, observation: ConeObservation, now_ns: int) -> None:
+        plan = self.planner.on_cones(observation, self._history.at(observation.t_ns) or Motion())
+        self.plan = plan if self.plan_filter is None else self.plan_filter(plan, now_ns)
+
     def _control(self, now_ns: int) -> None:
-        report = self.report()
+        if not self.bridge_running:
+            return  # without the bridge's state nothing is planned, and there is nobody to take a command
+        hung = self._hung_until_ns is not None
+        report = self._last_report if hung and self._last_report is not None else self.report()
+        if self.confine_failures:
+            self._confined("planner", lambda: self._inform_planner(report))
+            self._confined("controller", lambda: self._command(report, now_ns))
+        else:
+            self._inform_planner(report)
+            self._command(report, now_ns)
+
+    def _inform_planner(self, report: BridgeReport) -> None:
+        if not self.planner_running:
+            return
         run = report.run
-        if run.run_id != self._run_id:
+        if run.run_id != self._planner_run_id:
             self.planner.reset(run)
-            self.controller.reset(run)
             self.plan = None
             self._history.clear()
-            self._run_id = run.run_id
+            self._planner_run_id = run.run_id
             self.bridge.on_reset_confirmed("planner", run.run_id)
-            self.bridge.on_reset_confirmed("controller", run.run_id)
         self.planner.on_run(run)
         self._history.add(report.motion)
+
+    def _command(self, report: BridgeReport, now_ns: int) -> None:
+        if not self.controller_running:
+            return
+        run = report.run
+        if run.run_id != self._controller_run_id:
+            self.controller.reset(run)
+            self.plan = None
+            self._controller_run_id = run.run_id
+            self.bridge.on_reset_confirmed("controller", run.run_id)
         speeds, steer = report.vehicle.speeds, report.vehicle.steer
         command = self.controller.command(
             self.plan,
@@ -94,6 +269,11 @@ class OnboardComputer:
             run,
             now_ns,
         )
+        self.commanded = command
         filtered = command if self.command_filter is None else self.command_filter(command, now_ns)
-        if filtered is not None:
+        if filtered is None:
+            return
+        if self._hung_until_ns is not None:
+            self._slot = filtered
+        else:
             self.bridge.on_command(filtered, now_ns)

@@ -146,3 +146,15 @@ def test_at_most_some_ten_frames_wait_in_the_kernel(monkeypatch: pytest.MonkeyPa
 def test_no_bus_can_be_opened_that_would_let_a_reserved_id_out(can_id: int) -> None:
     with pytest.raises(ValueError, match="reserved for the car"):
         open_bus("loopback:reserved", may_send=[*AI_IDS, can_id])
+
+
+def test_a_bus_that_would_let_a_reserved_id_out_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(can, "Bus", lambda **_: pytest.fail("opened, and nobody would close it"))
+    with pytest.raises(ValueError, match="reserved for the car"):
+        open_bus("loopback:reserved", may_send=[min(RESERVED_IDS)])
+
+
+def test_nobody_drives_on_a_bus_where_a_sender_hears_himself() -> None:
+    with pytest.raises(BusError, match=r"its own frames back.*loopback:NAME") as refused:
+        open_bus("udp_multicast:239.74.163.2", may_send=AI_IDS)
+    assert "\n" not in str(refused.value)

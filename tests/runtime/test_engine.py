@@ -82,6 +82,29 @@ def test_the_rest_of_a_cycle_that_lost_a_frame_is_not_sent(engine: Engine, bridg
     assert engine.incomplete_cycles == bridge.report(315 * MS).incomplete_cycles == 1
 
 
+def test_how_long_no_cycle_went_out_whole_is_known_and_ends_with_the_first_that_does(
+    engine: Engine, wire: Wire
+) -> None:
+    assert engine.unsent_ns(300 * MS) == 0
+    wire.takes = 0
+    for now_ns in range(315 * MS, 346 * MS, 10 * MS):
+        assert engine.poll(now_ns)
+        assert engine.unsent_ns(now_ns) == now_ns - 300 * MS
+    wire.takes = None
+    assert engine.poll(355 * MS)
+    assert engine.unsent_ns(355 * MS) == 0
+
+
+def test_a_bus_that_never_took_a_cycle_is_counted_from_the_first_try(bridge: Bridge, wire: Wire) -> None:
+    made = Engine(bridge, CODEC, wire.send, 0)
+    wire.takes = 0
+    for now_ns in range(0, 201 * MS, 10 * MS):
+        made.poll(now_ns)
+        assert made.unsent_ns(now_ns) == 0, "it only listens so far"
+    made.poll(210 * MS)
+    assert made.unsent_ns(250 * MS) == 50 * MS
+
+
 def test_a_bus_that_breaks_in_the_middle_of_a_cycle_is_told_on(engine: Engine, wire: Wire) -> None:
     wire.takes, wire.breaks = 3, True
     with pytest.raises(BusLost):

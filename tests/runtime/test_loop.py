@@ -408,6 +408,60 @@ def test_it_does_not_open_a_lost_bus_again_before_two_sends_may_follow_each_othe
     assert opened_ns - lost_ns >= MIN_GAP_NS
 
 
+def test_a_queue_that_stays_full_is_a_lost_bus_opened_again_ever_more_seldom_until_a_cycle_goes_out(
+    loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    opened: list[int] = []
+    lost: list[int] = []
+
+    def open_again(*args: object, **kwargs: object) -> CanBus:
+        opened.append(time.monotonic_ns())
+        return open_bus(spec)
+
+    def close(self: CanBus) -> None:
+        lost.append(time.monotonic_ns())
+        original_close(self)
+
+    original_send, original_close = CanBus.send, CanBus.close
+    monkeypatch.setattr(loop_module, "open_bus", open_again)
+    with open_bus(spec) as car:
+        status_heard(car)
+        monkeypatch.setattr(CanBus, "close", close)
+        monkeypatch.setattr(CanBus, "send", lambda self, frame: False)
+        assert eventually(lambda: len(opened) >= 4)
+        monkeypatch.setattr(CanBus, "send", original_send)
+        monkeypatch.setattr(CanBus, "close", original_close)
+        status_heard(car)
+    pauses_ms = [(there - gone) / 1e6 for gone, there in zip(lost, opened, strict=False)]
+    assert all(pause >= least for pause, least in zip(pauses_ms, (10, 20, 40, 80), strict=False)), pauses_ms
+    told = [record.getMessage() for record in caplog.records if record.levelname in ("ERROR", "WARNING")]
+    assert len([line for line in told if "no complete cycle sent for" in line]) == 1, told
+    assert eventually(lambda: loop.report().bus_lost is None and loop._pause_s == loop_module._REOPEN_FIRST_S)
+
+
+def test_a_single_full_queue_is_dropped_and_counted_and_the_bus_stays_open(
+    loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dropped: list[int] = []
+
+    def drop_three(self: CanBus, frame: Frame) -> bool:
+        if len(dropped) < 3:
+            dropped.append(frame.can_id)
+            return False
+        return original(self, frame)
+
+    original = CanBus.send
+    with open_bus(spec) as car:
+        status_heard(car)
+        monkeypatch.setattr(CanBus, "send", drop_three)
+        assert eventually(lambda: len(dropped) == 3)
+        status_heard(car)
+    # The first may be any frame of a cycle that was just being sent; the rest of that cycle is not.
+    assert dropped[1:] == [0x510] * 2
+    assert eventually(lambda: loop.report().incomplete_cycles == 3)
+    assert loop.reopened == 0
+
+
 def test_the_loops_own_bus_takes_no_other_id_than_the_five(loop: BridgeLoop) -> None:
     assert loop._bus is not None
     for can_id in (0x501, 0x50F, 0x515, 0x520, 0x600):
@@ -508,3 +562,37 @@ def test_no_garbage_is_collected_by_surprise_while_it_runs(loop: BridgeLoop) -> 
     assert not gc.isenabled()
     loop.stop()
     assert gc.isenabled()
+
+
+def test_after_a_pause_all_that_waited_is_heard_before_the_next_cycle(
+    loop: BridgeLoop, spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames that waited in the socket look new and are not: the oldest of them says nothing about now."""
+    heard: list[str] = []
+    cycle, on_frame = loop._bridge.cycle, loop._bridge.on_frame
+    hangs, go_on = threading.Event(), threading.Event()
+
+    def hang(_now_ns: int) -> None:
+        hangs.set()
+        go_on.wait(WAIT_S)
+        heard.clear()
+
+    def cycle_noted(now_ns: int) -> object:
+        heard.append("cycle")
+        return cycle(now_ns)
+
+    def frame_noted(frame: Frame) -> None:
+        heard.append("frame")
+        on_frame(frame)
+
+    monkeypatch.setattr(loop._bridge, "cycle", cycle_noted)
+    monkeypatch.setattr(loop._bridge, "on_frame", frame_noted)
+    with open_bus(spec) as car:
+        loop._requests.put((hang, Future()))
+        assert hangs.wait(WAIT_S)
+        for _ in range(20):
+            car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_OFF)))
+        threading.Event().wait(0.1)  # long enough for a deadline to be missed
+        go_on.set()
+        assert eventually(lambda: "cycle" in heard)
+    assert heard[: heard.index("cycle")].count("frame") >= 19, "the frame in hand when it hung may be one of them"
