@@ -5,11 +5,36 @@ every frame of a bus, of the AI computer and of the car, in the order of time.
 
 What is on the wire at an instant was decided a little earlier: a value that the car sent less than `in_flight_ns` ago
 may not have been seen yet. A rule is broken only when it is broken for every value that the sender can have seen.
+
+Which safety rule is checked how, by frames alone:
+
+1. torque and brake: never above zero together in what the VCU saw last of each frame; torque rises from zero only after
+   a whole cycle without both and a 0x524 after it that echoes zero, or two such cycles; brake rises only after a whole
+   cycle without torque. A cycle that lacks a frame is not whole.
+2. each frame with torque against the 0x520 seen: AS_DRIVING, Go, its age, 3 s in AS_DRIVING, FORWARD, no ESTOP_REQUEST.
+   The mode and the command behind it are not on the wire: see `evidence/wire_rules.py`.
+3. NEUTRAL and FINISHED in AS_DRIVING against the wheel speeds seen.
+4. steering against the revision's limit, ANGLE_MAX and the operational limit, and its change against the car's steering
+   rate; torque against 195 Nm, TRQ_MAX, the constant-power schedule and the operational limit, and none on an axle
+   without a motor; motor speed limit against the operational speed limit.
+5. MISSION_STATUS, direction, steering and torque in AS_INIT, AS_OFF and AS_READY. What SELECTED needs besides is not on
+   the wire.
+6. ESTOP_REQUEST goes back to 0 only in AS_INIT and AS_OFF. Who cleared it is not on the wire.
+7. every frame of the AI computer has its length, and values of the interface's table.
+8. no identifier that is not of this bus, none extended or remote. An intruder on the AI computer's own ids cannot be
+   told apart on a log; whoever knows it keeps his frames from the checker.
+9. the handshake echo against the bits received.
+10. torque only after AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends: a pause in its frames
+    or a second without 0x520 (a power cycle) begins anew.
+
+And besides: two cycles are never closer than 8 ms, and what the output table says of each AS state as far as it is one
+value: MISSION_STATUS, direction, and no brake in AS_INIT, AS_OFF and EMERGENCY_BRAKE.
 """
 
 from __future__ import annotations
 
 import gzip
+import math
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +42,9 @@ from enum import Enum, auto
 from pathlib import Path
 from typing import IO, Generic, TypeVar
 
+from fsai_hil.response import ResponseTimes
+from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
@@ -26,6 +54,7 @@ from fsai_vcu.interface.images import (
     AiDriveRear,
     AiStatus,
     AiSteer,
+    Image,
     VcuBrake,
     VcuDriveFront,
     VcuDriveRear,
@@ -47,12 +76,17 @@ SPEEDS_AGE_NS = 100 * MS
 CYCLE_GAP_NS = 8 * MS  # two sends are never closer
 CAR_PATIENCE_NS = 100 * MS  # interface specification v4.0: without a matching echo for so long, AI_COMMS_LOST
 RESTART_GAP_NS = 150 * MS  # a process that starts listens for 200 ms before its first frame
+POWER_CYCLE_NS = SECOND  # safety rule 6: without 0x520 for so long the car was switched off
+MAX_MOTOR_RPM = 4000.0  # interface specification v4.0: MOTOR_SPEED_MAX 0-4000 rpm
+STATUS_ID = 0x520
 RESOLUTION = 0.051  # half a raw step of torque and steering, and a float's rounding
 
 # Protection against an over-current trip: the most torque above a speed of the axle's fastest wheel.
 CONSTANT_POWER = ((700, 50.0), (600, 85.0), (500, 100.0), (400, 120.0), (300, 150.0))
 
-IDLE = (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY)
+OFF = (AsState.AS_INIT, AsState.AS_OFF)
+IDLE = (*OFF, AsState.AS_READY)
+UNBRAKED = (*OFF, AsState.EMERGENCY_BRAKE)  # output table: the car holds or brakes itself there
 _KEPT = 1000  # violations kept as text; all are counted
 
 T = TypeVar("T")
@@ -87,6 +121,7 @@ class WireReport:
     responses: int
     response_p50_ms: float | None
     response_p99_ms: float | None
+    response_p999_ms: float | None
     response_max_ms: float | None
     error_frames: int
     as_states: tuple[tuple[float, str], ...]
@@ -107,7 +142,8 @@ class WireReport:
         if self.responses:
             lines.append(
                 f"response time: {self.responses} echoes, p50 {self.response_p50_ms:.2f} ms,"
-                f" p99 {self.response_p99_ms:.2f} ms, max {self.response_max_ms:.2f} ms"
+                f" p99 {self.response_p99_ms:.2f} ms, p99.9 {self.response_p999_ms:.2f} ms,"
+                f" max {self.response_max_ms:.2f} ms"
             )
         lines += [f"{count} x {problem}" for problem, count in self.problems.items()]
         lines += list(self.violations) or ["no rule broken"]
@@ -156,7 +192,12 @@ class WireChecker:
     """Feed it with `on_frame`; read `violations` at any time and `report()` at the end.
 
     `handshake_in_flight_ns` is how young a 0x520 may be and not yet be echoed; `clock_slack_ns` covers the difference
-    between a sender's clock reading and the time stamp on the bus.
+    between a sender's clock reading and the time stamp on the bus. All three at 0 is the view of the sender itself.
+
+    `car` and `limits` add what rule 4 says of steering rate, driven axles and the venue. `from_start`: the first frame
+    is the first that the sending process could hear, and `restarted` says when another takes its place; without it
+    what was before the log is not judged. `motor_brakes`: the car on which torque against a motor speed limit of zero
+    is the brake, which rule 2 does not mean.
     """
 
     def __init__(
@@ -166,6 +207,10 @@ class WireChecker:
         in_flight_ns: int = 20 * MS,
         handshake_in_flight_ns: int = 2 * MS,
         clock_slack_ns: int = MS // 2,
+        car: VehicleParameters | None = None,
+        limits: OperationalLimits = UNLIMITED,
+        from_start: bool = False,
+        motor_brakes: bool = False,
     ) -> None:
         self.violations: list[str] = []
         self.violation_count = 0
@@ -174,6 +219,17 @@ class WireChecker:
         self._slack_ns = clock_slack_ns
         self._handshake_in_flight_ns = handshake_in_flight_ns
         self._in_flight_ns = in_flight_ns
+        self._from_start = from_start
+        self._motor_brakes = motor_brakes
+        self._driven = (True, True) if car is None else (car.driven_front, car.driven_rear)
+        self._steer_rate_degps = math.inf if car is None else math.degrees(car.steer_rate_radps)
+        self._steer_limit_deg = min(codec.revision.steer_limit_deg, limits.max_steer_deg)
+        self._torque_limit_nm = min(MAX_TORQUE_NM, limits.max_axle_torque_nm)
+        self._motor_limit_rpm = MAX_MOTOR_RPM
+        if car is not None:
+            self._torque_limit_nm = min(self._torque_limit_nm, car.axle_torque_max_nm)
+            wheel_rpm = car.wheel_rpm_of_speed(min(limits.max_speed_mps, 1000.0))
+            self._motor_limit_rpm = min(MAX_MOTOR_RPM, wheel_rpm * car.gear_ratio)
 
         self._start_ns: int | None = None
         self._now_ns = 0
@@ -183,50 +239,83 @@ class WireChecker:
         self._broken: set[str] = set()
         self._strange_ids: set[int] = set()
 
-        self._status: _Recent[VcuStatus] = _Recent(in_flight_ns)
-        self._front: _Recent[VcuDriveFront] = _Recent(in_flight_ns)
-        self._rear: _Recent[VcuDriveRear] = _Recent(in_flight_ns)
-        self._steer: _Recent[VcuSteer] = _Recent(in_flight_ns)
-        self._brake_echo: _Recent[VcuBrake] = _Recent(in_flight_ns)
-        self._speeds: _Recent[WheelSpeeds] = _Recent(in_flight_ns)
-        self._as_state: AsState | None = None
         self._as_states: list[tuple[int, AsState]] = []
-        self._driving_since_ns: int | None = None  # None: not driving, or since before the log began
-        self._came_by = _Path.GONE
-        self._silent = False
-        self._speeds_ns: int | None = None
-        self._slow_since_ns: int | None = None
-        self._slow_until: tuple[int, int] | None = None  # when standing ended, and since when it had lasted
-
-        self._bits: deque[tuple[int, bool]] = deque(maxlen=16)
-        self._toggle: tuple[int, bool] | None = None
-        self._responses_ns: list[int] = []
+        self.responses = ResponseTimes()
+        self._know_nothing()
 
         self._ai: AiStatus | None = None
-        self._torque: list[float | None] = [None, None]  # front, rear, as the VCU has last seen them
-        self._brakes: tuple[float, float] | None = None
+        # Front and rear, as the VCU has last seen them; None: not known. A process that starts cannot know either, but
+        # has not asked for anything yet.
+        self._torque: list[float | None] = [0.0, 0.0] if from_start else [None, None]
+        self._brakes: tuple[float, float] | None = (0.0, 0.0) if from_start else None
+        self._steered: tuple[int, float] | None = None
         self._cycle = _Cycle()
         self._cycles = 0
         self._incomplete = 0
         self._cycle_start_ns: int | None = None
         self._shortest_ns: int | None = None
         self._quiet_cycles = 0  # complete cycles without torque and brake since the brake was last asked for
+        self._quiet_since_ns = 0  # when the first of them began
         self._torqueless_cycles = 0  # complete cycles without torque since torque was last asked for
+
+    def _know_nothing(self) -> None:
+        """Nothing has been heard yet, by the process that sends."""
+        self._status: _Recent[VcuStatus] = _Recent(self._in_flight_ns)
+        self._front: _Recent[VcuDriveFront] = _Recent(self._in_flight_ns)
+        self._rear: _Recent[VcuDriveRear] = _Recent(self._in_flight_ns)
+        self._steer: _Recent[VcuSteer] = _Recent(self._in_flight_ns)
+        self._brake_echo: _Recent[VcuBrake] = _Recent(self._in_flight_ns)
+        self._speeds: _Recent[WheelSpeeds] = _Recent(self._in_flight_ns)
+        self._as_state: AsState | None = None
+        self._heard_ns: int | None = None  # the last 0x520, whatever was in it
+        self._driving_since_ns: int | None = None  # None: not driving, or since before the log began
+        self._came_by = _Path.GONE
+        self._silent = False
+        self._car_was_off = False
+        self._off_meanwhile = False  # AS_INIT or AS_OFF was the state at some time since the last 0x510
+        self._speeds_ns: int | None = None
+        self._slow_since_ns: int | None = None
+        self._slow_until: tuple[int, int] | None = None  # when standing ended, and since when it had lasted
+        self._bits: deque[tuple[int, bool]] = deque(maxlen=16)
+        self._toggle: tuple[int, bool] | None = None
 
     # ------------------------------------------------------------ input
 
-    def on_frame(self, frame: Frame) -> None:
-        """One frame of the bus, at `frame.t_ns`."""
+    @property
+    def came_the_whole_way(self) -> bool:
+        """Whether AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends (safety rule 10)."""
+        return self._came_by is _Path.DRIVING
+
+    def restarted(self) -> None:
+        """Another process takes the sender's place: it knows nothing, the VCU keeps what it saw last."""
+        if self._cycle.ids:
+            self._end_cycle()
+        self._cycle = _Cycle()
+        self._cycle_start_ns = None
+        self._ai = None
+        self._steered = None
+        self._quiet_cycles = 0
+        self._know_nothing()
+
+    def on_bus_lost(self) -> None:
+        """The sender has lost the bus: whatever follows, its drive needs the whole way anew."""
+        self._came_by = _Path.GONE
+        self._heard_ns = None  # what it cannot hear is no silence of the car's
+
+    def on_frame(self, frame: Frame) -> Image | None:
+        """One frame of the bus, at `frame.t_ns`. Returns what it says, None for nothing that may be believed."""
         if self._start_ns is None:
             self._start_ns = frame.t_ns
         self._now_ns = frame.t_ns
         self._frames += 1
         if frame.error:
             self._error_frames += 1
-            return
+            return None
         if frame.extended or frame.remote or frame.can_id not in self._known_ids:
             self._strange(frame)
-            return
+            return None
+        if frame.can_id == STATUS_ID:
+            self._on_any_status(frame.t_ns)
         decoded = self._codec.decode(frame)
         for problem in decoded.problems:
             self._problems[problem] += 1
@@ -239,9 +328,9 @@ class WireChecker:
             elif isinstance(image, AiStatus):
                 self._on_ai_status(frame.t_ns, image)
             elif isinstance(image, AiDriveFront):
-                self._on_torque(frame, 0, image.torque_nm)
+                self._on_torque(frame, 0, image.torque_nm, image.motor_speed_max_rpm)
             elif isinstance(image, AiDriveRear):
-                self._on_torque(frame, 1, image.torque_nm)
+                self._on_torque(frame, 1, image.torque_nm, image.motor_speed_max_rpm)
             elif isinstance(image, AiSteer):
                 self._on_steer(frame, image.steer_deg)
             elif isinstance(image, AiBrake):
@@ -258,21 +347,22 @@ class WireChecker:
             self._brake_echo.add(frame.t_ns, image)
         elif isinstance(image, WheelSpeeds):
             self._on_speeds(frame.t_ns, image)
+        return image
 
     def report(self) -> WireReport:
         """What has been seen so far."""
         start = self._start_ns or 0
-        waited = sorted(self._responses_ns)
         return WireReport(
             frames=self._frames,
             duration_s=(self._now_ns - start) / SECOND,
             cycles=self._cycles,
             incomplete_cycles=self._incomplete,
             shortest_cycle_ms=None if self._shortest_ns is None else self._shortest_ns / MS,
-            responses=len(waited),
-            response_p50_ms=_quantile_ms(waited, 0.50),
-            response_p99_ms=_quantile_ms(waited, 0.99),
-            response_max_ms=_quantile_ms(waited, 1.0),
+            responses=len(self.responses),
+            response_p50_ms=self.responses.quantile_ms(0.5),
+            response_p99_ms=self.responses.quantile_ms(0.99),
+            response_p999_ms=self.responses.quantile_ms(0.999),
+            response_max_ms=self.responses.quantile_ms(1.0),
             error_frames=self._error_frames,
             as_states=tuple(((t_ns - start) / SECOND, state.label) for t_ns, state in self._as_states),
             problems=dict(self._problems),
@@ -288,17 +378,30 @@ class WireChecker:
             self._toggle = (t_ns, bit) if alive else None
         self._bits.append((t_ns, bit))
 
+    def _on_any_status(self, t_ns: int) -> None:
+        if self._heard_ns is not None and t_ns - self._heard_ns >= POWER_CYCLE_NS + self._in_flight_ns:
+            self._car_was_off = True
+        self._heard_ns = t_ns
+
     def _on_status(self, t_ns: int, status: VcuStatus) -> None:
         self._status.add(t_ns, status)
         state = status.as_state
+        self._off_meanwhile = self._off_meanwhile or state in OFF
         silent = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
-        if silent and not self._silent:
+        if (silent and not self._silent and not self._from_start) or self._car_was_off:
             self._came_by = _Path.GONE  # safety rule 10: whoever speaks next must see the whole way anew
-        elif self._as_state is None:
+        elif self._as_state is None and not self._from_start:
             self._came_by = _Path.at_first_sight(state)
         self._silent = silent
         self._came_by = self._came_by.then(state)
-        if state is self._as_state:
+        anew = self._car_was_off or state is not self._as_state
+        self._car_was_off = False
+        if not anew:
+            return
+        if self._from_start:
+            self._driving_since_ns = t_ns if state is AsState.AS_DRIVING else None
+            self._as_state = state
+            self._as_states.append((t_ns, state))
             return
         self._driving_since_ns = t_ns if state is AsState.AS_DRIVING and self._as_state is not None else None
         self._as_state = state
@@ -331,8 +434,10 @@ class WireChecker:
                 ("FINISHED", ai.mission_status is MissionStatus.FINISHED),
             ):
                 self._rule("rule 3", name, said and not self._standing(t_ns), f"{name} in AS_DRIVING before standstill")
-        if states and all(state in IDLE for state in states):
-            where = states[-1].label
+        if states:
+            self._check_table(t_ns, ai, states)
+        if all(state in IDLE for state in states) and (states or self._from_start):
+            where = states[-1].label if states else "no AS state yet"
             self._rule(
                 "rule 5",
                 "direction",
@@ -346,6 +451,29 @@ class WireChecker:
                 f"MISSION_STATUS {ai.mission_status.label} in {where}",
             )
         self._ai = ai
+        self._off_meanwhile = bool(states) and states[-1] in OFF
+
+    def _check_table(self, t_ns: int, ai: AiStatus, states: list[AsState]) -> None:
+        """The output table's rows of AS_DRIVING, AS_FINISHED and EMERGENCY_BRAKE; rule 5 is about the others."""
+        if any(state is not states[-1] for state in states):
+            return
+        state = states[-1]
+        mission, direction = ai.mission_status, ai.direction
+        right_status, right_direction = True, True
+        if state is AsState.AS_DRIVING:
+            right_status = mission in (MissionStatus.RUNNING, MissionStatus.FINISHED)
+            right_direction = direction is not Direction.REVERSE
+        elif state is AsState.AS_FINISHED:
+            right_status = mission is MissionStatus.FINISHED
+            right_direction = direction is Direction.NEUTRAL
+        elif state is AsState.EMERGENCY_BRAKE:
+            right_status = mission is MissionStatus.RUNNING
+            right_direction = direction is Direction.FORWARD or (
+                direction is Direction.NEUTRAL and self._standing(t_ns)
+            )
+        where = state.label
+        self._rule("output table", "status", not right_status, f"MISSION_STATUS {mission.label} in {where}")
+        self._rule("output table", "direction", not right_direction, f"direction {direction.label} in {where}")
 
     def _begin_cycle(self, t_ns: int) -> None:
         if self._cycle.ids:
@@ -370,10 +498,13 @@ class WireChecker:
         if not self._cycle.torque:
             self._torqueless_cycles += 1
             if not self._cycle.brake:
+                if self._quiet_cycles == 0:
+                    self._quiet_since_ns = self._cycle_start_ns or 0
                 self._quiet_cycles += 1
 
     def _check_echo(self, t_ns: int, bit: bool) -> None:
         if not self._bits:
+            self._rule("rule 9", "", self._from_start and bit, "handshake 1 where nothing was received")
             return
         possible = {self._bits[-1][1]}
         for index in range(len(self._bits) - 1, 0, -1):
@@ -384,19 +515,19 @@ class WireChecker:
             possible.add(False)  # not even the first 0x520 need have been received: there was nothing to echo
         self._rule("rule 9", "", bit not in possible, f"handshake {int(bit)} where {int(not bit)} was received")
         if self._toggle is not None and bit == self._toggle[1] and bit == self._bits[-1][1]:
-            self._responses_ns.append(t_ns - self._toggle[0])
+            self.responses.add(t_ns - self._toggle[0])
             self._toggle = None
 
     def _check_latch(self, ai: AiStatus, states: list[AsState], restarted: bool) -> None:
-        if self._ai is None or restarted:
+        if self._ai is None or (restarted and not self._from_start):
             return
         released = self._ai.estop_request and not ai.estop_request
-        allowed = any(state in (AsState.AS_INIT, AsState.AS_OFF) for state in states)
+        allowed = self._off_meanwhile or any(state in OFF for state in states)
         if released and not allowed:
             where = states[-1].label if states else "no state"
             self._break("rule 6", f"ESTOP_REQUEST released in {where}")
 
-    def _on_torque(self, frame: Frame, axle: int, torque_nm: float) -> None:
+    def _on_torque(self, frame: Frame, axle: int, torque_nm: float, motor_rpm: int) -> None:
         t_ns = frame.t_ns
         name = ("front", "rear")[axle]
         had_none = self._torque == [0.0, 0.0]  # a log may begin in the middle of a drive: what was before is not judged
@@ -404,6 +535,12 @@ class WireChecker:
         self._cycle.ids.append(frame.can_id)
         self._check_both()
         self._rule("rule 4", f"{name} torque", *self._over_torque(t_ns, axle, torque_nm))
+        self._rule(
+            "rule 4",
+            f"{name} speed",
+            motor_rpm > self._motor_limit_rpm + RESOLUTION,
+            f"{name} motor speed limit {motor_rpm} rpm above {self._motor_limit_rpm:.0f} rpm",
+        )
         if torque_nm <= 0:
             self._broken -= {f"rule 2 {name} {key}" for key in ("state", "wait", "go", "direction", "emergency", "age")}
             self._broken.discard(f"rule 10 {name}")
@@ -412,19 +549,24 @@ class WireChecker:
             self._check_torque_may_rise(t_ns)
         self._cycle.torque = True
         self._torqueless_cycles = 0
-        self._check_torque_allowed(t_ns, name)
+        self._check_torque_allowed(t_ns, name, brakes=self._motor_brakes and motor_rpm == 0)
 
     def _check_torque_may_rise(self, t_ns: int) -> None:
         """Safety rule 1: after a complete quiet cycle, and the car's echo of it or a second one."""
-        echoes = self._brake_echo.at(t_ns)
-        echoed = any(echo.front_request_pct == 0 and echo.rear_request_pct == 0 for echo in echoes)
+        since_ns = self._quiet_since_ns - self._in_flight_ns
+        echoed = any(
+            echo.front_request_pct == 0 and echo.rear_request_pct == 0 and echo.t_rx_ns > since_ns
+            for echo in self._brake_echo.at(t_ns)
+        )
         if self._quiet_cycles < (1 if echoed else 2):
             self._break("rule 1", f"torque rose after {self._quiet_cycles} complete cycles without torque and brake")
 
-    def _check_torque_allowed(self, t_ns: int, name: str) -> None:
+    def _check_torque_allowed(self, t_ns: int, name: str, *, brakes: bool) -> None:
         statuses = self._status.at(t_ns)
         if not statuses:
-            if t_ns - (self._start_ns or 0) >= STATUS_AGE_NS:  # a log may begin in the middle of a drive
+            if (
+                self._from_start or t_ns - (self._start_ns or 0) >= STATUS_AGE_NS
+            ):  # a log may begin in the middle of a drive
                 self._rule("rule 2", f"{name} state", True, f"{name} torque before any 0x520")
             return
         newest = statuses[-1]
@@ -433,20 +575,20 @@ class WireChecker:
         self._rule(
             "rule 2",
             f"{name} go",
-            not any(status.go_signal for status in statuses),
+            not brakes and not any(status.go_signal for status in statuses),
             f"{name} torque without the Go signal",
         )
         age_ns = t_ns - newest.t_rx_ns
         self._rule(
             "rule 2",
             f"{name} age",
-            age_ns > STATUS_AGE_NS + self._in_flight_ns,
+            age_ns >= STATUS_AGE_NS + self._in_flight_ns,  # stale after 50 ms is stale at 50 ms
             f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old",
         )
         self._rule(
             "rule 10",
             name,
-            newest.as_state is AsState.AS_DRIVING and self._came_by is _Path.GONE,
+            newest.as_state is AsState.AS_DRIVING and self._came_by is _Path.GONE and not brakes,
             f"{name} torque though this process has not seen AS_OFF, AS_READY and AS_DRIVING in turn",
         )
         if self._driving_since_ns is not None:
@@ -454,7 +596,7 @@ class WireChecker:
             self._rule(
                 "rule 2",
                 f"{name} wait",
-                waited_ns < START_WAIT_NS - self._slack_ns,
+                waited_ns < START_WAIT_NS - self._slack_ns and not brakes,
                 f"{name} torque {waited_ns / SECOND:.3f} s after AS_DRIVING began",
             )
         ai = self._ai
@@ -468,10 +610,12 @@ class WireChecker:
             self._rule("rule 2", f"{name} emergency", ai.estop_request, f"{name} torque with ESTOP_REQUEST")
 
     def _over_torque(self, t_ns: int, axle: int, torque_nm: float) -> tuple[bool, str]:
-        limits: list[float] = [MAX_TORQUE_NM]
+        limits: list[float] = [self._torque_limit_nm if self._driven[axle] else 0.0]
         echoes = self._front.at(t_ns) if axle == 0 else self._rear.at(t_ns)
         if echoes:
             limits.append(max(echo.torque_max_nm for echo in echoes))
+        elif self._from_start:
+            limits.append(0.0)  # the car has not said yet what it takes
         speeds = self._speeds.at(t_ns)
         if speeds:
             fastest = min(max(one.all_rpm[2 * axle : 2 * axle + 2]) for one in speeds)
@@ -488,10 +632,13 @@ class WireChecker:
             out_of_place = steer_deg != 0 and AsState.AS_DRIVING not in states
             rule = "rule 5" if states[-1] in IDLE else "rule 4"
             self._rule(rule, "steering", out_of_place, f"steering {steer_deg:.1f} deg in {where}")
-        limit = self._codec.revision.steer_limit_deg
+        limit = self._steer_limit_deg
         live = self._steer.at(frame.t_ns)
         if live:
-            limit = min(limit, max(one.angle_max_deg for one in live))
+            limit = min(limit, max(0.0, *(one.angle_max_deg for one in live)))
+        elif self._from_start:
+            limit = 0.0
+        self._check_steering_rate(frame.t_ns, steer_deg, limit, states)
         self._rule(
             "rule 4",
             "steering limit",
@@ -499,11 +646,39 @@ class WireChecker:
             f"steering {steer_deg:.1f} deg beyond its limit {limit:.1f}",
         )
 
+    def _check_steering_rate(self, t_ns: int, steer_deg: float, limit_deg: float, states: list[AsState]) -> None:
+        """Safety rule 4; a limit that the car lowers is obeyed at once, and outside AS_DRIVING it is zero at once.
+
+        So it is at the orderly end of the software, where a car at rest is sent zeros and NEUTRAL.
+        """
+        before, self._steered = self._steered, (t_ns, steer_deg)
+        if before is None or not all(state is AsState.AS_DRIVING for state in states):
+            return
+        if steer_deg == 0.0 and self._ai is not None and self._ai.direction is Direction.NEUTRAL:
+            return
+        step_ns = t_ns - before[0] + self._in_flight_ns
+        most_deg = self._steer_rate_degps * step_ns / SECOND + 0.1  # the signal's resolution
+        turned_deg = abs(steer_deg - before[1])
+        self._rule(
+            "rule 4",
+            "steering rate",
+            turned_deg > most_deg + RESOLUTION and abs(before[1]) <= limit_deg + RESOLUTION,
+            f"steering turned by {turned_deg:.1f} deg in {step_ns / MS:.1f} ms",
+        )
+
     def _on_brake(self, frame: Frame, brake: AiBrake) -> None:
         had_none = self._brakes == (0.0, 0.0)
         self._brakes = (brake.front_pct, brake.rear_pct)
         self._cycle.ids.append(frame.can_id)
         self._check_both()
+        states = self._states(frame.t_ns)
+        unbraked = bool(states) and all(state in UNBRAKED for state in states)
+        self._rule(
+            "output table",
+            "brake",
+            unbraked and any(self._brakes),
+            f"brake {max(self._brakes):.1f} % in {states[-1].label if states else 'no AS state'}",
+        )
         if not any(self._brakes):
             return
         self._cycle.brake = True
@@ -560,14 +735,6 @@ class WireChecker:
             self.violations.append(f"{t_s:.3f} s: {rule}: {text}")
 
 
-def _quantile_ms(ordered_ns: list[int], share: float) -> float | None:
-    """The smallest value that at least `share` of all do not exceed."""
-    if not ordered_ns:
-        return None
-    index = max(0, -(-int(share * 1000) * len(ordered_ns) // 1000) - 1)
-    return ordered_ns[index] / MS
-
-
 # ---------------------------------------------------------------- logs
 
 
@@ -610,16 +777,19 @@ def _parse(line: str) -> Frame:
 
 
 def check_candump(path: Path | str, codec: Codec, *, busy_machine: bool = False) -> WireReport:
-    """Check a whole log.
+    """Check a whole log; for `busy_machine` see `checker_for`."""
+    checker = checker_for(codec, busy_machine=busy_machine)
+    for frame in read_candump(path):
+        checker.on_frame(frame)
+    return checker.report()
+
+
+def checker_for(codec: Codec, *, busy_machine: bool) -> WireChecker:
+    """A checker for a bus of processes in real time.
 
     busy_machine: sender and receiver shared their processors with much else, so a frame on the bus may not have been
     received for some time. An echo is then missed when the car itself would call it missed, after 100 ms.
     """
-    checker = (
-        WireChecker(codec, in_flight_ns=CAR_PATIENCE_NS // 2, handshake_in_flight_ns=CAR_PATIENCE_NS)
-        if busy_machine
-        else WireChecker(codec)
-    )
-    for frame in read_candump(path):
-        checker.on_frame(frame)
-    return checker.report()
+    if not busy_machine:
+        return WireChecker(codec)
+    return WireChecker(codec, in_flight_ns=CAR_PATIENCE_NS // 2, handshake_in_flight_ns=CAR_PATIENCE_NS)

@@ -13,6 +13,7 @@ from fsai_hil.faults import (
     FlipBits,
     Freeze,
     Intruder,
+    Overwrite,
     Repeat,
     Window,
     WrongLength,
@@ -130,7 +131,7 @@ def test_faults_add_up_in_their_order_and_can_be_taken_away() -> None:
 
 
 def test_every_kind_has_a_name_for_scenarios() -> None:
-    assert {Drop, Freeze, Delay, FlipBits, WrongLength, WrongValues, Repeat, Intruder} == set(KINDS.values())
+    assert {Drop, Freeze, Delay, FlipBits, WrongLength, Overwrite, WrongValues, Repeat, Intruder} == set(KINDS.values())
 
 
 # ---------------------------------------------------------------- on the VCU
