@@ -10,14 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from fsai_hil.judge import Verdict
+    from fsai_hil.lockstep import Lockstep
     from fsai_hil.world import World
     from fsai_vcu.core.report import BridgeReport
 
-EXAMPLE = "fsai-vcu drive --mission trackdrive --laps 2 --seed 7 --plot run.png"
+EXAMPLE = (
+    "fsai-vcu drive --mission trackdrive --laps 2 --seed 7 --plot run.png\n"
+    "  fsai-vcu drive --mission acceleration --fault controller_silent:after=5000,duration=400"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--mission", default="autocross", help="what the AMI is set to (default: autocross)")
+    parser.add_argument("--mission", help="what the AMI is set to (default: autocross)")
     parser.add_argument("--track", metavar="FILE.csv|NAME", help="default: the mission's own built-in track")
     parser.add_argument("--laps", type=int, metavar="N", help="laps of a trackdrive (default: 10)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every chance in the run (default: 0)")
@@ -28,6 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise", type=float, default=1.0, metavar="X", help="noise of the cone sensor (default: 1)")
     parser.add_argument("--max-speed", type=float, metavar="M/S", help="highest speed on a circuit")
     parser.add_argument("--limits", type=Path, metavar="FILE.toml", help="operational limits imposed by an official")
+    parser.add_argument(
+        "--fault",
+        metavar="NAME[:PARAMETER=VALUE,…]",
+        help="break something on the way, and explain what follows; since=start|ready|driving|finished and after=MS"
+        " say when, what is not given is drawn by --seed",
+    )
+    parser.add_argument("--full", action="store_true", help="with --fault: drive to the end of the mission")
+    parser.add_argument("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
     parser.add_argument("--realtime", action="store_true", help="as fast as the clock, not as the computer")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="save a plot of track, path driven and speed")
     parser.add_argument("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
@@ -38,7 +51,12 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError
 
     try:
-        return _drive(args)
+        if args.list_faults:
+            from fsai_hil.campaign.table import catalogue_lines
+
+            print("\n".join(catalogue_lines()))
+            return 0
+        return _drive_with_fault(args) if args.fault else _drive(args)
     except (ValueError, OSError) as error:
         text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         raise UserError(text) from error
@@ -48,7 +66,6 @@ def _drive(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from fsai_hil.lockstep import Lockstep
-    from fsai_hil.plot import PlotError, save_plot
     from fsai_hil.tracks import load_track
     from fsai_hil.world import WorldSetup, mission_named
     from fsai_vcu.core.control.settings import ControllerSettings
@@ -58,7 +75,7 @@ def _drive(args: argparse.Namespace) -> int:
     if args.laps is not None and args.laps < 1:
         raise ValueError(f"--laps is {args.laps}, but at least 1 lap can be driven")
     setup = WorldSetup(
-        missions=[mission_named(args.mission)],
+        missions=[mission_named(args.mission or "autocross")],
         track=load_track(args.track) if args.track else None,
         revision=args.revision,
         profile=args.profile,
@@ -77,12 +94,8 @@ def _drive(args: argparse.Namespace) -> int:
         lockstep = Lockstep(setup, limits=limits, controller=settings, on_frame=writer.write if writer else None)
         result = lockstep.run(None if args.json else Progress(), realtime=args.realtime)
     status = 0 if result.passed else 1
-    if args.plot:
-        try:
-            save_plot(args.plot, lockstep.world.track, lockstep.world.samples, result.verdict)
-        except PlotError as error:
-            print(f"fsai-vcu drive: {error}", file=sys.stderr)
-            status = 1
+    if args.plot and not _plotted(args.plot, lockstep, result.verdict):
+        status = 1
     if args.json:
         print(json.dumps(result.as_dict()))
         return status
@@ -98,6 +111,63 @@ def _drive(args: argparse.Namespace) -> int:
     for path in (args.plot, args.log):
         if path and path.exists():
             print(f"saved {path}")
+    return status
+
+
+def _plotted(path: Path, lockstep: Lockstep, verdict: Verdict) -> bool:
+    from fsai_hil.plot import PlotError, save_plot
+
+    try:
+        save_plot(path, lockstep.world.track, lockstep.world.samples, verdict)
+    except PlotError as error:
+        print(f"fsai-vcu drive: {error}", file=sys.stderr)
+        return False
+    return True
+
+
+def _drive_with_fault(args: argparse.Namespace) -> int:
+    """One case of the fault campaign, told to a person. Exit status 1: worse than the safety rules allow."""
+    from fsai_hil.campaign.cases import case_from_spec
+    from fsai_hil.campaign.scenario import Scenario, drive_to, power_up
+    from fsai_hil.campaign.story import Story
+    from fsai_hil.campaign.verdict import as_record
+    from fsai_hil.world import mission_named
+    from fsai_vcu.interface.revisions import revision
+    from fsai_vcu.runtime.recording import CandumpWriter
+
+    others = {"--track": args.track, "--laps": args.laps, "--limits": args.limits, "--max-speed": args.max_speed}
+    for name, value in others.items():
+        if value is not None:
+            raise ValueError(f"{name} does not go with --fault: a fault is driven as in the campaign")
+    if args.profile != "specification" or args.noise != 1.0 or args.realtime:
+        raise ValueError("--profile, --noise and --realtime do not go with --fault")
+    if args.seed < 0:
+        raise ValueError(f"seed is {args.seed}, but must be 0 or more")
+    mission = mission_named(args.mission) if args.mission else None
+    case = case_from_spec(
+        args.fault, mission=mission, revision=revision(args.revision).name, seed=args.seed, full=args.full
+    )
+    with ExitStack() as stack:
+        writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
+        rig = power_up(case, writer.write if writer else None)
+        if case.leg_ms is not None:
+            drive_to(rig, case.leg_ms)
+        scenario = Scenario(case, rig)
+        story = Story(case)
+        while not scenario.over:
+            scenario.step()
+            if not args.json:
+                story.listen(scenario)
+    verdict = scenario.verdict()
+    status = 0 if verdict.ok else 1
+    if args.plot and not _plotted(args.plot, rig, rig.world.verdict()):
+        status = 1
+    if args.json:
+        print(json.dumps(as_record(case, verdict, {})))
+        return status
+    print(f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}; again with:\n  {case.replay}\n")
+    print("\n".join(story.lines(scenario, verdict)))
+    print("as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW")
     return status
 
 

@@ -154,6 +154,24 @@ class WrongLength:
 
 
 @dataclass
+class Overwrite:
+    """Bytes of the payload from `at` on are replaced by `data`; what lies beyond the payload's end is left out."""
+
+    window: Window = field(default_factory=Window)
+    at: int = 0
+    data: bytes = b""
+
+    def frames(self, frame: Frame) -> Iterable[Frame]:
+        if not self.window.meets(frame):
+            return (frame,)
+        changed = (frame.data[: self.at] + self.data + frame.data[self.at + len(self.data) :])[: len(frame.data)]
+        return (replace(frame, data=changed),)
+
+    def uncalled(self, to_ns: int) -> Iterable[Frame]:
+        return ()
+
+
+@dataclass
 class WrongValues:
     """Fields of a message say something else: `values` by the field names of its image."""
 
@@ -219,6 +237,7 @@ KINDS: Final[Mapping[str, Callable[..., FrameFault]]] = MappingProxyType(
         "delay": Delay,
         "flip_bits": FlipBits,
         "wrong_length": WrongLength,
+        "overwrite": Overwrite,
         "wrong_values": WrongValues,
         "repeat": Repeat,
         "intruder": Intruder,

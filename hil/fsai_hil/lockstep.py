@@ -29,6 +29,7 @@ CONE_PERIOD_NS = 50_000_000  # 20 Hz, as a camera or lidar pipeline
 CONFIDENCE_THRESHOLD = 0.5  # the detector's default
 PROGRESS_PERIOD_NS = 500_000_000
 NS_PER_S = 1e9
+RUNS_OF_A_PROCESS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,28 +89,64 @@ class Lockstep:
         if setup.profile == "official-simulator":
             car = CARS["official-simulator"].with_steer_limit(chosen.steer_limit_deg)
             config = official_simulator(config)
-        self._now_ns = setup.start_ns
-        self.bridge = Bridge(self.world.codec, chosen, car, config, limits, now_ns=self._now_ns)
         missions = MissionSettings() if setup.laps is None else MissionSettings(trackdrive_laps=setup.laps)
         settings = controller or ControllerSettings()
         if limits is not None:
             settings = replace(settings, max_speed_mps=min(settings.max_speed_mps, limits.max_speed_mps))
+        self._now_ns = setup.start_ns
+        self._revision, self._car, self._config, self._limits = chosen, car, config, limits
+        self._missions, self._settings = missions, settings
+        self._bridges = 0
         self.computer = OnboardComputer(
-            self.bridge,
+            self._new_bridge(),
             self.world.codec,
             Planner(car, missions=missions),
             Controller(car, settings, missions),
             self._now_ns,
         )
         self.wire = WireChecker(self.world.codec)
-        self._on_frame = on_frame
+        self.on_frame = on_frame
+        self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames
         self._next_cones_ns = self._now_ns
         self._asked_autonomous = False
         self.detector: Callable[[ConeObservation], ConeObservation] = confident
+        self.detects = True  # False: the detector has stopped
 
     @property
     def now_ns(self) -> int:
         return self._now_ns
+
+    @property
+    def bridge(self) -> Bridge:
+        """The bridge in hand: a restart brings another one."""
+        return self.computer.bridge
+
+    def _new_bridge(self) -> Bridge:
+        # On the car a new process draws a first run id that no earlier one can have used.
+        first_run_id = 1 + RUNS_OF_A_PROCESS * self._bridges
+        self._bridges += 1
+        return Bridge(
+            self.world.codec, self._revision, self._car, self._config, self._limits, first_run_id, now_ns=self._now_ns
+        )
+
+    def start_bridge(self) -> None:
+        """The bridge's process is started anew: it knows nothing, and is in manual mode."""
+        self.computer.start_bridge(self._new_bridge(), self._now_ns)
+
+    def start_planner(self) -> None:
+        """The planner's process is started anew."""
+        self.computer.start_planner(Planner(self._car, missions=self._missions))
+
+    def start_controller(self) -> None:
+        """The controller's process is started anew."""
+        self.computer.start_controller(Controller(self._car, self._settings, self._missions))
+
+    def intrude(self, frame: Frame) -> None:
+        """Somebody else's frame is on the bus: everybody hears it."""
+        if self.on_frame is not None:
+            self.on_frame(frame)
+        self.computer.on_frame(frame)
+        self.world.on_frame(frame)
 
     def step(self) -> None:
         """One millisecond."""
@@ -119,7 +156,9 @@ class Lockstep:
             self.computer.on_frame(frame)
         if now_ns >= self._next_cones_ns:
             self._next_cones_ns += CONE_PERIOD_NS
-            self.computer.on_cones(self.detector(self.world.see_cones(now_ns)))
+            seen = self.detector(self.world.see_cones(now_ns))
+            if self.detects:
+                self.computer.on_cones(seen)
         if not self._asked_autonomous:
             # What the operator types once: the mode is kept for every mission after it.
             self._asked_autonomous = self.bridge.set_mode("autonomous", now_ns)[0]
@@ -129,8 +168,10 @@ class Lockstep:
 
     def _see(self, frame: Frame) -> None:
         self.wire.on_frame(frame)
-        if self._on_frame is not None:
-            self._on_frame(frame)
+        if self.watch is not None:
+            self.watch(frame)
+        if self.on_frame is not None:
+            self.on_frame(frame)
 
     def run(
         self,

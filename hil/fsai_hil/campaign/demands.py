@@ -1,0 +1,125 @@
+"""What the safety rules demand when something breaks, as an observer outside can check it.
+
+Times are milliseconds from the fault (or from the moment at which it shows), as the table of graded reactions gives
+them; what an observer may measure on top of them is `SLACK_MS`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+# Safety rules, graded reactions.
+COMMAND_STALE_MS: Final = 100
+COMMAND_LOST_MS: Final = 300
+SENSOR_STALE_MS: Final = 500
+BOTH_PEDALS_MS: Final = 100
+VCU_STALE_MS: Final = 50
+VCU_LOST_MS: Final = 100
+FEEDBACK_STALE_MS: Final = 100
+FEEDBACK_LOST_MS: Final = 300
+IMPLAUSIBLE_MS: Final = 300
+IMPLAUSIBLE_LOST_MS: Final = 600
+LOOP_LATE_MS: Final = 50
+SEND_LOST_MS: Final = 50
+STOP_MS: Final = 3000  # a service-brake stop that lasts longer becomes an emergency
+CAR_PATIENCE_MS: Final = 100  # interface specification v4.0: AI_COMMS_LOST after 100 ms
+
+# A reaction is decided in a 10 ms cycle, the fault may begin just after one, and at most 15 ms pass without 0x520.
+SLACK_MS: Final = 25
+CONTROL_MS: Final = 20  # a command comes every 20 ms: what is wrong with it shows that much later
+PLAN_MS: Final = 90  # cones come every 50 ms, and are planned with after 40 ms
+
+
+class End(Enum):
+    """How a run ends, seen from outside. `words` is what tables say."""
+
+    ON = "drives on"
+    HELD = "stays in AS_DRIVING, torque 0"
+    STOP = "service-brake stop, FINISHED"
+    ESTOP = "EMERGENCY_BRAKE by our ESTOP_REQUEST"
+    SELF = "the car stops itself"
+    OFF = "falls back to AS_OFF"
+    NOT_STARTED = "does not start to drive"
+    UNDECIDED = "neither drives nor stops"
+
+    @property
+    def words(self) -> str:
+        return self.value
+
+
+class Onset(Enum):
+    """From when the allowed times count."""
+
+    FAULT = "the fault"
+    STEERING = "the steering surely being off its request"
+    WHEEL = "one wheel surely being off the other three"
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What must follow. A time of None is not limited by the rules.
+
+    `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (for good where the run must
+    end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so.
+    `safe_ms`: the car stands, or its EBS acts.
+    """
+
+    ends: frozenset[End]
+    no_torque_ms: float | None = None
+    brake_ms: float | None = None
+    estop_ms: float | None = None
+    safe_ms: float | None = None
+    onset: Onset = Onset.FAULT
+
+    @property
+    def words(self) -> str:
+        return " or ".join(end.words for end in End if end in self.ends)
+
+
+def ends(*allowed: End, **limits: float) -> Demand:
+    """A demand of which only the ends, and the limits named, count."""
+    return Demand(frozenset(allowed), **limits)  # type: ignore[arg-type]
+
+
+SAFE_ENDS: Final = frozenset(End) - {End.UNDECIDED}
+
+NOTHING: Final = ends(End.ON)
+ANY: Final = Demand(SAFE_ENDS)
+CAR_STOPS: Final = ends(End.SELF, End.ESTOP, safe_ms=CAR_PATIENCE_MS + SLACK_MS)
+MAY_STOP_ITSELF: Final = ends(End.ON, End.SELF)
+
+
+def held(after_ms: float) -> Demand:
+    """Torque 0 after so long, and on again when the fault is over."""
+    return ends(End.ON, no_torque_ms=after_ms + SLACK_MS)
+
+
+def stop(after_ms: float, torque_ms: float | None = None) -> Demand:
+    """A service-brake stop after so long, or the emergency brake where that does not do."""
+    return ends(
+        End.STOP,
+        no_torque_ms=(after_ms if torque_ms is None else torque_ms) + SLACK_MS,
+        brake_ms=after_ms + SLACK_MS,
+        safe_ms=after_ms + STOP_MS + SLACK_MS,
+    )
+
+
+def estop(after_ms: float, torque_ms: float | None = None) -> Demand:
+    """ESTOP_REQUEST after so long."""
+    return ends(
+        End.ESTOP,
+        no_torque_ms=(after_ms if torque_ms is None else torque_ms) + SLACK_MS,
+        estop_ms=after_ms + SLACK_MS,
+        safe_ms=after_ms + SLACK_MS + 10,
+    )
+
+
+def by_age(age_ms: float, *steps: tuple[float, Demand]) -> Demand:
+    """The demand of the last step that an age has reached; below the first, nothing."""
+    demand = NOTHING
+    for after_ms, next_demand in steps:
+        if age_ms >= after_ms:
+            demand = next_demand
+    return demand

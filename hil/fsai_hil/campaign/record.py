@@ -1,0 +1,126 @@
+"""The campaign's record: JSON lines, one per run, after one line that says what the campaign is.
+
+Lines are appended whole and flushed, so a campaign that is killed goes on where it was; a line cut short by the kill
+is left out when the record is read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final
+
+NAME: Final = "record.jsonl"
+
+Run = Mapping[str, Any]
+
+
+class RecordError(ValueError):
+    """A record that cannot be used; the message is one clear line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What decides every case of a campaign: two records with the same header hold the same cases."""
+
+    seed: int
+    faults: tuple[str, ...]
+    missions: tuple[str, ...]
+    revisions: tuple[str, ...]
+    world_seeds: int
+    window_ms: int
+    catalogue: int  # how many kinds there were
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "campaign": 1,
+            "seed": self.seed,
+            "faults": list(self.faults),
+            "missions": list(self.missions),
+            "revisions": list(self.revisions),
+            "world_seeds": self.world_seeds,
+            "window_ms": self.window_ms,
+            "catalogue": self.catalogue,
+        }
+
+
+def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
+    """Header and runs of a record. Raises RecordError, OSError."""
+    lines = _lines(path)
+    first = next(lines, None)
+    if first is None or first.get("campaign") != 1:
+        raise RecordError(f"{path} is not the record of a fault campaign")
+    header = Header(
+        first["seed"],
+        tuple(first["faults"]),
+        tuple(first["missions"]),
+        tuple(first["revisions"]),
+        first["world_seeds"],
+        first["window_ms"],
+        first["catalogue"],
+    )
+    # A case that was driven twice (two campaigns at once) counts once.
+    runs = {(run["full"], run["index"]): run for run in lines}
+    return header, list(runs.values())
+
+
+def _lines(path: Path) -> Iterator[dict[str, Any]]:
+    with path.open() as file:
+        for number, line in enumerate(file, start=1):
+            if not line.endswith("\n"):
+                return  # the campaign was killed while it wrote this one
+            try:
+                yield json.loads(line)
+            except json.JSONDecodeError:
+                raise RecordError(f"{path}:{number}: not a line of a fault campaign's record") from None
+
+
+class Writer:
+    """Appends to a record. `done` are the (full, index) pairs that it holds already."""
+
+    def __init__(self, path: Path, header: Header, *, resume: bool) -> None:
+        """Raises RecordError when there is a record already (unless resumed), or another campaign's."""
+        self.path = path
+        self.runs: list[dict[str, Any]] = []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and path.stat().st_size:
+            if not resume:
+                raise RecordError(f"{path} exists: --resume goes on with it, --out DIR begins another")
+            before, self.runs = read(path)
+            if before != header:
+                raise RecordError(
+                    f"{path} is the record of another campaign (seed {before.seed}): --out DIR begins one"
+                )
+            self._cut_broken_line()
+            self._file: IO[str] = path.open("a")
+        else:
+            self._file = path.open("a")
+            self._put(header.as_dict())
+
+    @property
+    def done(self) -> frozenset[tuple[bool, int]]:
+        return frozenset((run["full"], run["index"]) for run in self.runs)
+
+    def add(self, run: dict[str, Any]) -> None:
+        self.runs.append(run)
+        self._put(run)
+
+    def _put(self, line: Mapping[str, Any]) -> None:
+        self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
+        self._file.flush()
+
+    def _cut_broken_line(self) -> None:
+        data = self.path.read_bytes()
+        if not data.endswith(b"\n"):
+            self.path.write_bytes(data[: data.rfind(b"\n") + 1])
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

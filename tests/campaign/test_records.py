@@ -1,0 +1,72 @@
+"""A campaign's record survives a kill, goes on where it was, and belongs to one campaign."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.campaign.cases import Selection
+from fsai_hil.campaign.record import RecordError, Writer, read
+from fsai_hil.campaign.runner import Plan, batches
+
+
+def plan(seed: int = 1) -> Plan:
+    return Plan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
+
+
+def line(index: int, full: bool = False) -> dict[str, object]:
+    return {"index": index, "full": full, "verdict": "ok", "fault": "go_off"}
+
+
+def test_what_was_written_is_read_again(tmp_path: Path) -> None:
+    with Writer(tmp_path / "record.jsonl", plan().header(), resume=False) as writer:
+        writer.add(line(3))
+        writer.add(line(3, full=True))
+    header, runs = read(tmp_path / "record.jsonl")
+    assert header == plan().header()
+    assert [(run["full"], run["index"]) for run in runs] == [(False, 3), (True, 3)]
+
+
+def test_a_line_cut_short_by_a_kill_is_left_out_and_driven_again(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    with Writer(path, plan().header(), resume=False) as writer:
+        writer.add(line(0))
+        writer.add(line(1))
+    path.write_bytes(path.read_bytes()[:-10])
+    with Writer(path, plan().header(), resume=True) as writer:
+        assert writer.done == {(False, 0)}
+        writer.add(line(1))
+    assert [run["index"] for run in read(path)[1]] == [0, 1]
+    assert all(json.loads(text) for text in path.read_text().splitlines())
+
+
+def test_a_record_that_is_there_is_not_overwritten_by_accident(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    Writer(path, plan().header(), resume=False).close()
+    with pytest.raises(RecordError, match="--resume goes on with it"):
+        Writer(path, plan().header(), resume=False)
+
+
+def test_another_campaigns_record_is_not_continued(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    Writer(path, plan(1).header(), resume=False).close()
+    with pytest.raises(RecordError, match="another campaign"):
+        Writer(path, plan(2).header(), resume=True)
+
+
+def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a record\n")
+    with pytest.raises(RecordError, match="not a line of a fault campaign"):
+        read(path)
+    path.write_text('{"a": 1}\n')
+    with pytest.raises(RecordError, match="is not the record"):
+        read(path)
+
+
+def test_every_task_is_in_exactly_one_batch_and_full_length_runs_come_first() -> None:
+    tasks = [task for batch in batches(plan(), plan().tasks()) for task in batch]
+    assert sorted(tasks) == sorted(plan().tasks())
+    assert [full for full, _ in tasks[:3]] == [True] * 3
