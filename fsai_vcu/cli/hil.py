@@ -7,6 +7,7 @@ import compileall
 import math
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,9 @@ from pathlib import Path
 EXAMPLE = "fsai-vcu hil -k planner_killed"
 
 _SUITE = Path("tests") / "hil"
+_SOAK = _SUITE / "chain" / "test_soak.py"
 _TIMEOUT_S = 600.0
+_TIMEOUT_ALL_S = 1800.0
 # What of the caller's environment a run sees: enough to behave alike everywhere, and nothing that is nobody's business.
 _PASSED_ON = ("PATH", "TERM", "TZ", "CI", "NO_COLOR", "FORCE_COLOR", "LD_LIBRARY_PATH")
 _PASSED_ON_PREFIXES = ("LANG", "LC_", "FSAI_", "ROS_", "_ROS_", "RMW_", "FASTDDS_", "FASTRTPS_", "PYTEST_", "PYTHON")
@@ -22,18 +25,30 @@ _PASSED_ON_PREFIXES = ("LANG", "LC_", "FSAI_", "ROS_", "_ROS_", "RMW_", "FASTDDS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.allow_abbrev = False
-    parser.usage = "%(prog)s [--native | --uml] [--timeout S] [--results DIR] [pytest's arguments: -k, -x, a file …]"
+    parser.usage = (
+        "%(prog)s [--all | --soak MINUTES] [--native | --uml] [--timeout S] [--results DIR]"
+        " [pytest's arguments: -k, -x, a file …]"
+    )
+    extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--all", action="store_true", help="also the long tests: every fault of every process")
+    extent.add_argument(
+        "--soak",
+        type=float,
+        metavar="MINUTES",
+        help="instead: one mission after another for so long, with the verdict whether it stays flat",
+    )
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
     place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
     parser.add_argument(
         "--timeout",
         type=float,
-        default=_TIMEOUT_S,
         metavar="S",
-        help="end the suite after so long (%(default)g)",
+        help=f"end it after so long ({_TIMEOUT_S:g}; with --all {_TIMEOUT_ALL_S:g}; with --soak, that on top)",
     )
-    parser.add_argument("--results", type=Path, metavar="DIR", help="where logs are kept (default: out/hil)")
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", help="where logs are kept (out/hil; with --soak out/soak)"
+    )
 
 
 def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
@@ -47,51 +62,71 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
     from fsai_vcu.cli.main import UserError
 
-    if not 0.0 < args.timeout < math.inf:
-        raise UserError(f"--timeout is {args.timeout:g}, but must be a time in seconds")
+    timeout_s = args.timeout
+    if timeout_s is None:
+        timeout_s = _TIMEOUT_ALL_S if args.all else _TIMEOUT_S + 60.0 * (args.soak or 0.0)
+    if not 0.0 < timeout_s < math.inf:
+        raise UserError(f"--timeout is {timeout_s:g}, but must be a time in seconds")
+    if args.soak is not None and not args.soak > 0.0:
+        raise UserError(f"--soak is {args.soak:g}, but must be a time in minutes")
     checkout = Path(__file__).resolve().parents[2]
     if not (checkout / _SUITE).is_dir():
         raise UserError(f"the suite is part of the source checkout, and {checkout} has no {_SUITE}")
+    # A polite kill ends everything in order, as Ctrl-C does: the logs are still to be put into their place.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         place = choose_place("native" if args.native else "uml" if args.uml else "auto")
         print(f"fsai-vcu hil: {place.name} {INTERFACE}: {place.why}", flush=True)
-        results = _results_dir(args.results, checkout)
+        results = _results_dir(args.results, checkout / "out" / ("hil" if args.soak is None else "soak"))
         for package in ("fsai_vcu", "hil", "nodes"):
             # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
             compileall.compile_dir(checkout / package, quiet=2)
         status = place.run(
-            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *_selection(args.pytest_args, checkout)],
+            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *_selection(args, checkout)],
             cwd=checkout,
-            env=_environment(os.environ, INTERFACE, place.name, results),
-            timeout_s=args.timeout,
+            env={**environment(os.environ, INTERFACE, place.name, results), **_extent(args)},
+            timeout_s=timeout_s,
             results_dir=results,
         )
     except VcanError as error:
         raise UserError(str(error)) from error
+    finally:
+        signal.signal(signal.SIGTERM, before)
     if status == 124:
-        print(f"fsai-vcu hil: not done after {args.timeout:g} s, and ended", file=sys.stderr)
+        print(f"fsai-vcu hil: not done after {timeout_s:g} s, and ended", file=sys.stderr)
     if status:
         print(f"fsai-vcu hil: the logs of the processes are in {results}", file=sys.stderr)
     return status
 
 
-def _results_dir(wanted: Path | None, checkout: Path) -> Path:
+def _results_dir(wanted: Path | None, usual: Path) -> Path:
     """The folder for this run's logs; the usual one is emptied of the last run's, another must be its owner's care."""
     if wanted is not None:
         return wanted.resolve()
-    results = checkout / "out" / "hil"
-    if results.exists():
-        shutil.rmtree(results)
-    return results
+    if usual.exists():
+        shutil.rmtree(usual)
+    return usual
 
 
-def _selection(pytest_args: Sequence[str], checkout: Path) -> list[str]:
+def _selection(args: argparse.Namespace, checkout: Path) -> list[str]:
     """The arguments for pytest: the whole suite unless a part of it is named."""
-    named = [word for word in pytest_args if not word.startswith("-") and Path(checkout, word.split("::")[0]).exists()]
-    return [*pytest_args] if named else [str(_SUITE), *pytest_args]
+    words: list[str] = args.pytest_args
+    if args.soak is not None:
+        return [str(_SOAK), "-s", *words]
+    named = [word for word in words if not word.startswith("-") and Path(checkout, word.split("::")[0]).exists()]
+    return [*words] if named else [str(_SUITE), *words]
 
 
-def _environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:
+def _extent(args: argparse.Namespace) -> dict[str, str]:
+    """What the suite is told of how much of it is wanted."""
+    return {
+        **({"FSAI_HIL_ALL": "1"} if args.all else {}),
+        **({} if args.soak is None else {"FSAI_HIL_SOAK_MINUTES": f"{args.soak:g}"}),
+    }
+
+
+def environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:
+    """What a run with a vcan0 of its own sees of the caller's environment, and what it needs besides."""
     passed_on = {
         name: value for name, value in caller.items() if name in _PASSED_ON or name.startswith(_PASSED_ON_PREFIXES)
     }

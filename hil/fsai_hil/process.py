@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import os
 import select
@@ -16,7 +17,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TextIO
@@ -25,9 +26,11 @@ from fsai_hil.judge import Verdict
 from fsai_hil.operator import SWITCH_NAMES
 from fsai_hil.power import POWER_UP
 from fsai_hil.profiles import PROFILES
+from fsai_hil.response import ResponseTimes
 from fsai_hil.tracks import BUILT_IN, load_track
 from fsai_hil.truth import TruthSender
 from fsai_hil.world import World, WorldSetup, mission_named
+from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.database import DatabaseError
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
@@ -43,6 +46,7 @@ REOPEN_NS: Final = 250_000_000
 COMMANDS_PERIOD_NS: Final = 50_000_000
 PROGRESS_NS: Final = 1_000_000_000
 GO_OFF_NS: Final = 200_000_000
+STATUS_ID: Final = BY_NAME["VCU2AI_Status"].can_id
 LINGER_NS: Final = 2_000_000_000  # the car goes on speaking after the end, so that the AI side sees it
 
 HELP: Final = f"""commands:
@@ -53,6 +57,7 @@ HELP: Final = f"""commands:
   go [off]               Go (off and on again if it is on already)
   estop [off]            the remote E-stop
   status                 what the car shows
+  measure NAME           count the AI computer's response times from now on under NAME (in the result)
   help, quit"""
 
 
@@ -127,6 +132,18 @@ def _setup(args: argparse.Namespace) -> WorldSetup:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """Where a measurement of response times begins in everything that is counted."""
+
+    name: str
+    t_ns: int  # of the monotonic clock
+    answered: int
+    sent: int
+    comms_losses: int
+    held_up_ns: int
+
+
 class VcuProcess:
     """A world that lives by the monotonic clock and talks on a bus."""
 
@@ -149,6 +166,8 @@ class VcuProcess:
         self.frames_in = self.frames_out = self.dropped = self.bus_losses = 0
         self.late_max_ns = 0
         self.held_up_ns = 0  # by so much the car's time is behind the monotonic clock
+        self.status_late_ns: list[int] = []  # of each 0x520: from when it was due until it had been sent
+        self._marks: list[_Mark] = []
         self._wake_ns = world.now_ns
 
     def stop(self, why: str) -> None:
@@ -230,6 +249,8 @@ class VcuProcess:
             try:
                 if self._bus.send(frame):
                     self.frames_out += 1
+                    if frame.can_id == STATUS_ID:
+                        self.status_late_ns.append(self._now_ns() - frame.t_ns)
                 else:
                     self.dropped += 1
             except BusLost as error:
@@ -320,6 +341,28 @@ class VcuProcess:
             if answer:
                 print(answer, flush=True)
 
+    def _mark(self, name: str) -> _Mark:
+        vcu = self.world.vcu
+        answered, sent = len(vcu.response_times_ns), len(self.status_late_ns)
+        return _Mark(name, time.monotonic_ns(), answered, sent, vcu.comms_losses, self.held_up_ns)
+
+    def measurements(self) -> list[dict[str, Any]]:
+        """Response times, and how late this process itself was, from each `measure` to the next."""
+        found = []
+        for begin, end in itertools.pairwise([*self._marks, self._mark("end")]):
+            response_ns = self.world.vcu.response_times_ns[begin.answered : end.answered]
+            found.append(
+                {
+                    "name": begin.name,
+                    "seconds": round((end.t_ns - begin.t_ns) / 1e9, 3),
+                    "response": ResponseTimes(response_ns).as_dict(),
+                    "status_late": ResponseTimes(self.status_late_ns[begin.sent : end.sent]).as_dict(),
+                    "comms_losses": end.comms_losses - begin.comms_losses,
+                    "held_up_ms": round((end.held_up_ns - begin.held_up_ns) / 1e6, 3),
+                }
+            )
+        return found
+
     def command(self, line: str) -> str:
         """Do what a person types; the answer in words."""
         words = line.split()
@@ -335,6 +378,9 @@ class VcuProcess:
             return ""
         if verb == "status":
             return self.describe()
+        if verb == "measure":
+            self._marks.append(self._mark(" ".join(rest) or str(len(self._marks) + 1)))
+            return f"measuring: {self._marks[-1].name}"
         if verb in ("on", "off"):
             names = power_up.switches_on if verb == "on" else ("go", *reversed(power_up.switches_on))
             for name in names:
@@ -400,6 +446,7 @@ def result_of(process: VcuProcess) -> dict[str, Any]:
             for each in world.vcu.transitions
         ],
         "handshake": world.handshake(),
+        "measurements": process.measurements(),
         "frames_in": process.frames_in,
         "frames_out": process.frames_out,
         "frames_dropped": process.dropped,

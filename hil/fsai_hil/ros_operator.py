@@ -23,6 +23,7 @@ class RosOperator:
         # rclpy reads its environment once, when it is first initialised.
         os.environ.update({key: stack.environ[key] for key in ROS_ENVIRONMENT})
         import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
         from fsai_msgs.action import RunMission
         from fsai_msgs.msg import VehicleState
         from fsai_msgs.srv import SetMode
@@ -40,8 +41,16 @@ class RosOperator:
         self.state: Any = None  # the newest VehicleState
         self.node.create_subscription(VehicleState, "/vehicle_state", self._on_state, qos_profile_sensor_data)
 
+        self._diagnostics: dict[str, dict[str, str]] = {}  # the newest, by the bridge's parts
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
     def _on_state(self, message: Any) -> None:
         self.state = message
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            values = {value.key: value.value for value in status.values}
+            self._diagnostics[status.name.removeprefix("vcu_bridge: ")] = {"message": status.message, **values}
 
     def close(self) -> None:
         self.node.destroy_node()
@@ -77,6 +86,12 @@ class RosOperator:
         """The first VehicleState that meets `condition`."""
         self.await_that(lambda: self.state is not None and condition(self.state), timeout_s, what)
         return self.state
+
+    def diagnostics(self, part: str) -> dict[str, str]:
+        """What the bridge next publishes of its 'link', 'supervision', 'car' or 'loop': its message and its values."""
+        self._diagnostics.pop(part, None)
+        self.await_that(lambda: part in self._diagnostics, ANSWER_TIMEOUT_S, f"/diagnostics tells of the {part}")
+        return self._diagnostics[part]
 
     def describe(self) -> str:
         """The newest state in a line, for messages about waiting in vain."""

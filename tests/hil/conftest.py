@@ -1,21 +1,25 @@
 """Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
 
-The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus.
+The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus. A witness
+watches the machine: what fails while it stood still is run again, and that is said (`fsai_hil.undisturbed`).
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 from fsai_hil.stack import Stack, await_condition
+from fsai_hil.undisturbed import Undisturbed
+from fsai_hil.witness import Witness
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
@@ -23,7 +27,19 @@ SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of 
 _LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_configure(config: pytest.Config) -> None:
+    if "FSAI_CAN_INTERFACE" in os.environ and not config.option.collectonly:
+        witness = Witness(Path("/tmp") / f"fsai-witness-{os.getpid()}")
+        config.add_cleanup(witness.stop)
+        config.pluginmanager.register(Undisturbed(witness))
+    config.addinivalue_line("markers", "long: only with `fsai-vcu hil --all`: the suite itself is to stay short")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if "FSAI_HIL_ALL" not in os.environ:
+        left_out = [item for item in items if item.get_closest_marker("long")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
     if "FSAI_CAN_INTERFACE" not in os.environ:
         here = [item for item in items if Path(__file__).parent in item.path.parents]
         for item in here:
@@ -40,8 +56,16 @@ def interface() -> str:
 def results(request: pytest.FixtureRequest) -> Path:
     """This test's own folder, kept after the run: logs of the processes, the bus log."""
     name = re.sub(r"[^\w.-]+", "_", request.node.name)
-    folder = Path(os.environ["FSAI_HIL_RESULTS"]) / name
-    folder.mkdir(parents=True, exist_ok=True)
+    return new_folder(name)
+
+
+def new_folder(name: str) -> Path:
+    """A folder for results, `name`, or `name-2` and so on where a test is run again."""
+    for number in itertools.count(1):
+        folder = Path(os.environ["FSAI_HIL_RESULTS"]) / (name if number == 1 else f"{name}-{number}")
+        if not folder.exists():
+            break
+    folder.mkdir(parents=True)
     return folder
 
 
@@ -74,20 +98,23 @@ def listen(interface: str) -> Iterator[Callable[..., CanBus]]:
 
 
 def listeners(interface: str) -> int:
-    """How many sockets hear everything on the interface, as the kernel counts them."""
-    return Path("/proc/net/can/rcvlist_all").read_text().split().count(interface)
+    """How many filters of all sockets are on the interface, as the kernel counts them."""
+    return sum(path.read_text().split().count(interface) for path in Path("/proc/net/can").glob("rcvlist_*"))
 
 
 class BusLog:
-    """Everything that passes on the bus during a test, by candump."""
+    """Everything (or these ids `only`) that passes on the bus during a test, by candump."""
 
-    def __init__(self, interface: str, folder: Path) -> None:
+    def __init__(self, interface: str, folder: Path, only: Iterable[int] | None = None) -> None:
         # In memory first: candump writes each line by itself, which a folder outside makes dear.
         self.path = Path("/tmp") / f"{folder.name}.bus.log"
         self._kept = folder / "bus.log"
         self._file = self.path.open("wb")
         before = listeners(interface)
-        self._candump = subprocess.Popen(["candump", "-L", interface], stdout=self._file, stdin=subprocess.DEVNULL)
+        heard = "".join(f",{can_id:X}:7FF" for can_id in only or ())
+        self._candump = subprocess.Popen(
+            ["candump", "-L", "-D", f"{interface}{heard}"], stdout=self._file, stdin=subprocess.DEVNULL
+        )
         await_condition(lambda: listeners(interface) > before, 5.0, "candump listens")
 
     def frames(self) -> list[Frame]:
@@ -98,6 +125,9 @@ class BusLog:
         return frames
 
     def stop(self) -> None:
+        """The file is complete and among the results. Idempotent."""
+        if self._file.closed:
+            return
         self._candump.terminate()
         self._candump.wait()
         self._file.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,50 @@ def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlac
     assert main(["hil", "-x", "--uml", "-k", "killed", "--timeout", "30", "--results", str(tmp_path), "-v"]) == 0
     assert pytest_arguments(place) == ["tests/hil", "-x", "-k", "killed", "-v"]
     assert place.options["timeout_s"] == 30.0
+
+
+def test_the_long_tests_are_asked_for_by_name_and_get_more_time(place: FakePlace, tmp_path: Path) -> None:
+    assert main(["hil", "--results", str(tmp_path)]) == 0
+    assert "FSAI_HIL_ALL" not in place.options["env"] and place.options["timeout_s"] == 600.0
+    assert main(["hil", "--all", "--results", str(tmp_path)]) == 0
+    assert place.options["env"]["FSAI_HIL_ALL"] == "1" and place.options["timeout_s"] == 1800.0
+    assert pytest_arguments(place) == ["tests/hil"]
+
+
+def test_a_soak_runs_its_own_test_for_so_many_minutes_and_its_time_limit_is_on_top(
+    place: FakePlace, tmp_path: Path
+) -> None:
+    assert main(["hil", "--soak", "30", "--results", str(tmp_path)]) == 0
+    assert pytest_arguments(place)[0] == "tests/hil/chain/test_soak.py"
+    assert (CHECKOUT / pytest_arguments(place)[0]).exists()
+    assert place.options["env"]["FSAI_HIL_SOAK_MINUTES"] == "30"
+    assert place.options["timeout_s"] == 30 * 60.0 + 600.0
+
+
+@pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
+def test_a_soak_of_no_time_is_refused_with_one_line(
+    place: FakePlace, tmp_path: Path, minutes: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hil", "--soak", minutes, "--results", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert place.argv == []
+
+
+def test_a_polite_kill_ends_it_as_ctrl_c_does_and_the_callers_own_handler_is_back_afterwards(
+    place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handlers: list[object] = []
+    before = signal.getsignal(signal.SIGTERM)
+    run = place.run
+
+    def noting(argv: list[str], **options: Any) -> int:
+        handlers.append(signal.getsignal(signal.SIGTERM))
+        return run(argv, **options)
+
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", "", noting))
+    assert main(["hil", "--results", str(tmp_path)]) == 0
+    assert handlers == [signal.default_int_handler]
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_named_part_of_the_suite_is_run_instead_of_all_of_it(place: FakePlace, tmp_path: Path) -> None:

@@ -87,6 +87,34 @@ def test_a_command_that_takes_too_long_in_uml_is_ended_with_all_it_started(
 
 
 @needs_uml
+@pytest.mark.parametrize("room_in_memory", [True, False])
+def test_what_was_written_before_the_time_was_up_is_kept_and_no_trace_of_it_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_in_memory: bool
+) -> None:
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    monkeypatch.setattr(uml, "_SHARED_MEMORY", shared if room_in_memory else tmp_path / "absent")
+    results = tmp_path / "results"
+    (results / "log").mkdir(parents=True)
+    (results / "log" / "earlier").write_text("kept")
+    command = f"mkdir -p {results}/log; echo begun > {results}/log/now; chmod 600 {results}/log/now; exec sleep 1000"
+    status = run_in_uml(["sh", "-c", command], cwd=CHECKOUT, env=ENVIRONMENT, timeout_s=1, results_dir=results)
+    assert status == TIMED_OUT
+    assert (results / "log" / "now").read_text() == "begun\n"
+    assert (results / "log" / "earlier").read_text() == "kept"
+    assert (results / "uml-kernel.log").exists()
+    assert list(shared.iterdir()) == []
+
+
+def test_two_at_once_take_different_processors_while_there_are_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uml, "_by_idleness", lambda: [900_003, 900_001])
+    with uml._processor() as first, uml._processor() as second, uml._processor() as third:
+        assert (first, second, third) == (900_003, 900_001, 900_003)
+    with uml._processor() as again:
+        assert again == 900_003
+
+
+@needs_uml
 def test_ctrl_c_ends_uml_and_leaves_nothing_behind(tmp_path: Path) -> None:
     program = (
         "import sys, pathlib; from fsai_hil.vcan import run_in_uml; "

@@ -4,11 +4,15 @@ No disk image and no privileges: the root is the host's `/`, read-only; `/tmp`, 
 results folder is the one writable place, at the same path inside and outside. The kernel's own messages go to a log,
 the command's output comes through a console of its own, live.
 
+A write to that folder is a write of the host's, and the whole machine stands still until it is done: while the host
+flushes its disk, for longer than a rehearsal in real time allows. So what is behind the folder is the host's memory,
+where there is room, and its content is moved to the disk when the machine is off, however it ended.
+
 What makes it fast: every system call and page fault of a process inside is a hand-over between two host processes. On
 one host processor that is a context switch; across two it is a wake-up of an idle one, which costs several times more.
-So the whole machine is kept on the one processor that is least busy. Reading the clock would be such a system call, and
-the commonest: `clock.c` gives programs one to read without. And Python files are to be compiled beforehand, because
-nothing can be cached inside.
+So the whole machine is kept on one processor, the least busy, and goes before all others there. Reading the clock would
+be such a system call, and the commonest: `clock.c` gives programs one to read without. And Python files are to be
+compiled beforehand, because nothing can be cached inside.
 """
 
 from __future__ import annotations
@@ -21,11 +25,12 @@ import selectors
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -35,15 +40,17 @@ from fsai_hil.vcan.errors import TIMED_OUT, VcanError
 from fsai_hil.vcan.native import end_group
 from fsai_hil.vcan.network import bring_up
 
-MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan")
+MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod (Debian or Ubuntu, x86-64)"
 
 _MODULE_ROOTS = (Path("/usr/lib/uml/modules"), Path("/lib/uml/modules"))
 _BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
+_SHARED_MEMORY = Path("/dev/shm")
+_RESULTS_MIB = 1024  # far above what a suite leaves behind
 _BOOT_S = 60.0
-_NICENESS = -10
+_NICENESS = -20
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -122,7 +129,8 @@ def run_in_uml(
     cwd: its working directory, at the same path inside (read-only).
     env: its whole environment.
     timeout_s: for the command; the boot (1 to 3 s) is not counted in.
-    results_dir: the one writable folder, at the same path inside; the kernel's log goes there as `uml-kernel.log`.
+    results_dir: the one writable folder, at the same path inside, where what was there before is not seen; the kernel's
+    log goes there as `uml-kernel.log`. Its content appears outside at the end.
     visible: further folders it needs, if they are under /tmp, /run or /dev/shm; `cwd` and this Python are seen to.
     Its output goes to this process's standard output, live. Everything is ended on Ctrl-C and when this process dies.
     Raises VcanError if User-Mode Linux is not there or does not come up.
@@ -132,9 +140,9 @@ def run_in_uml(
     results_dir.mkdir(parents=True, exist_ok=True)
     cwd = cwd.resolve()
     needed = _hidden((cwd, Path(sys.prefix), Path(sys.base_prefix), *visible))
-    with tempfile.TemporaryDirectory(prefix="fsai-uml-") as folder:
+    with tempfile.TemporaryDirectory(prefix="fsai-uml-") as folder, _in_memory(results_dir, memory_mib) as staged:
         exchange = Path(folder).resolve()
-        for path in (cwd, results_dir, exchange, *needed):
+        for path in (cwd, results_dir, staged, exchange, *needed):
             if "," in str(path):
                 raise VcanError(f"a comma in a path cannot be passed to User-Mode Linux: {path}")
         if any(character.isspace() for character in str(exchange)):
@@ -144,20 +152,44 @@ def run_in_uml(
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
-        init.write_text(_init_script(argv, cwd, env, results_dir, exchange, needed, module_files(uml.modules, modules)))
+        init.write_text(
+            _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, module_files(uml.modules, modules))
+        )
         init.chmod(0o755)
-        with (results_dir / "uml-kernel.log").open("wb") as log:
-            in_time = _boot(uml, init, exchange, log, memory_mib, timeout_s)
+        with (staged / "uml-kernel.log").open("wb") as log, _processor() as processor:
+            in_time = _boot(uml, init, exchange, log, processor, memory_mib, timeout_s)
         try:
             return int((exchange / "exit-status").read_text())
         except (OSError, ValueError):
             if not in_time and (exchange / "up").exists():
                 return TIMED_OUT
-            kernel_log = (results_dir / "uml-kernel.log").read_text(errors="replace").strip()
+            kernel_log = (staged / "uml-kernel.log").read_text(errors="replace").strip()
             last = kernel_log.splitlines()[-1] if kernel_log else "no message"
             raise VcanError(
                 f"User-Mode Linux {uml.version} did not come up: {last} (all of it: {results_dir / 'uml-kernel.log'})"
             ) from None
+
+
+@contextlib.contextmanager
+def _in_memory(results_dir: Path, memory_mib: int) -> Iterator[Path]:
+    """A folder in memory whose content ends up in `results_dir`; where memory has no room, `results_dir` itself."""
+    if not _has_room(_SHARED_MEMORY, memory_mib + _RESULTS_MIB):
+        yield results_dir
+        return
+    staged = Path(tempfile.mkdtemp(prefix="fsai-results-", dir=_SHARED_MEMORY)).resolve()
+    try:
+        yield staged
+    finally:
+        shutil.copytree(staged, results_dir, symlinks=True, dirs_exist_ok=True)
+        shutil.rmtree(staged)
+
+
+def _has_room(folder: Path, mib: int) -> bool:
+    try:
+        status = os.statvfs(folder)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK) and status.f_bavail * status.f_frsize >= mib << 20
 
 
 def _hidden(paths: Iterable[Path]) -> list[Path]:
@@ -174,14 +206,16 @@ def _init_script(
     argv: Sequence[str],
     cwd: Path,
     env: Mapping[str, str],
-    results_dir: Path,
+    results: tuple[Path, Path],
     exchange: Path,
     needed: Sequence[Path],
     modules: Sequence[Path],
 ) -> str:
-    def folder(path: Path, options: str) -> list[str]:
+    def folder(path: Path, options: str, behind: Path | None = None) -> list[str]:
         # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
-        return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(path)} none {_q(path)}"]
+        return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(behind or path)} none {_q(path)}"]
+
+    staged, results_dir = results
 
     environment = [_q(f"{name}={value}") for name, value in env.items()]
     lines = [
@@ -196,9 +230,12 @@ def _init_script(
         *(f"mkdir -p {path}; mount -t tmpfs tmpfs {path}" for path in _IN_MEMORY),
         "mkdir -p /dev/pts; mount -t devpts devpts /dev/pts",
         *(line for path in needed for line in folder(path, "-o ro")),
-        *folder(results_dir, "-o rw"),
+        *folder(results_dir, "-o rw", staged),
         *folder(exchange, "-o rw"),
         "echo uml > /proc/sys/kernel/hostname",
+        # The kernel would halt all real-time processes for 50 ms once they have used 95 % of a second, and here it
+        # counts what the host took from the machine as used by them.
+        "echo -1 > /proc/sys/kernel/sched_rt_runtime_us",
         *(f"insmod {_q(path)}" for path in modules),
         bring_up(),
         "stty -F /dev/tty1 -opost -echo",
@@ -215,10 +252,17 @@ def _q(value: Path | str) -> str:
     return shlex.quote(str(value))
 
 
-def _boot(uml: UserModeLinux, init: Path, exchange: Path, log: IO[bytes], memory_mib: int, timeout_s: float) -> bool:
+def _boot(
+    uml: UserModeLinux,
+    init: Path,
+    exchange: Path,
+    log: IO[bytes],
+    processor: int,
+    memory_mib: int,
+    timeout_s: float,
+) -> bool:
     """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit."""
     output, console = os.pipe()
-    cpu = _least_busy_cpu()
     process = subprocess.Popen(
         [
             str(uml.kernel),
@@ -238,7 +282,7 @@ def _boot(uml: UserModeLinux, init: Path, exchange: Path, log: IO[bytes], memory
         pass_fds=(console,),
         env={"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib))},
         start_new_session=True,
-        preexec_fn=lambda: _settle(cpu),
+        preexec_fn=lambda: _settle(processor),
     )
     os.close(console)
     limit = time.monotonic() + _BOOT_S
@@ -274,21 +318,40 @@ def _show(data: bytes) -> None:
 def _settle(cpu: int) -> None:
     """In the child: onto one processor, ahead of others there where allowed, and to end with the parent."""
     os.sched_setaffinity(0, {cpu})
-    # A rehearsal in real time shares that processor badly. The session's own niceness counts where the kernel groups
-    # processes by session (sched(7), autogroup), the process's elsewhere.
+    # A rehearsal in real time shares that processor badly: each hand-over between two processes is a wake-up, at which
+    # another's turn may come first. So others get a hundredth of it. (Real-time scheduling would be worse: whoever is
+    # always busy there loses the processor for 50 ms in each second.) The session's own niceness counts where the
+    # kernel groups processes by session (sched(7), autogroup), the process's elsewhere.
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
         Path("/proc/self/autogroup").write_text(f"{_NICENESS}\n")
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
-def _least_busy_cpu() -> int:
-    """The processor of ours that idled most over a fifth of a second."""
+@contextlib.contextmanager
+def _processor() -> Iterator[int]:
+    """The least busy processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the least busy.
+
+    One that has just started is not busy yet.
+    """
+    processors = _by_idleness()
+    with socket.socket(socket.AF_UNIX) as claim:
+        for cpu in processors:
+            # An abstract name: no file is left behind, and the kernel drops it with the process, however it dies.
+            with contextlib.suppress(OSError):
+                claim.bind(f"\0fsai-user-mode-linux/processor-{cpu}")
+                yield cpu
+                return
+        yield processors[0]
+
+
+def _by_idleness() -> list[int]:
+    """Our processors, first the one that idled most over a fifth of a second."""
     before = _idle_ticks()
     time.sleep(0.2)
     after = _idle_ticks()
     ours = sorted(os.sched_getaffinity(0))
-    return max(ours, key=lambda cpu: after.get(cpu, 0) - before.get(cpu, 0))
+    return sorted(ours, key=lambda cpu: before.get(cpu, 0) - after.get(cpu, 0))
 
 
 def _idle_ticks() -> dict[int, int]:
@@ -299,11 +362,7 @@ def _idle_ticks() -> dict[int, int]:
 
 def _memory_folder(memory_mib: int) -> Path:
     """Where the file behind the machine's memory fits and may be mapped executable; memory rather than disk."""
-    for folder in (Path("/dev/shm"), Path(tempfile.gettempdir()), Path("/var/tmp")):
-        try:
-            status = os.statvfs(folder)
-        except OSError:
-            continue
-        if status.f_bavail * status.f_frsize >= memory_mib << 20 and not status.f_flag & os.ST_NOEXEC:
+    for folder in (_SHARED_MEMORY, Path(tempfile.gettempdir()), Path("/var/tmp")):
+        if _has_room(folder, memory_mib) and not os.statvfs(folder).f_flag & os.ST_NOEXEC:
             return folder
     raise VcanError(f"no folder for temporary files has {memory_mib} MiB free for User-Mode Linux's memory")

@@ -1,139 +1,22 @@
-"""The whole chain on a real bus: five ROS 2 nodes, each its own process, drive the simulated car over vcan0.
+"""Missions on a real bus: power-up to finish, and the ways in which a person or a fault ends one.
 
-The nodes live through all of these runs, as they do on the car: each run is a new power-up of the car, and what a test
-kills it starts again. After each run the bus log is checked against the rules that can be seen on the wire.
+After each run the bus log is checked against the rules that can be seen on the wire.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-import math
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import pytest
-
-from conftest import BusLog
-from fsai_hil.ros_operator import RosOperator
-from fsai_hil.stack import NODES, RunningProcess, Stack
-from fsai_hil.wire import WireReport, check_candump
-from fsai_vcu.interface.codec import Codec
+from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, REVISION, START_S, STOP_S, Chain
+from fsai_hil.stack import NODES
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
-from fsai_vcu.interface.revisions import revision
-
-REVISION = "2026"
-START_S = 120.0  # five interpreters that import ROS at once, on one slow processor
-POWER_UP_S = 60.0
-DRIVE_S = 120.0
-STOP_S = 20.0
-TRACK = "small_oval"
-CRUISE_MPS = 3.0
-
-
-@pytest.fixture(autouse=True)
-def silent_bus() -> None:
-    """The bridge lives on between these tests, and speaks: the bus is not silent here."""
-
-
-class CarRun:
-    """One power-up of the simulated car, from its first frame to the end of its process."""
-
-    def __init__(self, vcu: RunningProcess, verdict_path: Path) -> None:
-        self.vcu = vcu
-        self._verdict_path = verdict_path
-
-    def type(self, line: str) -> None:
-        """A command typed at the interactive simulated car."""
-        assert self.vcu.popen.stdin is not None
-        self.vcu.popen.stdin.write(line.encode() + b"\n")
-        self.vcu.popen.stdin.flush()
-
-    def verdict(self) -> dict[str, Any]:
-        """The judge's, once the car's process has ended."""
-        verdict: dict[str, Any] = json.loads(self._verdict_path.read_text())
-        return verdict
-
-
-class Chain:
-    """The nodes, the operator, and cars that come and go."""
-
-    def __init__(self, stack: Stack, operator: RosOperator, interface: str, folder: Path) -> None:
-        self.stack = stack
-        self.operator = operator
-        self._interface = interface
-        self._folder = folder
-        self.wire: WireReport | None = None
-
-    @contextmanager
-    def car(self, name: str, *arguments: str, auto: bool = True) -> Iterator[CarRun]:
-        """Powers up a car for one run; at the end its process is over and the bus log has been checked."""
-        folder = self._folder / name
-        folder.mkdir(parents=True, exist_ok=True)
-        log = BusLog(self._interface, folder)
-        verdict = folder / "verdict.json"
-        words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", "autocross", "--track", TRACK]
-        words += ["--truth", str(self.stack.truth_port), "--result", str(verdict), *(["--auto"] if auto else [])]
-        if os.environ.get("FSAI_HIL_PLACE") == "uml":
-            # One slow processor: the frames that nobody decides on are thinned out.
-            words += ["--gps-decimation", "20", "--log-decimation", "10"]
-        vcu = self.stack.start_verb(
-            f"{name}.vcu", *words, *arguments, stdin=subprocess.DEVNULL if auto else subprocess.PIPE
-        )
-        try:
-            yield CarRun(vcu, verdict)
-        finally:
-            vcu.stop()
-            del self.stack.processes[f"{name}.vcu"]
-            log.stop()
-            self.wire = check_candump(log.path, Codec(revision(REVISION)), busy_machine=True)
-
-    def driving(self, run: CarRun) -> None:
-        """Wait until the car drives at speed."""
-
-        def decided() -> bool:
-            ended = self.state.as_state == AsState.EMERGENCY_BRAKE and not math.isnan(self.state.status_age_s)
-            return ended or (self.state.as_state == AsState.AS_DRIVING and self.state.speed_mps > CRUISE_MPS)
-
-        self.operator.await_that(decided, POWER_UP_S + DRIVE_S, "the car drives", *NODES)
-        assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
-        assert run.vcu.alive, run.vcu.last_words()
-
-    def driven_by_hand(self, run: CarRun) -> None:
-        """An interactive car, whose switches a person types, drives; it stays until it is told to end."""
-        run.type("on")
-        self.autonomous()
-        self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
-        run.type("ami autocross")
-        self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
-        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
-        run.type("go")
-        self.driving(run)
-
-    @property
-    def state(self) -> Any:
-        return self.operator.state
-
-    def autonomous(self) -> None:
-        """The operator's one action before a run."""
-        self.operator.become_autonomous(POWER_UP_S)
-
-
-@pytest.fixture(scope="module")
-def chain(interface: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chain]:
-    folder = Path(os.environ["FSAI_HIL_RESULTS"]) / "chain"
-    with Stack(interface, folder) as stack:
-        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}})
-        operator = RosOperator(stack)
-        operator.await_bridge(START_S)
-        yield Chain(stack, operator, interface, folder)
-        operator.close()
 
 
 def test_every_node_topic_and_service_has_the_name_that_people_expect(chain: Chain) -> None:
@@ -191,10 +74,10 @@ def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
 
 
 def test_the_log_of_the_lap_holds_no_reserved_id_and_every_handshake_was_answered(chain: Chain) -> None:
-    frames = _frames(Path(os.environ["FSAI_HIL_RESULTS"]) / "chain" / "lap" / "bus.log")
+    logs = Path(os.environ["FSAI_HIL_RESULTS"]).glob("chain*/lap/bus.log")
+    frames = _frames(max(logs, key=lambda path: path.stat().st_mtime_ns))
     ids = {frame_id for frame_id, _ in frames}
-    codec = Codec(revision(REVISION))
-    from_the_car = {message.frame_id for message in codec.database.messages if "AI" not in message.senders}
+    from_the_car = {message.frame_id for message in CODEC.database.messages if "AI" not in message.senders}
     assert not (ids - from_the_car) & RESERVED_IDS
     assert ids - from_the_car == set(AI_IDS)
     toggles = [data[0] & 1 for frame_id, data in frames if frame_id == 0x520]

@@ -1,0 +1,83 @@
+"""Tests in real time count only if the machine let them run: a pytest plugin that asks the witness about each failure.
+
+A test that fails while the machine stood still has shown nothing, neither for nor against what it tests: that is said,
+and the test is run again from the start, with every fixture made anew. A failure without such a stall is a failure, at
+once. A test that is disturbed in each of its runs has failed, and says why. No deadline is loosened by any of this.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import Protocol
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+from fsai_hil.witness import Stall, describe
+
+RUNS = 3
+
+
+class Watcher(Protocol):
+    """What is asked of the witness."""
+
+    def stalls(self, since_ns: int) -> list[Stall]: ...
+
+
+class Outcome(Enum):
+    COUNTS = "the run counts, whichever way it ended"
+    AGAIN = "it failed while the machine stood still: it is run again"
+    NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
+
+
+def judge_run(failed: bool, stalls: Sequence[Stall], run: int) -> Outcome:
+    """What the `run`th run of a test (1 is the first) is worth."""
+    if not failed or not stalls:
+        return Outcome.COUNTS
+    return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
+
+
+class Undisturbed:
+    """Runs each test of the session, again if need be. `clock` is the witness's."""
+
+    def __init__(self, witness: Watcher, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self._witness = witness
+        self._clock = clock
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:
+        item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+        for report in self._reports(item, nextitem):
+            item.ihook.pytest_runtest_logreport(report=report)
+        item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+        return True
+
+    def _reports(self, item: pytest.Item, nextitem: pytest.Item | None) -> list[pytest.TestReport]:
+        """Those of the run that counts, or of the last."""
+        run = 0
+        while True:
+            run += 1
+            since_ns = self._clock()
+            reports = runtestprotocol(item, log=False, nextitem=nextitem)
+            failed = [report for report in reports if report.failed]
+            stalls = self._witness.stalls(since_ns) if failed else []
+            if failed:
+                # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
+                item.session._setupstate.teardown_exact(None)
+            outcome = judge_run(bool(failed), stalls, run)
+            if outcome is Outcome.AGAIN:
+                self._say(item, f"{item.name}: the machine stood still {describe(stalls)}: run {run} shows nothing")
+                continue
+            if outcome is Outcome.NEVER_UNDISTURBED:
+                why = f"never ran undisturbed: in run {run} of {RUNS} too the machine stood still {describe(stalls)}"
+                self._say(item, f"{item.name}: {why}")
+                failed[0].sections.append(("the machine", why))
+            return reports
+
+    def _say(self, item: pytest.Item, line: str) -> None:
+        terminal = item.config.pluginmanager.get_plugin("terminalreporter")
+        if terminal is not None:
+            terminal.ensure_newline()
+            terminal.write_line(line, yellow=True)

@@ -1,0 +1,158 @@
+"""The chain that all tests of this folder share: the nodes live through them, as they do on the car.
+
+Each run is a new power-up of the car, and what a test kills it starts again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conftest import BusLog, new_folder
+from fsai_hil.ros_operator import RosOperator
+from fsai_hil.stack import NODES, RunningProcess, Stack
+from fsai_hil.wire import WireReport, check_candump
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.revisions import revision
+
+REVISION = "2026"
+CODEC = Codec(revision(REVISION))
+START_S = 120.0  # five interpreters that import ROS at once, on one slow processor
+POWER_UP_S = 60.0
+DRIVE_S = 120.0
+STOP_S = 20.0
+TRACK = "small_oval"
+CRUISE_MPS = 3.0
+POWER_CYCLE_S = 1.0
+
+
+@pytest.fixture(autouse=True)
+def silent_bus() -> None:
+    """The bridge lives on between these tests, and speaks: the bus is not silent here."""
+
+
+class CarRun:
+    """One power-up of the simulated car, from its first frame to the end of its process."""
+
+    def __init__(self, vcu: RunningProcess, folder: Path) -> None:
+        self.vcu = vcu
+        self.log_path = folder / "bus.log"
+        self._verdict_path = folder / "verdict.json"
+
+    def type(self, line: str) -> None:
+        """A command typed at the interactive simulated car."""
+        assert self.vcu.popen.stdin is not None
+        self.vcu.popen.stdin.write(line.encode() + b"\n")
+        self.vcu.popen.stdin.flush()
+
+    def verdict(self) -> dict[str, Any]:
+        """The judge's, once the car's process has ended."""
+        verdict: dict[str, Any] = json.loads(self._verdict_path.read_text())
+        return verdict
+
+
+class Chain:
+    """The nodes, the operator, and cars that come and go."""
+
+    def __init__(self, stack: Stack, operator: RosOperator, interface: str, folder: Path) -> None:
+        self.stack = stack
+        self.operator = operator
+        self._interface = interface
+        self._folder = folder
+        self.wire: WireReport | None = None
+
+    @contextmanager
+    def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] | None = None) -> Iterator[CarRun]:
+        """Powers up a car for one run; at the end its process is over and the bus log has been checked.
+
+        only: the ids that are logged; such a log cannot be checked.
+        """
+        folder = self._folder / name
+        folder.mkdir(parents=True, exist_ok=True)
+        log = BusLog(self._interface, folder, only)
+        vcu = self.start_vcu(f"{name}.vcu", "--result", str(folder / "verdict.json"), *arguments, auto=auto)
+        try:
+            yield CarRun(vcu, folder)
+        finally:
+            vcu.stop()
+            del self.stack.processes[f"{name}.vcu"]
+            log.stop()
+            self.wire = check_candump(log.path, CODEC, busy_machine=True) if only is None else None
+
+    def start_vcu(self, name: str, *arguments: str, auto: bool) -> RunningProcess:
+        words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", "autocross", "--track", TRACK]
+        words += ["--truth", str(self.stack.truth_port), *(["--auto"] if auto else [])]
+        if os.environ.get("FSAI_HIL_PLACE") == "uml":
+            # One slow processor: the frames that nobody decides on are thinned out.
+            words += ["--gps-decimation", "20", "--log-decimation", "10"]
+        return self.stack.start_verb(name, *words, *arguments, stdin=subprocess.DEVNULL if auto else subprocess.PIPE)
+
+    @contextmanager
+    def shared_car(self) -> Iterator[CarRun]:
+        """An interactive car for many runs: `power_up` switches it off and on again."""
+        vcu = self.start_vcu("car", auto=False)
+        try:
+            yield CarRun(vcu, self._folder)
+        finally:
+            vcu.stop()
+            del self.stack.processes["car"]
+
+    def power_up(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
+        """A new power cycle of an interactive car, which clears whatever was latched; then it drives."""
+        run.type("off")
+        run.type("ami not_selected")
+        # No 0x520 for 1 s is what the bridge takes for a power cycle (safety rule 6); NaN before the very first one.
+        self.operator.await_state(lambda s: not s.status_age_s <= POWER_CYCLE_S, POWER_UP_S, "the car is off")
+        self.driven_by_hand(run, cruise_mps)
+
+    def driving(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
+        """Wait until the car drives at speed."""
+
+        def decided() -> bool:
+            state = self.state  # an age that is not a number is no young one either: nothing was heard yet
+            over = state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED) and state.status_age_s < 0.5
+            return bool(over or (state.as_state == AsState.AS_DRIVING and state.speed_mps > cruise_mps))
+
+        self.operator.await_that(decided, POWER_UP_S + DRIVE_S, "the car drives", *NODES)
+        assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
+        assert run.vcu.alive, run.vcu.last_words()
+
+    def driven_by_hand(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
+        """An interactive car, whose switches a person types, drives; it stays until it is told to end."""
+        run.type("on")
+        self.autonomous()
+        self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+        run.type("ami autocross")
+        self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
+        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
+        run.type("go")
+        self.driving(run, cruise_mps)
+
+    @property
+    def state(self) -> Any:
+        return self.operator.state
+
+    def autonomous(self) -> None:
+        """The operator's one action before a run."""
+        self.operator.become_autonomous(POWER_UP_S)
+
+
+@pytest.fixture(scope="package")
+def chain(interface: str) -> Iterator[Chain]:
+    folder = new_folder("chain")
+    with Stack(interface, folder) as stack:
+        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}})
+        operator = RosOperator(stack)
+        try:
+            operator.await_bridge(START_S)
+            yield Chain(stack, operator, interface, folder)
+        finally:
+            operator.close()

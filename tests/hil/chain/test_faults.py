@@ -1,0 +1,401 @@
+"""Faults of processes and of the bus while the car drives: what safety.md's table says of each, seen on the bus.
+
+One interactive car lives through all of these tests. Each begins with its power cycle, which is also the proof that
+the one before has been recovered from; each ends with a car at rest that does not set off again.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+from chain.conftest import CODEC, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
+from conftest import BusLog, new_folder
+from fsai_hil.stack import NODES
+from fsai_hil.vcan.network import TX_QUEUE_FRAMES
+from fsai_hil.wire import MS, checker_for
+from fsai_hil.witness import STOOD_STILL_NS
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.runtime.bus import open_bus
+from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
+
+DEADLINES = BridgeConfig()
+# What comes on top of each deadline: at most one cycle, and what the machine may be held up without being excused.
+CYCLE_NS = FALLBACK_AFTER_NS + STOOD_STILL_NS
+VCU_PATIENCE_NS = 100 * MS  # interface specification v4.0: AI_COMMS_LOST
+SLOWLY_MPS = 1.5  # driving is driving: no test here waits for more
+AT_EASE_S = 0.5  # so long after the end of a run the bus is still watched
+BITRATE = 500_000
+FRAME_BITS = 128  # as the queue counts a classic frame of 8 bytes; on a wire it is 111 and stuff bits
+FLOOD_ID = 0x7FF
+DECODED = frozenset((*AI_IDS, 0x520))
+INTRUDER = bytes.fromhex("00000F0000C0FFEE")  # no torque, and not to be mistaken for a frame of ours
+CAN_ERR_BUSOFF = 0x040  # linux/can/error.h
+HOUR_NS = 3600 * 1_000_000_000
+
+Image = TypeVar("Image")
+long = pytest.mark.long
+
+
+class Wire:
+    """What the bus showed, decoded. Times are the wall clock's, in nanoseconds. Once asked, the log is at its end."""
+
+    def __init__(self, log: BusLog) -> None:
+        self._log = log
+
+    @cached_property
+    def frames(self) -> list[Frame]:
+        """By a clock that was never stepped: steps are whole hours here."""
+        self._log.stop()
+        frames = self._log.frames()
+        hours = [round((frame.t_ns - frames[0].t_ns) / HOUR_NS) for frame in frames]
+        return [replace(frame, t_ns=frame.t_ns - hour * HOUR_NS) for frame, hour in zip(frames, hours, strict=True)]
+
+    @cached_property
+    def _decoded(self) -> list[tuple[int, object]]:
+        return [(frame.t_ns, CODEC.decode(frame).image) for frame in self.frames if frame.can_id in DECODED]
+
+    def images(self, kind: type[Image], since_ns: int = 0) -> list[tuple[int, Image]]:
+        return [(t_ns, image) for t_ns, image in self._decoded if t_ns >= since_ns and isinstance(image, kind)]
+
+    def first(self, kind: type[Image], since_ns: int, condition: Callable[[Image], bool], what: str) -> int:
+        """How long after `since_ns` the first of this kind with `condition` was on the bus."""
+        for t_ns, image in self.images(kind, since_ns):
+            if condition(image):
+                return t_ns - since_ns
+        raise AssertionError(f"never seen on the bus: {what}")
+
+    def first_gap(self, since_ns: int, gap_ns: int) -> int:
+        """When first for `gap_ns` no whole cycle had been on the bus; 0 if there always was one."""
+        last_ns, expected = since_ns, sorted(AI_IDS)
+        ids = [(frame.t_ns, frame.can_id) for frame in self.frames if frame.can_id in AI_IDS and frame.t_ns >= since_ns]
+        for index, (t_ns, _) in enumerate(ids):
+            if t_ns - last_ns >= gap_ns:
+                return last_ns + gap_ns
+            if [can_id for _, can_id in ids[index - 4 : index + 1]] == expected:
+                last_ns = t_ns
+        return 0
+
+    def torque_ends(self, since_ns: int) -> int:
+        """How long after `since_ns` the last torque was asked for; 0 if none was."""
+        front = [(t_ns, image.torque_nm) for t_ns, image in self.images(AiDriveFront, since_ns)]
+        rear = [(t_ns, image.torque_nm) for t_ns, image in self.images(AiDriveRear, since_ns)]
+        return max((t_ns - since_ns for t_ns, torque_nm in (*front, *rear) if torque_nm > 0), default=0)
+
+    def brakes_after(self, since_ns: int) -> int:
+        return self.first(AiBrake, since_ns, lambda brake: brake.front_pct > 0, "a brake request")
+
+    def estop_after(self, since_ns: int) -> int:
+        return self.first(AiStatus, since_ns, lambda status: status.estop_request, "ESTOP_REQUEST")
+
+
+@pytest.fixture(scope="module")
+def car(chain: Chain) -> Iterator[CarRun]:
+    with chain.shared_car() as run:
+        yield run
+
+
+@pytest.fixture
+def drive(chain: Chain, car: CarRun, results: Path, interface: str) -> Iterator[Wire]:
+    """The car drives; afterwards the bus log has kept the rules, and nothing has set off again."""
+    log = BusLog(interface, results)
+    wire = Wire(log)
+    try:
+        chain.power_up(car, SLOWLY_MPS)
+        yield wire
+    finally:
+        log.stop()
+
+
+def comes_to_rest(chain: Chain, *states: AsState) -> None:
+    """The run ends in one of `states`, the car stands, and all is quiet for a while."""
+    state = chain.operator.await_state(
+        lambda s: s.as_state in (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE), STOP_S, "the run ends"
+    )
+    assert state.as_state in states, chain.operator.describe()
+    chain.operator.await_state(lambda s: s.standing, STOP_S, "the car stands")
+    until = time.monotonic() + AT_EASE_S
+    while time.monotonic() < until:
+        chain.operator.spin()
+    assert chain.state.as_state in states, chain.operator.describe()
+
+
+def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
+    """The rules that a log shows; `lost_ns`: when the bus was lost. Not the frames of those who do not belong there."""
+    checker = checker_for(CODEC, busy_machine=True)
+    for frame in wire.frames:
+        if lost_ns is not None and frame.t_ns >= lost_ns:
+            checker.on_bus_lost()
+            lost_ns = None
+        if frame.can_id != FLOOD_ID and not frame.error and frame.data != INTRUDER:
+            checker.on_frame(frame)
+    report = checker.report()
+    assert report.ok, report
+
+
+# ---------------------------------------------------------------- processes
+
+
+def test_a_killed_controller_ends_torque_brakes_and_its_successor_does_not_drive_on(chain: Chain, drive: Wire) -> None:
+    killed_ns = time.time_ns()
+    chain.stack.processes["vehicle_controller"].signal(signal.SIGKILL)
+    comes_to_rest(chain, AsState.AS_FINISHED)
+    assert chain.state.mode == "manual", "a stop for lost commands is latched"
+    chain.stack.start_node("vehicle_controller", car=CODEC.revision.name)
+    chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "the new controller commands")
+    comes_to_rest(chain, AsState.AS_FINISHED)
+    assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(killed_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    rules_kept(drive)
+
+
+@long
+@pytest.mark.parametrize("name", ["path_planner", "cone_detector", "sensor_simulator"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_without_fresh_data_the_car_is_braked_to_rest_and_what_comes_back_does_not_drive_on(
+    chain: Chain, drive: Wire, name: str, number: signal.Signals
+) -> None:
+    """The controller goes on commanding; its commands carry the stamp of the oldest data behind them."""
+    struck_ns = time.time_ns()
+    chain.stack.processes[name].signal(number)
+    try:
+        comes_to_rest(chain, AsState.AS_FINISHED)
+    finally:
+        if number == signal.SIGSTOP:
+            chain.stack.processes[name].signal(signal.SIGCONT)
+        else:
+            parameters = {"truth_port": chain.stack.truth_port} if name == "sensor_simulator" else {}
+            chain.stack.start_node(name, **parameters)
+    assert chain.state.mode == "manual", "a stop for lost commands is latched"
+    chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "commands with fresh data come again")
+    comes_to_rest(chain, AsState.AS_FINISHED)
+    assert drive.torque_ends(struck_ns) <= DEADLINES.sensor_stale_ns + DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(struck_ns) <= DEADLINES.sensor_stale_ns + DEADLINES.command_lost_ns + CYCLE_NS
+    rules_kept(drive)
+
+
+@long
+def test_a_controller_that_hangs_for_5_s_does_not_drive_on(chain: Chain, drive: Wire) -> None:
+    controller = chain.stack.processes["vehicle_controller"]
+    stopped_ns = time.time_ns()
+    controller.signal(signal.SIGSTOP)
+    try:
+        time.sleep(5.0)  # the length of the hang is what is tested
+    finally:
+        controller.signal(signal.SIGCONT)
+    comes_to_rest(chain, AsState.AS_FINISHED)
+    assert drive.torque_ends(stopped_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(stopped_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    rules_kept(drive)
+
+
+@pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
+def test_a_bridge_that_hangs_is_silent_and_when_it_wakes_asks_for_the_emergency_brake(
+    chain: Chain, drive: Wire, hang_s: float
+) -> None:
+    bridge = chain.stack.processes["vcu_bridge"]
+    stopped_ns = time.time_ns()
+    bridge.signal(signal.SIGSTOP)
+    try:
+        time.sleep(hang_s)  # the length of the hang is what is tested
+    finally:
+        woken_ns = time.time_ns()
+        bridge.signal(signal.SIGCONT)
+    comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
+    spoken = [t_ns for t_ns, _ in drive.images(AiStatus, stopped_ns)]
+    assert not [t_ns for t_ns in spoken if stopped_ns + CYCLE_NS < t_ns < woken_ns], "it is silent while it hangs"
+    emergency = drive.first(VcuStatus, stopped_ns, lambda s: s.as_state is AsState.EMERGENCY_BRAKE, "EMERGENCY_BRAKE")
+    assert emergency <= VCU_PATIENCE_NS + CYCLE_NS, "the car stops itself"
+    assert drive.images(AiStatus, woken_ns)[0][1].estop_request, "the first that it says is ESTOP_REQUEST"
+    assert drive.torque_ends(woken_ns) == 0
+    assert "late" in chain.state.emergency
+    rules_kept(drive)
+
+
+def test_a_second_bridge_refuses_to_start_with_one_line_and_the_first_goes_on(chain: Chain) -> None:
+    second = chain.stack.start(
+        "second_bridge",
+        [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"],
+    )
+    try:
+        assert second.wait(START_S) != 0
+    finally:
+        second.stop()
+        del chain.stack.processes["second_bridge"]
+    lines = [line for line in second.log().splitlines() if not line.startswith("[INFO]")]
+    assert len(lines) == 1 and "already drives 'vcan0'" in lines[0], second.log()
+    chain.stack.check_alive(*NODES)
+    chain.operator.state = None
+    state = chain.operator.await_state(lambda s: True, STOP_S, "the first bridge goes on")
+    assert not state.emergency, "something of the second was on the bus"
+
+
+@long
+def test_a_vcu_that_restarts_gets_zeros_and_drives_only_after_the_whole_sequence_anew(
+    chain: Chain, car: CarRun, drive: Wire
+) -> None:
+    car.vcu.signal(signal.SIGKILL)
+    car.vcu.wait(STOP_S)
+    chain.operator.await_state(lambda s: s.emergency and s.status_age_s > POWER_CYCLE_S, STOP_S, "the car is missed")
+    car.vcu = chain.start_vcu("car", auto=False)
+    car.type("on")
+    chain.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+    car.type("ami autocross")
+    chain.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
+    assert not chain.state.emergency, "a power cycle of the car clears the latch"
+    heard_ns = [t_ns for t_ns, _ in drive.images(VcuStatus)]
+    last_ns = max(pairwise(heard_ns), key=lambda pair: pair[1] - pair[0])[0]
+    assert drive.torque_ends(last_ns) <= DEADLINES.vcu_stale_ns + CYCLE_NS
+    assert drive.estop_after(last_ns) <= DEADLINES.vcu_lost_ns + CYCLE_NS
+    rules_kept(drive)
+
+
+# ---------------------------------------------------------------- the bus
+
+
+def test_a_stepped_wall_clock_means_nothing_but_somebody_elses_0x511_is_an_emergency_at_once(
+    chain: Chain, drive: Wire, interface: str
+) -> None:
+    if os.environ.get("FSAI_HIL_PLACE") == "uml":  # elsewhere it would be the clock of the whole machine
+        for step_s in (3600, -7200, 3600):
+            time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+            until = time.monotonic() + 1.0  # longer than any deadline of the table
+            while time.monotonic() < until:
+                chain.operator.spin()
+                assert chain.state.as_state == AsState.AS_DRIVING, chain.operator.describe()
+                assert not chain.state.emergency and not chain.state.stopping, chain.operator.describe()
+    subprocess.run(["cansend", interface, f"511#{INTRUDER.hex()}"], check=True)
+    comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
+    assert chain.state.shutdown_cause_label == "AI_COMPUTER_REQUEST"
+    assert "0x511" in chain.state.emergency and INTRUDER.hex(" ").upper() in chain.state.emergency
+    seen_ns = next(frame.t_ns for frame in drive.frames if frame.data == INTRUDER)
+    assert drive.estop_after(seen_ns) <= CYCLE_NS
+    assert drive.torque_ends(seen_ns + 1) <= CYCLE_NS
+    rules_kept(drive)
+
+
+def test_on_a_flooded_bus_cycles_are_dropped_and_counted_and_too_many_of_them_end_the_drive(
+    chain: Chain, drive: Wire, interface: str
+) -> None:
+    """A bus of 500 kbit/s, and somebody who sends as fast as he can. A queue has no arbitration: even ours wait."""
+    before = chain.operator.diagnostics("loop")
+    with flooded(interface):
+        chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "too many are missing")
+    comes_to_rest(chain, AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED)
+    after = chain.operator.diagnostics("loop")
+    assert _more(after, before, "incomplete cycles", 1), "dropped cycles are counted"
+    flood_ns = [frame.t_ns for frame in drive.frames if frame.can_id == FLOOD_ID]
+    lost_ns = drive.first_gap(flood_ns[0], DEADLINES.send_lost_ns)
+    assert drive.torque_ends(lost_ns) <= CYCLE_NS
+    assert drive.first_gap(flood_ns[-1] + DEADLINES.vcu_lost_ns, DEADLINES.send_lost_ns) == 0, "it speaks again"
+    rules_kept(drive, lost_ns=lost_ns)
+
+
+@long
+def test_a_bus_that_is_busy_but_not_full_changes_nothing(chain: Chain, drive: Wire, interface: str) -> None:
+    with flooded(interface, gap_ms="0.5"):
+        until = time.monotonic() + 2.0  # far longer than any deadline of the table
+        while time.monotonic() < until:
+            chain.operator.spin()
+            assert chain.state.as_state == AsState.AS_DRIVING, chain.operator.describe()
+            assert not chain.state.emergency and not chain.state.stopping, chain.operator.describe()
+    rules_kept(drive)
+
+
+@long
+def test_a_bus_off_drops_the_command_and_the_car_is_at_rest_when_the_bus_is_back(
+    chain: Chain, drive: Wire, interface: str
+) -> None:
+    """The controller's own error frame, as a socket hears it: both sides lose the bus, ours is back at once."""
+    before = chain.operator.diagnostics("loop")
+    off_ns = time.time_ns()
+    with open_bus(interface) as bus:
+        assert bus.send(Frame(CAN_ERR_BUSOFF, bytes(8), error=True))
+    comes_to_rest(chain, AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED)
+    assert drive.torque_ends(off_ns) <= CYCLE_NS
+    assert _more(chain.operator.diagnostics("loop"), before, "bus reopened", 1)
+    rules_kept(drive, lost_ns=off_ns)
+
+
+def test_an_interface_that_goes_down_and_up_again_finds_a_car_that_has_stopped_itself(
+    chain: Chain, drive: Wire, interface: str
+) -> None:
+    ip("link", "set", interface, "down")
+    down_ns = time.time_ns()
+    try:
+        await_lost(chain)
+    finally:
+        up_ns = time.time_ns()
+        ip("link", "set", interface, "up")
+    comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
+    assert not [frame for frame in drive.frames if down_ns < frame.t_ns < up_ns]
+    assert drive.torque_ends(up_ns) == 0
+    assert drive.images(AiStatus, up_ns), "it speaks again"
+    rules_kept(drive, lost_ns=down_ns)
+
+
+@long
+def test_an_interface_that_is_unplugged_and_plugged_in_again_is_taken_up_again(
+    chain: Chain, drive: Wire, interface: str, results: Path
+) -> None:
+    ip("link", "del", interface)
+    unplugged_ns = time.time_ns()
+    try:
+        await_lost(chain)
+    finally:
+        ip("link", "add", "dev", interface, "type", "vcan")
+        ip("link", "set", interface, "txqueuelen", str(TX_QUEUE_FRAMES), "up")
+    again = BusLog(interface, new_folder(f"{results.name}.again"))
+    try:
+        comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
+    finally:
+        again.stop()
+    assert drive.torque_ends(unplugged_ns) == 0
+    assert Wire(again).images(AiStatus), "it speaks again"
+    assert Wire(again).torque_ends(0) == 0
+    rules_kept(drive)
+
+
+def await_lost(chain: Chain) -> None:
+    """Until the bridge says that it has lost the bus, and the car has had the time to miss it."""
+    chain.operator.await_that(
+        lambda: "bus lost" in chain.operator.diagnostics("link")["message"], STOP_S, "the bridge reports the loss"
+    )
+
+
+def _more(now: dict[str, str], before: dict[str, str], key: str, count: int) -> bool:
+    return int(now[key]) >= int(before[key]) + count
+
+
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True)
+
+
+@contextmanager
+def flooded(interface: str, gap_ms: str = "0") -> Iterator[None]:
+    """A queue that lets out 500 kbit/s and holds ten frames, and cangen at the other end of it."""
+    limits = ["rate", str(BITRATE), "burst", "1600", "limit", str(TX_QUEUE_FRAMES * FRAME_BITS // 8)]
+    subprocess.run(["tc", "qdisc", "add", "dev", interface, "root", "tbf", *limits], check=True)
+    cangen = subprocess.Popen(["cangen", interface, "-g", gap_ms, "-I", f"{FLOOD_ID:X}", "-L", "8", "-i"])
+    try:
+        yield
+    finally:
+        cangen.terminate()
+        cangen.wait()
+        subprocess.run(["tc", "qdisc", "del", "dev", interface, "root"], check=True)

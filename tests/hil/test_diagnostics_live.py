@@ -1,0 +1,161 @@
+"""The diagnostics on a live bus: what they show is what candump shows there."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from conftest import BusLog
+from fsai_hil.stack import await_condition
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import CanBus
+
+WITHIN_S = 20.0
+_STAMP = re.compile(r"\(\d+\.\d+\)")
+
+FRAMES = [
+    Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),
+    Frame(0x510, bytes.fromhex("0100200000000000")),
+    Frame(0x514, b"\x0a\xff"),
+    Frame(0x080),
+    Frame(0x18FF0001, b"\x7f", extended=True),
+    Frame(0x123, extended=True, data=b"\x01\x02\x03"),
+    Frame(0x523, bytes(6), remote=True),
+]
+
+
+def listening(interface: str) -> int:
+    """How many filters of all sockets are on the interface, as the kernel counts them."""
+    lists = Path("/proc/net/can").glob("rcvlist_*")
+    return sum(path.read_text().split().count(interface) for path in lists)
+
+
+class Shown:
+    """What a command shows of a bus while it runs."""
+
+    def __init__(self, interface: str, argv: Sequence[str], path: Path) -> None:
+        before = listening(interface)
+        self._ends = "-n" in argv
+        self._path = path
+        self._file = path.open("wb")
+        self.process = subprocess.Popen(argv, stdout=self._file, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        await_condition(lambda: listening(interface) > before, WITHIN_S, f"{argv[0]} listens")
+
+    def lines(self, count: int) -> list[str]:
+        """The lines, once there are so many."""
+        await_condition(lambda: self._path.read_bytes().count(b"\n") >= count, WITHIN_S, f"{count} lines are shown")
+        return self._path.read_text().splitlines()
+
+    def stop(self) -> int:
+        """Ends it unless it ends by itself; its exit status."""
+        if not self._ends:
+            self.process.terminate()
+        status = self.process.wait(WITHIN_S)
+        self._file.close()
+        return status
+
+
+@pytest.mark.parametrize(
+    ("options", "filters"),
+    [
+        ([], ""),
+        (["-L"], ""),
+        (["-t", "a"], ",520:7FF,18FF0001:9FFFFFFF"),
+        (["-t", "z"], ",510~7FF"),
+        (["-t", "d"], ""),
+        (["-L", "-n", "3"], ""),
+    ],
+    ids=lambda part: "".join(part) or "plain",
+)
+def test_dump_shows_the_lines_of_candump(
+    interface: str, listen: Callable[..., CanBus], tmp_path: Path, options: list[str], filters: str
+) -> None:
+    source = interface + filters
+    theirs = Shown(interface, ["candump", *options, source], tmp_path / "candump.txt")
+    dump = [sys.executable, "-m", "fsai_vcu.cli.main", "dump", "--no-signals", *options, source]
+    ours = Shown(interface, dump, tmp_path / "dump.txt")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    count = 3 if "-n" in options else sum(passes(frame, filters) for frame in FRAMES)
+    shown, expected = ours.lines(count), theirs.lines(count)
+    assert [_STAMP.sub("(*)", line) for line in shown] == [_STAMP.sub("(*)", line) for line in expected]
+    for ours_s, theirs_s in zip(_STAMP.findall("\n".join(shown)), _STAMP.findall("\n".join(expected)), strict=True):
+        assert len(ours_s) == len(theirs_s)
+        # Each socket has its own stamp of a frame, and python-can gives it as a float.
+        assert abs(float(ours_s[1:-1]) - float(theirs_s[1:-1])) < 0.01
+    theirs.stop()
+    assert ours.stop() == 0
+
+
+def passes(frame: Frame, filters: str) -> bool:
+    if "~" in filters:
+        return frame.can_id & 0x7FF != 0x510
+    return not filters or frame.can_id in (0x520, 0x18FF0001)
+
+
+def test_decoded_signals_stand_beside_each_frame_and_json_says_the_same(
+    interface: str, listen: Callable[..., CanBus], tmp_path: Path
+) -> None:
+    verb = [sys.executable, "-m", "fsai_vcu.cli.main"]
+    beside = Shown(interface, [*verb, "dump", "-n", "2", interface], tmp_path / "dump.txt")
+    objects = Shown(interface, [*verb, "dump", "--json", "-n", "2", interface], tmp_path / "dump.json")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES[:2])
+    lines = beside.lines(2)
+    assert lines[0].startswith(f"  {interface}  520   [8]  21 1E 43 30 20 00 00 00")
+    assert "AS_STATE: AS_DRIVING, AMI_STATE: TRACK DRIVE" in lines[0]
+    entries = [json.loads(line) for line in objects.lines(2)]
+    assert [(entry["message"], entry["signals"]["HANDSHAKE"]) for entry in entries] == [
+        ("VCU2AI_Status", 1),
+        ("AI2VCU_Status", 1),
+    ]
+    assert beside.process.wait(WITHIN_S) == objects.process.wait(WITHIN_S) == 0
+    beside.stop()
+    objects.stop()
+
+
+def test_stats_of_a_live_bus_are_those_of_its_log(
+    interface: str,
+    listen: Callable[..., CanBus],
+    bus_log: BusLog,
+    tmp_path: Path,
+    verb: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "stats", "--json", interface]
+    live = Shown(interface, argv, tmp_path / "stats.json")
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    await_condition(
+        lambda: bus_log.path.read_bytes().count(b"\n") == len(FRAMES), WITHIN_S, "candump wrote every frame"
+    )
+    live.process.terminate()
+    live.process.wait(WITHIN_S)
+    ours = [json.loads(line) for line in (tmp_path / "stats.json").read_text().splitlines()]
+    logged = [json.loads(line) for line in verb("stats", "--json", str(bus_log.path)).stdout.splitlines()]
+    kept = ("id", "extended", "message", "count", "wrong_lengths", "bits", "remote")
+    assert [tuple(e[k] for k in kept) for e in ours if e["type"] == "message"] == [
+        tuple(e[k] for k in kept) for e in logged if e["type"] == "message"
+    ]
+    assert len([e for e in ours if e["type"] == "message"]) == len(FRAMES)
+    live.stop()
+
+
+def test_a_bus_that_goes_away_ends_the_listening_with_one_line(interface: str, tmp_path: Path) -> None:
+    subprocess.run(["ip", "link", "add", "dev", "vcan2", "type", "vcan"], check=True)
+    try:
+        subprocess.run(["ip", "link", "set", "vcan2", "up"], check=True)
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", "dump", "vcan2"]
+        ours = Shown("vcan2", argv, tmp_path / "dump.txt")
+        subprocess.run(["ip", "link", "set", "vcan2", "down"], check=True)
+        assert ours.process.wait(WITHIN_S) == 1
+        assert ours.process.stderr is not None
+        said = ours.process.stderr.read().decode()
+        assert said.startswith("fsai-vcu dump: vcan2: ") and said.count("\n") == 1
+    finally:
+        subprocess.run(["ip", "link", "del", "vcan2"], check=True)

@@ -1,0 +1,220 @@
+"""A failure while the machine stood still is run again, and said; one on a machine that ran is never repeated."""
+
+from __future__ import annotations
+
+import os
+import signal
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.demo import rehearse
+from fsai_hil.stack import StackError
+from fsai_hil.undisturbed import RUNS, Outcome, judge_run
+from fsai_hil.witness import STOOD_STILL_NS, Stall, Witness, describe
+
+pytest_plugins = ["pytester"]
+
+STALL = Stall(1_000_000_000, 52_000_000)
+
+PLUGIN = """
+import itertools, pathlib, pytest
+from fsai_hil.undisturbed import Undisturbed
+from fsai_hil.witness import Stall
+
+SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
+
+class Scripted:
+    def __init__(self):
+        self.left = list(SCRIPT)
+        self.time_ns = 0
+    def clock(self):
+        self.time_ns += 1000
+        return self.time_ns
+    def stalls(self, since_ns):
+        assert since_ns == self.time_ns, "it asks about this run"
+        return [Stall(since_ns, 52_000_000)] if self.left.pop(0) else []
+
+def pytest_configure(config):
+    witness = Scripted()
+    config.pluginmanager.register(Undisturbed(witness, witness.clock))
+
+def note(word):
+    with pathlib.Path("notes").open("a") as notes:
+        print(word, file=notes)
+
+@pytest.fixture(scope="module")
+def shared():
+    note("up")
+    yield []
+    note("down")
+"""
+
+
+def run(pytester: pytest.Pytester, script: list[bool], tests: str) -> tuple[pytest.RunResult, list[str]]:
+    """The result of the tests under a witness that answers by the script, and what the tests noted."""
+    pytester.makeconftest(PLUGIN.format(script=script))
+    pytester.makepyfile("from conftest import note\n" + textwrap.dedent(tests))
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    return result, Path(pytester.path / "notes").read_text().split()
+
+
+FAILS_TWICE = """
+    def test_it(shared):
+        note("run")
+        assert open("notes").read().split().count("run") > 2
+"""
+
+
+def test_a_failure_on_a_machine_that_ran_is_never_repeated(pytester: pytest.Pytester) -> None:
+    result, notes = run(pytester, [False], FAILS_TWICE)
+    result.assert_outcomes(failed=1)
+    assert notes == ["up", "run", "down"]
+    assert "stood still" not in result.stdout.str()
+
+
+def test_a_failure_while_the_machine_stood_still_is_said_and_run_again_with_fixtures_made_anew(
+    pytester: pytest.Pytester,
+) -> None:
+    result, notes = run(pytester, [True, True], FAILS_TWICE)
+    result.assert_outcomes(passed=1)
+    assert notes == ["up", "run", "down"] * 3
+    said = [line for line in result.stdout.lines if "stood still" in line]
+    assert said == [f"test_it: the machine stood still for 52 ms: run {number} shows nothing" for number in (1, 2)]
+
+
+def test_an_undisturbed_failure_after_a_disturbed_one_fails(pytester: pytest.Pytester) -> None:
+    result, notes = run(pytester, [True, False], FAILS_TWICE)
+    result.assert_outcomes(failed=1)
+    assert notes.count("run") == 2
+
+
+def test_a_test_that_never_ran_undisturbed_fails_and_says_so(pytester: pytest.Pytester) -> None:
+    result, notes = run(pytester, [True] * RUNS, "def test_it(): note('run'); assert False")
+    result.assert_outcomes(failed=1)
+    assert notes == ["run"] * RUNS
+    result.stdout.fnmatch_lines(["*never ran undisturbed: in run 3 of 3 too the machine stood still for 52 ms"])
+
+
+def test_a_disturbed_setup_and_a_disturbed_teardown_are_run_again_too(pytester: pytest.Pytester) -> None:
+    tests = """
+        import pathlib, pytest
+
+        @pytest.fixture(params=["setup", "teardown"])
+        def fragile(request):
+            mark = pathlib.Path(request.param)
+            first = not mark.exists()
+            mark.touch()
+            assert not first or request.param != "setup"
+            yield
+            assert not first or request.param != "teardown"
+
+        def test_it(shared, fragile):
+            note("run")
+    """
+    result, notes = run(pytester, [True, True], tests)
+    result.assert_outcomes(passed=2)
+    assert notes == ["up", "down", "up", "run", "run", "down", "up", "run", "down"]
+
+
+def test_what_a_failed_test_left_in_a_shared_fixture_does_not_reach_the_next(pytester: pytest.Pytester) -> None:
+    tests = """
+        def test_first(shared):
+            note("first")
+            shared.append("spoilt")
+            assert False
+
+        def test_second(shared):
+            note("second")
+            assert not shared
+
+        def test_third(shared):
+            note("third")
+    """
+    result, notes = run(pytester, [False], tests)
+    result.assert_outcomes(failed=1, passed=2)
+    assert notes == ["up", "first", "down", "up", "second", "third", "down"]
+
+
+@pytest.mark.parametrize("number", range(1, RUNS + 1))
+def test_without_a_stall_or_without_a_failure_every_run_counts(number: int) -> None:
+    assert judge_run(True, [], number) is Outcome.COUNTS
+    assert judge_run(False, [STALL], number) is Outcome.COUNTS
+    assert judge_run(True, [STALL], number) is (Outcome.AGAIN if number < RUNS else Outcome.NEVER_UNDISTURBED)
+
+
+def noted(tmp_path: Path, *stalls: Stall) -> Witness:
+    """A witness whose notes are these and whose process is not started."""
+    witness = object.__new__(Witness)
+    witness._path = tmp_path / "notes"
+    lines = ["real-time", *(f"{stall.due_ns} {stall.late_ns}" for stall in stalls)]
+    witness._path.write_text("\n".join(lines) + "\n12345 9999")  # the last is just being written
+    return witness
+
+
+def test_only_stalls_long_enough_that_touch_the_time_asked_about_are_told(tmp_path: Path) -> None:
+    before = Stall(0, STOOD_STILL_NS)
+    into = Stall(STOOD_STILL_NS, STOOD_STILL_NS)
+    short = Stall(3 * STOOD_STILL_NS, STOOD_STILL_NS - 1)
+    out = Stall(5 * STOOD_STILL_NS, STOOD_STILL_NS)
+    after = Stall(5 * STOOD_STILL_NS + 1, STOOD_STILL_NS)
+    witness = noted(tmp_path, before, into, short, out, after)
+    assert witness.stalls(2 * STOOD_STILL_NS, 5 * STOOD_STILL_NS) == [into, out]
+    assert witness.stalls(2 * STOOD_STILL_NS, 5 * STOOD_STILL_NS, at_least_ns=0) == [into, short, out]
+
+
+def test_stalls_are_described_by_the_longest() -> None:
+    assert describe([STALL]) == "for 52 ms"
+    assert describe([STALL, Stall(0, 90_400_000)]) == "for 90 ms (the longest of 2 times)"
+
+
+def test_the_witness_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
+    with Witness(tmp_path / "notes") as witness:
+        since_ns = time.monotonic_ns()
+        os.kill(witness._process.pid, signal.SIGSTOP)
+        held_s = 0.2
+        time.sleep(held_s)  # the very thing that is measured
+        os.kill(witness._process.pid, signal.SIGCONT)
+        until = time.monotonic() + 10.0
+        while not (seen := witness.stalls(since_ns)) and time.monotonic() < until:
+            time.sleep(0.01)
+    assert max(stall.late_ns for stall in seen) >= held_s * 1e9 * 0.9
+    assert witness._process.returncode is not None, "it has been ended"
+
+
+@pytest.mark.parametrize(
+    ("runs", "status", "said"),
+    [
+        ([(0, True)], 0, []),
+        ([(1, False)], 1, []),
+        ([(None, False)], 1, []),
+        ([(1, True), (0, False)], 0, ["for 52 ms"]),
+        ([(None, True), (0, True)], 0, ["for 52 ms"]),
+        ([(1, True), (1, False)], 1, ["for 52 ms"]),
+        ([(1, True), (1, True)], 1, ["for 52 ms", "this time too"]),
+    ],
+)
+def test_the_demo_drives_once_more_only_if_it_failed_while_the_machine_stood_still(
+    runs: list[tuple[int | None, bool]],
+    status: int,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    left = list(runs)
+    disturbed = False
+
+    def drive() -> int:
+        nonlocal disturbed
+        result, disturbed = left.pop(0)
+        if result is None:
+            raise StackError("a process ended")
+        return result
+
+    monkeypatch.setattr(Witness, "stalls", lambda *_: [STALL] if disturbed else [])
+    assert rehearse(drive) == status
+    assert left == []
+    lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]
+    assert len(lines) == len(said) and all(words in line for words, line in zip(said, lines, strict=True))
