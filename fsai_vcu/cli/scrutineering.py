@@ -1,0 +1,121 @@
+"""`fsai-vcu scrutineering`: the handshake's response time, measured on a real vcan0, in a report for a scrutineer."""
+
+from __future__ import annotations
+
+import argparse
+import compileall
+import json
+import math
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
+
+_SECONDS = 60.0  # six thousand echoes: enough for a p99.9
+_SHORT_SECONDS = 3.0
+_SLACK_S = 240.0  # starting processes on one slow processor
+_PER_CONDITION_S = 120.0  # powering up and driving off
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--seconds", type=float, metavar="S", help=f"how long each condition is measured ({_SECONDS:g})")
+    add("--conditions", metavar="NAME[,NAME…]", help="only these (default: all)")
+    add("--short", action="store_true", help=f"only what needs no drive, {_SHORT_SECONDS:g} s each")
+    add("--revision", default="2026", choices=("2021", "2026"), help="interface revision (2026)")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
+    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    add(
+        "-o",
+        "--out",
+        type=Path,
+        default=Path("out/scrutineering"),
+        metavar="DIR",
+        help="for report and logs (%(default)s)",
+    )
+    add("--report", type=Path, metavar="FILE.md", help="write the report to this file as well")
+    add("--json", action="store_true", help="print everything measured as one JSON object, the last line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: answered in time in every condition; 1: not, or not measured."""
+    from fsai_hil.scrutineering.conditions import BY_NAME, SHORT, conditions_named
+    from fsai_hil.scrutineering.machine import machine, source_revision, versions
+    from fsai_hil.scrutineering.report import failures, markdown, summary
+    from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+    from fsai_vcu.cli.hil import environment
+    from fsai_vcu.cli.main import UserError
+
+    seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
+    if not 0.0 < seconds < math.inf:
+        raise UserError(f"--seconds is {seconds:g}, but must be a time in seconds")
+    try:
+        names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
+        conditions = conditions_named(names)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    checkout = Path(__file__).resolve().parents[2]
+    out: Path = args.out.resolve()
+    result = out / "measured.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        result.unlink(missing_ok=True)
+        place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        _say(args, f"{place.name} {INTERFACE}: {place.why}")
+        _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
+        for package in ("fsai_vcu", "hil", "nodes"):
+            # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
+            compileall.compile_dir(checkout / package, quiet=2)
+        argv = [sys.executable, "-m", "fsai_hil.scrutineering", INTERFACE, str(result), "--seconds", str(seconds)]
+        argv += ["--revision", args.revision, "--conditions", ",".join(each.name for each in conditions)]
+        status = place.run(
+            [*argv, *(["--slow-place"] if place.name == "uml" else [])],
+            cwd=checkout,
+            env=environment(os.environ, INTERFACE, place.name, out),
+            timeout_s=_SLACK_S + len(conditions) * (seconds + _PER_CONDITION_S),
+            results_dir=out,
+        )
+    except VcanError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"{error.filename or out}: {error.strerror}") from error
+    if status or not result.exists():
+        raise UserError(f"nothing was measured (status {status}); the logs of the processes are in {out}")
+    measured = {
+        **json.loads(result.read_text()),
+        "place": place.name,
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "host": machine(),
+        "versions": versions(),
+        "source": source_revision(checkout),
+    }
+    measured["failures"] = failures(measured)
+    measured["result"] = "fail" if measured["failures"] else "pass"
+    result.unlink()
+    saved = [out / "response-time.md", *([args.report] if args.report else [])]
+    for path in saved:
+        _write(path, markdown(measured))
+    saved.append(out / "response-time.json")
+    _write(saved[-1], json.dumps(measured, indent=1) + "\n")
+    _say(args, "\n" + summary(measured))
+    _say(args, f"saved {', '.join(str(path) for path in saved)}")
+    if args.json:
+        print(json.dumps(measured))
+    return 1 if measured["failures"] else 0
+
+
+def _write(path: Path, text: str) -> None:
+    from fsai_vcu.cli.main import UserError
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)

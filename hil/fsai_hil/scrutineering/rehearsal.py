@@ -1,0 +1,323 @@
+"""The measurement: bridge, nodes, simulated car and load as processes on one bus, condition by condition.
+
+The simulated VCU measures, as the car's does: from the instant at which a toggled HANDSHAKE was due in a 0x520 to the
+arrival of its echo in a 0x510. So its own lateness is part of every figure; it is counted beside it, and the log of the
+bus, stamped by the kernel, shows the time between the two frames alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fsai_hil.response import ResponseTimes
+from fsai_hil.ros_operator import RosOperator
+from fsai_hil.scrutineering.conditions import Condition, Stance
+from fsai_hil.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
+from fsai_hil.scrutineering.machine import machine, scheduling_of
+from fsai_hil.stack import NODES, RunningProcess, Stack, StackError, await_condition
+from fsai_hil.wire import checker_for, read_candump
+from fsai_hil.witness import Witness
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.runtime.realtime import FIFO_PRIORITY
+
+START_S = 240.0  # interpreters that import ROS at once, on one slow processor
+POWER_UP_S = 60.0
+DRIVE_OFF_S = 60.0
+END_S = 15.0
+LAPS = 100  # more than any measurement takes
+CRUISE_MPS = 2.0
+MISSION, TRACK = "trackdrive", "small_oval"
+_ATTEMPTS = 3
+BETWEEN = "between"  # what the simulated car measures while nothing is asked
+_LOOK_S = 0.5
+_NOTED_STALL_NS = 20_000_000
+_LOG_PRIORITY = FIFO_PRIORITY - 20
+_MISSED_AT_THE_EDGES = 20  # echoes: log and measurement do not begin and end at the same instant
+_RULES_SHOWN = 20
+_LOGGED = "500:7C0"  # 0x500 to 0x53F: everything of bridge and VCU, and not the load
+
+
+class _Car:
+    """One power-up of the simulated car, its switches worked from here."""
+
+    def __init__(self, stack: Stack, number: int, arguments: Sequence[str]) -> None:
+        self.name = f"vcu-{number}"
+        self._result = stack.folder / f"{self.name}.json"
+        words = ["vcu", "-i", stack.bus, "--mission", MISSION, "--track", TRACK, "--laps", str(LAPS), "--quiet"]
+        words += ["--truth", str(stack.truth_port), "--result", str(self._result), *arguments]
+        self._process: RunningProcess = stack.start_verb(self.name, *words, stdin=subprocess.PIPE)
+        self._stack = stack
+
+    def type(self, line: str) -> None:
+        self._stack.check_alive(self.name)
+        assert self._process.popen.stdin is not None
+        self._process.popen.stdin.write(line.encode() + b"\n")
+        self._process.popen.stdin.flush()
+
+    def measure(self, name: str) -> None:
+        """Returns once the car counts under that name."""
+        asked = self._process.log().count("measuring: ")
+        self.type(f"measure {name}")
+        await_condition(lambda: self._process.log().count("measuring: ") > asked, END_S, "the simulated car measures")
+
+    def end(self) -> list[dict[str, Any]]:
+        """Switch the process off; what it has measured."""
+        self.type("quit")
+        self._process.wait(END_S)
+        self._process.stop()
+        del self._stack.processes[self.name]
+        measurements: list[dict[str, Any]] = json.loads(self._result.read_text())["measurements"]
+        return measurements
+
+
+class Rehearsal:
+    """Measures conditions one after another. Call `run` once.
+
+    slow_place: the frames that nobody decides on are thinned out, as one slow processor needs it.
+    Raises StackError when a process does not do what it should.
+    """
+
+    def __init__(
+        self,
+        bus: str,
+        folder: Path,
+        *,
+        seconds: float,
+        revision: str = "2026",
+        slow_place: bool = False,
+        say: Callable[[str], None] = print,
+    ) -> None:
+        self._bus = bus
+        self._folder = folder
+        self._seconds = seconds
+        self._revision = revision
+        self._say = say
+        self._slow_place = slow_place
+        self._decimation = (20, 10) if slow_place else (1, 1)  # of the PCAN-GPS's frames, of the logging frames
+        self._codec = Codec(revision_named(revision))
+        self._cars = 0
+        self._car: _Car | None = None
+        self._measured: dict[str, dict[str, Any]] = {}
+        self._noted: dict[str, dict[str, Any]] = {}
+        self._lost_between = 0
+        self._windows: list[tuple[str, int, int]] = []  # name, begin and end by the wall clock, as candump stamps
+        self._out_of_reach: dict[Stance, str] = {}
+
+    def run(self, conditions: Sequence[Condition]) -> dict[str, Any]:
+        """Everything measured, for JSON."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="scrutineering-") as memory:
+            # Processes write to memory: a disk that is busy on purpose must not hold back those that measure.
+            folder = Path(memory)
+            try:
+                with Stack(self._bus, folder) as stack, Witness(folder / "witness") as witness:
+                    return self._measure_all(conditions, stack, witness)
+            finally:
+                self._keep(folder)
+
+    def _keep(self, folder: Path) -> None:
+        for path in sorted(folder.glob("*.log")):
+            shutil.copyfile(path, self._folder / path.name)
+
+    def _measure_all(self, conditions: Sequence[Condition], stack: Stack, witness: Witness) -> dict[str, Any]:
+        self._say("starting the bridge")
+        bridge = stack.start_node("vcu_bridge", can_interface=self._bus, revision=self._revision, car=self._revision)
+        operator = RosOperator(stack, "scrutineer")
+        try:
+            operator.await_bridge(START_S)
+            for number, condition in enumerate(conditions, start=1):
+                self._say(f"[{number}/{len(conditions)}] {condition.name}: {condition.words}")
+                if condition.stance not in self._out_of_reach:
+                    try:
+                        self._reach(condition.stance, stack, operator)
+                    except StackError as error:
+                        self._out_of_reach[condition.stance] = str(error).splitlines()[0]
+                if condition.stance in self._out_of_reach:
+                    # What has been measured is worth its report all the same.
+                    self._say(f"    not measured: {self._out_of_reach[condition.stance]}")
+                    continue
+                self._measure(condition, stack, operator, witness)
+            if not self._noted:
+                raise StackError(next(iter(self._out_of_reach.values())))
+            scheduling = {"bridge": scheduling_of(bridge.popen.pid)}
+            if self._car is not None:
+                scheduling["vcu"] = scheduling_of(stack.processes[self._car.name].popen.pid)
+            self._end_car(stack)
+        finally:
+            operator.close()
+        return {
+            "revision": self._revision,
+            "seconds_per_condition": self._seconds,
+            "machine": machine(),
+            "scheduling": scheduling,
+            "decimation": {"gps": self._decimation[0], "log": self._decimation[1]},
+            "comms_losses_between": self._lost_between,
+            "conditions": [self._row(condition) for condition in conditions if condition.name in self._noted],
+            "not_measured": {
+                condition.name: self._out_of_reach[condition.stance]
+                for condition in conditions
+                if condition.name not in self._noted
+            },
+        }
+
+    def _row(self, condition: Condition) -> dict[str, Any]:
+        measured, noted = self._measured[condition.name], self._noted[condition.name]
+        complete = noted["wire"]["count"] >= measured["response"]["count"] - _MISSED_AT_THE_EDGES
+        return {"name": condition.name, "words": condition.words, **measured, **noted, "log_complete": complete}
+
+    # ------------------------------------------------------------ how far the car has come
+
+    def _reach(self, stance: Stance, stack: Stack, operator: RosOperator) -> None:
+        """Bring the car there; it is powered up anew where it has ended, or ends on the way."""
+        for _ in range(_ATTEMPTS):
+            if self._car is None or _over(operator):
+                self._power_up(stack, operator)
+            if self._bring(stance, stack, operator):
+                return
+            self._say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up anew")
+        raise StackError(f"the car does not come as far as {stance.value}: {operator.describe()}")
+
+    def _bring(self, stance: Stance, stack: Stack, operator: RosOperator) -> bool:
+        """False when the car has ended on the way."""
+        car = self._car
+        assert car is not None
+        if operator.state.as_state_label == stance.value or stance is Stance.ALONE:
+            return True
+        if set(NODES) - set(stack.processes):
+            self._say("starting the other nodes")
+            for name, parameters in self._driving_nodes(stack).items():
+                stack.start_node(name, **parameters)
+            operator.await_that(
+                lambda: set(NODES) <= set(operator.node.get_node_names()), START_S, "all nodes are there", *NODES
+            )
+        if operator.state.as_state != AsState.AS_READY:
+            operator.become_autonomous(POWER_UP_S, None, *NODES)
+            car.type(f"ami {MISSION}")
+        operator.await_that(
+            lambda: list(operator.state.why_not_driving) == ["waiting for Go"] or _over(operator),
+            START_S,
+            "ready for Go",
+            *NODES,
+        )
+        if stance is Stance.DRIVING and not _over(operator):
+            car.type("go")
+            operator.await_that(
+                lambda: operator.state.speed_mps > CRUISE_MPS or _over(operator), DRIVE_OFF_S, "the car drives", *NODES
+            )
+        return not _over(operator)
+
+    def _driving_nodes(self, stack: Stack) -> dict[str, dict[str, object]]:
+        return {
+            "sensor_simulator": {"truth_port": stack.truth_port},
+            "cone_detector": {},
+            "path_planner": {"car": self._revision, "laps": LAPS},
+            "vehicle_controller": {"car": self._revision},
+        }
+
+    def _power_up(self, stack: Stack, operator: RosOperator) -> None:
+        self._end_car(stack)
+        operator.state = None
+        self._cars += 1
+        gps, log = self._decimation
+        arguments = ("--revision", self._revision, "--gps-decimation", str(gps), "--log-decimation", str(log))
+        self._start_log(stack)
+        self._car = _Car(stack, self._cars, arguments)
+        self._car.measure(BETWEEN)
+        self._car.type("on")
+        operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+
+    def _end_car(self, stack: Stack) -> None:
+        car, self._car = self._car, None
+        if car is None:
+            return
+        for each in car.end():
+            if each["name"] == BETWEEN:
+                self._lost_between += each["comms_losses"]
+            else:
+                self._measured[each["name"]] = each
+        self._end_log(stack)
+
+    # ------------------------------------------------------------ one condition
+
+    def _measure(self, condition: Condition, stack: Stack, operator: RosOperator, witness: Witness) -> None:
+        car = self._car
+        assert car is not None
+        car_bits = car_bits_per_s(self._revision, *self._decimation)
+        watched = NODES if set(NODES) <= set(stack.processes) else ("vcu_bridge",)
+        ended = ""
+        with loaded(stack, condition, self._folder / "disk-load", car_bits, force_disk=not self._slow_place):
+            car.measure(condition.name)
+            before, began_ns, began_wall_ns = self._traffic(), time.monotonic_ns(), time.time_ns()
+            until = time.monotonic() + self._seconds
+            while (left_s := until - time.monotonic()) > 0.0:
+                time.sleep(min(_LOOK_S, left_s))
+                stack.check_alive(*watched, car.name)
+                operator.spin()
+                state = operator.state
+                if state.as_state_label != condition.stance.value:
+                    why = state.emergency or state.stopping
+                    ended = f"the car went to {state.as_state_label}" + (f" ({why})" if why else "")
+                    break
+            after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
+            self._windows.append((condition.name, began_wall_ns, time.time_ns()))
+            car.measure(BETWEEN)
+        frames, payload_bytes = after[0] - before[0], after[1] - before[1]
+        bits = FRAME_BITS * frames + 8 * payload_bytes
+        stalls = witness.stalls(began_ns, at_least_ns=_NOTED_STALL_NS)
+        self._noted[condition.name] = {
+            "frames_per_s": round(frames / took_s),
+            "bus_load_pct": round(100.0 * bits / took_s / BUS_BITS_PER_S, 1),
+            "machine_stalls_ms": [round(stall.late_ns / 1e6, 1) for stall in stalls],
+            "ended_early": ended,
+        }
+        self._say(f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{ended and f'; {ended}'}")
+
+    def _start_log(self, stack: Stack) -> None:
+        """One log for each power-up of the car, from before its first frame: the rules need what was before."""
+        candump = stack.start(f"bus-{self._cars}", ["candump", "-L", f"{stack.bus},{_LOGGED}"])
+        with contextlib.suppress(PermissionError):
+            # Below the bridge and the car, but before the load: a log with gaps in it would show nothing.
+            os.sched_setscheduler(candump.popen.pid, os.SCHED_FIFO, os.sched_param(_LOG_PRIORITY))
+        await_condition(lambda: candump.log_path.stat().st_size > 0, END_S, "candump hears the bus")
+
+    def _end_log(self, stack: Stack) -> None:
+        """What the log of this car shows of each condition."""
+        candump = stack.processes.pop(f"bus-{self._cars}")
+        candump.stop()
+        windows, self._windows = self._windows, []
+        checker = checker_for(self._codec, busy_machine=True)
+        frames = read_candump(candump.log_path)
+        for name, began_ns, ended_ns in windows:
+            for frame in frames:
+                checker.on_frame(frame)
+                if frame.t_ns >= began_ns:
+                    break
+            checker.responses, known = ResponseTimes(), len(checker.violations)
+            for frame in frames:
+                checker.on_frame(frame)
+                if frame.t_ns >= ended_ns:
+                    break
+            self._noted[name] |= {
+                "wire": checker.responses.as_dict(),
+                "rules_broken": checker.violations[known:][:_RULES_SHOWN],
+            }
+
+    def _traffic(self) -> tuple[int, int]:
+        """Frames and payload bytes that have been sent on the interface, by everybody."""
+        counters = Path("/sys/class/net") / self._bus / "statistics"
+        return int((counters / "tx_packets").read_text()), int((counters / "tx_bytes").read_text())
+
+
+def _over(operator: RosOperator) -> bool:
+    return operator.state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED)

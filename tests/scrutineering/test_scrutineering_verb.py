@@ -1,0 +1,110 @@
+"""`fsai-vcu scrutineering`: measures where there is a vcan0, writes a report, and its exit status is the verdict."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from measured_rows import measured, row
+
+from fsai_hil.vcan import Place, VcanError
+from fsai_vcu.cli.main import main
+
+
+class FakePlace:
+    """Measures nothing and hands over what it was given."""
+
+    def __init__(self) -> None:
+        self.status = 0
+        self.result: dict[str, Any] | None = measured()
+        self.argv: list[str] = []
+        self.options: dict[str, Any] = {}
+
+    def run(self, argv: list[str], **options: Any) -> int:
+        self.argv, self.options = argv, options
+        if self.result is not None:
+            Path(argv[4]).write_text(json.dumps(self.result))
+        return self.status
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> FakePlace:
+    fake = FakePlace()
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", f"wanted {wanted}", fake.run))
+    monkeypatch.setattr("compileall.compile_dir", lambda *_, **__: True)
+    return fake
+
+
+def test_it_leaves_a_report_for_people_and_one_for_programs(
+    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    extra = tmp_path / "docs" / "figures.md"
+    assert main(["scrutineering", "-o", str(tmp_path), "--report", str(extra)]) == 0
+    out = capsys.readouterr().out
+    assert "uml vcan0: wanted auto" in out and "PASS" in out and "response-time.md" in out
+    text = (tmp_path / "response-time.md").read_text()
+    assert text == extra.read_text() and "**PASS" in text
+    saved = json.loads((tmp_path / "response-time.json").read_text())
+    assert saved["result"] == "pass" and saved["place"] == "uml" and saved["conditions"][0]["name"] == "idle"
+    assert not (tmp_path / "measured.json").exists()
+
+
+def test_a_vcu_that_timed_out_fails_the_command_and_the_report_is_written_all_the_same(
+    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place.result = measured(row(comms_losses=1))
+    assert main(["scrutineering", "-o", str(tmp_path), "--json"]) == 1
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert last["result"] == "fail" and "AI_COMMS_LOST once" in last["failures"][0]
+    assert "**FAIL" in (tmp_path / "response-time.md").read_text()
+
+
+def test_only_what_was_asked_for_is_measured(place: FakePlace, tmp_path: Path) -> None:
+    assert main(["scrutineering", "-o", str(tmp_path), "--conditions", "driving,idle", "--seconds", "7"]) == 0
+    options = dict(zip(place.argv[5::2], place.argv[6::2], strict=False))
+    assert (options["--conditions"], options["--seconds"]) == ("idle,driving", "7.0")
+    assert "--slow-place" in place.argv
+    assert main(["scrutineering", "-o", str(tmp_path), "--short"]) == 0
+    options = dict(zip(place.argv[5::2], place.argv[6::2], strict=False))
+    assert (options["--conditions"], options["--seconds"]) == ("idle,idle-loaded", "3.0")
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["--seconds", "0"], "--seconds is 0, but must be a time in seconds"),
+        (["--seconds", "nan"], "--seconds is nan"),
+        (["--conditions", "asleep"], "no condition 'asleep': choose from idle"),
+        (["-o", "/proc/absent"], "/proc/absent: No such file or directory"),
+    ],
+)
+def test_bad_input_gets_one_clear_line(
+    place: FakePlace, argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["scrutineering", *argv]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("fsai-vcu scrutineering: ") and words in error and error.count("\n") == 1
+    assert place.argv == []
+
+
+def test_a_measurement_that_broke_off_is_no_report(
+    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "measured.json").write_text("what an earlier run left")
+    place.status, place.result = 1, None
+    assert main(["scrutineering", "-o", str(tmp_path)]) == 1
+    assert "nothing was measured (status 1); the logs of the processes are in" in capsys.readouterr().err
+    assert not (tmp_path / "response-time.md").exists()
+
+
+def test_where_no_vcan_can_be_had_it_fails_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def no_place(wanted: str) -> Place:
+        raise VcanError("no vcan here; as root: install it")
+
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)
+    assert main(["scrutineering", "--native", "-o", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == "fsai-vcu scrutineering: no vcan here; as root: install it\n"
