@@ -12,11 +12,19 @@ from typing import NoReturn
 # verb -> (module, what it does in one line)
 VERBS: dict[str, tuple[str, str]] = {
     "drive": ("drive", "drive a mission against the simulated car, in lockstep, without ROS or hardware"),
+    "campaign": ("campaign", "drive thousands of runs with a fault in each, judged by the safety rules"),
     "vcu": ("vcu", "run the simulated VCU and car as a process on a bus"),
     "hil": ("hil", "run the hardware-in-the-loop suite on a real vcan0"),
+    "scrutineering": ("scrutineering", "measure the handshake's response time on a real vcan0, and report it"),
     "mode": ("mode", "set the mode: autonomous or manual"),
     "emergency-brake": ("emergency_brake", "request an emergency brake"),
     "status": ("status", "show mode, AS state, and what stands between now and driving"),
+    "dump": ("dump", "show the frames of a bus or a log as candump does, with their signals"),
+    "decode": ("decode", "decode every frame of a log"),
+    "stats": ("stats", "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict"),
+    "check": ("check", "say what is wrong on a bus or in a log, and nothing else"),
+    "explain": ("explain", "tell the story of a recorded run: why it braked, or why it did not start"),
+    "report": ("report", "turn a recorded run into one page: plots, story and figures"),
     "record": ("record", "record a bus as a candump log"),
 }
 
@@ -82,4 +90,5 @@ def _print_help() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Run as `python -m`, this file is another module than the one from which the verbs import UserError.
+    sys.exit(importlib.import_module("fsai_vcu.cli.main").main())

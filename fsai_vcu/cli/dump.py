@@ -1,0 +1,152 @@
+"""`fsai-vcu dump`: frames as candump shows them, with their signals beside."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Final
+
+from fsai_vcu.cli.sources import SOURCE_HELP, Output, Sources, add_database_arguments, decoder_of
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.decode import Decoder
+    from fsai_vcu.diagnostics.frames import Frames
+
+EXAMPLE = "fsai-vcu dump can0,520:7FF,510:7FF,#FFFFFFFF -t z"
+_TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
+_COLORS: Final = {"error": b"\x1b[31m", "ai": b"\x1b[32m", "vcu": b"\x1b[36m", "unknown": b"\x1b[33m"}
+_NO_COLOR: Final = b"\x1b[0m"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "sources",
+        nargs="+",
+        metavar="SOURCE[,FILTER…]",
+        help=SOURCE_HELP + "; 'any' is every CAN interface. Filters are candump's: ID:MASK (frames with "
+        "id & MASK == ID & MASK), ID~MASK (all others), #ERRORMASK (error frames), j (all filters must match). Eight "
+        "digits mean a 29-bit id. Without a filter all frames are shown, error frames too",
+    )
+    parser.add_argument(
+        "-t", dest="times", choices=("a", "d", "z"), help="times: absolute, delta to the line before, from zero"
+    )
+    parser.add_argument("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
+    parser.add_argument("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
+    parser.add_argument("-L", dest="log_format", action="store_true", help="the format of candump's logs")
+    parser.add_argument("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
+    parser.add_argument("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
+    add_database_arguments(parser)
+    parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
+    parser.add_argument("--json", action="store_true", help="one JSON object per frame")
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.lines import LineWriter
+
+    if args.count is not None and args.count < 1:
+        raise UserError(f"-n is {args.count}, but at least 1 frame can be shown")
+    if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
+        raise UserError(f"-T is {args.idle_ms:g}, not a time")
+    sources = Sources("dump", args.sources)
+    decoder = decoder_of(args)
+    lines = _Lines(args, decoder, LineWriter(decoder, as_json=args.json, words=not args.numbers))
+    output = Output()
+    left = args.count
+    heard_at = time.monotonic()
+    try:
+        for frames in sources.chunks():
+            if len(frames):
+                heard_at = time.monotonic()
+                shown = frames if left is None else frames.head(left)
+                output.write(lines.block(shown), at_once=True)
+                if left is not None:
+                    left -= len(shown)
+                    if left == 0:
+                        break
+            elif args.idle_ms is not None and (time.monotonic() - heard_at) * 1000 >= args.idle_ms:
+                break
+    except KeyboardInterrupt:
+        if not sources.live:
+            raise
+    output.flush()
+    return sources.status
+
+
+class _Lines:
+    """Frames as lines, in the style that the arguments ask for."""
+
+    def __init__(self, args: argparse.Namespace, decoder: Decoder, writer: object) -> None:
+        from fsai_vcu.diagnostics.lines import LineWriter
+
+        assert isinstance(writer, LineWriter)
+        self._args = args
+        self._decoder = decoder
+        self._writer = writer
+        self._color = args.color or (sys.stdout.isatty() and not os.environ.get("NO_COLOR"))
+        self._indented = False
+        self._zero_ns: int | None = None
+        self._last_ns: int | None = None
+
+    def block(self, frames: Frames) -> bytes:
+        from fsai_vcu.diagnostics.candump import log_lines, screen_lines
+        from fsai_vcu.diagnostics.frames import EXTENDED
+
+        if not len(frames):
+            return b""
+        if self._args.json:
+            return self._writer.block(frames)
+        style = self._args.times
+        frames = self._shifted(frames)
+        if self._args.log_format:
+            heads = log_lines(frames, _TIME_DIGITS[style or "a"])
+        else:
+            digits = _TIME_DIGITS[style] if style else None
+            heads = screen_lines(frames, time_digits=digits, padded=not self._args.no_signals, indented=self._indented)
+            self._indented = self._indented or bool((frames.flags & EXTENDED).any())
+        tails = [b"\n"] * len(frames) if self._args.no_signals else self._writer.tails(frames)
+        if self._color:
+            colors = self._colors(frames)
+            heads = [color + head if color else head for color, head in zip(colors, heads, strict=True)]
+            tails = [
+                tail[:-1] + _NO_COLOR + b"\n" if color else tail for color, tail in zip(colors, tails, strict=True)
+            ]
+        both = [b""] * (2 * len(frames))
+        both[0::2], both[1::2] = heads, tails
+        return b"".join(both)
+
+    def _shifted(self, frames: Frames) -> Frames:
+        """With the times that -t asks for; like candump's, none goes below zero."""
+        import numpy as np
+
+        style = self._args.times
+        if style not in ("d", "z"):
+            return frames
+        t_ns = frames.t_ns // 1000 * 1000  # differences of what is shown
+        first = int(t_ns[0])
+        if self._zero_ns is None:
+            self._zero_ns = first
+        before = first if self._last_ns is None else self._last_ns
+        self._last_ns = int(t_ns[-1])
+        shown = np.diff(t_ns, prepend=before) if style == "d" else t_ns - self._zero_ns
+        return frames.at(np.maximum(shown, 0))
+
+    def _colors(self, frames: Frames) -> list[bytes]:
+        from fsai_vcu.diagnostics.frames import ERROR
+        from fsai_vcu.interface.bus_table import BY_ID, Flow
+
+        which = self._decoder.which(frames)
+        colors = []
+        for known, can_id, flags in zip(which.tolist(), frames.can_id.tolist(), frames.flags.tolist(), strict=True):
+            own = BY_ID.get(can_id)
+            if flags & ERROR:
+                colors.append(_COLORS["error"])
+            elif known == -1:
+                colors.append(_COLORS["unknown"])
+            elif own is not None and own.flow in (Flow.TO_VCU, Flow.FROM_VCU):
+                colors.append(_COLORS["ai" if own.flow is Flow.TO_VCU else "vcu"])
+            else:
+                colors.append(b"")
+        return colors

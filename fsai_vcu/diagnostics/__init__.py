@@ -1,0 +1,45 @@
+"""What was, or is, on the bus: logs, decoding, statistics. It knows no ROS and takes no decisions.
+
+Frames
+    `frames.Frames` is a run of frames as columns (numpy), `frames.LogFrame` is one of them. Times are integer
+    nanoseconds of the log's own clock (for a live bus: of the wall clock).
+
+Reading
+    with open_log(path) as log:                   # logs.py; '-' is standard input; the format is told by the content
+        for frames in log.chunks(): ...           # columns, a few ten thousand frames at a time: any length of log
+        for frame in log.frames(): ...            # or one by one
+        log.problems                              # what could not be read, with its place; never an exception
+    read_log(path) -> (Frames, Problems)          # all of it at once
+    LiveSource(interfaces)                        # live.py: the same chunks(), from buses
+
+    candump's formats are read and written by candump.py; logs.py knows the binary ones, through python-can.
+
+Choosing
+    FrameFilter.parse("520:7FF,#FFFFFFFF")        # filters.py: candump's filters, on columns
+
+Decoding
+    databases = load_databases(["team.dbc"])      # databases.py; without files the car's own: revision="2026"
+    decoder = Decoder(databases)                  # decode.py
+    decoder.tables(frames)                        # {message name: MessageTable}; a table has times, rows and series
+    decoder.tables(frames)["VCU2AI_Steer"].series["ANGLE"].values
+
+    Values are those of cantools, to the last bit: messages that numpy can take apart are taken apart there, all others
+    go through cantools itself. layouts.py is what is known of a message, as plain data; layout_cache.py remembers it
+    between two commands, because loading cantools and its files takes longer than to decode 100,000 frames.
+
+Printing
+    LineWriter(decoder, as_json=False).block(frames)      # lines.py: lines of bytes; tails(): the signals only
+    write_lines(path, writer.block, fd, processes)        # sharing.py: a long candump log, on all processors
+    error_words(can_id, data)                             # errors.py: an error frame of SocketCAN in words
+
+Measuring
+    measure(frames, decoder, revision=…)          # statistics.py: a BusStatistics for each channel: periods, gaps,
+                                                  # load, handshake
+    judge(bus), verdict(findings)                 # what is not as it should be; whether all is well
+    wire_bits(frames)                             # wire_bits.py: exact length on the wire, stuff bits included
+    quantile(ordered, share)                      # quantiles.py: one meaning of p50 and p99 for the whole project
+    bench.speed(log)                              # beside cantools' own command line, in the same run
+
+On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
+with filters, problems and an exit status), `add_database_arguments`, `decoder_of`, `Output`.
+"""

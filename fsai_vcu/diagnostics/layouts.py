@@ -1,0 +1,50 @@
+"""What is known of a message and its signals: plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+EXTENDED_KEY: Final = 1 << 29
+"""In the key of a message: its identifier is one of 29 bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignalLayout:
+    """Where a signal of a plain message lies (little-endian: `start` is its lowest bit) and what its bits mean.
+
+    The value is raw * scale + offset, reckoned with the very types that the database has: int or float.
+    """
+
+    name: str
+    start: int
+    length: int
+    signed: bool
+    is_float: bool
+    scale: float
+    offset: float
+    unit: str
+    choices: Mapping[int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class MessageLayout:
+    """One message of a database. `period_ms` is its GenMsgCycleTime, None where it has none.
+
+    plain: every signal can be taken out by shifting and masking. Of other messages the signals have names and units,
+    and their places are cantools' business.
+    """
+
+    name: str
+    can_id: int
+    extended: bool
+    length: int
+    period_ms: int | None
+    senders: tuple[str, ...]
+    signals: tuple[SignalLayout, ...]
+    plain: bool
+
+    @property
+    def key(self) -> int:
+        return self.can_id | (EXTENDED_KEY if self.extended else 0)

@@ -1,0 +1,287 @@
+"""What the page draws: curves thinned out without losing a peak, and lanes of states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.diagnostics.frames import Ints
+from fsai_vcu.diagnostics.statistics import BITRATE, LOAD_WINDOW_NS
+from fsai_vcu.diagnostics.story.record import Record, Series, Signal, Values
+from fsai_vcu.diagnostics.story.signals import (
+    AMI,
+    ANGLE,
+    AS_STATE,
+    AS_SWITCH,
+    BRAKE_F,
+    BRAKE_R,
+    BRAKE_REQ_F,
+    BRAKE_REQ_R,
+    DIRECTION,
+    DRIVING,
+    EBS_STATE,
+    EMERGENCY,
+    ESTOP,
+    FAULTS,
+    FINISHED,
+    GO,
+    MISSION_STATUS,
+    MS,
+    READY,
+    SHUTDOWN_CAUSE,
+    STATUS_EBS,
+    STEER,
+    TORQUE_F,
+    TORQUE_R,
+    TS_SWITCH,
+    label,
+    like_official_simulator,
+)
+from fsai_vcu.diagnostics.wire_bits import wire_bits
+from fsai_vcu.interface.enums import MissionStatus
+from fsai_vcu.interface.reserved import AI_IDS
+
+BUCKETS: Final = 1000  # a wide screen has not many more points than twice as many
+BREAK_NS: Final = 250 * MS  # a value so old is not drawn on: a message that stopped must not look alive
+KMH_PER_MPS: Final = 3.6
+LANE_SPANS: Final = 400
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One line of a plot. `quiet` lines are drawn thin: they are there for comparison."""
+
+    name: str
+    series: Series
+    quiet: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """Several lines that share an axis. `digits`: decimals that mean something."""
+
+    slug: str
+    title: str
+    unit: str
+    digits: int
+    curves: tuple[Curve, ...]
+
+    def summary(self) -> str:
+        """In words, for those who do not see it."""
+        parts = []
+        for curve in self.curves:
+            values = curve.series.values
+            parts.append(f"{curve.name} from {values.min():.{self.digits}f} to {values.max():.{self.digits}f}")
+        return f"{self.title} in {self.unit} over time: {'; '.join(parts)}."
+
+
+def plots(record: Record) -> list[Plot]:
+    """Every plot for which the log has something."""
+    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    torque = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
+    found = [
+        Plot("speed", "Speed", "m/s", 2, _speeds(record, car)),
+        _plot(record, "steering", "Steering", "deg", 1, ((STEER, "asked"), (ANGLE, "given"))),
+        _plot(
+            record,
+            "torque",
+            "Axle torque",
+            "Nm",
+            1,
+            (
+                (TORQUE_F, "front asked"),
+                (torque[0], "front given"),
+                (TORQUE_R, "rear asked"),
+                (torque[1], "rear given"),
+            ),
+        ),
+        _plot(
+            record,
+            "brake",
+            "Brake",
+            "%",
+            1,
+            (
+                (BRAKE_REQ_F, "front asked"),
+                (BRAKE_F, "front given"),
+                (BRAKE_REQ_R, "rear asked"),
+                (BRAKE_R, "rear given"),
+            ),
+        ),
+        Plot("handshake", "Handshake response", "ms", 2, _handshake(record)),
+        Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record)),)),
+    ]
+    kept = []
+    for plot in found:
+        curves = tuple(curve for curve in plot.curves if len(curve.series))
+        if curves:
+            kept.append(Plot(plot.slug, plot.title, plot.unit, plot.digits, curves))
+    return kept
+
+
+def _plot(
+    record: Record, slug: str, title: str, unit: str, digits: int, signals: tuple[tuple[Signal, str], ...]
+) -> Plot:
+    curves = [Curve(name, record.series(signal)) for signal, name in signals]
+    # An axle that nobody drives is a flat line that hides another: it is left out.
+    moved = tuple(c for c in curves if c.series.values.any()) or tuple(curves[:2])
+    return Plot(slug, title, unit, digits, moved)
+
+
+def _speeds(record: Record, car: VehicleParameters) -> tuple[Curve, ...]:
+    per_rpm = car.speed_of_wheel_rpm(1.0)
+    curves = []
+    for short, name in (("FL", "front left"), ("FR", "front right"), ("RL", "rear left"), ("RR", "rear right")):
+        series = record.series(Signal("VCU2AI_Speeds", f"{short}_WHEEL_SPEED"))
+        curves.append(Curve(f"wheel {name}", Series(series.t_ns, series.values * per_rpm)))
+    for signal, name in (
+        (Signal("GPS_CourseSpeed", "GPS_Speed"), "GPS"),
+        (Signal("AI2VCU_Status", "VEH_SPEED_ACTUAL"), "AI's odometry (0x510)"),
+    ):
+        series = record.series(signal)
+        finite = np.isfinite(series.values)
+        if series.values[finite].any():
+            curves.append(Curve(name, Series(series.t_ns[finite], series.values[finite] / KMH_PER_MPS), quiet=True))
+    return tuple(curves)
+
+
+def _handshake(record: Record) -> tuple[Curve, ...]:
+    echoed = [answer for answer in record.answers if answer.echo_ns is not None]
+    times = np.array([answer.toggle_ns for answer in echoed], np.int64)
+    waits = np.array([answer.waited_ns / MS for answer in echoed], np.float64)
+    return (Curve("from toggle to echo", Series(times, waits)),)
+
+
+def _load(record: Record) -> Series:
+    """The share of the bus that was busy, in each window of 100 ms."""
+    bits = wire_bits(record.frames)
+    places = (record.frames.t_ns - record.begin_ns) // LOAD_WINDOW_NS
+    count = int(places[-1]) + 1
+    busy = np.bincount(places, weights=bits, minlength=count)
+    if count > 1:
+        busy, count = busy[:-1], count - 1  # the last window is cut off by the log's end
+    per_window = BITRATE * LOAD_WINDOW_NS / 1e9
+    middles = record.begin_ns + np.arange(count, dtype=np.int64) * LOAD_WINDOW_NS + LOAD_WINDOW_NS // 2
+    return Series(middles, np.asarray(100.0 * busy / per_window, np.float64))
+
+
+# ---------------------------------------------------------------- thinning out
+
+
+def thinned(series: Series, begin_ns: int, end_ns: int, buckets: int = BUCKETS) -> tuple[Ints, Values]:
+    """(times, values) with at most four points in each of `buckets` slices of the time: the first, the lowest, the
+    highest and the last, so that no peak is lost. NaN where the message was missing."""
+    t_ns, values = series.t_ns, series.values
+    if not len(t_ns):
+        return t_ns, values
+    turns = np.ones(len(values), np.bool_)
+    turns[1:-1] = (values[1:-1] != values[:-2]) | (values[1:-1] != values[2:])
+    breaks = np.flatnonzero(np.diff(t_ns) > BREAK_NS)
+    turns[breaks] = turns[breaks + 1] = True
+    rows = np.flatnonzero(turns)
+    if len(rows) > 4 * buckets:
+        slices = (t_ns[rows] - begin_ns) * buckets // max(end_ns - begin_ns + 1, 1)
+        starts = np.flatnonzero(np.diff(slices, prepend=-1))
+        lows, highs = _extremes(values[rows], starts, np.minimum), _extremes(values[rows], starts, np.maximum)
+        ends = np.append(starts[1:], len(rows)) - 1
+        rows = np.unique(np.concatenate((rows[starts], rows[lows], rows[highs], rows[ends], breaks, breaks + 1)))
+    t_out, v_out = t_ns[rows], values[rows]
+    holes = np.flatnonzero(np.isin(rows, breaks)) + 1
+    return np.insert(t_out, holes, t_out[holes - 1] + 1), np.insert(v_out, holes, np.nan)
+
+
+def _extremes(values: Values, starts: Ints, choose: np.ufunc) -> Ints:
+    """Where in each slice the extreme value stands."""
+    extremes = choose.reduceat(values, starts)
+    lengths = np.diff(np.append(starts, len(values)))
+    hits = np.flatnonzero(values == np.repeat(extremes, lengths))
+    slice_of = np.repeat(np.arange(len(starts)), lengths)[hits]
+    return hits[np.flatnonzero(np.diff(slice_of, prepend=-1))]
+
+
+def packed(curve: Curve, digits: int, begin_ns: int, end_ns: int) -> dict[str, Any]:
+    """A curve for the page: times in steps of 0.1 ms, each from the one before; values as whole numbers."""
+    t_ns, values = thinned(curve.series, begin_ns, end_ns)
+    steps = np.diff((t_ns - begin_ns) // (MS // 10), prepend=0)
+    scaled = np.round(values * 10**digits)
+    numbers: list[int | None] = [None if np.isnan(value) else int(value) for value in scaled]
+    return {"name": curve.name, "quiet": curve.quiet, "dt": steps.tolist(), "v": numbers}
+
+
+# ---------------------------------------------------------------- lanes
+
+
+def lanes(record: Record) -> list[dict[str, Any]]:
+    """States over time: for each lane spans of [from s, to s, label, kind]. Kinds are colours of the page."""
+    found: list[dict[str, Any]] = []
+
+    def add(name: str, spans: list[tuple[int, int, str, str]]) -> None:
+        if spans:
+            shown = [
+                [round((b - record.begin_ns) / 1e9, 4), round((e - record.begin_ns) / 1e9, 4), text, kind]
+                for b, e, text, kind in spans[:LANE_SPANS]
+            ]
+            found.append({"name": name, "spans": shown})
+
+    kinds = {READY: "ready", DRIVING: "go", EMERGENCY: "bad", FINISHED: "done"}
+    add("AS state", [(*cut, label(AS_STATE, v), kinds.get(v, "off")) for *cut, v in _spans(record, AS_STATE)])  # type: ignore[misc]
+    add("mission", [(b, e, label(AMI, v), "plain" if v else "off") for b, e, v in _spans(record, AMI)])
+    said = {float(MissionStatus.NOT_SELECTED): "off", float(MissionStatus.RUNNING): "go"}
+    add(
+        "AI says",
+        [(b, e, label(MISSION_STATUS, v), said.get(v, "plain")) for b, e, v in _spans(record, MISSION_STATUS)],
+    )
+    add("direction", [(b, e, label(DIRECTION, v), "plain" if v else "off") for b, e, v in _spans(record, DIRECTION)])
+    for signal, name in ((AS_SWITCH, "ASMS"), (TS_SWITCH, "TSMS"), (GO, "Go")):
+        add(name, [(b, e, "on" if v else "off", "plain" if v else "off") for b, e, v in _spans(record, signal)])
+    ebs = EBS_STATE if record.revision.name != "2021" else STATUS_EBS
+    if record.series(ebs).values.any():
+        grave = ("TRIGGERED", "FAULT")
+        add(
+            "EBS",
+            [
+                (b, e, w, "bad" if any(g in w for g in grave) else "plain")
+                for b, e, v in _spans(record, ebs)
+                for w in (label(ebs, v),)
+            ],
+        )
+    bad: list[tuple[int, int, str, str]] = [(b, e, "ESTOP_REQUEST", "bad") for b, e, v in _spans(record, ESTOP) if v]
+    for signal in (*FAULTS, SHUTDOWN_CAUSE):
+        bad += [
+            (b, e, signal.name if signal is not SHUTDOWN_CAUSE else f"SHUTDOWN_CAUSE {label(signal, v)}", "bad")
+            for b, e, v in _spans(record, signal)
+            if v
+        ]
+    for name in sorted({text for *_, text, _ in bad}, key=[text for *_, text, _ in bad].index):
+        add(name, [entry for entry in bad if entry[2] == name])
+    silent = [
+        (gap.begin_ns, record.end_ns if gap.end_ns is None else gap.end_ns, f"0x{can_id:03X}", "bad")
+        for can_id in (*AI_IDS, *range(0x520, 0x526))
+        for gap in record.gaps(can_id, 100 * MS)
+    ]
+    add("missing", sorted(silent))
+    add("intruder", [(i.begin_ns, i.end_ns, Reason.INTRUDER.words, "bad") for i in record.intrusions])
+    add("bus errors", [(int(t), int(t), "error frame", "bad") for t in record.error_ns[:LANE_SPANS]])
+    return found
+
+
+def _spans(record: Record, signal: Signal) -> list[tuple[int, int, float]]:
+    """Values over time, with holes where the message was missing."""
+    series = record.series(signal)
+    if not len(series):
+        return []
+    holes = [(int(series.t_ns[i]), int(series.t_ns[i + 1])) for i in np.flatnonzero(np.diff(series.t_ns) > BREAK_NS)]
+    spans: list[tuple[int, int, float]] = []
+    for span in series.spans:
+        begin_ns = span.begin_ns
+        for low, high in holes:
+            if begin_ns <= low < span.end_ns:
+                spans.append((begin_ns, low, span.value))
+                begin_ns = high
+        if begin_ns < span.end_ns or begin_ns == span.begin_ns:
+            spans.append((begin_ns, span.end_ns, span.value))
+    return spans

@@ -1,0 +1,130 @@
+"""`fsai-vcu decode`: what a person or a script gets, also of broken input."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+GOOD = "(1.000000) can0 523#640064006400\n"
+LINE = (
+    "(1.000000) can0 523#640064006400 :: VCU2AI_Steer(ANGLE: 10.0 deg, ANGLE_MAX: 10.0 deg, ANGLE_REQUEST: 10.0 deg)\n"
+)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    path.write_text(GOOD * 3)
+    return path
+
+
+def test_each_frame_is_one_line_as_cantools_writes_it(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["decode", str(log)]) == 0
+    assert capsys.readouterr().out == LINE * 3
+
+
+def test_numbers_stand_for_words_where_they_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("(1.000000) can0 520#0000030000000000\n")
+    assert main(["decode", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["signals"]["AS_STATE"] == "AS_DRIVING"
+    assert main(["decode", str(path), "--json", "--numbers"]) == 0
+    assert json.loads(capsys.readouterr().out)["signals"]["AS_STATE"] == 3
+
+
+def test_the_other_revision_and_other_databases_are_used_when_named(
+    tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "team.dbc"
+    other.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 1315 Ours: 6 AI\n SG_ A : 0|8@1+ (1,0) [0|0] "" AI\n')
+    assert main(["decode", str(log), "--dbc", str(other)]) == 0
+    assert ":: Ours(A: 100)\n" in capsys.readouterr().out
+    assert main(["decode", str(log), "--revision", "2021"]) == 0
+    assert "VCU2AI_Steer" in capsys.readouterr().out
+
+
+def test_a_broken_log_is_read_as_far_as_it_goes_and_ends_in_failure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(b"".join([GOOD.encode(), b"\xff\x00\xfe\n" * 7, GOOD.encode(), GOOD[:-3].encode()]))
+    assert main(["decode", str(path)]) == 1
+    said = capsys.readouterr()
+    assert said.out == LINE * 2
+    lines = said.err.splitlines()
+    assert lines[0] == f"fsai-vcu decode: {path}: line 2: not text: '\\xff\\x00\\xfe'"
+    assert lines[-1] == f"fsai-vcu decode: {path}: 3 more lines or frames that cannot be read"
+    assert len(lines) == 6
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["gone.log"], "gone.log: No such file or directory"),
+        (["."], ".: Is a directory"),
+        (["nowhere0"], "no CAN interface 'nowhere0'"),
+        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory"),
+        (["LOG", "--revision", "2030"], "choose one of 2021, 2026"),
+        (["EMPTY"], "no frames in it"),
+    ],
+)
+def test_what_cannot_be_read_is_one_clear_line(
+    argv: list[str], words: str, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = log.with_name("empty.log")
+    empty.touch()
+    assert main(["decode", *[{"LOG": str(log), "EMPTY": str(empty)}.get(word, word) for word in argv]]) == 1
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+
+
+def test_a_full_disk_is_one_clear_line(log: Path) -> None:
+    log.write_text(GOOD * 20_000)
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "fsai_vcu.cli.main", "decode", str(log)],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.stderr == "fsai-vcu decode: cannot write the output: No space left on device\n"
+    assert done.returncode == 1
+
+
+def test_from_a_pipe_each_line_is_shown_before_the_next_one_comes() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fsai_vcu.cli.main", "decode", "-"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin is not None and process.stdout is not None
+    giving_up = threading.Timer(60.0, process.kill)
+    giving_up.start()
+    try:
+        for _ in range(3):
+            process.stdin.write(GOOD)
+            process.stdin.flush()
+            assert process.stdout.readline() == LINE
+        process.stdin.close()
+        assert process.wait() == 0
+    finally:
+        giving_up.cancel()
+        process.kill()
+        process.stdout.close()
+
+
+def test_standard_input_is_a_log_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BufferedReader(io.BytesIO(GOOD.encode()))))  # type: ignore[arg-type]
+    assert main(["decode", "-"]) == 0
+    assert capsys.readouterr().out == LINE

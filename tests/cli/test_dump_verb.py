@@ -1,0 +1,109 @@
+"""`fsai-vcu dump`: candump's lines and options, and the signals beside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+LOG = """\
+(1436509053.850870) can0 523#640064006400
+(1436509053.850970) can0 18FF0001#7F
+(1436509054.950870) can0 514#0A14
+(1436509054.950871) can0 20000040#0000000000000000
+"""
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    path = tmp_path / "run.log"
+    path.write_text(LOG)
+    return str(path)
+
+
+def shown(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
+    assert main(["dump", *argv]) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_log_dumped_as_a_log_is_the_log(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert shown(capsys, log, "-L", "--no-signals") == LOG.splitlines()
+
+
+def test_lines_are_those_of_candumps_screen(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert shown(capsys, log, "--no-signals") == [
+        "  can0  523   [6]  64 00 64 00 64 00",
+        "  can0  18FF0001   [1]  7F",
+        "  can0       514   [2]  0A 14",  # candump indents once it has seen a 29-bit identifier
+        "  can0  20000040   [8]  00 00 00 00 00 00 00 00   ERRORFRAME",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("style", "times"),
+    [
+        ("a", ["1436509053.850870", "1436509053.850970", "1436509054.950870", "1436509054.950871"]),
+        ("z", ["000.000000", "000.000100", "001.100000", "001.100001"]),
+        ("d", ["000.000000", "000.000100", "001.099900", "000.000001"]),
+    ],
+)
+def test_times_are_absolute_from_zero_or_since_the_line_before(
+    style: str, times: list[str], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = shown(capsys, log, "-t", style, "--no-signals")
+    assert [line.split()[0].strip("()") for line in lines] == times
+    assert [line.split()[0].strip("()") for line in shown(capsys, log, "-t", style, "-L")] == times
+
+
+def test_signals_stand_beside_all_in_one_column(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = shown(capsys, log)
+    assert len({line.index(" :: ") for line in lines}) == 1
+    assert [line.partition(" :: ")[2] for line in lines] == [
+        "VCU2AI_Steer(ANGLE: 10.0 deg, ANGLE_MAX: 10.0 deg, ANGLE_REQUEST: 10.0 deg)",
+        "Unknown frame id 419364865 (0x18ff0001)",
+        "AI2VCU_Brake(HYD_PRESS_F_REQ_pct: 5.0 %, HYD_PRESS_R_REQ_pct: 10.0 %)",
+        "error frame: bus-off",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "ids"),
+    [
+        (["-n", "2"], [0x523, 0x18FF0001]),
+        ([",514:7FF"], [0x514]),
+        ([",514~7FF"], [0x523, 0x18FF0001]),
+        ([",0~0,#FFFFFFFF"], [0x40]),
+        ([",514:7FF,#00000040"], [0x514, 0x40]),
+    ],
+)
+def test_filters_and_the_count_choose_frames(
+    options: list[str], ids: list[int], log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = [log + options[0]] if options[0].startswith(",") else [log, *options]
+    assert [json.loads(line)["id"] for line in shown(capsys, *argv, "--json")] == ids
+
+
+def test_colour_is_for_terminals_or_for_who_asks(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "\x1b" not in "".join(shown(capsys, log))
+    lines = shown(capsys, log, "-c")
+    assert lines[3].startswith("\x1b[31m") and lines[3].endswith("\x1b[0m")
+    assert len({line[:5] for line in lines}) == 4, "the VCU, the AI computer, the unknown and errors look alike"
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["LOG", "-n", "0"], "-n is 0, but at least 1 frame can be shown"),
+        (["LOG", "-T", "nan"], "-T is nan, not a time"),
+        (["LOG,520"], "no filter: '520'; a filter is ID:MASK"),
+        (["LOG", "vcan0"], "logs and live interfaces cannot be read together"),
+        (["vcan77"], "no CAN interface 'vcan77'"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(argv: list[str], words: str, log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", *[word.replace("LOG", log) for word in argv]]) == 1
+    said = capsys.readouterr()
+    assert words in said.err and said.err.count("\n") == 1 and said.out == ""

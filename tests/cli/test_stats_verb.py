@@ -1,0 +1,84 @@
+"""`fsai-vcu stats` and `check`: figures, findings, a verdict, an exit status."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+
+@pytest.fixture
+def well(tmp_path: Path) -> Path:
+    """One message of a small database, as it should be: every 10 ms."""
+    (tmp_path / "team.dbc").write_text(
+        'VERSION ""\n\nBU_: AI\n\nBO_ 291 Ours: 2 AI\n SG_ A : 0|8@1+ (1,0) [0|0] "" AI\n\n'
+        'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_DEF_DEF_ "GenMsgCycleTime" 0;\n'
+        'BA_ "GenMsgCycleTime" BO_ 291 10;\n'
+    )
+    path = tmp_path / "well.log"
+    path.write_text("".join(f"(1.{step * 10_000:06d}) can0 123#{step:04X}\n" for step in range(100)))
+    return path
+
+
+def run(verb: str, log: Path, *options: str) -> int:
+    return main([verb, str(log), "--dbc", str(log.with_name("team.dbc")), *options])
+
+
+def test_what_is_well_is_said_to_be_so_with_status_0(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("stats", well) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "verdict: OK"
+    assert [line.split() for line in lines if line.startswith("123 ")] == [
+        ["123", "Ours", "100", "10", "10.00", "0.00", "0.00", "0.00", "0", "10.00", "0", "1.34%"]
+    ]
+
+
+def test_what_is_wrong_is_named_with_status_1(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = well.read_text().splitlines(keepends=True)
+    well.write_text("".join(lines[:30] + lines[50:]).replace("#001D", "#00"))
+    assert run("check", well) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert "problem: Ours (0x123) must have 2 bytes: 1 of 1 bytes" in said
+    assert "problem: Ours (0x123) was silent for 210.0 ms at 1.290 s: 100 ms count as lost" in said
+    assert said[-1] == "verdict: NOT OK: 2 problems"
+    assert not any(line.startswith("123 ") for line in said)
+
+
+def test_json_is_one_object_a_line_with_the_verdict_last(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("stats", well, "--json") == 0
+    entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [entry["type"] for entry in entries] == ["message", "bus", "verdict"]
+    assert entries[0]["interval_ms"] == {"p50_ms": 10.0, "p99_ms": 10.0, "max_ms": 10.0}
+    assert entries[-1] == {"type": "verdict", "verdict": "ok", "problems": 0, "notes": 0}
+
+
+def test_a_log_that_was_not_wholly_readable_fails_even_if_what_was_read_is_well(
+    well: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    well.write_text(well.read_text() + "garbage\n")
+    assert run("check", well) == 1
+    said = capsys.readouterr()
+    assert "line 101: not a line of candump: 'garbage'" in said.err
+    assert said.out.splitlines()[-1] == "verdict: OK"
+
+
+def test_an_empty_log_is_not_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty.log").touch()
+    assert main(["stats", str(tmp_path / "empty.log")]) == 1
+    said = capsys.readouterr()
+    assert said.out == "verdict: NOT OK: no frames\n"
+    assert "no frames in it" in said.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(["--seconds", "nan"], "--seconds is nan, not a time"), (["--bitrate", "0"], "--bitrate is 0, not a bit rate")],
+)
+def test_wrong_use_is_one_clear_line(
+    options: list[str], words: str, well: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("stats", well, *options) == 1
+    assert capsys.readouterr().err == f"fsai-vcu stats: {words}\n"

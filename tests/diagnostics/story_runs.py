@@ -1,0 +1,171 @@
+"""Runs with a known end: the simulated car and the real AI side in lockstep, and one thing that goes wrong.
+
+A run is driven once to a moment (in AS_DRIVING, say) and branches there: each end goes on in a forked process of its
+own, so that a dozen ends cost one drive.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from multiprocessing.connection import Connection
+
+from fsai_hil.faults import FaultyWire, FrameFault
+from fsai_hil.lockstep import Lockstep
+from fsai_hil.world import WorldSetup
+from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.frames import Frame
+
+MS = 1_000_000
+S = 1000 * MS
+Act = Callable[["Run"], None]
+
+
+@dataclass(eq=False)
+class Run:
+    """A lockstep run, the frames seen on its bus so far, and when its end was brought about."""
+
+    lockstep: Lockstep
+    frames: list[Frame] = field(default_factory=list)
+    injected_ns: int = 0
+
+    @classmethod
+    def of(cls, setup: WorldSetup) -> Run:
+        frames: list[Frame] = []
+        return cls(Lockstep(setup, on_frame=frames.append), frames)
+
+    @property
+    def now_ns(self) -> int:
+        return self.lockstep.now_ns
+
+    def go_on(self, seconds: float) -> None:
+        until_ns = self.now_ns + round(seconds * 1e9)
+        while self.now_ns < until_ns:
+            self.lockstep.step()
+
+    def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
+        until_ns = self.now_ns + round(seconds * 1e9)
+        while not condition():
+            assert self.now_ns < until_ns, "the car never got there"
+            self.lockstep.step()
+
+    def switch(self, **values: object) -> None:
+        for name, value in values.items():
+            assert hasattr(self.lockstep.world.vcu.switches, name)
+            setattr(self.lockstep.world.vcu.switches, name, value)
+
+    def spoil(self, *faults: FrameFault) -> None:
+        """From now on the AI computer's frames go through these faults before anybody sees them."""
+        wire, send = FaultyWire(faults), self.lockstep.computer.advance
+        self.lockstep.computer.advance = lambda now_ns: wire.through(send(now_ns), now_ns)  # type: ignore[method-assign]
+
+    def state_is(self, state: AsState) -> bool:
+        return self.lockstep.world.vcu.state is state
+
+
+@dataclass(frozen=True)
+class Ended:
+    """The log of a run, and when its end was brought about."""
+
+    frames: Frames
+    injected_ns: int
+
+
+def log_of(frames: Iterable[Frame]) -> Frames:
+    return frames_of(
+        LogFrame(f.t_ns, "vcan0", f.can_id, f.data, extended=f.extended, remote=f.remote, error=f.error) for f in frames
+    )
+
+
+@cache
+def _log_so_far(run: Run) -> Frames:
+    return log_of(run.frames)
+
+
+def branch(run: Run, act: Act, seconds: float) -> Ended:
+    """What becomes of `run` when `act` is done to it now and `seconds` pass. The run itself stays where it is."""
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+
+    seen = len(run.frames)
+
+    def go_on(answer: Connection) -> None:
+        run.injected_ns = run.now_ns
+        act(run)
+        run.go_on(seconds)
+        answer.send_bytes(pickle.dumps((run.frames[seen:], run.injected_ns)))
+        answer.close()
+
+    child = context.Process(target=go_on, args=(sender,))
+    child.start()
+    sender.close()
+    try:
+        frames, injected_ns = pickle.loads(receiver.recv_bytes())
+    finally:
+        receiver.close()
+        child.join()
+    return Ended(joined([_log_so_far(run), log_of(frames)]), injected_ns)
+
+
+# ---------------------------------------------------------------- where runs branch
+
+
+def setup(**changes: object) -> WorldSetup:
+    chosen = WorldSetup(missions=[Ami.ACCELERATION], gps=False)
+    return replace(chosen, **changes)  # type: ignore[arg-type]
+
+
+@cache
+def driving(revision: str = "2026", profile: str = "specification") -> Run:
+    """In AS_DRIVING at 3 m/s, accelerating."""
+    run = Run.of(setup(revision=revision, profile=profile))
+    run.until(lambda: run.state_is(AsState.AS_DRIVING) and run.lockstep.world.car.speed_mps >= 3.0)
+    return run
+
+
+@cache
+def off() -> Run:
+    """In AS_OFF with everything up, nobody at the switches, and no mission chosen."""
+    run = Run.of(setup(auto=False))
+    run.go_on(0.5)
+    run.switch(lvms=True, asms=True, tsms=True)
+    run.until(lambda: run.state_is(AsState.AS_OFF))
+    return run
+
+
+@cache
+def ready() -> Run:
+    """Half a second into AS_READY, nobody at the switches."""
+    run = Run.of(setup(auto=False))
+    run.go_on(0.5)
+    run.switch(lvms=True, asms=True, tsms=True, ami=Ami.ACCELERATION)
+    run.until(lambda: run.state_is(AsState.AS_READY))
+    run.go_on(0.5)
+    return run
+
+
+@cache
+def parked() -> Run:
+    """A car with everything off, an AI computer that has just begun to send."""
+    run = Run.of(setup(auto=False))
+    run.go_on(0.5)
+    return run
+
+
+def after(frames: Frames, begin_ns: int) -> Frames:
+    """What a log has from `begin_ns` on: recording began late."""
+    return frames.only(frames.t_ns >= begin_ns)
+
+
+def cut(frames: Frames, end_ns: int) -> Frames:
+    """What a log has up to `end_ns`: recording ended early."""
+    return frames.only(frames.t_ns <= end_ns)
+
+
+def hand_made(lines: Sequence[tuple[float, int, str]]) -> Frames:
+    """Frames of (seconds, identifier, payload as hex)."""
+    return frames_of(LogFrame(round(t_s * 1e9), "can0", can_id, bytes.fromhex(data)) for t_s, can_id, data in lines)

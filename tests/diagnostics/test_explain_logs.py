@@ -1,0 +1,465 @@
+"""Any log gets a story: other stacks' logs, pieces of logs, logs of one direction, logs that are none."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from story_runs import MS, Run, S, after, branch, cut, driving, hand_made, log_of, ready, setup
+
+from fsai_hil.faults import Drop, Window, WrongValues
+from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.candump import log_lines
+from fsai_vcu.diagnostics.databases import load_databases
+from fsai_vcu.diagnostics.frames import RECEIVED, SENT, Frames
+from fsai_vcu.diagnostics.story import Kind, tell
+from fsai_vcu.diagnostics.story.incident import Sureness
+from fsai_vcu.diagnostics.story.revision import guess_revision
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.database import dbc_dir
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsStatus, MissionStatus, ShutdownCause, SteeringStatus
+from fsai_vcu.interface.images import (
+    AiBrake,
+    AiDriveFront,
+    AiDriveRear,
+    AiStatus,
+    AiSteer,
+    Faults,
+    Image,
+    VcuBrake,
+    VcuStatus,
+    VcuSteer,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.revisions import revision
+
+
+def written(frames: Frames, path: Path) -> Path:
+    path.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
+    return path
+
+
+def estop(run: Run) -> None:
+    run.switch(car_estop=True)
+
+
+@pytest.fixture(scope="module")
+def stopped() -> Frames:
+    """A drive that an E-stop button ended."""
+    return branch(driving(), estop, 1.0).frames
+
+
+@pytest.fixture(scope="module")
+def faulty() -> Frames:
+    """A drive that ended with a fault which the car names."""
+
+    def finished(run: Run) -> None:
+        values = {"mission_status": MissionStatus.FINISHED}
+        run.spoil(WrongValues(run.lockstep.world.codec, Window(frozenset({0x510})), values))
+
+    return branch(driving(), finished, 1.0).frames
+
+
+@pytest.fixture(scope="module")
+def nominal() -> Frames:
+    """A static inspection B, whose end is the emergency brake."""
+    run = Run.of(setup(missions=[Ami.STATIC_INSPECTION_B]))
+    run.until(lambda: run.lockstep.world.done)
+    return log_of(run.frames)
+
+
+class OtherStack:
+    """A hand-made log: somebody else's AI computer, and a car of 2021, every 10 ms."""
+
+    def __init__(self) -> None:
+        self.codec = Codec(revision("2021"))
+        self.lines: list[tuple[float, int, str]] = []
+        self.t_ms = 0
+
+    def say(self, *images: Image) -> None:
+        for image in images:
+            frame = self.codec.encode(image)
+            self.lines.append((self.t_ms / 1000 + 1e-5 * len(self.lines) % 0.004, frame.can_id, frame.data.hex()))
+
+    def cycles(self, count: int, car: VcuStatus, ai: AiStatus, *, torque: float = 0.0, rpm: int = 0) -> None:
+        for _ in range(count):
+            bit = bool(self.t_ms // 20 % 2)
+            self.say(
+                replace(car, handshake=bit),
+                VcuSteer(0.0, 21.0, 0.0),
+                VcuBrake(ebs_status=EbsStatus.ARMED),
+                WheelSpeeds(rpm, rpm, rpm, rpm),
+                replace(ai, handshake=bit),
+                AiDriveFront(torque),
+                AiDriveRear(torque),
+                AiSteer(),
+                AiBrake(),
+            )
+            self.t_ms += 10
+
+    def frames(self) -> Frames:
+        return hand_made(sorted(self.lines))
+
+
+ON = VcuStatus(
+    as_switch=True, ts_switch=True, steering_status=SteeringStatus.ACTIVE, as_state=AsState.AS_OFF, ami=Ami.ACCELERATION
+)
+
+
+def car(**changes: object) -> VcuStatus:
+    return replace(ON, **changes)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------- other stacks
+
+
+def test_a_stack_that_says_running_in_as_off_is_told_why_the_car_waits() -> None:
+    log = OtherStack()
+    log.cycles(700, car(), AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD))
+    story = tell(log.frames())
+    assert story.heading["revision"] == "2021"
+    assert [i.kind for i in story.incidents] == [Kind.REFUSAL]
+    assert story.incidents[0].candidates[0].slug == "status_running"
+
+
+def test_a_stack_that_holds_torque_in_as_ready_is_told_why_go_does_nothing() -> None:
+    log = OtherStack()
+    selected = AiStatus(mission_status=MissionStatus.SELECTED)
+    log.cycles(20, car(), selected)
+    log.cycles(520, car(as_state=AsState.AS_READY), selected, torque=12.0)
+    log.cycles(60, car(as_state=AsState.AS_READY, go_signal=True), selected, torque=12.0)
+    first = tell(log.frames()).incidents[0].candidates[0]
+    assert (first.slug, first.sureness) == ("torque_requested", Sureness.SHOWN)
+    assert [step.signal for step in first.steps] == ["FRONT_AXLE_TRQ_REQUEST", "GO_SIGNAL"]
+
+
+@pytest.mark.parametrize("cause", [c for c in ShutdownCause if c])
+def test_every_shutdown_cause_on_the_wire_ends_in_its_row_or_in_what_led_to_it(cause: ShutdownCause) -> None:
+    log = OtherStack()
+    running = AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
+    log.cycles(50, car(as_state=AsState.AS_DRIVING, go_signal=True), running, rpm=100)
+    emergency = car(as_state=AsState.EMERGENCY_BRAKE, go_signal=True, fault=True, shutdown_cause=cause)
+    log.cycles(30, emergency, running, rpm=50)
+    first = tell(log.frames()).incidents[0].candidates[0]
+    assert first.sureness is Sureness.SAID
+    assert f"SHUTDOWN_CAUSE {cause.label}" in first.steps[-1].words
+
+
+@pytest.mark.parametrize("bit", Faults.__slots__)
+def test_every_fault_bit_on_the_wire_is_enough_where_the_cause_is_not_sent(bit: str) -> None:
+    log = OtherStack()
+    running = AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
+    log.cycles(50, car(as_state=AsState.AS_DRIVING, go_signal=True), running, rpm=100)
+    faults = Faults(**{bit: True})
+    log.cycles(30, car(as_state=AsState.EMERGENCY_BRAKE, go_signal=True, fault=True, faults=faults), running, rpm=50)
+    first = tell(log.frames()).incidents[0].candidates[0]
+    assert first.sureness is Sureness.SAID
+    assert first.slug not in ("sdc_open", "unknown")
+
+
+def test_a_log_of_the_cars_direction_alone_says_so_and_does_not_guess(stopped: Frames) -> None:
+    story = tell(stopped.only((stopped.can_id < 0x510) | (stopped.can_id > 0x514)))
+    assert any("no frame of the AI computer" in problem for problem in story.problems)
+    emergency = [i for i in story.incidents if i.kind is Kind.EMERGENCY]
+    assert emergency[0].candidates[0].slug == "sdc_open"
+
+
+def test_a_link_lost_in_a_log_without_the_ai_side_is_not_blamed_on_a_message() -> None:
+    run = branch(driving(), lambda run: run.spoil(Drop(Window(frozenset({0x513})))), 0.3).frames
+    story = tell(run.only((run.can_id < 0x510) | (run.can_id > 0x514)))
+    first = next(i for i in story.incidents if i.kind is Kind.EMERGENCY).candidates[0]
+    assert first.slug == "ai_comms_lost"
+    assert "only one direction" in first.steps[0].words
+
+
+def test_a_log_of_the_ai_direction_alone_says_what_it_lacks(stopped: Frames) -> None:
+    story = tell(stopped.only((stopped.can_id >= 0x510) & (stopped.can_id <= 0x514)))
+    assert any("no 0x520" in problem for problem in story.problems)
+    assert story.incidents == ()
+
+
+def test_a_stranger_is_known_by_who_sent_where_the_log_says_it(stopped: Frames) -> None:
+    """The AI computer's own log (R and T): one received 0x513 among its sent ones, at no odd time."""
+    driven = stopped.only(stopped.can_id != 0x514)
+    ours = (driven.can_id >= 0x510) & (driven.can_id <= 0x513)
+    driven.flags[:] = np.where(ours, SENT, RECEIVED)
+    assert not [e for e in tell(driven).events if e.topic == "intruder"]
+    row = int(np.flatnonzero(driven.can_id == 0x513)[500])
+    driven.flags[row] = RECEIVED
+    told = [e for e in tell(driven).events if e.topic == "intruder"]
+    assert [e.t_ns for e in told] == [int(driven.t_ns[row])]
+    assert "received, not sent" in told[0].text
+
+
+def test_a_database_without_fault_bits_and_cause_still_finds_what_the_frames_show(
+    faulty: Frames, tmp_path: Path
+) -> None:
+    """One official database has no fault bit but HVIL_OPEN_FAULT, and no SHUTDOWN_CAUSE."""
+    text = (dbc_dir() / "ads_dv_2026.dbc").read_text(encoding="cp1252").splitlines(keepends=True)
+    gone = ("SHUTDOWN_CAUSE", "MISSION_STATUS_FAULT")
+    bare = [line for line in text if not any(f"{word} " in line for word in gone) or line.startswith("CM_ BO_")]
+    path = tmp_path / "bare.dbc"
+    path.write_text("".join(bare), encoding="cp1252")
+    first = tell(faulty, databases=load_databases([path])).incidents[0].candidates[0]
+    assert (first.slug, first.sureness) == ("finished_while_moving", Sureness.SHOWN)
+
+
+def test_a_pause_of_everybody_is_blamed_on_the_bus_or_the_recording_and_on_no_message() -> None:
+    log = OtherStack()
+    running = AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
+    log.cycles(50, car(as_state=AsState.AS_DRIVING, go_signal=True), running, rpm=100)
+    log.t_ms += 300
+    lost = car(as_state=AsState.EMERGENCY_BRAKE, fault=True, shutdown_cause=ShutdownCause.AI_COMMS_FAULT)
+    log.cycles(30, lost, running, rpm=50)
+    story = tell(log.frames())
+    assert story.incidents[0].candidates[0].slug == "bus_lost"
+    told = [event.text for event in story.events if "heard" in event.text or "silent" in event.text]
+    assert len(told) == 1 and told[0].startswith("nobody at all is heard for 3")
+
+
+# ---------------------------------------------------------------- pieces of logs
+
+
+def test_a_log_that_begins_in_the_emergency_brake_says_that_it_began_before(stopped: Frames) -> None:
+    begun = after(stopped, int(stopped.t_ns[-1]) - 500 * MS)
+    incident = tell(begun).incidents[0]
+    assert incident.candidates[0].slug == "before_the_log"
+
+
+def test_a_fault_that_is_still_shown_names_the_cause_of_what_was_before_the_log(faulty: Frames) -> None:
+    begun = after(faulty, int(faulty.t_ns[-1]) - 500 * MS)
+    candidates = [one.slug for one in tell(begun).incidents[0].candidates]
+    assert candidates[0] == "finished_while_moving"
+
+
+def test_a_log_that_begins_in_mid_drive_finds_the_cause_all_the_same(stopped: Frames, faulty: Frames) -> None:
+    for whole, slug in ((stopped, "sdc_open"), (faulty, "finished_while_moving")):
+        story = tell(after(whole, int(whole.t_ns[-1]) - 2 * S))
+        assert any("begins in AS_DRIVING" in problem for problem in story.problems)
+        assert [i.candidates[0].slug for i in story.incidents] == [slug]
+
+
+def test_a_log_that_ends_in_mid_drive_has_no_incident(stopped: Frames) -> None:
+    end = tell(stopped).incidents[0].t_ns
+    story = tell(cut(stopped, end - 1 * MS))
+    assert story.incidents == ()
+    assert story.closing.endswith("AS_DRIVING")
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.5, 0.7, 0.9])
+def test_no_piece_of_a_drive_is_told_a_wrong_emergency(stopped: Frames, share: float) -> None:
+    length = int(stopped.t_ns[-1] - stopped.t_ns[0])
+    begin = int(stopped.t_ns[0]) + int(share * length)
+    story = tell(cut(after(stopped, begin), begin + length // 20))
+    assert [i for i in story.incidents if i.kind is not Kind.EMERGENCY] == []
+
+
+def test_a_log_whose_clock_is_set_back_keeps_its_order(stopped: Frames) -> None:
+    t_ns = stopped.t_ns.copy()
+    half = len(t_ns) // 2
+    t_ns[half:] -= 5 * S
+    story = tell(replace(stopped, t_ns=t_ns))
+    assert [i.candidates[0].slug for i in story.incidents] == ["sdc_open"]
+    assert any("clock was set back by 5" in event.text for event in story.events)
+
+
+# ---------------------------------------------------------------- regular ends
+
+
+def test_a_mission_that_ends_with_the_emergency_brake_is_told_as_planned(nominal: Frames) -> None:
+    story = tell(nominal)
+    assert [(i.kind, i.planned, i.candidates[0].slug) for i in story.incidents] == [
+        (Kind.EMERGENCY, True, "planned_end")
+    ]
+    assert story.clean
+
+
+@pytest.mark.parametrize(
+    ("mission", "profile", "rev"),
+    [
+        (Ami.ACCELERATION, "specification", "2026"),
+        (Ami.STATIC_INSPECTION_A, "specification", "2021"),
+        (Ami.STATIC_INSPECTION_A, "official-simulator", "2026"),
+    ],
+)
+def test_a_run_in_which_nothing_goes_wrong_has_no_incident_and_no_warning(mission: Ami, profile: str, rev: str) -> None:
+    run = Run.of(setup(missions=[mission], profile=profile, revision=rev))
+    run.until(lambda: run.lockstep.world.done, 120.0)
+    run.go_on(1.0)
+    frames = log_of(run.frames)
+    story = tell(frames)
+    assert story.incidents == ()
+    assert story.clean
+    assert [e.text for e in story.events if e.weight > 1] == []
+    assert story.heading["revision"] == rev
+
+
+def test_a_wait_in_as_ready_that_is_not_over_is_no_refusal() -> None:
+    frames = branch(ready(), lambda run: None, 3.0).frames
+    assert tell(frames).incidents == ()
+
+
+# ---------------------------------------------------------------- revision
+
+
+@pytest.mark.parametrize("rev", ["2021", "2026"])
+def test_the_revision_is_told_from_the_frames_with_the_reason(rev: str) -> None:
+    found, reason = guess_revision(log_of(driving(rev).frames))
+    assert found.name == rev
+    assert reason
+
+
+@pytest.mark.parametrize(
+    ("rev", "can_id", "data", "reason"),
+    [
+        ("2026", 0x520, "0000010030000000", "0x520 carries"),
+        ("2026", 0x520, "1000010000000000", "0x520 carries"),
+        ("2021", 0x120, "0000000000000000", "VCU_STATUS (0x120) is only in 2021"),
+        ("2026", 0x181, "0000000000000000", "RES_TPDO (0x181) is only in 2026"),
+        ("2026", 0x523, "00002c010000", "ANGLE_MAX is 30 deg"),
+        ("2021", 0x523, "0000d2000000", "ANGLE_MAX is 21 deg"),
+    ],
+)
+def test_each_sign_of_a_revision_counts_by_itself(rev: str, can_id: int, data: str, reason: str) -> None:
+    found, said = guess_revision(hand_made([(0.0, can_id, data)]))
+    assert (found.name, said[: len(reason)]) == (rev, reason)
+
+
+def test_a_log_that_does_not_tell_its_revision_says_so() -> None:
+    found, reason = guess_revision(hand_made([(0.0, 0x510, "0000000000000000")]))
+    assert found.name == "2026"
+    assert "nothing in the log tells" in reason
+
+
+# ---------------------------------------------------------------- the verb
+
+
+@pytest.fixture
+def explain(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    def run(*argv: object) -> tuple[int, str, str]:
+        status = main(["explain", *(str(part) for part in argv)])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+Explain = Callable[..., tuple[int, str, str]]
+
+
+def test_the_exit_status_tells_whether_there_is_something_to_explain(
+    explain: Explain, stopped: Frames, nominal: Frames, tmp_path: Path
+) -> None:
+    assert explain(written(stopped, tmp_path / "stopped.log"))[0] == 1
+    assert explain(written(nominal, tmp_path / "nominal.log"))[0] == 0
+
+
+def test_the_answer_stands_at_the_end_with_cause_chain_and_remedy(
+    explain: Explain, faulty: Frames, tmp_path: Path
+) -> None:
+    status, out, err = explain(written(faulty, tmp_path / "run.log"))
+    assert (status, err) == (1, "")
+    story = out[out.index("EMERGENCY BRAKE at") :].splitlines()
+    assert "because MISSION_STATUS was FINISHED while a wheel turned" in story[1]
+    assert "0x510 AI2VCU_Status" in story[2] and "RUNNING → FINISHED" in story[2]
+    assert "0 ms  0x520 VCU2AI_Status" in story[3] and "SHUTDOWN_CAUSE MISSION_STATUS_FAULT" in story[3]
+    assert any(line.strip().startswith("what to do: say FINISHED only when") for line in story)
+    assert story[-1] == "1 emergency brake"
+    assert "\033" not in out, "no colours where nobody sees them"
+
+
+def test_json_is_one_object_a_line(explain: Explain, faulty: Frames, tmp_path: Path) -> None:
+    status, out, _ = explain(written(faulty, tmp_path / "run.log"), "--json")
+    objects = [json.loads(line) for line in out.splitlines()]
+    assert status == 1
+    assert [o["type"] for o in (objects[0], objects[-1])] == ["log", "verdict"]
+    incident = next(o for o in objects if o["type"] == "incident")
+    chain = incident["causes"][0]["chain"]
+    assert incident["causes"][0]["cause"] == "finished_while_moving"
+    assert (chain[0]["frame"], chain[0]["signal"]) == ("0x510 AI2VCU_Status", "MISSION_STATUS")
+    assert chain[-1]["before_ms"] == 0
+    assert objects[-1]["clean"] is False
+
+
+def test_a_part_of_the_log_is_told_with_causes_from_the_whole(explain: Explain, faulty: Frames, tmp_path: Path) -> None:
+    path = written(faulty, tmp_path / "run.log")
+    status, out, _ = explain(path, "--to", 5, "--json")
+    assert status == 0
+    assert max(json.loads(line).get("t_s", 0) for line in out.splitlines()) <= 5
+    status, out, _ = explain(path, "--from", 15, "--json")
+    assert status == 1
+    assert '"finished_while_moving"' in out
+
+
+def test_gzip_and_a_revision_that_is_given(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
+    path = tmp_path / "run.log.gz"
+    path.write_bytes(gzip.compress(b"\n".join(log_lines(stopped)) + b"\n"))
+    status, out, _ = explain(path, "--revision", "2026")
+    assert status == 1
+    assert "interface revision 2026 (given)" in out
+
+
+def test_a_truncated_log_is_told_as_far_as_it_goes(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
+    path = tmp_path / "cut.log"
+    path.write_bytes(b"\n".join(log_lines(stopped))[:-9])
+    status, out, err = explain(path)
+    assert status == 1
+    assert "SDC" in out
+    assert err.count("\n") == 1 and "cut off" in err
+
+
+def test_what_cannot_be_read_makes_the_status_bad_even_if_the_rest_is_fine(
+    explain: Explain, nominal: Frames, tmp_path: Path
+) -> None:
+    path = tmp_path / "half.log"
+    path.write_bytes(b"\n".join([b"not a frame", *log_lines(nominal)]) + b"\n")
+    status, out, err = explain(path)
+    assert status == 2
+    assert "as planned" in out
+    assert "line 1" in err
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(None, "No such file"), (b"", "no frame"), (bytes(range(256)) * 40, "no frame")],
+    ids=["absent", "empty", "garbage"],
+)
+def test_what_is_no_log_gets_a_clear_line_and_status_2(
+    explain: Explain, tmp_path: Path, content: bytes | None, words: str
+) -> None:
+    path = tmp_path / "x.log"
+    if content is not None:
+        path.write_bytes(content)
+    status, out, err = explain(path)
+    assert (status, out) == (2, "")
+    assert words in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("option", ["--from", "--to"])
+def test_a_time_that_is_none_is_refused(explain: Explain, option: str) -> None:
+    assert explain("x.log", option, "nan")[0] == 2
+
+
+def test_an_unknown_revision_is_refused_by_name(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
+    status, _, err = explain(written(stopped, tmp_path / "run.log"), "--revision", "2030")
+    assert status == 2
+    assert "choose one of 2021, 2026" in err
+
+
+def test_colours_are_for_terminals_and_no_color_is_obeyed(
+    stopped: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = str(written(stopped, tmp_path / "run.log"))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    main(["explain", path])
+    assert "\033[31;1m" in capsys.readouterr().out
+    monkeypatch.setenv("NO_COLOR", "1")
+    main(["explain", path])
+    assert "\033" not in capsys.readouterr().out

@@ -1,0 +1,111 @@
+"""The tables behind explain are whole: whatever the car can say, and whatever its state machine asks, has its words."""
+
+from __future__ import annotations
+
+import pytest
+
+from fsai_hil.as_machine import ROWS, Row
+from fsai_vcu.core.supervision.readiness import FAULT_NAMES
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
+from fsai_vcu.diagnostics.story.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
+from fsai_vcu.diagnostics.story.signals import FAULTS
+from fsai_vcu.diagnostics.story.starting import TO_DRIVING, TO_READY
+from fsai_vcu.interface.enums import AsState, ShutdownCause
+
+# What brings a simulated car from one state to another, and the causes that name it. A row of its state machine that is
+# not here is a condition that explain knows nothing of.
+CAUSES_OF = {
+    "the AI computer requests an emergency stop": {"ai_computer_request"},
+    "mission FINISHED while a wheel turns": {"finished_while_moving"},
+    "direction NEUTRAL while a wheel turns": {"neutral_while_moving"},
+    "direction NEUTRAL while all wheels turn": {"neutral_while_moving"},
+    "the AI computer's messages or echo are missing": {"ai_comms_lost"},
+    "torque and brake requested together": {"torque_with_brake"},
+    "high-voltage interlock open": {"hvil_open"},
+    "high-voltage interlock shorted": {"hvil_short"},
+    "EBS fault": {"ebs_fault"},
+    "off-board charger fault": {"offboard_charger"},
+    "charge procedure fault": {"charge_procedure"},
+    "BMS fault": {"bms"},
+    "the EBS is not available any more": {"ebs_fault", "tsms_off"},
+    "shutdown circuit open": {"sdc_open", "remote_estop", "radio_lost"},
+    "ASMS off": {"asms_off", "given_up"},
+    "Go off": {"go_off"},
+    "hydraulic brake requested": {"brake_request_simulator"},
+    "mission status NOT_SELECTED": {"not_selected_simulator"},
+    # transitions of a start: each condition is one of these
+    "tractive system and EBS are up": {"no_ai_data", "ai_data_incomplete", "tsms", "ts_not_running", "ebs_not_armed"},
+    "mission chosen and acknowledged, EBS armed": {
+        "asms",
+        "tsms",
+        "ebs_not_armed",
+        "no_mission",
+        "status_not_selected",
+        "status_running",
+        "status_finished",
+        "power_cycle",
+    },
+    "Go": {
+        "go_too_early",
+        "torque_requested",
+        "steering_requested",
+        "steering_turned",
+        "direction_not_neutral",
+        "ready_not_selected",
+    },
+}
+REGULAR = {"mission FINISHED at rest", "emergency-brake timer over, then ASMS off"}
+
+
+def test_every_shutdown_cause_has_a_row() -> None:
+    assert set(SHUTDOWN) == set(ShutdownCause) - {ShutdownCause.NO_SHUTDOWN}
+    assert set(SHUTDOWN.values()) <= set(CAUSES)
+
+
+def test_every_fault_bit_has_a_row() -> None:
+    assert set(FAULT_BITS) == {name for _, name in FAULT_NAMES} == {signal.name for signal in FAULTS}
+    assert set(FAULT_BITS.values()) <= set(CAUSES)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.source.label} {row.why}")
+def test_every_transition_of_the_as_state_machine_has_its_causes(row: Row) -> None:
+    if row.why in REGULAR:
+        return
+    assert CAUSES_OF[row.why] <= set(CAUSES)
+    if row.fault is not None:
+        assert SHUTDOWN[row.fault.cause] in CAUSES_OF[row.why]
+
+
+def test_every_condition_of_a_start_is_looked_for() -> None:
+    looked_for = {condition.slug for condition in (*TO_READY, *TO_DRIVING)}
+    on_the_way = {
+        (AsState.AS_INIT, AsState.AS_OFF),
+        (AsState.AS_OFF, AsState.AS_READY),
+        (AsState.AS_READY, AsState.AS_DRIVING),
+    }
+    wanted = set().union(*(CAUSES_OF[row.why] for row in ROWS if (row.source, row.target) in on_the_way))
+    assert wanted <= looked_for
+
+
+def test_conditions_wait_only_for_conditions_that_there_are() -> None:
+    for table in (TO_READY, TO_DRIVING):
+        slugs = [condition.slug for condition in table]
+        assert len(slugs) == len(set(slugs))
+        assert set().union(*(condition.after for condition in table)) <= set(slugs)
+        assert set(slugs) <= set(CAUSES)
+
+
+def test_every_reason_for_which_the_supervisor_brakes_is_told_in_its_own_words() -> None:
+    graver = {reason for reason, steps in REACTIONS.items() if any(s.consequence >= Consequence.STOP for s in steps)}
+    # what is decided inside the AI computer leaves no trace of its own on the bus
+    inside = {Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED}
+    for reason in graver - inside - {Reason.GO_OFF}:  # of Go the car itself says more
+        assert reason.slug in CAUSES, f"{reason} is neither explained nor known to leave no trace on the bus"
+        assert CAUSES[reason.slug].words == reason.words
+
+
+@pytest.mark.parametrize("cause", CAUSES.values(), ids=lambda cause: cause.slug)
+def test_every_cause_says_what_to_do(cause: Cause) -> None:
+    assert cause.words and cause.remedy
+    assert not cause.words.endswith(".") and not cause.remedy.endswith(".")

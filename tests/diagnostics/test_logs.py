@@ -1,0 +1,362 @@
+"""Every log of a bus is read, whoever wrote it; and of a broken one everything that can be read."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsai_vcu.diagnostics.candump import log_lines, parse_line, screen_lines
+from fsai_vcu.diagnostics.frames import LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.logs import LogError, open_log, read_log
+
+T0_NS = 1_436_509_053_850_870_000
+
+
+def frame(can_id: int = 0x520, data: bytes = b"\x01\xa5", **other: Any) -> LogFrame:
+    return LogFrame(other.pop("t_ns", T0_NS), other.pop("channel", "can0"), can_id, data, **other)
+
+
+MIXED = [
+    frame(0x520, bytes(range(8))),
+    frame(0x514, b"\x0a\xff", t_ns=T0_NS + 1_000_000),
+    frame(0x080, b"", t_ns=T0_NS + 2_000_000),
+    frame(0x18FF0001, b"\x7f", t_ns=T0_NS + 3_000_000, extended=True),
+    frame(0x001, b"\x11\x22\x33", t_ns=T0_NS + 4_000_000, extended=True),
+]
+
+
+def plainly(frames: Sequence[LogFrame]) -> list[tuple[int, int, bytes, bool]]:
+    return [(f.t_ns, f.can_id, f.data, f.extended) for f in frames]
+
+
+def read(path: Path) -> list[LogFrame]:
+    with open_log(path) as log:
+        found = list(log.frames())
+    assert log.problems.texts == []
+    return found
+
+
+def write_with_python_can(path: Path, frames: Sequence[LogFrame], **options: Any) -> None:
+    with can.Logger(path, **options) as writer:
+        for f in frames:
+            writer.on_message_received(
+                can.Message(
+                    timestamp=f.t_ns / 1e9,
+                    arbitration_id=f.can_id,
+                    data=f.data,
+                    is_extended_id=f.extended,
+                    is_rx=not f.sent,
+                    channel=0,
+                )
+            )
+
+
+# ---------------------------------------------------------------- formats
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["unix", "windows"])
+@pytest.mark.parametrize("suffix", ["", " R", " T"])
+def test_a_log_of_candump_is_read_with_and_without_the_direction_that_python_can_adds(
+    tmp_path: Path, suffix: str, end: str
+) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes("".join(line.decode() + suffix + end for line in log_lines(frames_of(MIXED))).encode())
+    found = read(path)
+    assert plainly(found) == plainly(MIXED)
+    assert {f.sent for f in found} == {{"": None, " R": False, " T": True}[suffix]}
+    assert {f.channel for f in found} == {"can0"}
+
+
+def test_a_log_written_by_python_can_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    write_with_python_can(path, MIXED)
+    assert " R" in path.read_text()
+    assert plainly(read(path)) == plainly(MIXED)
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".asc"])
+def test_the_binary_and_vector_formats_of_python_can_are_read_to_the_microsecond(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    write_with_python_can(path, MIXED)
+    found = read(path)
+    # An ASC file names its beginning to the millisecond only; from there on its times are exact.
+    late_ns = MIXED[0].t_ns - found[0].t_ns
+    assert late_ns == (870_000 if suffix == ".asc" else 0)
+    assert plainly([replace(f, t_ns=f.t_ns + late_ns) for f in found]) == plainly(MIXED)
+
+
+def test_mf4_is_read_where_asammdf_is_installed_and_else_one_line_says_how_to_install_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.mf4"
+    try:
+        import asammdf  # type: ignore[import-not-found]  # noqa: F401
+    except ImportError:
+        path.write_bytes(b"MDF     4.10    ")
+        with open_log(path) as log:
+            assert list(log.frames()) == []
+        assert log.problems.texts == [f"{path}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'"]
+    else:
+        write_with_python_can(path, MIXED)
+        assert plainly(read(path)) == plainly(MIXED)
+
+
+def test_the_format_is_told_by_the_content_and_not_by_the_name(tmp_path: Path) -> None:
+    blf, text = tmp_path / "misnamed.log", tmp_path / "misnamed.blf"
+    write_with_python_can(tmp_path / "run.blf", MIXED)
+    blf.write_bytes((tmp_path / "run.blf").read_bytes())
+    text.write_bytes(b"\n".join(log_lines(frames_of(MIXED))) + b"\n")
+    assert plainly(read(blf)) == plainly(read(text)) == plainly(MIXED)
+
+
+def test_a_gzipped_log_is_read_like_the_log_itself(tmp_path: Path) -> None:
+    path = tmp_path / "run.log.gz"
+    path.write_bytes(gzip.compress(b"\n".join(log_lines(frames_of(MIXED))) + b"\n"))
+    assert plainly(read(path)) == plainly(MIXED)
+
+
+def test_what_log2asc_makes_of_a_candump_log_is_the_same_log(tmp_path: Path) -> None:
+    log, asc = tmp_path / "run.log", tmp_path / "run.asc"
+    log.write_bytes(b"\n".join(log_lines(frames_of(MIXED))) + b"\n")
+    subprocess.run(["log2asc", "-I", str(log), "-O", str(asc), "can0"], check=True)
+    found = read(asc)
+    assert [(f.can_id, f.data, f.extended) for f in found] == [(f.can_id, f.data, f.extended) for f in MIXED]
+    since = [f.t_ns - found[0].t_ns for f in found]
+    assert since == [f.t_ns - MIXED[0].t_ns for f in MIXED]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("  can0  520   [2]  01 A5", frame(t_ns=0)),
+        (" (1436509053.850870)  can0  520   [2]  01 A5", frame()),
+        (" (000.001000)  can0  18FF0001   [1]  7F", frame(0x18FF0001, b"\x7f", t_ns=1_000_000, extended=True)),
+        ("  can0  520   [2]  01 A5   '..'", frame(t_ns=0)),
+        ("  can0  RX - -  520   [2]  01 A5", frame(t_ns=0, sent=False)),
+        ("  can0  TX B E  520  [02]  01 A5", frame(t_ns=0, sent=True, fd=True, brs=True, esi=True)),
+        ("  can0  520   [4]  remote request", frame(data=b"", t_ns=0, remote=True, length=4)),
+        ("  can0  20000004   [2]  01 A5   ERRORFRAME", frame(4, t_ns=0, error=True)),
+        ("(1436509053.850870) can0 520#R", frame(data=b"", remote=True)),
+        ("(1436509053.850870) can0 520#R4 T", frame(data=b"", remote=True, length=4, sent=True)),
+        ("(1436509053.850870) can0 520##301A5", frame(fd=True, brs=True, esi=True)),
+        ("(1436509053.850870) can0 20000004#01A5", frame(4, error=True)),
+        ("(1436509053.850870123) can0 520#01a5", frame(t_ns=T0_NS + 123)),
+        ("(1436509053.850870) can0 520#0102030405060708_E", frame(data=bytes(range(1, 9)))),
+    ],
+)
+def test_each_manner_of_candump_is_understood(line: str, expected: LogFrame) -> None:
+    assert parse_line(line) == expected
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.builds(
+            lambda t_us, channel, extended, can_id, data, sent: LogFrame(
+                t_us * 1000, channel, can_id % (0x2000_0000 if extended else 0x800), data, extended, sent=sent
+            ),
+            t_us=st.integers(0, 9_223_372_035_000_000),
+            channel=st.sampled_from(["can0", "vcan12", "c", "slcan-with-a-15"]),
+            extended=st.booleans(),
+            can_id=st.integers(0, 0x1FFF_FFFF),
+            data=st.binary(max_size=8),
+            sent=st.sampled_from([None, True, False]),
+        ),
+        max_size=30,
+    )
+)
+def test_reading_many_lines_at_once_is_reading_each_line(
+    tmp_path_factory: pytest.TempPathFactory, frames: list[LogFrame]
+) -> None:
+    words = {None: "", True: " T", False: " R"}
+    text = [line.decode() + words[f.sent] for line, f in zip(log_lines(frames_of(frames)), frames, strict=True)]
+    path = tmp_path_factory.mktemp("log") / "run.log"
+    path.write_text("\n".join(text) + "\n")
+    assert read(path) == frames == [parse_line(line) for line in text]
+
+
+@given(st.lists(st.sampled_from(list(" ()#.:0123456789ABCDEFabcdefgRTXcan\t\r\n\0\xff")), max_size=80).map("".join))
+@settings(max_examples=100, deadline=None)
+def test_whatever_stands_in_a_line_the_fast_reader_believes_no_more_than_the_careful_one(text: str) -> None:
+    from fsai_vcu.diagnostics.candump import parse_block
+
+    lines = (f"(1.000000) can0 520#01A5\n(1.000000) can0 {text}\n(1.000001) can0 520#{text}\n" + text + "\n").encode(
+        "latin-1"
+    )
+    frames, _, _ = parse_block(np.frombuffer(lines, np.uint8), [])
+    careful = []
+    for line in lines.split(b"\n"):
+        try:
+            careful.append(parse_line(line.removesuffix(b"\r").decode("ascii")))
+        except ValueError:
+            continue
+    assert list(frames) == careful
+
+
+def test_lines_of_changing_length_of_time_and_channel_are_all_read(tmp_path: Path) -> None:
+    frames = [
+        frame(t_ns=t_s * 1_000_000_000 + 1000, channel=channel, can_id=can_id, extended=can_id > 0x7FF)
+        for t_s in (0, 9, 10, 99_999_999, 100_000_000, 9_223_372_035)
+        for channel in ("can0", "vcan10")
+        for can_id in (0x1, 0x7FF, 0x800, 0x1FFF_FFFF)
+    ]
+    path = tmp_path / "run.log"
+    path.write_bytes(b"\n".join(log_lines(frames_of(frames))) + b"\n")
+    assert read(path) == frames
+
+
+def test_an_fd_payload_is_kept_whole_and_stays_with_its_frame_when_frames_are_chosen_and_joined() -> None:
+    long = frame(0x510, bytes(range(12)), fd=True)
+    columns = frames_of([frame(), long, frame(0x511)])
+    assert list(columns) == [frame(), long, frame(0x511)]
+    chosen = columns.only(np.array([False, True, True]))
+    assert list(joined([chosen, columns])) == [long, frame(0x511), frame(), long, frame(0x511)]
+
+
+# ---------------------------------------------------------------- broken logs
+
+
+def problems_of(path: Path, content: bytes) -> tuple[list[LogFrame], list[str]]:
+    path.write_bytes(content)
+    with open_log(path) as log:
+        return list(log.frames()), log.problems.texts
+
+
+GOOD = b"(1.000000) can0 520#01A5\n"
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (b"what is this\n", "line 2: not a line of candump: 'what is this'"),
+        (b"(1.000000) can0 520#01A\n", "line 2: not a line of candump"),
+        (b"(1.000000) can0 FFF#01\n", "line 2: no 11-bit identifier: FFF"),
+        (b"(1.000000) can0 FFFFFFFF#01\n", "line 2: no 29-bit identifier: FFFFFFFF"),
+        (b"(1.000000) can0 520#112233445566778899\n", "line 2: 9 data bytes"),
+        (b"(99999999999.000000) can0 520#01\n", "line 2: no time"),
+        (b"\xff\xfe\x00\x9c#\xb0\n", "line 2: not text"),
+        (b"  can0  520   [8]  01 A5\n", "line 2: 2 data bytes where 8 are announced"),
+    ],
+)
+def test_a_line_that_is_no_frame_is_named_and_all_others_are_read(tmp_path: Path, bad: bytes, words: str) -> None:
+    frames, problems = problems_of(tmp_path / "run.log", GOOD + bad + GOOD)
+    assert len(frames) == 2
+    assert len(problems) == 1
+    assert words in problems[0]
+    assert "\n" not in problems[0]
+
+
+def test_empty_lines_are_no_problem(tmp_path: Path) -> None:
+    assert problems_of(tmp_path / "run.log", GOOD + b"\n  \n" + GOOD)[1] == []
+
+
+@pytest.mark.parametrize("cut", range(1, len(GOOD)))
+def test_a_frame_that_may_be_cut_off_at_the_end_of_a_log_is_left_out_and_said(tmp_path: Path, cut: int) -> None:
+    frames, problems = problems_of(tmp_path / "run.log", GOOD + GOOD[:-cut])
+    assert len(frames) == 1
+    assert problems == [f"{tmp_path / 'run.log'}: line 2: cut off, without a line end; its frame is left out"]
+
+
+@pytest.mark.parametrize("last", [b"(1.000000) can0 520#0011223344556677", b"(1.000000) can0 520#01A5 R"])
+def test_a_last_line_without_a_line_end_counts_when_nothing_can_follow(tmp_path: Path, last: bytes) -> None:
+    frames, problems = problems_of(tmp_path / "run.log", GOOD + last)
+    assert (len(frames), problems) == (2, [])
+
+
+def test_line_numbers_are_right_far_into_a_log_of_many_blocks(tmp_path: Path) -> None:
+    frames, problems = problems_of(tmp_path / "run.log", GOOD * 50_000 + b"garbage\n" + GOOD)
+    assert len(frames) == 50_001
+    assert [re.findall(r"line (\d+)", text) for text in problems] == [["50001"]]
+
+
+def test_of_a_gzip_file_that_is_cut_off_what_can_be_unpacked_is_read(tmp_path: Path) -> None:
+    text = b"".join(
+        b"(%d.%06d) can0 520#%016X\n" % (n // 100, n * 7919 % 1_000_000, n * 0x9E3779B97F4A7C15 % 2**64)
+        for n in range(30_000)
+    )
+    packed = gzip.compress(text)
+    frames, problems = problems_of(tmp_path / "run.log.gz", packed[: len(packed) // 2])
+    assert 10_000 < len(frames) < 20_000
+    assert any("cannot be read to its end" in problem for problem in problems)
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".asc"])
+def test_of_a_broken_binary_log_the_frames_before_the_break_are_read(tmp_path: Path, suffix: str) -> None:
+    whole, path = tmp_path / f"whole{suffix}", tmp_path / f"run{suffix}"
+    many = [
+        frame(t_ns=T0_NS + n * 1_000_000, data=(n * 0x9E3779B97F4A7C15 % 2**64).to_bytes(8, "big"))
+        for n in range(20_000)
+    ]
+    write_with_python_can(whole, many)
+    content = whole.read_bytes()
+    frames, problems = problems_of(path, content[: len(content) // 2])
+    assert 1000 < len(frames) < 20_000
+    before = frames[:-1] if suffix == ".asc" else frames  # whose last line is cut where it may still look whole
+    assert [(f.can_id, f.data) for f in before] == [(f.can_id, f.data) for f in many[: len(before)]]
+    assert len(problems) == 1, problems
+    assert "\n" not in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda path: None, "No such file or directory"),
+        (lambda path: path.mkdir(), "Is a directory"),
+    ],
+    ids=["absent", "a folder"],
+)
+def test_a_log_that_cannot_be_opened_is_one_line(tmp_path: Path, make: Callable[[Path], None], words: str) -> None:
+    path = tmp_path / "run.log"
+    make(path)
+    with pytest.raises(LogError, match=words) as refused:
+        open_log(path)
+    assert str(path) in str(refused.value)
+
+
+def test_a_log_that_may_not_be_read_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(GOOD)
+    path.chmod(0)
+    me = os.geteuid()
+    if me == 0:  # to whom nothing is forbidden
+        os.seteuid(65534)
+    try:
+        with pytest.raises(LogError, match="Permission denied"):
+            open_log(path)
+    finally:
+        os.seteuid(me)
+
+
+# ---------------------------------------------------------------- reading all of it
+
+
+def test_the_whole_of_a_log_is_one_set_of_columns(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(GOOD * 40_000 + b"(2.000000) can1 510##111223344556677889900\n")
+    frames, problems = read_log(path)
+    assert not problems
+    assert len(frames) == 40_001
+    assert list(frames.channels) == ["can0", "can1"]
+    assert frames.frame(40_000).data == bytes.fromhex("11223344556677889900")
+    assert frames.data.shape == (40_001, 8)
+
+
+def test_lines_on_a_screen_are_read_back_from_what_is_shown() -> None:
+    frames = [
+        *MIXED,
+        frame(0x510, bytes(range(12)), fd=True),
+        frame(data=b"", remote=True, length=4),
+        frame(4, error=True),
+    ]
+    lines = screen_lines(frames_of(frames), time_digits=10)
+    assert [parse_line(line.decode()) for line in lines] == frames

@@ -1,0 +1,219 @@
+"""The page in a real browser: it draws, it fits a phone, it asks nobody for anything."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from story_runs import branch, driving
+
+from fsai_vcu.diagnostics.report import page
+from fsai_vcu.interface.enums import MissionStatus
+
+selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install 'selenium>=4.20,<5'")
+
+from selenium.webdriver import Chrome, ChromeOptions  # noqa: E402
+from selenium.webdriver.chrome.service import Service  # noqa: E402
+from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+from selenium.webdriver.common.by import By  # noqa: E402
+from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
+
+DRIVER, BROWSER = shutil.which("chromedriver"), shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = pytest.mark.skipif(
+    DRIVER is None or BROWSER is None, reason="no chromium here: apt-get install -y chromium chromium-driver"
+)
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+# Pixels of a canvas that have the colour of the first line.
+COLOURED = """
+    const [canvas, name] = arguments;
+    const probe = document.createElement("canvas").getContext("2d");
+    probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    probe.fillRect(0, 0, 1, 1);
+    const [r, g, b] = probe.getImageData(0, 0, 1, 1).data;
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4)
+        if (data[i + 3] > 200 && Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) < 24)
+            count++;
+    return count;
+"""
+
+
+@pytest.fixture(scope="module")
+def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a run that ended in an emergency brake: it has everything on it."""
+    from fsai_hil.faults import Window, WrongValues
+
+    def spoil(run: Any) -> None:
+        values = {"mission_status": MissionStatus.FINISHED}
+        run.spoil(WrongValues(run.lockstep.world.codec, Window(frozenset({0x510})), values))
+
+    log = branch(driving(), spoil, 1.0)
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(page(log.frames, "a <b>run</b> & its log with a rather long name, 2026-11-21_23-05-17.log"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    options = ChromeOptions()
+    options.binary_location = str(BROWSER)
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = Chrome(options=options, service=Service(str(DRIVER)))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+@pytest.fixture
+def shown(browser: Chrome, html: Path) -> Callable[..., Chrome]:
+    """Opens the page as on a screen of that width."""
+
+    def show(width: int, height: int = 900, *, mobile: bool = False, scheme: str = "light") -> Chrome:
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": width, "height": height, "deviceScaleFactor": 2 if mobile else 1, "mobile": mobile},
+        )
+        browser.execute_cdp_cmd(
+            "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+        )
+        heard(browser, "browser"), heard(browser, "performance")
+        browser.get(html.as_uri())
+        WebDriverWait(browser, 20).until(lambda b: b.find_element(By.ID, "range").text)
+        return browser
+
+    return show
+
+
+def heard(browser: Chrome, log: str) -> list[dict[str, Any]]:
+    """What the browser has written into one of its logs since the last time."""
+    untyped: Any = browser
+    entries: list[dict[str, Any]] = untyped.get_log(log)
+    return entries
+
+
+def canvases(browser: Chrome) -> list[Any]:
+    return browser.find_elements(By.CSS_SELECTOR, "canvas[id^=plot-]")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "mobile"), [(1280, False), (360, True)], ids=["desk", "phone"])
+def test_every_plot_is_drawn_and_the_console_is_silent(
+    shown: Callable[..., Chrome], width: int, mobile: bool, scheme: str
+) -> None:
+    browser = shown(width, mobile=mobile, scheme=scheme)
+    assert heard(browser, "browser") == []  # before the pixels are read back, of which the browser disapproves
+    drawn = canvases(browser)
+    slugs = [canvas.get_attribute("id") for canvas in drawn]
+    assert slugs == ["plot-speed", "plot-steering", "plot-torque", "plot-brake", "plot-handshake", "plot-load"]
+    for canvas in drawn:
+        numbers = range(len(browser.find_elements(By.CSS_SELECTOR, f"#legend-{canvas.get_attribute('id')[5:]} .key")))
+        pixels = [browser.execute_script(COLOURED, canvas, f"--c{number}") for number in numbers]
+        assert any(count > 40 for count in pixels), (canvas.get_attribute("id"), pixels)
+    lanes = browser.find_element(By.ID, "lanes")
+    assert browser.execute_script(COLOURED, lanes, "--go") > 200, "AS_DRIVING is not to be seen"
+    assert browser.execute_script(COLOURED, lanes, "--alarm") > 20, "the emergency brake is not to be seen"
+
+
+@pytest.mark.parametrize("width", [320, 390, 768])
+def test_the_page_is_never_wider_than_the_screen(shown: Callable[..., Chrome], width: int) -> None:
+    browser = shown(width, 800, mobile=width < 700)
+    inner, needed = browser.execute_script("return [innerWidth, document.documentElement.scrollWidth]")
+    assert inner == width
+    assert needed <= width
+
+
+def test_nothing_is_requested_but_the_page_itself(shown: Callable[..., Chrome], html: Path) -> None:
+    browser = shown(1280)
+    ActionChains(browser).move_to_element(canvases(browser)[0]).perform()
+    asked = [
+        message["params"]["request"]["url"]
+        for entry in heard(browser, "performance")
+        if (message := json.loads(entry["message"])["message"])["method"] == "Network.requestWillBeSent"
+    ]
+    assert html.as_uri() in asked, "the log of requests sees nothing at all"
+    assert [url for url in asked if url != html.as_uri() and not url.startswith("data:")] == []
+    assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
+
+
+def test_the_policy_forbids_what_the_page_does_not_ask_for(shown: Callable[..., Chrome]) -> None:
+    browser = shown(1280)
+    blocked = browser.execute_async_script(
+        """
+        const done = arguments[0], seen = [];
+        document.addEventListener("securitypolicyviolation", (e) => {
+            seen.push(e.effectiveDirective);
+            if (seen.length === 3) done(seen.sort());
+        });
+        fetch("https://example.invalid/x").catch(() => {});
+        document.body.append(Object.assign(new Image(), { src: "https://example.invalid/x.png" }));
+        const script = document.createElement("script");
+        script.textContent = "document.title = 'taken'";
+        document.body.append(script);
+        """
+    )
+    assert blocked == ["connect-src", "img-src", "script-src-elem"]
+    assert "taken" not in browser.title
+    heard(browser, "browser")
+
+
+def test_a_time_in_the_story_leads_to_that_moment_in_the_plots(shown: Callable[..., Chrome]) -> None:
+    browser = shown(1280)
+    before = browser.find_element(By.ID, "range").text
+    button = browser.find_element(By.CSS_SELECTOR, "article .time")
+    t_s = float(button.get_attribute("data-t") or "nan")
+    button.click()
+    WebDriverWait(browser, 10).until(lambda b: b.find_element(By.ID, "range").text != before)
+    assert f"at {t_s:.3f} s" in browser.find_element(By.ID, "range").text
+    values = [key.text for key in browser.find_elements(By.CSS_SELECTOR, "#legend-speed b")]
+    assert all(float(value) > 1.0 for value in values[:4]), values
+    assert "ASMS on" in browser.find_element(By.ID, "legend-lanes").text
+
+
+def test_dragging_zooms_and_a_double_click_shows_all(shown: Callable[..., Chrome]) -> None:
+    browser = shown(1280)
+    canvas = canvases(browser)[0]
+    whole = browser.find_element(By.ID, "range").text.split("s, ")[-1]
+    drag = ActionChains(browser).move_to_element_with_offset(canvas, -100, 0).click_and_hold()
+    drag.move_by_offset(200, 0).release().perform()
+    WebDriverWait(browser, 10).until(lambda b: whole not in b.find_element(By.ID, "range").text)
+    ActionChains(browser).double_click(canvas).perform()
+    WebDriverWait(browser, 10).until(lambda b: whole in b.find_element(By.ID, "range").text)
+
+
+def test_the_plots_can_be_read_with_the_keyboard_and_have_words_for_those_who_cannot_see_them(
+    shown: Callable[..., Chrome],
+) -> None:
+    browser = shown(1280)
+    for canvas in canvases(browser):
+        assert canvas.get_attribute("role") == "img"
+        assert " from " in canvas.get_attribute("aria-label")
+    canvas = canvases(browser)[0]
+    canvas.send_keys("+")
+    canvas.send_keys("\ue014")  # arrow to the right
+    WebDriverWait(browser, 10).until(lambda b: b.find_element(By.ID, "range").text.startswith("at "))
+
+
+def test_what_a_log_is_called_is_text_and_never_markup(shown: Callable[..., Chrome]) -> None:
+    browser = shown(1280)
+    assert browser.find_element(By.TAG_NAME, "h1").text.startswith("a <b>run</b> & its log")
+    assert browser.find_elements(By.CSS_SELECTOR, "h1 b") == []

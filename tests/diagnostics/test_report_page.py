@@ -1,0 +1,191 @@
+"""The page as a file: small, whole, allowed nothing, and true to the log it was made of."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from story_runs import MS, S, branch, driving, log_of
+
+from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.candump import log_lines
+from fsai_vcu.diagnostics.frames import Frames, joined
+from fsai_vcu.diagnostics.report import page
+from fsai_vcu.diagnostics.report.curves import BUCKETS, Curve, lanes, packed, plots, thinned
+from fsai_vcu.diagnostics.story import record_for
+from fsai_vcu.diagnostics.story.record import Series
+
+
+@pytest.fixture(scope="module")
+def frames() -> Frames:
+    return branch(driving(), lambda run: run.switch(ebs_fault=True), 0.5).frames
+
+
+@pytest.fixture(scope="module")
+def html(frames: Frames) -> str:
+    return page(frames, "run.log")
+
+
+def data_of(html: str) -> Any:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', html, re.DOTALL)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def unpacked(curve: dict[str, Any], digits: int) -> tuple[np.ndarray, np.ndarray]:
+    values = [np.nan if v is None else v / 10**digits for v in curve["v"]]
+    return np.cumsum(curve["dt"]) / 1e4, np.array(values)
+
+
+def test_the_policy_allows_this_style_and_this_script_and_nothing_else(html: str) -> None:
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', html)
+    assert policy is not None
+    rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
+    assert rules["default-src"] == "'none'"
+    for tag, rule in (("style", "style-src"), ("script", "script-src")):
+        inside = re.findall(rf"<{tag}>(.*?)</{tag}>", html, re.DOTALL)
+        assert len(inside) == 1
+        digest = base64.b64encode(hashlib.sha256(inside[0].encode()).digest()).decode()
+        assert rules[rule] == f"'sha256-{digest}'"
+    assert set(rules) == {"default-src", "style-src", "script-src", "img-src", "base-uri", "form-action"}
+    assert " style=" not in html and " onclick=" not in html
+
+
+def test_the_page_names_no_place_outside_itself(html: str) -> None:
+    assert re.findall(r"(?:https?:)?//[a-z0-9.-]+\.[a-z]{2,}", html) == []
+
+
+def test_the_page_has_the_story_of_explain(html: str) -> None:
+    assert "Because the emergency brake system failed (EBS_FAULT)." in html
+    assert "What to do:" in html
+    assert "AS_DRIVING → EMERGENCY_BRAKE" in html
+
+
+def test_the_page_has_a_row_of_figures_for_every_message(html: str, frames: Frames) -> None:
+    rows = set(re.findall(r'<th scope="row">0x([0-9A-F]{3})</th>', html))
+    assert rows == {f"{can_id:03X}" for can_id in np.unique(frames.can_id).tolist()}
+
+
+def test_the_data_cannot_end_their_script() -> None:
+    assert "</script" not in page_data_with("</script><script>alert(1)</script>")
+
+
+def page_data_with(name: str) -> str:
+    frames = driving_frames()
+    text = page(frames, name)
+    assert "<h1>&lt;/script&gt;" in text
+    return data_text(text)
+
+
+def data_text(text: str) -> str:
+    return text.split('id="data">', 1)[1].split("</script>\n<script>", 1)[0]
+
+
+def driving_frames() -> Frames:
+    return log_of(driving().frames)
+
+
+def test_every_curve_begins_ends_and_peaks_as_the_log_does(html: str, frames: Frames) -> None:
+    record = record_for(frames)
+    shown = {plot["slug"]: plot for plot in data_of(html)["plots"]}
+    for plot in plots(record):
+        for curve, drawn in zip(plot.curves, shown[plot.slug]["curves"], strict=True):
+            t_s, values = unpacked(drawn, plot.digits)
+            real = curve.series
+            half = 0.5001 * 10**-plot.digits
+            assert abs(np.nanmax(values) - real.values.max()) <= half
+            assert abs(np.nanmin(values) - real.values.min()) <= half
+            assert abs(t_s[0] - (real.t_ns[0] - record.begin_ns) / 1e9) < 2e-4
+            assert abs(t_s[-1] - (real.t_ns[-1] - record.begin_ns) / 1e9) < 2e-4
+
+
+def test_thinning_keeps_a_spike_of_one_frame_in_an_hour_and_stays_small() -> None:
+    t_ns = np.arange(360_000, dtype=np.int64) * 10 * MS
+    values = np.sin(np.arange(360_000) / 50.0)
+    values[123_456] = 9.0
+    values[234_567] = -9.0
+    t_out, v_out = thinned(Series(t_ns, values), 0, int(t_ns[-1]))
+    assert len(t_out) <= 4 * BUCKETS + 8
+    assert v_out.max() == 9.0 and v_out.min() == -9.0
+    assert t_out[v_out.argmax()] == t_ns[123_456]
+    assert (np.diff(t_out) >= 0).all()
+
+
+def test_a_message_that_was_missing_leaves_a_hole_in_its_curve() -> None:
+    t_ns = np.concatenate((np.arange(50), np.arange(150, 200))).astype(np.int64) * 10 * MS
+    curve = Curve("x", Series(t_ns, np.ones(100)))
+    drawn = packed(curve, 0, 0, int(t_ns[-1]))
+    t_s, values = unpacked(drawn, 0)
+    hole = int(np.flatnonzero(np.isnan(values))[0])
+    assert abs(t_s[hole - 1] - 0.49) < 1e-3 and abs(t_s[hole + 1] - 1.5) < 1e-3
+
+
+def test_lanes_show_the_as_states_one_behind_the_other(frames: Frames) -> None:
+    lane = next(lane for lane in lanes(record_for(frames)) if lane["name"] == "AS state")
+    assert [span[2] for span in lane["spans"]] == ["AS_INIT", "AS_OFF", "AS_READY", "AS_DRIVING", "EMERGENCY_BRAKE"]
+    for one, following in zip(lane["spans"], lane["spans"][1:], strict=False):
+        assert one[1] == following[0]
+
+
+def test_a_car_that_is_silent_for_a_while_leaves_a_hole_in_its_lanes() -> None:
+    def away(run: Any) -> None:
+        run.switch(lvms=False)
+        run.go_on(1.0)
+        run.switch(lvms=True)
+
+    frames = branch(driving(), away, 1.0).frames
+    lane = next(lane for lane in lanes(record_for(frames)) if lane["name"] == "AS state")
+    assert any(b[0] - a[1] > 0.9 for a, b in zip(lane["spans"], lane["spans"][1:], strict=False))
+
+
+def test_a_hundred_seconds_stay_well_under_a_megabyte_and_a_half() -> None:
+    """The whole bus of a car with its GPS: 100 s, every signal restless."""
+    base = driving_frames()
+    whole = base.only(base.t_ns >= int(base.t_ns[-1]) - 2 * S)
+    restless = np.random.default_rng(1)
+    parts = []
+    for number in range(50):
+        noise = restless.integers(0, 1 << 12, len(whole), dtype=np.uint64)
+        loud = np.isin(whole.can_id, (0x511, 0x512, 0x513, 0x521, 0x522, 0x523, 0x524, 0x525))
+        parts.append(
+            replace(whole, t_ns=whole.t_ns + number * 2 * S, word=np.where(loud, whole.word ^ noise, whole.word))
+        )
+    assert len(page(joined(parts), "long.log").encode()) < 1_500_000
+
+
+# ---------------------------------------------------------------- the verb
+
+
+def test_the_verb_writes_the_page_and_says_where(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = tmp_path / "run.log", tmp_path / "run.html"
+    log.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
+    assert main(["report", str(log), "-o", str(out)]) == 0
+    assert str(out) in capsys.readouterr().out
+    assert out.read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("where", ["absent/run.html", "."])
+def test_a_page_that_cannot_be_written_is_one_clear_line(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str], where: str
+) -> None:
+    log = tmp_path / "run.log"
+    log.write_bytes(b"\n".join(log_lines(frames)) + b"\n")
+    assert main(["report", str(log), "-o", str(tmp_path / where)]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_log_that_is_none_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "x.log"
+    log.write_bytes(b"")
+    assert main(["report", str(log), "-o", str(tmp_path / "x.html")]) == 2
+    assert capsys.readouterr().err == f"fsai-vcu report: {log}: there is no frame to tell about\n"
+    assert not (tmp_path / "x.html").exists()
