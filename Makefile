@@ -2,25 +2,50 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 LINTED := fsai_vcu hil nodes tests
+# Tests that live in real time get the machine to themselves; all others share its processors.
+REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py)
 
-.PHONY: help setup demo test verify lint format clean
+.PHONY: help setup demo test verify mutation campaign soak scrutineering bench lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
-	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-8s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-13s %s\n", $$1, $$2}'
 
 setup:  ## create .venv with everything in it; installs system packages when root, else says which
 	@scripts/setup
 
+.PHONY: setup-for-tests
+setup-for-tests:
+	@scripts/setup --with-browser
+
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.demo
 
-test: setup lint  ## everything: lint, types, tests, and the HIL suite on a real vcan0
-	$(BIN)/pytest -q --ignore=tests/hil
+test: setup-for-tests lint  ## everything: lint, types, tests, and the HIL suite on a real vcan0
+	$(BIN)/pytest -q -n auto --dist worksteal --ignore=tests/hil $(REAL_TIME:%=--ignore=%)
+	$(BIN)/pytest -q $(REAL_TIME)
 	$(BIN)/fsai-vcu hil
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
+
+mutation: setup  ## every small mistake in supervisor and gate, and whether a test notices it; takes minutes
+	$(BIN)/python -m fsai_hil.evidence.mutation
+
+FUZZ_MINUTES ?= 10
+campaign: setup  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
+	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
+	$(BIN)/fsai-vcu campaign --resume
+
+SOAK_MINUTES ?= 30
+soak: setup  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?
+	$(BIN)/fsai-vcu hil --soak $(SOAK_MINUTES)
+
+scrutineering: setup  ## the handshake's response time on a real vcan0, idle and under load, as a report
+	$(BIN)/fsai-vcu scrutineering
+
+bench: setup  ## speed, as ratios to cantools and python-can
+	$(BIN)/python -m fsai_hil.bench
 
 lint: setup  ## ruff and mypy
 	$(BIN)/ruff check $(LINTED)

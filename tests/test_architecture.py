@@ -13,6 +13,7 @@ ROOMS = {
     "interface": CHECKOUT / "fsai_vcu" / "interface",
     "core": CHECKOUT / "fsai_vcu" / "core",
     "runtime": CHECKOUT / "fsai_vcu" / "runtime",
+    "diagnostics": CHECKOUT / "fsai_vcu" / "diagnostics",
     "cli": CHECKOUT / "fsai_vcu" / "cli",
     "hil": CHECKOUT / "hil" / "fsai_hil",
     "evidence": CHECKOUT / "hil" / "fsai_hil" / "evidence",
@@ -22,10 +23,12 @@ ROOMS = {
 # room -> what its modules must not import
 CLOCKS_AND_IO = {"can", "rclpy", "time", "threading", "socket", "asyncio", "selectors", "subprocess", "multiprocessing"}
 ROS = {"rclpy", "fsai_msgs", "fsai_nodes"}
+OUTER = {"fsai_vcu.runtime", "fsai_vcu.diagnostics", "fsai_vcu.cli", "fsai_hil"}
 FORBIDDEN = {
-    "interface": CLOCKS_AND_IO | ROS | {"fsai_vcu.core", "fsai_vcu.runtime", "fsai_vcu.cli", "fsai_hil"},
-    "core": CLOCKS_AND_IO | ROS | {"os", "pathlib", "random", "fsai_vcu.runtime", "fsai_vcu.cli", "fsai_hil"},
-    "runtime": ROS | {"fsai_vcu.cli", "fsai_hil"},
+    "interface": CLOCKS_AND_IO | ROS | {"fsai_vcu.core", *OUTER},
+    "core": CLOCKS_AND_IO | ROS | {"os", "pathlib", "random", *OUTER},
+    "runtime": ROS | {"fsai_vcu.diagnostics", "fsai_vcu.cli", "fsai_hil"},
+    "diagnostics": ROS | {"fsai_vcu.cli", "fsai_hil"},
     "hil": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate", "fsai_nodes"},
     # The evidence searches the supervisor and the gate from within; nothing else in hil may know them.
     "evidence": ROS | {"fsai_vcu.runtime", "fsai_vcu.cli"},
@@ -59,6 +62,16 @@ def violations(room: str) -> list[str]:
 def test_no_room_imports_what_it_must_not_know(room: str) -> None:
     assert list(ROOMS[room].rglob("*.py")), f"the room {room} is empty: this test would see nothing"
     assert violations(room) == []
+
+
+def test_of_the_runtime_the_diagnostics_know_the_bus_and_the_log_writer_only() -> None:
+    known = {
+        name
+        for path in ROOMS["diagnostics"].rglob("*.py")
+        for name in imports_of(path)
+        if name.startswith("fsai_vcu.runtime.") and name.count(".") == 2
+    }
+    assert known <= {"fsai_vcu.runtime.bus", "fsai_vcu.runtime.recording"}
 
 
 def test_only_the_command_line_and_the_nodes_know_ros() -> None:

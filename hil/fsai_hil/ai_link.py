@@ -8,16 +8,22 @@ from __future__ import annotations
 from typing import Final
 
 from fsai_hil.profiles import Profile
+from fsai_vcu.interface.enums import Direction, MissionStatus
 from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer
 
 FAR_AWAY_NS: Final = 1 << 62
 AI_MESSAGES: Final = (AiStatus, AiDriveFront, AiDriveRear, AiSteer, AiBrake)
 
 
+# ESTOP_REQUEST, MISSION_STATUS, direction, and whether any torque, brake and steering is requested
+Requests = tuple[bool, MissionStatus, Direction, bool, bool, bool]
+
+
 class AiLink:
     """What the AI computer said last, and whether it is still there.
 
     `bit` is the HANDSHAKE that the VCU sends; `response_times_ns` has one entry per toggle that was answered.
+    `requests` is what the state machine looks at.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -35,6 +41,7 @@ class AiLink:
         self.drive_rear = AiDriveRear()
         self.steer = AiSteer()
         self.brake = AiBrake()
+        self.requests = self._requests()
 
     # ------------------------------------------------------------ what happens
 
@@ -70,6 +77,18 @@ class AiLink:
             self.steer = image
         else:
             self.brake = image
+        self.requests = self._requests()
+
+    def _requests(self) -> Requests:
+        status, brake = self.status, self.brake
+        return (
+            status.estop_request,
+            status.mission_status,
+            status.direction,
+            self.drive_front.torque_nm > 0.0 or self.drive_rear.torque_nm > 0.0,
+            brake.front_pct > 0.0 or brake.rear_pct > 0.0,
+            self.steer.steer_deg != 0.0,
+        )
 
     # ------------------------------------------------------------ what follows from it
 
@@ -102,11 +121,3 @@ class AiLink:
     def valid(self, now_ns: int) -> bool:
         """All five messages have arrived and go on arriving, and the echo matches."""
         return not self._never_received and not self.lost(now_ns)
-
-    @property
-    def torque_requested(self) -> bool:
-        return self.drive_front.torque_nm > 0.0 or self.drive_rear.torque_nm > 0.0
-
-    @property
-    def brake_requested(self) -> bool:
-        return self.brake.front_pct > 0.0 or self.brake.rear_pct > 0.0

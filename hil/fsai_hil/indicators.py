@@ -11,6 +11,7 @@ from typing import Final
 
 from fsai_hil.profiles import S
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.immutable import Immutable
 
 
 class Assi(StrEnum):
@@ -39,7 +40,7 @@ DRIVING_SIREN_NS: Final = 3 * S
 
 
 @dataclass(frozen=True, slots=True)
-class Indicators:
+class Indicators(Immutable):
     assi: Assi = Assi.OFF
     tsal: Tsal = Tsal.OFF
     siren: Siren = Siren.OFF

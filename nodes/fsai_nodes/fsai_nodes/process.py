@@ -17,6 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from fsai_nodes.clock_step import on_clock_step
 from fsai_nodes.parameters import NodeError
 
 _STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
@@ -40,6 +41,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     listener = _forward_logging()
     executor = SingleThreadedExecutor()
     stop_signals.wake(lambda: executor.create_task(lambda: None))
+    on_clock_step(lambda: executor.create_task(lambda: None))
     nodes: list[Node] = []
     status = 0
     try:

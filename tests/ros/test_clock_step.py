@@ -1,0 +1,63 @@
+"""A wall clock that is set wakes whoever waits by it; nobody asks it again and again."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+import time
+from typing import Any
+
+import pytest
+
+
+def test_who_asked_is_called_when_the_wall_clock_is_set_and_again_a_little_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from fsai_nodes.clock_step import on_clock_step
+
+    # The machine's own clock is left alone: what the kernel says when it is set is said in its place.
+    steps = iter([True])
+    forever = threading.Event()
+
+    def read(timer: int, size: int) -> bytes:
+        if next(steps, None):
+            raise OSError(125, "Operation canceled")
+        forever.wait()
+        return bytes(size)
+
+    calls: list[float] = []
+    twice = threading.Event()
+
+    def called() -> None:
+        calls.append(time.monotonic())
+        if len(calls) == 2:
+            twice.set()
+
+    monkeypatch.setattr(os, "read", read)
+    assert on_clock_step(called)
+    assert twice.wait(10.0)
+    assert calls[1] - calls[0] >= 0.06
+    assert len(calls) == 2
+
+
+def test_the_kernel_takes_the_timer_and_does_not_end_it_while_the_clock_is_left_alone() -> None:
+    from fsai_nodes.clock_step import on_clock_step
+
+    called = threading.Event()
+    assert on_clock_step(called.set)
+    assert not called.wait(0.2)
+
+
+def test_where_the_kernel_has_no_such_timer_the_node_goes_on_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fsai_nodes.clock_step import on_clock_step
+
+    class Refusing:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def timerfd_create(self, *_: Any) -> int:
+            return -1
+
+    monkeypatch.setattr(ctypes, "CDLL", Refusing)
+    assert not on_clock_step(lambda: None)
