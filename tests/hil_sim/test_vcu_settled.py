@@ -8,13 +8,13 @@ from dataclasses import fields
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION
+from fsai_hil.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, S
 from fsai_hil.switches import Switches
 from fsai_hil.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 
 FLAGS = [one.name for one in fields(Switches) if isinstance(one.default, bool)]
-SEEDS = range(12)
+SEEDS = range(8)
 
 
 def something_happens(bench: Bench, chance: random.Random) -> None:
@@ -50,7 +50,7 @@ def history(name: str, simulator: bool, seed: int) -> list[object]:
     chance = random.Random(seed)
     bench = Bench(name, OFFICIAL_SIMULATOR if simulator else SPECIFICATION)
     (bench.to_ready, bench.to_driving, bench.to_finished, bench.to_emergency)[seed % 4]()
-    seen: list[object] = []
+    seen: list[object] = [bench.now_ns]  # how long power-up, precharge and arming have taken
     for _ in range(40):
         something_happens(bench, chance)
         for _ in range(chance.choice((1, 7, 60, 250))):
@@ -70,6 +70,16 @@ def test_what_a_vcu_does_not_look_at_again_would_have_changed_nothing(
     for seed, once in zip(SEEDS, spared, strict=True):
         always = history(name, simulator, seed)
         assert once == always, f"seed {seed}: first difference at {_first_difference(once, always)}"
+
+
+def test_a_timer_that_runs_out_is_seen_at_once_by_a_settled_vcu() -> None:
+    bench = Bench().to_emergency()
+    bench.run(S)
+    bench.switches.asms = False
+    bench.run(15 * S)
+    begun, over = bench.vcu.transitions[-2:]
+    assert (begun.target, over.target) == (AsState.EMERGENCY_BRAKE, AsState.AS_OFF)
+    assert 15 * S <= over.t_ns - begun.t_ns <= 15 * S + MS
 
 
 def test_a_settled_vcu_does_not_look_again_until_something_changes(monkeypatch: pytest.MonkeyPatch) -> None:
