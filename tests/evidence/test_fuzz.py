@@ -29,7 +29,7 @@ CASES = 80  # of the short form: each kind of happening once, and as many others
 @cache
 def short_form() -> Tally:
     with swift_copies():
-        return fuzz("ci", cases=CASES)
+        return fuzz("2026", cases=CASES)
 
 
 def told(tally: Tally) -> str:
@@ -46,7 +46,7 @@ def test_the_short_form_goes_deep() -> None:
     assert not unreached(reached, "AS state")
     assert not unreached(reached, "phase")
     # Two are the gate's second look, which the supervisor leaves nothing to; the others are too rare for seconds.
-    rare = {"stillness_unproven", "torque_blocked", "not_confirmed", "torque_limit_unknown", "stop_ineffective"}
+    rare = {"stillness_unproven", "torque_blocked", "not_confirmed", "torque_limit_unknown", "steering_implausible"}
     assert unreached(reached, "reason") <= rare
     assert short_form().count("change") >= 25
     assert short_form().count("together") >= 20
