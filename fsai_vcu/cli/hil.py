@@ -120,7 +120,7 @@ def _selection(args: argparse.Namespace, checkout: Path) -> list[str]:
 def _extent(args: argparse.Namespace) -> dict[str, str]:
     """What the suite is told of how much of it is wanted."""
     return {
-        **({"FSAI_HIL_ALL": "1"} if args.all else {}),
+        **({"FSAI_HIL_ALL": "1"} if args.all or args.soak else {}),
         **({} if args.soak is None else {"FSAI_HIL_SOAK_MINUTES": f"{args.soak:g}"}),
     }
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pytest
+
 from fsai_hil.scrutineering.conditions import SHORT, conditions_named
 from fsai_hil.scrutineering.rehearsal import Rehearsal
 from fsai_hil.scrutineering.report import failures, summary
+
+pytestmark = pytest.mark.long  # minutes: with `fsai-vcu hil --all`
 
 SECONDS = 3.0
 

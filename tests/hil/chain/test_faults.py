@@ -35,6 +35,8 @@ from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
+pytestmark = pytest.mark.long  # minutes: with `fsai-vcu hil --all`
+
 DEADLINES = BridgeConfig()
 # What comes on top of each deadline: at most one cycle, and what the machine may be held up without being excused.
 CYCLE_NS = FALLBACK_AFTER_NS + STOOD_STILL_NS
