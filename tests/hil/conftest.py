@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -24,6 +25,8 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
 SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
+LOG_BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
+LOG_DRAINED_S = 0.1
 _LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
 
@@ -113,7 +116,9 @@ class BusLog:
         before = listeners(interface)
         heard = "".join(f",{can_id:X}:7FF" for can_id in only or ())
         self._candump = subprocess.Popen(
-            ["candump", "-L", "-D", f"{interface}{heard}"], stdout=self._file, stdin=subprocess.DEVNULL
+            ["candump", "-L", "-D", "-r", str(LOG_BUFFER_BYTES), f"{interface}{heard}"],
+            stdout=self._file,
+            stdin=subprocess.DEVNULL,
         )
         await_condition(lambda: listeners(interface) > before, 5.0, "candump listens")
 
@@ -124,10 +129,25 @@ class BusLog:
             frames.append(Frame(int(can_id, 16), bytes.fromhex(data), (int(seconds) * 1_000_000 + int(micros)) * 1000))
         return frames
 
+    def _drain(self) -> None:
+        """Wait until the log has come as far as now, or nothing comes any more."""
+        now_ns, size, grown_s = time.time_ns(), -1, time.monotonic()
+        while time.monotonic() - grown_s < LOG_DRAINED_S:
+            seen = self.path.stat().st_size
+            if seen != size:
+                size, grown_s = seen, time.monotonic()
+                with self.path.open("rb") as log:
+                    log.seek(max(0, seen - 200))
+                    stamps = [float(stamp) for stamp in re.findall(rb"\((\d+\.\d+)\) ", log.read())]
+                if stamps and stamps[-1] * 1e9 >= now_ns:
+                    return
+            time.sleep(0.01)
+
     def stop(self) -> None:
         """The file is complete and among the results. Idempotent."""
         if self._file.closed:
             return
+        self._drain()
         self._candump.terminate()
         self._candump.wait()
         self._file.close()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from fsai_hil.campaign.cases import WORLD_SEEDS
@@ -96,7 +96,7 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         for phase in ("power-up", "AS_READY", "first 3 s of AS_DRIVING", "AS_DRIVING", "after the end"):
             mine = [run for run in full if _phase(run) == phase]
             if mine:
-                lines.append(f"| {phase} | {len(mine)} | {_seen(mine)} | {len(failures(mine))} |")
+                lines.append(f"| {phase} | {len(mine)} | {_ends(mine)} | {len(failures(mine))} |")
     if worse:
         lines += ["", "## Worse than allowed", ""]
         lines += [f"- `{run['replay']}`: {'; '.join(run['reasons'][:2])}" for run in worse[:TOLD]]
@@ -128,10 +128,17 @@ def _row(name: str, runs: Sequence[Run]) -> str:
 
 
 def _seen(runs: Sequence[Run]) -> str:
-    counts = Counter(
+    return _counted(
         "mission over before" if not run["applies"] and run["end"] == "ON" else run["reaction"] for run in runs
     )
-    return ", ".join(f"{words} ({count})" for words, count in counts.most_common())
+
+
+def _ends(runs: Sequence[Run]) -> str:
+    return _counted("drives to its end" if run["end"] == "ON" else run["reaction"] for run in runs)
+
+
+def _counted(words: Iterable[str]) -> str:
+    return ", ".join(f"{one} ({count})" for one, count in Counter(words).most_common())
 
 
 def _phase(run: Run) -> str:

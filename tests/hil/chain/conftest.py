@@ -98,11 +98,11 @@ class Chain:
     @contextmanager
     def shared_car(self) -> Iterator[CarRun]:
         """An interactive car for many runs: `power_up` switches it off and on again."""
-        vcu = self.start_vcu("car", auto=False)
+        run = CarRun(self.start_vcu("car", auto=False), self._folder)
         try:
-            yield CarRun(vcu, self._folder)
+            yield run
         finally:
-            vcu.stop()
+            run.vcu.stop()  # whichever it is by now
             del self.stack.processes["car"]
 
     def power_up(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
