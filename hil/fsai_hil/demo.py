@@ -64,7 +64,7 @@ def main() -> int:
 
 
 def rehearse(drive: Callable[[], int]) -> int:
-    """The exit status of `drive`; it drives once more if it failed while the machine itself stood still."""
+    """The exit status of `drive`; it drives once more if it failed on a disturbed machine."""
     with tempfile.TemporaryDirectory(prefix="fsai-demo-") as folder, Witness(Path(folder) / "witness") as witness:
         for again in (True, False):
             since_ns = time.monotonic_ns()
@@ -73,14 +73,14 @@ def rehearse(drive: Callable[[], int]) -> int:
             except StackError as error:
                 print(f"demo: {error}", file=sys.stderr)
                 status = 1
-            stalls = witness.stalls(since_ns) if status else []
-            if not stalls:
+            disturbances = witness.disturbances(since_ns) if status else []
+            if not disturbances:
                 break
-            stood = f"this machine stood still {describe(stalls)} meanwhile, and the car and its bridge with it"
+            what = f"this machine {describe(disturbances)} meanwhile, and the car and its bridge with it"
             _say(
-                f"\n{stood}: that run shows nothing, once more"
+                f"\n{what}: that run shows nothing, once more"
                 if again
-                else f"\n{stood}, this time too: no run was undisturbed"
+                else f"\n{what}, this time too: no run was undisturbed"
             )
         return status
 

@@ -14,6 +14,11 @@ from types import TracebackType
 from typing import IO
 
 NODES = ("vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller")
+# Half as often as on the car: half the wake-ups, and those are what a slow machine spends its time on.
+SLOW_PLACE: Mapping[str, Mapping[str, object]] = {
+    "vcu_bridge": {"publish_rate_hz": 25.0},
+    "sensor_simulator": {"rate_hz": 10.0},
+}
 ROS_ENVIRONMENT = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_BUILTIN_TRANSPORTS")
 STOP_TIMEOUT_S = 15.0
 _POLL_S = 0.02
@@ -109,7 +114,16 @@ class RunningProcess:
 class Stack:
     """Starts processes that share a bus, a ROS domain and a folder for their logs; ends them all on exit."""
 
-    def __init__(self, bus: str, folder: Path, *, domain_id: int | None = None, truth_port: int | None = None) -> None:
+    def __init__(
+        self,
+        bus: str,
+        folder: Path,
+        *,
+        domain_id: int | None = None,
+        truth_port: int | None = None,
+        slow_place: bool = False,
+    ) -> None:
+        """slow_place: one slow processor for all of it, as in User-Mode Linux: what can be, is done less often."""
         self.bus = bus
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
@@ -117,6 +131,12 @@ class Stack:
         self.domain_id = 1 + os.getpid() % 100 if domain_id is None else domain_id
         self.truth_port = 30000 + os.getpid() % 20000 if truth_port is None else truth_port
         self.processes: dict[str, RunningProcess] = {}
+        self._parameters: dict[str, dict[str, object]] = {name: {} for name in NODES}
+        self._parameters["vcu_bridge"] |= {"can_interface": bus}
+        self._parameters["sensor_simulator"] |= {"truth_port": self.truth_port}
+        if slow_place:
+            for name, parameters in SLOW_PLACE.items():
+                self._parameters[name] |= parameters
         self.environ = dict(
             os.environ,
             ROS_DOMAIN_ID=str(self.domain_id),
@@ -137,17 +157,14 @@ class Stack:
         return self.start(name, [sys.executable, "-m", "fsai_vcu.cli.main", *arguments], stdin=stdin)
 
     def start_node(self, name: str, **parameters: object) -> RunningProcess:
-        """Start one ROS node with `parameters`."""
-        return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *ros_arguments(parameters)])
+        """Start one ROS node: with the rehearsal's parameters, those of its last start, and `parameters` on top."""
+        self._parameters[name] |= parameters
+        return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *ros_arguments(self._parameters[name])])
 
     def start_nodes(self, parameters: Mapping[str, Mapping[str, object]] | None = None) -> None:
-        """Start the five nodes, each its own process. `parameters` by node name go on top of the rehearsal's own."""
-        own: dict[str, dict[str, object]] = {
-            "vcu_bridge": {"can_interface": self.bus},
-            "sensor_simulator": {"truth_port": self.truth_port},
-        }
+        """Start the five nodes, each its own process; `parameters` by node name."""
         for name in NODES:
-            self.start_node(name, **{**own.get(name, {}), **((parameters or {}).get(name, {}))})
+            self.start_node(name, **(parameters or {}).get(name, {}))
 
     def check_alive(self, *names: str) -> None:
         """Raises StackError naming the first of `names` (all, if none are given) that has ended by itself."""

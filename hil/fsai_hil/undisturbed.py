@@ -1,8 +1,9 @@
 """Tests in real time count only if the machine let them run: a pytest plugin that asks the witness about each failure.
 
-A test that fails while the machine stood still has shown nothing, neither for nor against what it tests: that is said,
-and the test is run again from the start, with every fixture made anew. A failure without such a stall is a failure, at
-once. A test that is disturbed in each of its runs has failed, and says why. No deadline is loosened by any of this.
+A test that fails while the machine stood still, or ran far below its speed, has shown nothing, neither for nor against
+what it tests: that is said, and the test is run again from the start, with every fixture made anew. A failure on an
+undisturbed machine is a failure, at once. A test that is disturbed in each of its runs has failed, and says why. No
+deadline is loosened by any of this.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Protocol
 import pytest
 from _pytest.runner import runtestprotocol
 
-from fsai_hil.witness import Stall, describe
+from fsai_hil.witness import SlowSpell, Stall, describe
 
 RUNS = 3
 
@@ -23,18 +24,18 @@ RUNS = 3
 class Watcher(Protocol):
     """What is asked of the witness."""
 
-    def stalls(self, since_ns: int) -> list[Stall]: ...
+    def disturbances(self, since_ns: int) -> Sequence[Stall | SlowSpell]: ...
 
 
 class Outcome(Enum):
     COUNTS = "the run counts, whichever way it ended"
-    AGAIN = "it failed while the machine stood still: it is run again"
+    AGAIN = "it failed on a disturbed machine: it is run again"
     NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
 
 
-def judge_run(failed: bool, stalls: Sequence[Stall], run: int) -> Outcome:
+def judge_run(failed: bool, disturbances: Sequence[Stall | SlowSpell], run: int) -> Outcome:
     """What the `run`th run of a test (1 is the first) is worth."""
-    if not failed or not stalls:
+    if not failed or not disturbances:
         return Outcome.COUNTS
     return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
 
@@ -62,16 +63,16 @@ class Undisturbed:
             since_ns = self._clock()
             reports = runtestprotocol(item, log=False, nextitem=nextitem)
             failed = [report for report in reports if report.failed]
-            stalls = self._witness.stalls(since_ns) if failed else []
+            disturbances = self._witness.disturbances(since_ns) if failed else []
             if failed:
                 # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
                 item.session._setupstate.teardown_exact(None)
-            outcome = judge_run(bool(failed), stalls, run)
+            outcome = judge_run(bool(failed), disturbances, run)
             if outcome is Outcome.AGAIN:
-                self._say(item, f"{item.name}: the machine stood still {describe(stalls)}: run {run} shows nothing")
+                self._say(item, f"{item.name}: the machine {describe(disturbances)}: run {run} shows nothing")
                 continue
             if outcome is Outcome.NEVER_UNDISTURBED:
-                why = f"never ran undisturbed: in run {run} of {RUNS} too the machine stood still {describe(stalls)}"
+                why = f"never ran undisturbed: in run {run} of {RUNS} too the machine {describe(disturbances)}"
                 self._say(item, f"{item.name}: {why}")
                 failed[0].sections.append(("the machine", why))
             return reports

@@ -1,15 +1,17 @@
-"""A witness to the machine: a tiny process that only sleeps, and notes each time it was woken late.
+"""A witness to the machine: a tiny process that sleeps, counts a little, and notes when it was woken late or slow.
 
 A rehearsal in real time is judged by milliseconds, and a shared machine may stand still for longer: another guest has
-the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. The bridge must answer
-that with an emergency stop, for on a car it is a fault; but a test then shows nothing about the bridge. The witness
-tells the two apart. It shares nothing with the bridge or the simulated car, goes before both (a higher real-time
-priority) and does nothing: when it wakes late, nothing on this machine could have run in time.
+the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. Or it runs on, at half
+its speed: what the processor's other thread does, or another guest, slows all that is counted here. The bridge must
+answer either with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The witness
+tells the two apart. It shares nothing with the bridge or the simulated car and goes before both (a higher real-time
+priority): when it wakes late, nothing on this machine could have run in time, and when its counting, always the same,
+takes far longer than at its best, everything did.
 
     with Witness(Path("/tmp/witness")) as witness:
         since_ns = time.monotonic_ns()
         ...
-        stalls = witness.stalls(since_ns)
+        why = witness.disturbance(since_ns)
 
 Its own process is this file run as a script, with the standard library only: small, and soon there.
 """
@@ -27,13 +29,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
 NOTED_NS = 20_000_000  # woken later than this: noted
 STOOD_STILL_NS = (
     30_000_000  # noted when the loop, allowed 50 ms, is held up for longer; no run that shows so much shows anything
 )
+COUNTED = range(1500)  # some 50 us of work after each sleep
+SPELL = 50  # wakes, half a second: so much is looked at as one
+SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
+_STALL, _SLOW = "stall", "slow"
 _START_S = 20.0
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 
@@ -45,14 +52,40 @@ class Stall:
     due_ns: int
     late_ns: int
 
-    def overlaps(self, since_ns: int, until_ns: int) -> bool:
-        return self.due_ns + self.late_ns >= since_ns and self.due_ns <= until_ns
+    @property
+    def until_ns(self) -> int:
+        return self.due_ns + self.late_ns
 
 
-def describe(stalls: Sequence[Stall]) -> str:
-    """How long and how often, in words: 'for 87 ms', 'for 87 ms (the longest of 3 times)'."""
-    longest_ms = max(stall.late_ns for stall in stalls) / 1e6
-    return f"for {longest_ms:.0f} ms" + (f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else "")
+@dataclass(frozen=True)
+class SlowSpell:
+    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine ran at the fraction `speed` of its best."""
+
+    due_ns: int
+    until_ns: int
+    speed: float
+
+
+def describe(disturbances: Sequence[Stall | SlowSpell]) -> str:
+    """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
+    words = []
+    stalls = [one.late_ns for one in disturbances if isinstance(one, Stall)]
+    if stalls:
+        more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
+        words.append(f"stood still for {max(stalls) / 1e6:.0f} ms{more}")
+    spells = [one for one in disturbances if isinstance(one, SlowSpell)]
+    if spells:
+        lasted_s = sum(spell.until_ns - spell.due_ns for spell in spells) / 1e9
+        words.append(f"ran at {100 * min(spell.speed for spell in spells):.0f} % of its speed for {lasted_s:.1f} s")
+    return " and ".join(words)
+
+
+Noted = TypeVar("Noted", Stall, SlowSpell)
+
+
+def _touching(noted: Sequence[Noted], since_ns: int, until_ns: int | None) -> list[Noted]:
+    last_ns = time.monotonic_ns() if until_ns is None else until_ns
+    return [one for one in noted if one.until_ns >= since_ns and one.due_ns <= last_ns]
 
 
 class Witness:
@@ -79,9 +112,20 @@ class Witness:
 
     def stalls(self, since_ns: int, until_ns: int | None = None, *, at_least_ns: int = STOOD_STILL_NS) -> list[Stall]:
         """When the machine stood still for `at_least_ns` or longer between two instants of CLOCK_MONOTONIC."""
-        noted = [Stall(*map(int, line.split())) for line in self._lines()[1:]]
-        last_ns = time.monotonic_ns() if until_ns is None else until_ns
-        return [stall for stall in noted if stall.late_ns >= at_least_ns and stall.overlaps(since_ns, last_ns)]
+        noted = [Stall(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _STALL]
+        return [stall for stall in _touching(noted, since_ns, until_ns) if stall.late_ns >= at_least_ns]
+
+    def slow_spells(self, since_ns: int, until_ns: int | None = None) -> list[SlowSpell]:
+        """When it ran far below its best speed."""
+        noted = [SlowSpell(int(note[1]), int(note[2]), float(note[3])) for note in self._notes() if note[0] == _SLOW]
+        return _touching(noted, since_ns, until_ns)
+
+    def disturbances(self, since_ns: int) -> list[Stall | SlowSpell]:
+        """All that happened to the machine since then, and that lets a rehearsal show nothing."""
+        return [*self.stalls(since_ns), *self.slow_spells(since_ns)]
+
+    def _notes(self) -> list[list[str]]:
+        return [line.split() for line in self._lines()[1:]]
 
     def _lines(self) -> list[str]:
         """Whole lines only: the last may be just being written."""
@@ -103,26 +147,40 @@ class Witness:
         self.stop()
 
 
+def _stand_first() -> str:
+    """Go before everything that is rehearsed here, and be held up by nothing of one's own; how far that was allowed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None).mlockall(_ALWAYS_LOCKED)  # where it is refused, a page fault may only make it see more
+    gc.disable()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError:
+        return "ordinary"
+    return "real-time"
+
+
 def watch(path: str) -> None:
     """What the process does, until it is killed or its parent is gone."""
     parent = os.getppid()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        standing = "real-time"
-    except OSError:
-        standing = "ordinary"
-    ctypes.CDLL(None).mlockall(_ALWAYS_LOCKED)  # where it is refused, a page fault may only make it see more
-    gc.disable()
+    standing = _stand_first()
     notes = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.write(notes, f"{standing}\n".encode())
-    due_ns = time.monotonic_ns()
+    spell_ns, counted_ns, counts, best_ns = time.monotonic_ns(), 0, 0, 0
     while os.getppid() == parent:
         due_ns = time.monotonic_ns() + SLEEP_NS
         time.sleep(SLEEP_NS / 1e9)
-        late_ns = time.monotonic_ns() - due_ns
-        if late_ns >= NOTED_NS:
-            os.write(notes, f"{due_ns} {late_ns}\n".encode())
+        woken_ns = time.monotonic_ns()
+        if woken_ns - due_ns >= NOTED_NS:
+            os.write(notes, f"{_STALL} {due_ns} {woken_ns - due_ns}\n".encode())
+        sum(COUNTED)
+        now_ns = time.monotonic_ns()
+        counted_ns += now_ns - woken_ns
+        counts += 1
+        if counts == SPELL:
+            best_ns = min(best_ns or counted_ns, counted_ns)
+            if best_ns < SLOWED_TO * counted_ns:
+                os.write(notes, f"{_SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
+            spell_ns, counted_ns, counts = now_ns, 0, 0
 
 
 if __name__ == "__main__":

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
+import fsai_hil.witness
 from fsai_hil.demo import rehearse
 from fsai_hil.stack import StackError
 from fsai_hil.undisturbed import RUNS, Outcome, judge_run
-from fsai_hil.witness import STOOD_STILL_NS, Stall, Witness, describe
+from fsai_hil.witness import SPELL, STOOD_STILL_NS, SlowSpell, Stall, Witness, describe, watch
 
 pytest_plugins = ["pytester"]
 
@@ -33,7 +34,7 @@ class Scripted:
     def clock(self):
         self.time_ns += 1000
         return self.time_ns
-    def stalls(self, since_ns):
+    def disturbances(self, since_ns):
         assert since_ns == self.time_ns, "it asks about this run"
         return [Stall(since_ns, 52_000_000)] if self.left.pop(0) else []
 
@@ -149,8 +150,8 @@ def noted(tmp_path: Path, *stalls: Stall) -> Witness:
     """A witness whose notes are these and whose process is not started."""
     witness = object.__new__(Witness)
     witness._path = tmp_path / "notes"
-    lines = ["real-time", *(f"{stall.due_ns} {stall.late_ns}" for stall in stalls)]
-    witness._path.write_text("\n".join(lines) + "\n12345 9999")  # the last is just being written
+    lines = ["real-time", *(f"stall {stall.due_ns} {stall.late_ns}" for stall in stalls)]
+    witness._path.write_text("\n".join(lines) + "\nstall 12345 9999")  # the last is just being written
     return witness
 
 
@@ -166,8 +167,48 @@ def test_only_stalls_long_enough_that_touch_the_time_asked_about_are_told(tmp_pa
 
 
 def test_stalls_are_described_by_the_longest() -> None:
-    assert describe([STALL]) == "for 52 ms"
-    assert describe([STALL, Stall(0, 90_400_000)]) == "for 90 ms (the longest of 2 times)"
+    assert describe([STALL]) == "stood still for 52 ms"
+    assert describe([STALL, Stall(0, 90_400_000)]) == "stood still for 90 ms (the longest of 2 times)"
+
+
+def test_slow_spells_are_described_by_the_slowest_and_by_their_sum() -> None:
+    spells = [SlowSpell(0, 500_000_000, 0.61), SlowSpell(500_000_000, 1_200_000_000, 0.52)]
+    assert describe(spells) == "ran at 52 % of its speed for 1.2 s"
+    assert describe([STALL, *spells]) == "stood still for 52 ms and ran at 52 % of its speed for 1.2 s"
+
+
+def test_the_witness_notes_that_the_machine_counts_far_more_slowly_than_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another's work on the same processor is what slows it on a shared machine; here its own counting grows."""
+
+    class Ended(Exception):
+        pass
+
+    now_ns, spells = 0, 0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now_ns
+        now_ns += round(seconds * 1e9)
+
+    def count(_numbers: range) -> None:
+        nonlocal now_ns, spells
+        spells += 1
+        if spells > 6 * SPELL:
+            raise Ended
+        now_ns += 100_000 if 2 * SPELL < spells <= 4 * SPELL else 50_000
+
+    monkeypatch.setattr(fsai_hil.witness.time, "monotonic_ns", lambda: now_ns)
+    monkeypatch.setattr(fsai_hil.witness.time, "sleep", sleep)
+    monkeypatch.setattr(fsai_hil.witness, "sum", count, raising=False)
+    monkeypatch.setattr(fsai_hil.witness, "_stand_first", lambda: "ordinary")
+    with pytest.raises(Ended):
+        watch(str(tmp_path / "notes"))
+    witness = object.__new__(Witness)
+    witness._path = tmp_path / "notes"
+    slow = witness.slow_spells(0)
+    assert [spell.speed for spell in slow] == [0.5, 0.5]
+    assert slow[0].until_ns == slow[1].due_ns, "each spell begins where the last one ended"
 
 
 def test_the_witness_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
@@ -190,10 +231,10 @@ def test_the_witness_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
         ([(0, True)], 0, []),
         ([(1, False)], 1, []),
         ([(None, False)], 1, []),
-        ([(1, True), (0, False)], 0, ["for 52 ms"]),
-        ([(None, True), (0, True)], 0, ["for 52 ms"]),
-        ([(1, True), (1, False)], 1, ["for 52 ms"]),
-        ([(1, True), (1, True)], 1, ["for 52 ms", "this time too"]),
+        ([(1, True), (0, False)], 0, ["stood still for 52 ms"]),
+        ([(None, True), (0, True)], 0, ["stood still for 52 ms"]),
+        ([(1, True), (1, False)], 1, ["stood still for 52 ms"]),
+        ([(1, True), (1, True)], 1, ["stood still for 52 ms", "this time too"]),
     ],
 )
 def test_the_demo_drives_once_more_only_if_it_failed_while_the_machine_stood_still(
@@ -213,7 +254,7 @@ def test_the_demo_drives_once_more_only_if_it_failed_while_the_machine_stood_sti
             raise StackError("a process ended")
         return result
 
-    monkeypatch.setattr(Witness, "stalls", lambda *_: [STALL] if disturbed else [])
+    monkeypatch.setattr(Witness, "disturbances", lambda *_: [STALL] if disturbed else [])
     assert rehearse(drive) == status
     assert left == []
     lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]

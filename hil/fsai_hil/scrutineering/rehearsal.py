@@ -121,7 +121,10 @@ class Rehearsal:
             # Processes write to memory: a disk that is busy on purpose must not hold back those that measure.
             folder = Path(memory)
             try:
-                with Stack(self._bus, folder) as stack, Witness(folder / "witness") as witness:
+                with (
+                    Stack(self._bus, folder, slow_place=self._slow_place) as stack,
+                    Witness(folder / "witness") as witness,
+                ):
                     return self._measure_all(conditions, stack, witness)
             finally:
                 self._keep(folder)
@@ -132,7 +135,7 @@ class Rehearsal:
 
     def _measure_all(self, conditions: Sequence[Condition], stack: Stack, witness: Witness) -> dict[str, Any]:
         self._say("starting the bridge")
-        bridge = stack.start_node("vcu_bridge", can_interface=self._bus, revision=self._revision, car=self._revision)
+        bridge = stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = RosOperator(stack, "scrutineer")
         try:
             operator.await_bridge(START_S)

@@ -32,6 +32,7 @@ STOP_S = 20.0
 TRACK = "small_oval"
 CRUISE_MPS = 3.0
 POWER_CYCLE_S = 1.0
+SLOW_PLACE = os.environ.get("FSAI_HIL_PLACE") == "uml"  # one slow processor
 
 
 @pytest.fixture(autouse=True)
@@ -90,8 +91,8 @@ class Chain:
     def start_vcu(self, name: str, *arguments: str, auto: bool) -> RunningProcess:
         words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", "autocross", "--track", TRACK]
         words += ["--truth", str(self.stack.truth_port), *(["--auto"] if auto else [])]
-        if os.environ.get("FSAI_HIL_PLACE") == "uml":
-            # One slow processor: the frames that nobody decides on are thinned out.
+        if SLOW_PLACE:
+            # The frames that nobody decides on are thinned out.
             words += ["--gps-decimation", "20", "--log-decimation", "10"]
         return self.stack.start_verb(name, *words, *arguments, stdin=subprocess.DEVNULL if auto else subprocess.PIPE)
 
@@ -148,7 +149,7 @@ class Chain:
 @pytest.fixture(scope="package")
 def chain(interface: str) -> Iterator[Chain]:
     folder = new_folder("chain")
-    with Stack(interface, folder) as stack:
+    with Stack(interface, folder, slow_place=SLOW_PLACE) as stack:
         stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}})
         operator = RosOperator(stack)
         try:

@@ -164,7 +164,7 @@ def test_a_killed_controller_ends_torque_brakes_and_its_successor_does_not_drive
     chain.stack.processes["vehicle_controller"].signal(signal.SIGKILL)
     comes_to_rest(chain, AsState.AS_FINISHED)
     assert chain.state.mode == "manual", "a stop for lost commands is latched"
-    chain.stack.start_node("vehicle_controller", car=CODEC.revision.name)
+    chain.stack.start_node("vehicle_controller")
     chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "the new controller commands")
     comes_to_rest(chain, AsState.AS_FINISHED)
     assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
@@ -187,8 +187,7 @@ def test_without_fresh_data_the_car_is_braked_to_rest_and_what_comes_back_does_n
         if number == signal.SIGSTOP:
             chain.stack.processes[name].signal(signal.SIGCONT)
         else:
-            parameters = {"truth_port": chain.stack.truth_port} if name == "sensor_simulator" else {}
-            chain.stack.start_node(name, **parameters)
+            chain.stack.start_node(name)
     assert chain.state.mode == "manual", "a stop for lost commands is latched"
     chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "commands with fresh data come again")
     comes_to_rest(chain, AsState.AS_FINISHED)

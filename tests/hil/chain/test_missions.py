@@ -13,7 +13,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, REVISION, START_S, STOP_S, Chain
+from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, START_S, STOP_S, Chain
 from fsai_hil.stack import NODES
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
@@ -120,7 +120,7 @@ def test_a_killed_bridge_is_an_emergency_stop_and_a_new_one_never_drives_on(chai
         bridge.signal(signal.SIGKILL)
         bridge.wait(STOP_S)
         chain.operator.state = None
-        chain.stack.start_node("vcu_bridge", can_interface=chain.stack.bus, revision=REVISION, car=REVISION)
+        chain.stack.start_node("vcu_bridge")
         chain.operator.await_bridge(START_S)
         state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
         assert state.mode == "manual"
