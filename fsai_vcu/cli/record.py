@@ -1,54 +1,305 @@
-"""`fsai-vcu record`: what is on a bus, as a candump log."""
+"""`fsai-vcu record`: what is on a bus, on the disk within a second, for as long as it takes."""
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import re
 import signal
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
 
-EXAMPLE = "fsai-vcu record -i vcan0 -o run.log"
-_WAIT_S = 0.2
+from fsai_vcu.cli.sources import add_database_arguments, decoder_of
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.recorder.listening import Listener
+    from fsai_vcu.diagnostics.recorder.places import Bounds
+    from fsai_vcu.diagnostics.recorder.recording import Recording
+
+EXAMPLE = (
+    "fsai-vcu record -i can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
+    "  fsai-vcu record -i vcan0 -o run.log --seconds 60"
+)
+_LOOK_S: Final = 0.1
+_INSISTS_S: Final = 1.0
+_TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a second is ever not on it
+_DEFAULTS: Final = {"segment_size": "64M", "segment_time": "10min", "max_total": "4G"}
+_SIZES: Final = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-i", "--interface", required=True, help="CAN interface: vcan0, can0, loopback:NAME …")
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE", help="the log to write")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        type=Path,
+        metavar="FOLDER|FILE",
+        help="a folder: numbered segments, bounded, gone on with after a restart; a file (run.log): one candump log, "
+        "which must not be there yet",
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long (default: until Ctrl-C)")
+    parser.add_argument("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
+    parser.add_argument(
+        "--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)"
+    )
+    parser.add_argument(
+        "--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often"
+    )
+    parser.add_argument(
+        "--segment-size",
+        metavar="SIZE",
+        help=f"begin a new segment at this size (default: {_DEFAULTS['segment_size']})",
+    )
+    parser.add_argument(
+        "--segment-time",
+        metavar="TIME",
+        help=f"… or after so long: 30s, 10min, 1h (default: {_DEFAULTS['segment_time']})",
+    )
+    parser.add_argument(
+        "--max-total",
+        metavar="SIZE",
+        help=f"most that all segments take; the oldest are deleted (default: {_DEFAULTS['max_total']})",
+    )
+    parser.add_argument(
+        "--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)"
+    )
+    parser.add_argument(
+        "--limits",
+        type=Path,
+        metavar="FILE.toml",
+        help="operational limits in force: their content is kept beside the log",
+    )
+    add_database_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError
-    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
-    from fsai_vcu.runtime.recording import CandumpWriter
+    from fsai_vcu.diagnostics.recorder.listening import Listener
+    from fsai_vcu.diagnostics.recorder.places import Place, PlaceError
+    from fsai_vcu.diagnostics.recorder.recording import Recording
+    from fsai_vcu.runtime.bus import BusError
 
     if args.seconds is not None and not 0.0 <= args.seconds < float("inf"):
         raise UserError(f"--seconds is {args.seconds:g}, not a time")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a stopped service closes its log as Ctrl-C does
-    name = args.interface.partition(":")[2] or args.interface
+    if args.ros and not args.mcap:
+        raise UserError("--ros goes with --mcap: a candump log has no place for ROS messages")
+    if args.topic and not args.ros:
+        raise UserError("--topic goes with --ros")
+    bus = args.interface.partition(":")[2] or args.interface
+    about = _about(args)
+    decoder = None
+    if args.mcap:
+        _check_mcap()
+        decoder = decoder_of(args)
+    bounds = _bounds(args)
+    topics = _topics(args)
     try:
-        bus = open_bus(args.interface)
+        listener = Listener(args.interface)
     except BusError as error:
         raise UserError(str(error)) from error
+    listener.start()
     try:
-        writer = CandumpWriter(args.output, name)
+        place = Place(args.output, bus, bounds)
+        recording = Recording(
+            place, bus, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
+        )
+    except PlaceError as error:
+        listener.close()
+        raise UserError(str(error)) from error
     except OSError as error:
-        bus.close()
-        raise UserError(f"cannot write {args.output}: {error.strerror}") from error
-    until_ns = None if args.seconds is None else time.monotonic_ns() + int(args.seconds * 1e9)
-    with bus, writer:
-        try:
-            while until_ns is None or time.monotonic_ns() < until_ns:
-                heard = bus.recv_stamped(_WAIT_S)
-                if heard is not None:
-                    writer.write(*heard)
-        except KeyboardInterrupt:
-            pass
-        except BusLost as error:
-            print(f"fsai-vcu record: {error}; {writer.frames} frames kept in {args.output}", file=sys.stderr)
-            return 1
-        except OSError as error:
-            raise UserError(f"cannot write {args.output}: {error.strerror}") from error
-        print(f"{writer.frames} frames in {args.output}", file=sys.stderr)
-    return 0
+        listener.close()
+        raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+    if topics is not None:
+        topics.start()
+    with _ending() as ending:
+        until_ns = None if args.seconds is None else time.monotonic_ns() + int(args.seconds * 1e9)
+        _record(listener, topics, recording, until_ns, ending)
+    listener.close()
+    recording.take(listener.fetch())
+    if topics is not None:
+        topics.stop()
+        recording.take_messages(_messages(topics))
+    recording.close(time.monotonic_ns())
+    return _result(args, listener, recording, place.number)
+
+
+def _record(
+    listener: Listener, topics: Any | None, recording: Recording, until_ns: int | None, ending: list[int]
+) -> None:
+    """Until the time is up or somebody asks for the end."""
+    turn_ns = time.monotonic_ns()
+    while not ending and (until_ns is None or time.monotonic_ns() < until_ns):
+        time.sleep(_LOOK_S)
+        now_ns = time.monotonic_ns()
+        for news in listener.news():
+            _say(news)
+        if now_ns - turn_ns >= _TURN_NS:
+            turn_ns = now_ns
+            recording.take(listener.fetch())
+            if topics is not None:
+                recording.take_messages(_messages(topics))
+                for news in topics.news():
+                    _say(news)
+            recording.turn(now_ns)
+
+
+@contextmanager
+def _ending() -> Iterator[list[int]]:
+    """A list that gets the signal that asks for the end. A later one interrupts whatever is being done."""
+    asked: list[int] = []
+    insists_s = float("inf")
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        nonlocal insists_s
+        if time.monotonic() > insists_s:
+            raise KeyboardInterrupt
+        insists_s = min(insists_s, time.monotonic() + _INSISTS_S)  # Ctrl-C may come twice: from a shell and its script
+        asked.append(number)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _result(args: argparse.Namespace, listener: Listener, recording: Recording, segment: int) -> int:
+    lost = recording.lost + listener.overrun
+    where = f"{args.output}, up to segment {segment}" if segment else f"{args.output}"
+    ros = f" and {recording.messages} ROS messages" if args.ros else ""
+    print(f"{recording.taken} frames{ros} in {where}", file=sys.stderr)
+    if lost:
+        _say(f"{lost} frames were heard and are not on the disk")
+    return 1 if lost or recording.in_trouble else 0
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # stderr may be a file on the very disk that is full
+        print(f"fsai-vcu record: {text}", file=sys.stderr, flush=True)
+
+
+# ------------------------------------------------------------ arguments
+
+
+def _bounds(args: argparse.Namespace) -> Bounds:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.recorder.places import Bounds
+
+    single = args.output.suffix != "" and not args.output.is_dir()
+    if single:
+        for option in _DEFAULTS:
+            if getattr(args, option) is not None:
+                raise UserError(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
+        return Bounds(keep_free_bytes=_size(args.keep_free, "--keep-free"))
+    given = {option: getattr(args, option) or default for option, default in _DEFAULTS.items()}
+    total = _size(given["max_total"], "--max-total")
+    if total < 1 << 20:
+        raise UserError(f"--max-total is {given['max_total']}, but less than 1M is no recording")
+    return Bounds(
+        segment_bytes=max(1, _size(given["segment_size"], "--segment-size")),
+        segment_ns=_time_ns(given["segment_time"], "--segment-time"),
+        total_bytes=total,
+        keep_free_bytes=_size(args.keep_free, "--keep-free"),
+    )
+
+
+def _size(text: str, option: str) -> int:
+    from fsai_vcu.cli.main import UserError
+
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
+    if not found:
+        raise UserError(f"{option} is '{text}', not a size like 64M or 4G")
+    return int(float(found[1]) * _SIZES[found[2].upper()])
+
+
+def _time_ns(text: str, option: str) -> int:
+    from fsai_vcu.cli.main import UserError
+
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|min|h)", text.strip())
+    if not found or float(found[1]) <= 0.0:
+        raise UserError(f"{option} is '{text}', not a time like 30s, 10min or 1h")
+    return int(float(found[1]) * _TIMES_S[found[2]] * 1e9)
+
+
+def _about(args: argparse.Namespace) -> dict[str, Any]:
+    """What belongs to a log without being a frame."""
+    import platform
+    from importlib.metadata import version
+
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.core.limits import LimitsError
+    from fsai_vcu.interface.revisions import revision
+    from fsai_vcu.runtime.limits_file import read_limits
+
+    try:
+        about: dict[str, Any] = {
+            "made_by": f"fsai-vcu {version('fsai-vcu')}",
+            "host": platform.node(),
+            "interface": args.interface,
+            "revision": revision(args.revision).name,
+            "databases": [str(path) for path in args.dbc],
+            "operational_limits": None,
+        }
+        if args.limits is not None:
+            content = args.limits.read_bytes()
+            about["operational_limits"] = {
+                "in_force": list(read_limits(args.limits).described()),
+                "content": content.decode(),
+                "sha256": hashlib.sha256(content).hexdigest(),
+                "file": str(args.limits),
+            }
+    except (ValueError, LimitsError) as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"cannot read the operational limits {args.limits}: {error.strerror}") from error
+    return about
+
+
+def _check_mcap() -> None:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.exporting.writing import ExportError, check_format
+
+    try:
+        check_format("mcap")
+    except ExportError as error:
+        raise UserError(str(error)) from error
+
+
+def _topics(args: argparse.Namespace) -> Any | None:
+    """What hears the nodes; None where that is not asked for."""
+    from fsai_vcu.cli.main import UserError
+
+    if not args.ros:
+        return None
+    try:
+        recorder: Any = import_module("fsai_nodes.recorder")
+    except ImportError as error:
+        raise UserError(
+            f"--ros needs ROS 2 and the project's nodes in this Python environment ({error}): "
+            "source the workspace's setup file, or run `make setup`"
+        ) from error
+    return recorder.TopicRecorder((*recorder.PROJECT_TOPICS, *args.topic))
+
+
+def _messages(topics: Any) -> list[Any]:
+    """What was heard, as an MCAP keeps it."""
+    from fsai_vcu.diagnostics.exporting.mcap_file import RosMessage, RosTopic
+
+    return [
+        RosMessage(
+            RosTopic(each.topic.name, each.topic.type_name, each.topic.definition, each.topic.qos),
+            each.data,
+            each.taken_ns,
+            each.sent_ns,
+        )
+        for each in topics.fetch()
+    ]

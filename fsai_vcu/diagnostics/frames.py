@@ -170,6 +170,15 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
     )
 
 
+def renumbered(frames: Frames, channels: list[str]) -> Frames:
+    """The same frames with their buses numbered by `channels`, which grows: several logs number each their own."""
+    for name in frames.channels:
+        if name not in channels:
+            channels.append(name)
+    number = np.array([channels.index(name) for name in frames.channels] or [0], np.int32)
+    return replace(frames, channel=number[frames.channel], channels=channels)
+
+
 def joined(parts: Iterable[Frames]) -> Frames:
     """One run of frames from several of the same log."""
     kept = [part for part in parts if len(part)]

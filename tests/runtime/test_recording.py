@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
 import pytest
+from mcap.reader import NonSeekingReader
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.logs import open_log, read_log
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import CanBus, open_bus
 from fsai_vcu.runtime.recording import CandumpWriter, candump_line
 
 
@@ -54,3 +64,169 @@ def test_a_log_that_cannot_be_written_is_one_line_and_leaves_no_bus_open(
     )
     gc.collect()
     assert "not properly shut down" not in caplog.text
+
+
+# ---------------------------------------------------------------- a recorder as a process
+
+BUS = f"record-{os.getpid()}"
+WITHIN_S = 30.0
+LOSS_MOST_S = 1.0  # a power cut loses at most a second
+
+
+@pytest.fixture
+def bus() -> Iterator[CanBus]:
+    with open_bus(f"loopback:{BUS}") as opened:
+        yield opened
+
+
+@pytest.fixture
+def recorder() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts `fsai-vcu record` on the stand-in bus; whatever the test does, it is ended after it."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", "record", "-i", f"loopback:{BUS}", *arguments]
+        started.append(subprocess.Popen(argv, stderr=subprocess.PIPE, text=True))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def talk(bus: CanBus, condition: Callable[[], bool], first: int = 0) -> list[tuple[int, float]]:
+    """A numbered frame every five milliseconds until the condition holds: (number, when it was sent)."""
+    sent: list[tuple[int, float]] = []
+    until_s = time.monotonic() + WITHIN_S
+    while not condition():
+        assert time.monotonic() < until_s, "waited in vain"
+        number = first + len(sent)
+        bus.send(Frame(0x523, number.to_bytes(6, "little")))
+        sent.append((number, time.monotonic()))
+        time.sleep(0.005)
+    return sent
+
+
+def numbers(*paths: Path) -> list[int]:
+    found: list[int] = []
+    for path in paths:
+        frames, _ = read_log(path)
+        found += [int.from_bytes(frame.data, "little") for frame in frames]
+    return found
+
+
+def test_a_recorder_that_is_killed_has_all_but_the_last_second_on_the_disk_and_resumes(
+    bus: CanBus, recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    first_log, first_mcap = folder / f"{BUS}-000001.log", folder / f"{BUS}-000001.mcap"
+    process = recorder("-o", str(folder), "--mcap")
+    sent = talk(bus, lambda: first_log.exists() and first_log.stat().st_size > 10_000)
+    later_s = time.monotonic() + 1.5 * LOSS_MOST_S  # not just after something was written: that would show nothing
+    sent += talk(bus, lambda: time.monotonic() > later_s, first=len(sent))
+    process.send_signal(signal.SIGKILL)
+    killed_s, killed_wall_ns = time.monotonic(), time.time_ns()
+    process.wait()
+    kept = numbers(first_log)
+    assert kept == list(range(kept[0], kept[-1] + 1)), "there is a hole in it"
+    assert kept[-1] >= max((number for number, at_s in sent if at_s < killed_s - LOSS_MOST_S), default=0)
+    with first_mcap.open("rb") as file:
+        streamed = []
+        try:
+            for _, _, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+                streamed.append(message)
+        except Exception as error:  # it has no end
+            assert streamed, error
+    stamps = {message.log_time for message in streamed}
+    logged, _ = read_log(first_log)
+    assert {t_ns for t_ns in logged.t_ns.tolist() if t_ns < killed_wall_ns - LOSS_MOST_S * 1e9} <= stamps
+
+    with first_log.open("ab") as file:
+        file.write(b"(17000")  # what a power cut may do besides
+    process = recorder("-o", str(folder), "--mcap")
+    second_log = folder / f"{BUS}-000002.log"
+    talk(bus, lambda: second_log.exists() and second_log.stat().st_size > 0, first=100_000)
+    process.send_signal(signal.SIGTERM)
+    said = process.communicate(timeout=WITHIN_S)[1]
+    assert process.returncode == 0, said
+    assert f"{first_log} was cut off in its last line: 6 bytes taken away" in said
+    assert f"{first_mcap} had no end: given one" in said
+    assert numbers(first_log) == kept
+    with open_log(first_log) as log:
+        assert sum(1 for _ in log.frames()) == len(kept) and not log.problems
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_recorder_that_is_asked_to_end_has_everything_on_the_disk(
+    ending: signal.Signals, bus: CanBus, recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    path = tmp_path / "run.log"
+    process = recorder("-o", str(path))
+    sent = talk(bus, lambda: path.exists() and path.stat().st_size > 0)
+    process.send_signal(ending)
+    said = process.communicate(timeout=WITHIN_S)[1]
+    assert process.returncode == 0
+    kept = numbers(path)
+    assert kept == list(range(kept[0], sent[-1][0] + 1))
+    assert said == f"{len(kept)} frames in {path}\n"
+    assert json.loads(path.with_suffix(".json").read_text())["frames"] == len(kept)
+
+
+def test_the_operational_limits_and_the_revision_are_kept_beside_the_log(tmp_path: Path) -> None:
+    limits = tmp_path / "limits.toml"
+    limits.write_text("max_speed_mps = 5.0  # the paddock\n")
+    argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--revision", "2021"]
+    assert main([*argv, "--limits", str(limits)]) == 0
+    about = json.loads((tmp_path / "run.json").read_text())
+    assert about["revision"] == "2021"
+    assert about["operational_limits"]["content"] == "max_speed_mps = 5.0  # the paddock\n"
+    assert any("5" in line for line in about["operational_limits"]["in_force"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-o", "run.log", "--max-total", "1G"], "--max-total goes with a folder, and run.log is to be a file"),
+        (["-o", "run", "--max-total", "much"], "--max-total is 'much', not a size like 64M or 4G"),
+        (["-o", "run", "--max-total", "10K"], "--max-total is 10K, but less than 1M is no recording"),
+        (["-o", "run", "--segment-time", "5"], "--segment-time is '5', not a time like 30s, 10min or 1h"),
+        (["-o", "run", "--ros"], "--ros goes with --mcap"),
+        (["-o", "run", "--topic", "/x"], "--topic goes with --ros"),
+        (["-o", "run.log", "--limits", "gone.toml"], "cannot read the operational limits gone.toml: No such file"),
+        (["-o", "run.log", "--revision", "1999"], "choose one of 2021, 2026"),
+        (["-o", "here.log"], "here.log is there already; name another file, or a folder to go on in"),
+    ],
+)
+def test_what_cannot_be_recorded_is_one_clear_line(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("here.log").write_text("precious")
+    assert main(["record", "-i", f"loopback:{BUS}", *arguments]) == 1
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
+    assert Path("here.log").read_text() == "precious"
+
+
+def test_without_ros_one_line_says_what_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "fsai_nodes.recorder", None)
+    argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--mcap", "--ros"]
+    assert main(argv) == 1
+    said = capsys.readouterr().err
+    assert "--ros needs ROS 2 and the project's nodes" in said and said.count("\n") == 1
+
+
+def test_without_mcap_one_line_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    assert main(["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--mcap"]) == 1
+    assert capsys.readouterr().err == "fsai-vcu record: mcap needs mcap: pip install 'fsai-vcu[mcap]'\n"
+    assert list(tmp_path.iterdir()) == []

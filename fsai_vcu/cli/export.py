@@ -1,0 +1,138 @@
+"""`fsai-vcu export`: a log as tables for other tools."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fsai_vcu.cli.sources import Sources, add_database_arguments, decoder_of
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.frames import Frames
+
+EXAMPLE = (
+    "fsai-vcu export run.log.gz --to parquet -o run-tables\n"
+    "  fsai-vcu export run.log --to csv --wide --raster 20ms -o run.csv"
+)
+_DEFAULT_RASTER = "10ms"
+_PROGRESS_S = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG[,FILTER…]",
+        help="a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input), with candump's filters to leave "
+        "frames out; several are read one after the other, as the segments of a recording",
+    )
+    parser.add_argument("--to", required=True, choices=("csv", "parquet", "mcap", "mf4"), help="the format")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        type=Path,
+        metavar="PATH",
+        help="a new folder, one file in it per message, for csv and parquet; a file for mcap and mf4, and with --wide",
+    )
+    parser.add_argument(
+        "--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message"
+    )
+    parser.add_argument("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
+    parser.add_argument(
+        "--words", action="store_true", help="csv, parquet: words where the database has them, not numbers"
+    )
+    add_database_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.exporting.wide import raster_ns
+    from fsai_vcu.diagnostics.exporting.writing import ExportError, check_format, export
+
+    if args.raster is not None and not args.wide:
+        raise UserError("--raster goes with --wide")
+    if args.words and args.to not in ("csv", "parquet"):
+        raise UserError(f"--words does not go with {args.to}: it has numbers, and the words beside them")
+    try:
+        step_ns = raster_ns(args.raster or _DEFAULT_RASTER) if args.wide else None
+        check_format(args.to)
+    except (ValueError, ExportError) as error:
+        raise UserError(str(error)) from error
+    sources = Sources("export", args.logs)
+    if sources.live:
+        raise UserError(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
+    decoder = decoder_of(args)
+    progress = _Progress()
+    frames = _all_frames(sources, progress)
+    if not len(frames):
+        return sources.status or 1
+    try:
+        written = export(
+            frames, decoder, args.to, args.output, step_ns=step_ns, words=args.words, progress=progress.writing
+        )
+    except ExportError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+    finally:
+        progress.end()
+    tables = "1 table" if written.tables == 1 else f"{written.tables} tables"
+    left_out = written.left_out.words()
+    print(
+        f"{tables}, {written.rows} rows of {len(frames)} frames in {args.output}"
+        + (f"; left out: {left_out}" if left_out else ""),
+        file=sys.stderr,
+    )
+    for note in written.notes:
+        print(f"fsai-vcu export: {note}", file=sys.stderr)
+    return sources.status
+
+
+def _all_frames(sources: Sources, progress: _Progress) -> Frames:
+    """All frames of all logs, their buses numbered alike."""
+    from fsai_vcu.diagnostics.frames import joined, renumbered
+
+    channels: list[str] = []
+    parts = []
+    count = 0
+    for chunk in sources.chunks():
+        parts.append(renumbered(chunk, channels))
+        count += len(chunk)
+        progress.reading(count)
+    return joined(parts)
+
+
+class _Progress:
+    """A line on a terminal, rewritten once a second while it takes long."""
+
+    def __init__(self) -> None:
+        self._next_s = time.monotonic() + _PROGRESS_S
+        self._shown = False
+        self._terminal = sys.stderr.isatty()
+
+    def reading(self, frames: int) -> None:
+        self._say(f"{frames} frames read")
+
+    def writing(self, done: int, of: int) -> None:
+        self._say(f"{100 * done // max(of, 1)} % written")
+
+    def end(self) -> None:
+        if self._shown and self._terminal:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        self._shown = False
+
+    def _say(self, text: str) -> None:
+        if time.monotonic() < self._next_s:
+            return
+        self._next_s = time.monotonic() + _PROGRESS_S
+        self._shown = True
+        print(
+            f"\r\x1b[K{text}" if self._terminal else text,
+            end="" if self._terminal else "\n",
+            file=sys.stderr,
+            flush=True,
+        )

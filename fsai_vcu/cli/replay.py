@@ -1,0 +1,125 @@
+"""`fsai-vcu replay`: a log sent onto a bus again."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING, Final
+
+from fsai_vcu.cli.sources import Sources
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.frames import Frames
+    from fsai_vcu.diagnostics.replaying import Player
+
+EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
+_PROGRESS_S: Final = 1.0
+_LATE_NS: Final = 10_000_000  # a cycle of the bus
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "log",
+        metavar="LOG[,FILTER…]",
+        help="a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input), with candump's filters: ID:MASK, "
+        "ID~MASK, j",
+    )
+    parser.add_argument("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
+    parser.add_argument("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
+    parser.add_argument(
+        "--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)"
+    )
+    parser.add_argument("--from", dest="begin_s", type=float, default=0.0, metavar="S", help="begin S seconds into it")
+    parser.add_argument("--to", dest="end_s", type=float, metavar="S", help="end S seconds into it")
+    parser.add_argument("--physical", action="store_true", help="the interface may be a real bus")
+    parser.add_argument(
+        "--with-ai-ids",
+        action="store_true",
+        help="send 0x510 to 0x514 too: to a bridge on the bus they are an intruder's",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.frames import joined
+    from fsai_vcu.diagnostics.replaying import Player, ReplayError, between, choose, is_physical
+    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
+
+    _check(args)
+    sources = Sources("replay", [args.log])
+    if sources.live:
+        raise UserError(f"{args.log} is an interface; replay reads logs")
+    if is_physical(args.interface) and not args.physical:
+        raise UserError(
+            f"{args.interface} may be a real bus, with a car on it: frames of a log move things there; "
+            "if you mean it, say --physical"
+        )
+    frames = joined(sources.chunks())
+    try:
+        part = between(frames, int(args.begin_s * 1e9), None if args.end_s is None else int(args.end_s * 1e9))
+    except ReplayError as error:
+        raise UserError(str(error)) from error
+    chosen = choose(part, with_ai_ids=args.with_ai_ids)
+    if chosen.words():
+        print(f"fsai-vcu replay: left out: {chosen.words()}", file=sys.stderr)
+    if not len(chosen.frames):
+        raise UserError("nothing is left to send")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
+    try:
+        bus = open_bus(args.interface, receive=(), may_send=set(chosen.frames.can_id.tolist()))
+    except BusError as error:
+        raise UserError(str(error)) from error
+    laps = 1 if args.loop is None else args.loop or None
+    player = Player(chosen.frames, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
+    status = sources.status
+    with bus:
+        try:
+            _play(player, chosen.frames)
+        except KeyboardInterrupt:
+            pass
+        except BusLost as error:
+            print(f"fsai-vcu replay: {error}", file=sys.stderr)
+            status = 1
+    return max(status, _result(player))
+
+
+def _check(args: argparse.Namespace) -> None:
+    from fsai_vcu.cli.main import UserError
+
+    if not 0.0 < args.rate < float("inf"):
+        raise UserError(f"--rate is {args.rate:g}, not a rate")
+    if args.loop is not None and args.loop < 0:
+        raise UserError(f"--loop is {args.loop}, not a number of times")
+    if not 0.0 <= args.begin_s < float("inf"):
+        raise UserError(f"--from is {args.begin_s:g}, not a time in the log")
+    if args.end_s is not None and not args.begin_s <= args.end_s < float("inf"):
+        raise UserError(f"--to is {args.end_s:g}, and --from {args.begin_s:g}: there is nothing between them")
+
+
+def _play(player: Player, frames: Frames) -> None:
+    terminal = sys.stderr.isatty()
+    next_s = time.monotonic() + _PROGRESS_S
+    for _ in player.play():
+        if terminal and time.monotonic() >= next_s:
+            next_s = time.monotonic() + _PROGRESS_S
+            progress = player.progress
+            print(
+                f"\r\x1b[K{progress.sent} frames sent, {progress.laps} times through {len(frames)}",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
+    if terminal:
+        print("\r\x1b[K", end="", file=sys.stderr)
+
+
+def _result(player: Player) -> int:
+    progress = player.progress
+    print(f"{progress.sent} frames sent", file=sys.stderr)
+    if progress.refused:
+        print(f"fsai-vcu replay: {progress.refused} frames not sent: the transmit queue stayed full", file=sys.stderr)
+    if progress.late_max_ns > _LATE_NS:
+        print(f"fsai-vcu replay: the latest frame left {progress.late_max_ns / 1e6:.0f} ms late", file=sys.stderr)
+    return 1 if progress.refused else 0

@@ -1,0 +1,135 @@
+"""Where a recording goes: one file, or a folder of numbered segments whose oldest give way to the newest."""
+
+from __future__ import annotations
+
+import fcntl
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final
+
+_DIGITS: Final = 6
+_KINDS: Final = (".log", ".mcap", ".json")
+_PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
+
+
+class PlaceError(Exception):
+    """A place where nothing can be recorded; the message is one clear line."""
+
+
+class NoRoomError(OSError):
+    """There is not as much room as the recording must leave free."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """None: no bound. keep_free_bytes: what is always left free on the disk, for everybody else."""
+
+    segment_bytes: int | None = None
+    segment_ns: int | None = None
+    total_bytes: int | None = None
+    keep_free_bytes: int = 0
+
+
+class Place:
+    """Names the files of each segment, and makes room for what comes."""
+
+    def __init__(self, path: Path, prefix: str, bounds: Bounds) -> None:
+        """A path with a suffix is one file, which must not be there; any other a folder, which is gone on with.
+
+        Raises PlaceError and OSError.
+        """
+        self.single = path.suffix != "" and not path.is_dir()
+        self.path = path
+        self.bounds = bounds
+        self._prefix = re.sub(r"[^\w.-]+", "_", prefix) or "bus"
+        self._pattern = re.compile(rf"{re.escape(self._prefix)}-(\d{{{_DIGITS}}})(\.log|\.mcap|\.json)")
+        self._lock: IO[bytes] | None = None
+        self.number = 0
+        self.deleted = 0
+        if self.single:
+            for kind in (".log", ".mcap"):
+                if self.file(kind).exists():
+                    raise PlaceError(f"{self.file(kind)} is there already; name another file, or a folder to go on in")
+        else:
+            path.mkdir(parents=True, exist_ok=True)
+            self._lock = (path / f".{self._prefix}.lock").open("wb")
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                self._lock.close()
+                raise PlaceError(f"somebody records '{self._prefix}' in {path} already") from error
+            self.number = max(self._segments(), default=0)
+
+    @property
+    def rotates(self) -> bool:
+        return not self.single
+
+    @property
+    def segment_bytes(self) -> int | None:
+        if self.bounds.total_bytes is None or self.bounds.segment_bytes is None:
+            return self.bounds.segment_bytes
+        return min(self.bounds.segment_bytes, self.bounds.total_bytes // _PARTS)
+
+    def file(self, kind: str, number: int | None = None) -> Path:
+        """The file of that kind ('.log') of a segment: the one in hand, unless another is named."""
+        if self.single:
+            return self.path if kind == ".log" else self.path.with_suffix(kind)
+        return self.path / f"{self._prefix}-{self.number if number is None else number:0{_DIGITS}d}{kind}"
+
+    def all_files(self, kind: str) -> list[Path]:
+        """Of every segment, the oldest first."""
+        return sorted(path for _, path in self._files() if path.suffix == kind)
+
+    def begin_segment(self) -> None:
+        """The next number is the one in hand."""
+        if not self.single:
+            self.number = max(self.number, max(self._segments(), default=0)) + 1
+
+    def make_room(self, bytes_to_come: int) -> None:
+        """Delete the oldest segments until there is room. Raises NoRoomError where that is not enough."""
+        folder = self.path.parent if self.single else self.path
+        segments = {} if self.single else self._segments()
+        older = sorted(number for number in segments if number < self.number)
+        total = sum(segments.values()) + bytes_to_come
+        most = None if self.single else self.bounds.total_bytes
+        for number in older:
+            if (most is None or total <= most) and self._free(folder) >= self.bounds.keep_free_bytes + bytes_to_come:
+                return
+            for kind in _KINDS:
+                self.file(kind, number).unlink(missing_ok=True)
+            total -= segments[number]
+            self.deleted += 1
+        free = self._free(folder)
+        if self.bounds.keep_free_bytes and free < self.bounds.keep_free_bytes + bytes_to_come:
+            raise NoRoomError(
+                f"only {free >> 20} MB free on the disk, and {self.bounds.keep_free_bytes >> 20} MB stay free"
+            )
+        if most is not None and total > most and len(segments) > 1:
+            raise NoRoomError(f"more than {most >> 20} MB in one segment")
+
+    def _free(self, folder: Path) -> int:
+        return shutil.disk_usage(folder).free
+
+    def _segments(self) -> dict[int, int]:
+        """Bytes of each segment, by number."""
+        found: dict[int, int] = {}
+        for number, path in self._files():
+            try:
+                size = path.stat().st_size
+            except OSError:
+                continue  # deleted meanwhile
+            found[number] = found.get(number, 0) + size
+        return found
+
+    def _files(self) -> Iterator[tuple[int, Path]]:
+        for path in self.path.iterdir():
+            match = self._pattern.fullmatch(path.name)
+            if match:
+                yield int(match[1]), path
+
+    def close(self) -> None:
+        if self._lock is not None:
+            self._lock.close()

@@ -1,0 +1,278 @@
+"""The recording itself: candump segments, an MCAP beside each, and a sidecar that says what was in force.
+
+A candump log has no place for remarks that all of its readers survive (python-can's does not), so what belongs to a
+segment without being a frame is in a JSON file of the same name: interface, revision, operational limits with their
+content, when it began and ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fsai_vcu.diagnostics.decode import Decoder
+from fsai_vcu.diagnostics.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
+from fsai_vcu.diagnostics.recorder.listening import Heard
+from fsai_vcu.diagnostics.recorder.places import Place
+from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
+from fsai_vcu.runtime.recording import candump_line
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.exporting.mcap_file import McapTables, RosMessage
+    from fsai_vcu.diagnostics.exporting.tables import Tables
+
+AGAIN_NS: Final = 1_000_000_000
+"""After a write that failed, the next one is tried so much later."""
+
+_MOST_WAITING: Final = 200_000  # frames kept for a disk that takes nothing: two minutes of a busy bus
+_PART: Final = 20_000  # frames written in one go
+_NO_ROOM: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None})
+
+
+@dataclass
+class _Segment:
+    log: DurableFile
+    mcap: DurableFile | None
+    tables: Tables | None
+    writer: McapTables | None
+    about: dict[str, Any]
+    sidecar: Path
+    began_ns: int
+    frames: int = 0
+    unpushed: int = 0  # of these, frames that are not on the disk yet
+
+    @property
+    def size(self) -> int:
+        return self.log.size + (0 if self.mcap is None else self.mcap.size)
+
+    def files(self) -> list[DurableFile]:
+        return [self.log] if self.mcap is None else [self.log, self.mcap]
+
+    def close(self) -> None:
+        for file in self.files():
+            file.close()
+
+
+class Recording:
+    """Takes what was heard; `turn` has it on the disk. Not thread-safe."""
+
+    def __init__(
+        self,
+        place: Place,
+        bus: str,
+        about: Mapping[str, Any],
+        say: Callable[[str], None],
+        *,
+        decoder: Decoder | None = None,
+        wall_ns: Callable[[], int],
+        now_ns: int,
+    ) -> None:
+        """about: for the sidecars. decoder: an MCAP is written too. Raises OSError where nothing can be written."""
+        self._place = place
+        self._bus = bus
+        self._about = dict(about)
+        self._say = say
+        self._decoder = decoder
+        self._wall_ns = wall_ns
+        self._frames: deque[Heard] = deque(maxlen=_MOST_WAITING)
+        self._messages: deque[RosMessage] = deque(maxlen=_MOST_WAITING)
+        self._channels = [bus]
+        self._again_ns: int | None = None
+        self.taken = 0
+        self.messages = 0
+        self.lost = 0
+        self._repair_last()
+        self._segment: _Segment | None = self._begin(now_ns)
+
+    @property
+    def waiting(self) -> int:
+        """Frames that are not on the disk."""
+        return len(self._frames)
+
+    @property
+    def in_trouble(self) -> bool:
+        return self._again_ns is not None
+
+    def take(self, heard: Sequence[Heard]) -> None:
+        self.lost += max(0, len(self._frames) + len(heard) - _MOST_WAITING)
+        self._frames.extend(heard)
+
+    def take_messages(self, messages: Sequence[RosMessage]) -> None:
+        self._messages.extend(messages)
+
+    def turn(self, now_ns: int) -> None:
+        """Everything taken so far is on the disk; where that fails it is said once and tried again later."""
+        if self._again_ns is not None and now_ns < self._again_ns:
+            return
+        try:
+            self._write(now_ns)
+        except OSError as error:
+            self._fail(error, now_ns)
+            return
+        if self._again_ns is not None:
+            self._again_ns = None
+            lost = f"; {self.lost} frames were lost" if self.lost else ""
+            self._say(f"writing again in {self._place.path}{lost}")
+
+    def close(self, now_ns: int) -> None:
+        """Write what waits, and end the files properly, as far as the disk lets."""
+        self._again_ns = None if self._again_ns is None else now_ns
+        self.turn(now_ns)
+        with contextlib.suppress(OSError):  # a disk that takes no more: said, and what is there is whole
+            self._end()
+        self.lost += len(self._frames)
+        self._place.close()
+
+    # ------------------------------------------------------------ segments
+
+    def _repair_last(self) -> None:
+        """A power cut may have torn the newest segment."""
+        place = self._place
+        if place.single or not place.number:
+            return
+        log = place.file(".log")
+        if log.exists() and (cut := repair_text(log)):
+            self._say(f"{log} was cut off in its last line: {cut} bytes taken away")
+        # A disk that was full can have left any of them without an end.
+        for mcap in place.all_files(".mcap") if self._decoder is not None else ():
+            if (repaired := repair_mcap(mcap)) is not None:
+                self._say(f"{mcap} had no end: given one{f', {repaired} bytes taken away' if repaired else ''}")
+
+    def _begin(self, now_ns: int) -> _Segment:
+        place = self._place
+        place.begin_segment()
+        place.make_room(0)
+        about = {
+            **self._about,
+            "segment": place.number or 1,
+            "began": _date(self._wall_ns()),
+            "ended": None,
+            "frames": None,
+        }
+        replace_durably(place.file(".json"), _text(about))
+        log = DurableFile(place.file(".log"))
+        if self._decoder is None:
+            return _Segment(log, None, None, None, about, place.file(".json"), now_ns)
+        from fsai_vcu.diagnostics.exporting.mcap_file import McapTables
+        from fsai_vcu.diagnostics.exporting.tables import Tables
+
+        try:
+            mcap = DurableFile(place.file(".mcap"))
+        except OSError:
+            log.close()
+            raise
+        words = {name: value if isinstance(value, str) else json.dumps(value) for name, value in about.items()}
+        tables = Tables(self._decoder, several_buses=False)
+        segment = _Segment(log, mcap, tables, McapTables(mcap, words), about, place.file(".json"), now_ns)
+        try:
+            mcap.push()
+        except OSError:
+            segment.close()
+            raise
+        return segment
+
+    def _end(self) -> None:
+        """Raises OSError; the segment is closed all the same."""
+        segment, self._segment = self._segment, None
+        if segment is None:
+            return
+        try:
+            if segment.writer is not None:
+                segment.writer.finish()
+            for file in segment.files():
+                file.push()
+            segment.about.update(ended=_date(self._wall_ns()), frames=segment.frames)
+            replace_durably(segment.sidecar, _text(segment.about))
+        finally:
+            segment.close()
+
+    def _over(self, segment: _Segment, now_ns: int) -> bool:
+        bounds = self._place.bounds
+        if not self._place.rotates or not segment.frames:
+            return False
+        most = self._place.segment_bytes
+        return (most is not None and segment.size >= most) or (
+            bounds.segment_ns is not None and now_ns - segment.began_ns >= bounds.segment_ns
+        )
+
+    # ------------------------------------------------------------ writing
+
+    def _write(self, now_ns: int) -> None:
+        while True:
+            segment = self._segment
+            if segment is not None:
+                if any(file.removed for file in segment.files()):
+                    self._segment = None
+                    segment.close()
+                    self._say(f"{segment.log.path} has been deleted; going on in a new one")
+                    continue
+                if any(file.waiting for file in segment.files()):
+                    self._push(segment)
+            if not (self._frames or self._messages):
+                return
+            if segment is not None and self._over(segment, now_ns):
+                self._end()
+                continue
+            if segment is None:
+                if self._place.single and self._place.path.exists():
+                    raise FileExistsError(errno.EEXIST, "it was begun and cannot be gone on with")
+                segment = self._segment = self._begin(now_ns)
+            self._put(segment)
+            self._push(segment)
+
+    def _push(self, segment: _Segment) -> None:
+        self._place.make_room(sum(file.waiting for file in segment.files()))
+        for file in segment.files():
+            file.push()
+        segment.unpushed = 0
+
+    def _put(self, segment: _Segment) -> None:
+        """Some of what waits goes to the segment's files, from where no full disk can lose it."""
+        heard = [self._frames.popleft() for _ in range(min(_PART, len(self._frames)))]
+        lines = "".join(f"{candump_line(frame, self._bus, stamp_ns)}\n" for frame, stamp_ns in heard)
+        segment.log.put(lines.encode("ascii"))
+        segment.frames += len(heard)
+        segment.unpushed += len(heard)
+        self.taken += len(heard)
+        if segment.writer is None or segment.tables is None:
+            return
+        frames = frames_of((_log_frame(frame, stamp_ns, self._bus) for frame, stamp_ns in heard), self._channels)
+        segment.writer.write_together(list(segment.tables.rows(frames)))
+        while self._messages:
+            segment.writer.write_message(self._messages.popleft())
+            self.messages += 1
+        segment.writer.flush()
+
+    def _fail(self, error: OSError, now_ns: int) -> None:
+        if self._again_ns is None:
+            reason = error.strerror or str(error)
+            self._say(f"cannot write in {self._place.path}: {reason}; trying again every second")
+        self._again_ns = now_ns + AGAIN_NS
+        segment = self._segment
+        if error.errno not in _NO_ROOM and segment is not None and not self._place.single:
+            # Not a matter of room: these files may be gone for good, a new one need not.
+            self._segment = None
+            self.lost += segment.unpushed
+            segment.close()
+
+
+def _log_frame(frame: Any, stamp_ns: int, bus: str) -> LogFrame:
+    return LogFrame(
+        stamp_ns, bus, frame.can_id, frame.data, frame.extended and not frame.error, frame.remote, frame.error
+    )
+
+
+def _date(wall_ns: int) -> str:
+    return datetime.fromtimestamp(wall_ns / 1e9, UTC).isoformat(timespec="milliseconds")
+
+
+def _text(about: Mapping[str, Any]) -> str:
+    return json.dumps(about, indent=2, ensure_ascii=False) + "\n"

@@ -1,0 +1,222 @@
+"""ROS messages for a recording, as they come over the wire: raw, whatever their type, with its definition.
+
+Used by `fsai-vcu record --ros`, which runs in a process of its own. It has a ROS context and a thread of its own here,
+and asks nobody to wait for it: subscriptions are best effort, but for what is published once and kept (transient
+local), which is only to be had reliably.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+from fsai_nodes.qos import TOPICS
+
+LOOK_AGAIN_S = 0.5  # for topics that were not there before
+DEPTH = 200
+PROJECT_TOPICS = (*TOPICS, "/tf", "/tf_static")
+_RULE = "=" * 80
+_BASIC = {
+    "bool",
+    "byte",
+    "char",
+    "float32",
+    "float64",
+    "int8",
+    "uint8",
+    "int16",
+    "uint16",
+    "int32",
+    "uint32",
+    "int64",
+    "uint64",
+    "string",
+    "wstring",
+}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that is recorded: name, package/msg/Type, definitions as bags have them, QoS as rosbag2 writes it."""
+
+    name: str
+    type_name: str
+    definition: str
+    qos: str
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message in CDR, with wall-clock times in ns: when it was taken, when it was sent."""
+
+    topic: Topic
+    data: bytes
+    taken_ns: int
+    sent_ns: int
+
+
+class TopicRecorder:
+    """Hears topics from `start` to `stop`; `fetch` gives what was heard, `news` what people should know."""
+
+    def __init__(self, topics: Iterable[str] = PROJECT_TOPICS) -> None:
+        self._wanted = set(topics)
+        self._heard: deque[Heard] = deque()
+        self._news: deque[str] = deque()
+        self._subscriptions: dict[str, Subscription] = {}
+        self._refused: set[str] = set()
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("recorder", context=self._context, enable_rosout=False, start_parameter_services=False)
+        self._node.create_timer(LOOK_AGAIN_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
+
+    @property
+    def topics(self) -> list[str]:
+        """Those that are being recorded."""
+        return sorted(self._subscriptions)
+
+    def start(self) -> None:
+        self._look()
+        self._thread.start()
+
+    def fetch(self) -> list[Heard]:
+        return [self._heard.popleft() for _ in range(len(self._heard))]
+
+    def news(self) -> list[str]:
+        return [self._news.popleft() for _ in range(len(self._news))]
+
+    def stop(self) -> None:
+        self._executor.shutdown(timeout_sec=1.0)
+        self._context.try_shutdown()
+        self._thread.join(5.0)
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return  # `stop` has ended ROS
+
+    def _look(self) -> None:
+        for name, types in self._node.get_topic_names_and_types():
+            if name not in self._wanted or name in self._subscriptions or name in self._refused:
+                continue
+            if self._node.count_publishers(name):
+                self._subscribe(name, types)
+
+    def _subscribe(self, name: str, types: Sequence[str]) -> None:
+        try:
+            if len(types) > 1:
+                raise LookupError(f"it has several types: {', '.join(types)}")
+            message_type = class_of(types[0])
+            definition = definition_of(types[0])
+        except LookupError as error:
+            self._refused.add(name)
+            self._news.append(f"{name} is not recorded: {error.args[0]}")
+            return
+        qos = self._qos_for(name)
+        topic = Topic(name, types[0], definition, _yaml(qos))
+        self._subscriptions[name] = self._node.create_subscription(
+            message_type, name, self._taker(topic), qos, raw=True
+        )
+
+    def _taker(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
+        def take(data: bytes, info: dict[str, Any]) -> None:
+            taken_ns = time.time_ns()
+            self._heard.append(Heard(topic, bytes(data), taken_ns, int(info["source_timestamp"]) or taken_ns))
+
+        return take
+
+    def _qos_for(self, name: str) -> QoSProfile:
+        publishers = self._node.get_publishers_info_by_topic(name)
+        kept = all(each.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL for each in publishers)
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if kept else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        )
+
+
+def class_of(type_name: str) -> type[Any]:
+    """The Python class of 'package/msg/Type'. Raises LookupError with words for people."""
+    package, _, name = type_name.split("/")
+    try:
+        found: type[Any] = getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise LookupError(f"its type {type_name} is not installed here") from None
+    return found
+
+
+def definition_of(type_name: str) -> str:
+    """The .msg text of a type and, behind rules, of all types in it: what bags keep. Raises LookupError."""
+    texts: dict[str, str] = {}
+    waiting = [type_name]
+    while waiting:
+        name = waiting.pop(0)
+        if name not in texts:
+            texts[name] = _msg_text(name)
+            waiting += _types_in(texts[name], name.split("/")[0])
+    first, *others = texts
+    parts = [texts[first], *(f"{_RULE}\nMSG: {_short(name)}\n{texts[name]}" for name in others)]
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+def _msg_text(type_name: str) -> str:
+    package, _, name = type_name.split("/")
+    prefixes = [part for part in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if part]
+    for prefix in (*prefixes, sys.prefix):
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise LookupError(f"there is no definition of {type_name} under share/ of {' or '.join((*prefixes, sys.prefix))}")
+
+
+def _types_in(text: str, package: str) -> list[str]:
+    found = []
+    for line in text.splitlines():
+        words = line.partition("#")[0].split()
+        if len(words) < 2:
+            continue
+        kind = words[0].partition("[")[0].partition("<")[0]
+        if kind in _BASIC:
+            continue
+        if "/" not in kind:
+            kind = f"std_msgs/{kind}" if kind == "Header" else f"{package}/{kind}"
+        parts = kind.split("/")
+        found.append(f"{parts[0]}/msg/{parts[-1]}")
+    return found
+
+
+def _short(type_name: str) -> str:
+    package, _, name = type_name.split("/")
+    return f"{package}/{name}"
+
+
+def _yaml(qos: QoSProfile) -> str:
+    """As rosbag2 writes the offered profiles of a topic."""
+    forever = "sec: 9223372036\n    nsec: 854775807"
+    return (
+        f"- history: keep_last\n  depth: {qos.depth}\n  reliability: {qos.reliability.name.lower()}\n"
+        f"  durability: {qos.durability.name.lower()}\n  deadline:\n    {forever}\n  lifespan:\n    {forever}\n"
+        f"  liveliness: automatic\n  liveliness_lease_duration:\n    {forever}\n"
+        "  avoid_ros_namespace_conventions: false"
+    )

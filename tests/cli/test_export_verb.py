@@ -1,0 +1,161 @@
+"""`fsai-vcu export`: what a person gets, also of broken input; and never half a file."""
+
+from __future__ import annotations
+
+import csv
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+GOOD = "(1.000000) can0 523#640064006400\n"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    path.write_text(GOOD * 3)
+    return path
+
+
+def columns(path: Path) -> list[list[str]]:
+    with path.open(newline="") as file:
+        return list(csv.reader(file))
+
+
+def test_tables_are_written_and_counted(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = log.with_name("tables")
+    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 0
+    assert capsys.readouterr().err == f"1 table, 3 rows of 3 frames in {out}\n"
+    assert columns(out / "VCU2AI_Steer.csv")[1] == ["1.000000", "10.0", "10.0", "10.0"]
+
+
+def test_segments_of_a_recording_are_one_log(log: Path) -> None:
+    second = log.with_name("second.log")
+    second.write_text("(2.000000) can1 523#000000000000\n(3.000000) can0 523#C80064006400\n")
+    out = log.with_name("wide.csv")
+    argv = ["export", str(log), str(second), "--to", "csv", "-o", str(out), "--wide", "--raster", "1s"]
+    assert main(argv) == 0
+    rows = columns(out)
+    assert rows[0][1] == "can0.VCU2AI_Steer.ANGLE [deg]"
+    assert [row[1] for row in rows[1:]] == ["10.0", "10.0", "20.0"]
+
+
+def test_filters_leave_frames_out_and_other_databases_are_used(log: Path, tmp_path: Path) -> None:
+    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
+    other = tmp_path / "team.dbc"
+    other.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 1315 Ours: 6 AI\n SG_ A : 0|8@1+ (1,0) [0|0] "" AI\n')
+    out = tmp_path / "tables"
+    own = Path(__file__).parents[2] / "dbc" / "ads_dv_2026.dbc"
+    databases = ["--dbc", str(other), "--dbc", str(own)]
+    assert main(["export", f"{log},523:7FF", "--to", "csv", "-o", str(out), *databases]) == 0
+    assert [path.name for path in out.iterdir()] == ["Ours.csv"]
+
+
+def test_a_broken_log_is_exported_as_far_as_it_goes_and_ends_in_failure(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log.write_bytes(b"".join([GOOD.encode(), b"\xff\x00\xfe\n" * 7, GOOD.encode(), GOOD[:-3].encode()]))
+    out = log.with_name("tables")
+    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == f"fsai-vcu export: {log}: line 2: not text: '\\xff\\x00\\xfe'"
+    assert lines[-1] == f"1 table, 2 rows of 2 frames in {out}"
+    assert len(columns(out / "VCU2AI_Steer.csv")) == 3
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["gone.log"], "gone.log: No such file or directory"),
+        (["nowhere0"], "nowhere0 is an interface; export reads logs"),
+        (["LOG", "--raster", "10ms"], "--raster goes with --wide"),
+        (["LOG", "--wide", "--raster", "10"], "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us"),
+        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory"),
+        (["EMPTY"], "no frames in it"),
+        (["LOG,nonsense"], "no filter: 'nonsense'"),
+    ],
+)
+def test_what_cannot_be_done_is_one_clear_line_and_writes_nothing(
+    argv: list[str], words: str, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = log.with_name("empty.log")
+    empty.touch()
+    out = log.with_name("tables")
+    argv = [word.replace("LOG", str(log)).replace("EMPTY", str(empty)) for word in argv]
+    assert main(["export", *argv, "--to", "csv", "-o", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
+    assert {path.name for path in log.parent.iterdir()} == {"run.log", "empty.log"}
+
+
+def test_what_is_there_is_not_mixed_with_what_is_new(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = log.with_name("tables")
+    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 0
+    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 1
+    assert "is a folder with something in it already; name a new folder" in capsys.readouterr().err
+    assert main(["export", str(log), "--to", "mcap", "-o", str(out)]) == 1
+    assert capsys.readouterr().err.endswith("is a folder; name a file\n")
+
+
+def test_a_place_that_cannot_be_written_is_one_clear_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(log), "--to", "csv", "-o", "/nonexistent/tables"]) == 1
+    said = capsys.readouterr().err
+    assert said == "fsai-vcu export: cannot write /nonexistent/tables: No such file or directory\n"
+
+
+def only_so_large() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+
+def test_a_file_that_cannot_be_finished_leaves_nothing_behind(log: Path) -> None:
+    log.write_text(GOOD * 20_000)
+    out = log.with_name("wide.csv")
+    out.write_text("what was there before")
+    argv = ["-m", "fsai_vcu.cli.main", "export", str(log), "--to", "csv", "--wide", "-o", str(out)]
+    for extra, form in ((["--raster", "100us"], "csv"), ([], "mcap")):
+        log.write_text("".join(f"({1 + n / 1000:.6f}) can0 523#{n & 0xFF:02X}0064006400\n" for n in range(3000)))
+        command = [sys.executable, *[form if word == "csv" else word for word in argv], *extra]
+        done = subprocess.run(command, stderr=subprocess.PIPE, text=True, preexec_fn=only_so_large)
+        assert done.returncode == 1
+        assert done.stderr == f"fsai-vcu export: cannot write {out}: File too large\n"
+        assert out.read_text() == "what was there before"
+        assert {path.name for path in log.parent.iterdir()} == {"run.log", "wide.csv"}
+
+
+def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
+    out = tmp_path / "tables"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fsai_vcu.cli.main", "export", "-", "--to", "csv", "-o", str(out)],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin is not None and process.stderr is not None
+    process.stdin.write(GOOD * 100_000)  # more than a pipe holds: when this returns, it is being read
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 130
+    assert process.stderr.read() == "fsai-vcu export: interrupted\n"
+    assert list(tmp_path.iterdir()) == []
+    process.stdin.close()
+    process.stderr.close()
+
+
+@pytest.mark.parametrize(("form", "package"), [("parquet", "pyarrow"), ("mcap", "mcap"), ("mf4", "asammdf")])
+def test_a_missing_extra_is_the_line_that_installs_it(
+    form: str, package: str, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    assert main(["export", str(log), "--to", form, "-o", str(log.with_name("out"))]) == 1
+    assert capsys.readouterr().err == (f"fsai-vcu export: {form} needs {package}: pip install 'fsai-vcu[{form}]'\n")
+    assert not log.with_name("out").exists()
+
+
+def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(log), "--to", "mcap", "--words", "-o", str(log.with_name("out"))]) == 1
+    assert "--words does not go with mcap" in capsys.readouterr().err

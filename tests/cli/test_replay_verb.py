@@ -1,0 +1,114 @@
+"""`fsai-vcu replay`: what a person gets, on a stand-in bus."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+from fsai_vcu.runtime.bus import CanBus, open_bus
+
+LOG = """\
+(10.000000) can0 520#0000030000000000
+(10.001000) can0 510#0000000000000000
+(10.002000) can0 523#640064006400
+(10.003000) can0 081#01
+(10.004000) can0 520#0000030000000000
+"""
+BUS = f"loopback:replay-{os.getpid()}"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    path = tmp_path / "run.log"
+    path.write_text(LOG)
+    return str(path)
+
+
+@pytest.fixture
+def bus() -> Iterator[CanBus]:
+    with open_bus(BUS) as opened:
+        yield opened
+
+
+def heard(bus: CanBus, count: int) -> list[str]:
+    """The next frames on the bus, and that none follows."""
+    frames = [bus.recv(20.0) for _ in range(count)]
+    assert bus.recv(0.05) is None
+    return [str(frame) for frame in frames]
+
+
+def test_the_cars_frames_are_sent_and_what_is_left_out_is_said(
+    log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", log, "-i", BUS]) == 0
+    assert heard(bus, 3) == ["520#0000030000000000", "523#640064006400", "520#0000030000000000"]
+    assert capsys.readouterr().err == (
+        "fsai-vcu replay: left out: 1 frames of reserved ids, 1 frames of the AI computer's own ids\n3 frames sent\n"
+    )
+
+
+def test_the_ais_own_frames_are_sent_where_that_is_asked_for(log: str, bus: CanBus) -> None:
+    assert main(["replay", log, "-i", BUS, "--with-ai-ids"]) == 0
+    assert heard(bus, 4)[1] == "510#0000000000000000"
+
+
+def test_a_part_filtered_and_looped(log: str, bus: CanBus) -> None:
+    argv = ["replay", f"{log},520:7FF", "-i", BUS, "--from", "0", "--to", "0.002", "--loop", "3", "--rate", "10"]
+    assert main(argv) == 0
+    assert heard(bus, 3) == ["520#0000030000000000"] * 3
+
+
+def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", "replay", log, "-i", BUS, "--loop"]
+    process = subprocess.Popen(argv, stderr=subprocess.PIPE, text=True)
+    assert all(bus.recv(20.0) is not None for _ in range(10))
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60.0)[1]
+    assert process.returncode == 0
+    assert said.splitlines()[-1].endswith(" frames sent")
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["LOG", "-i", "pcan:PCAN_USBBUS1"], "pcan:PCAN_USBBUS1 may be a real bus, with a car on it"),
+        (["LOG", "-i", "nowhere0"], "nowhere0 may be a real bus"),
+        (["LOG", "-i", "nowhere0", "--physical"], "no CAN interface 'nowhere0'"),
+        (["LOG", "-i", BUS, "--rate", "0"], "--rate is 0, not a rate"),
+        (["LOG", "-i", BUS, "--rate", "nan"], "--rate is nan, not a rate"),
+        (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, not a number of times"),
+        (["LOG", "-i", BUS, "--from", "2", "--to", "1"], "--to is 1, and --from 2: there is nothing between them"),
+        (["LOG", "-i", BUS, "--from", "5"], "nothing in that part of the log: it lasts 0.004 s"),
+        (["vcan0", "-i", BUS], "vcan0 is an interface; replay reads logs"),
+        (["gone.log", "-i", BUS], "gone.log: No such file or directory"),
+    ],
+)
+def test_what_is_refused_is_one_clear_line(
+    argv: list[str], words: str, log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", *[log if word == "LOG" else word for word in argv]]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert words in said[-1]
+    assert len([line for line in said if "left out" not in line]) == 1
+
+
+def test_a_log_with_nothing_to_send_sends_nothing(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", f"{log},510:7FF", "-i", BUS]) == 1
+    assert capsys.readouterr().err.endswith("fsai-vcu replay: nothing is left to send\n")
+
+
+def test_a_broken_log_is_sent_as_far_as_it_goes_and_ends_in_failure(
+    log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(log)
+    path.write_text("nonsense\n" + LOG)
+    assert main(["replay", log, "-i", BUS]) == 1
+    assert len(heard(bus, 3)) == 3
+    assert "line 1: not a line of candump" in capsys.readouterr().err

@@ -1,0 +1,444 @@
+"""What the recorder has on the disk, whatever happens to disk, folder or power."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import random
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+
+from fsai_vcu.diagnostics.databases import load_databases
+from fsai_vcu.diagnostics.decode import Decoder
+from fsai_vcu.diagnostics.exporting.mcap_file import RosMessage, RosTopic
+from fsai_vcu.diagnostics.logs import read_log
+from fsai_vcu.diagnostics.recorder.durable import DurableFile
+from fsai_vcu.diagnostics.recorder.places import Bounds, NoRoomError, Place, PlaceError
+from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
+from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
+from fsai_vcu.interface.frames import Frame
+
+S = 1_000_000_000
+BEGAN_NS = 1_700_000_000 * S
+LINE_BYTES = len("(1700000000.000000) can0 523#640064006400\n")
+
+
+@pytest.fixture(autouse=True)
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sizes of the files that were told to be on the disk for good. Disks that really do so are slow."""
+    sizes: list[int] = []
+    monkeypatch.setattr(os, "fdatasync", lambda descriptor: sizes.append(os.fstat(descriptor).st_size))
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    return sizes
+
+
+def heard(count: int, first: int = 0) -> list[tuple[Frame, int]]:
+    """Frames of 0x523, ten milliseconds apart, each with its own number in it."""
+    return [
+        (Frame(0x523, number.to_bytes(2, "little") + b"\x64\0\x64\0"), BEGAN_NS + number * S // 100)
+        for number in range(first, first + count)
+    ]
+
+
+def numbers(*logs: Path) -> list[int]:
+    """Of the frames in logs, every one of which is whole."""
+    found = []
+    for path in logs:
+        frames, problems = read_log(path)
+        assert not problems, problems.texts
+        found += [frame.data[0] | frame.data[1] << 8 for frame in frames]
+    return found
+
+
+class Rig:
+    """A recording in a folder, its clocks and what it says."""
+
+    def __init__(self, folder: Path, bounds: Bounds | None = None, *, mcap: bool = False) -> None:
+        self.said: list[str] = []
+        self.now_ns = 0
+        self.path = folder
+        decoder = Decoder(load_databases()) if mcap else None
+        self.place = Place(folder, "can0", bounds or Bounds())
+        self.recording = Recording(
+            self.place,
+            "can0",
+            {"revision": "2026"},
+            self.said.append,
+            decoder=decoder,
+            wall_ns=lambda: BEGAN_NS + self.now_ns,
+            now_ns=0,
+        )
+
+    def turn(self, frames: list[tuple[Frame, int]], after_ns: int = S // 2) -> None:
+        self.now_ns += after_ns
+        self.recording.take(frames)
+        self.recording.turn(self.now_ns)
+
+    def logs(self) -> list[Path]:
+        return sorted(self.path.glob("*.log"))
+
+    def bytes(self) -> int:
+        return sum(path.stat().st_size for path in self.path.iterdir())
+
+
+# ---------------------------------------------------------------- segments
+
+
+def test_after_each_turn_every_frame_is_on_the_disk(tmp_path: Path, synced: list[int]) -> None:
+    rig = Rig(tmp_path / "run")
+    rig.turn(heard(30))
+    assert numbers(*rig.logs()) == list(range(30))
+    assert synced == [30 * LINE_BYTES]
+    rig.turn(heard(30, 30))
+    assert numbers(*rig.logs()) == list(range(60))
+    assert [path.name for path in rig.logs()] == ["can0-000001.log"]
+
+
+def test_a_new_segment_begins_at_its_size_or_time_and_no_frame_is_lost_between(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run", Bounds(segment_bytes=10 * LINE_BYTES, segment_ns=60 * S))
+    for turn in range(5):
+        rig.turn(heard(10, 10 * turn))
+    assert len(rig.logs()) == 5
+    rig.turn(heard(1, 50), after_ns=61 * S)
+    rig.turn(heard(1, 51), after_ns=61 * S)
+    rig.recording.close(rig.now_ns)
+    assert len(rig.logs()) == 7
+    assert numbers(*rig.logs()) == list(range(52))
+
+
+def test_the_oldest_segments_give_way_and_all_together_never_exceed_their_bound(tmp_path: Path) -> None:
+    bounds = Bounds(segment_bytes=1 << 20, total_bytes=40_000)
+    rig = Rig(tmp_path / "run", bounds, mcap=True)
+    most = 0
+    for turn in range(100):
+        rig.turn(heard(50, 50 * turn))
+        most = max(most, rig.bytes())
+    rig.recording.close(rig.now_ns)
+    assert 20_000 < most <= 40_000 and rig.bytes() <= 40_000
+    kept = numbers(*rig.logs())
+    assert kept == list(range(kept[0], 5_000)), "there is a hole in what is kept"
+    stems = {path.stem for path in rig.logs()}
+    assert {path.stem for path in rig.path.iterdir() if not path.name.startswith(".")} == stems
+
+
+def test_what_must_stay_free_on_the_disk_stays_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(tmp_path / "run", Bounds(segment_bytes=10 * LINE_BYTES, keep_free_bytes=1 << 20))
+    disk = 2 << 20
+
+    def usage(_: object) -> Any:
+        return SimpleNamespace(free=disk - rig.bytes())
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    for turn in range(10):
+        rig.turn(heard(10, 10 * turn))
+    assert len(rig.logs()) == 10
+    disk = (1 << 20) + 2000  # somebody else needs the room
+    rig.turn(heard(10, 100))
+    assert disk - rig.bytes() >= 1 << 20
+    assert not rig.recording.in_trouble and numbers(rig.logs()[-1]) == list(range(100, 110))
+    disk = 1 << 20
+    rig.turn(heard(10, 110))
+    assert rig.recording.in_trouble
+    assert len(rig.said) == 1
+    assert rig.said[0].endswith("free on the disk, and 1 MB stay free; trying again every second")
+    disk = 2 << 20
+    rig.turn([], after_ns=AGAIN_NS)
+    assert rig.said[-1] == f"writing again in {rig.path}"
+    assert numbers(rig.logs()[-1])[-1] == 119
+
+
+def test_a_restart_goes_on_in_a_new_segment_and_overwrites_nothing(tmp_path: Path) -> None:
+    first = Rig(tmp_path / "run")
+    first.turn(heard(10))
+    first.recording.close(first.now_ns)
+    second = Rig(tmp_path / "run")
+    second.turn(heard(10, 10))
+    second.recording.close(second.now_ns)
+    assert [path.name for path in second.logs()] == ["can0-000001.log", "can0-000002.log"]
+    assert numbers(*second.logs()) == list(range(20))
+
+
+def test_a_second_recorder_of_the_same_bus_is_refused(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run")
+    with pytest.raises(PlaceError, match=r"somebody records 'can0' in .*run already"):
+        Place(tmp_path / "run", "can0", Bounds())
+    other = Place(tmp_path / "run", "can1", Bounds())
+    assert other.number == 0
+    rig.recording.close(0)
+    Place(tmp_path / "run", "can0", Bounds()).close()
+
+
+def test_a_file_is_never_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("precious")
+    with pytest.raises(PlaceError, match="is there already"):
+        Place(path, "can0", Bounds())
+    assert path.read_text() == "precious"
+
+
+def test_each_segment_says_what_was_in_force(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run")
+    rig.turn(heard(10))
+    begun = json.loads((rig.path / "can0-000001.json").read_text())
+    assert (begun["revision"], begun["ended"], begun["frames"]) == ("2026", None, None)
+    rig.recording.close(rig.now_ns)
+    ended = json.loads((rig.path / "can0-000001.json").read_text())
+    assert (ended["began"], ended["ended"]) == ("2023-11-14T22:13:20.000+00:00", "2023-11-14T22:13:20.500+00:00")
+    assert ended["frames"] == 10
+
+
+# ---------------------------------------------------------------- a disk that does not take it
+
+
+class Disk:
+    """Writes fail while it is `full`, after the first bytes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.error: int | None = None
+        self._pwrite = os.pwrite
+        monkeypatch.setattr(os, "pwrite", self._write)
+
+    def _write(self, descriptor: int, data: Any, at: int) -> int:
+        if self.error is None:
+            return self._pwrite(descriptor, data, at)
+        if len(data) > 5:
+            return self._pwrite(descriptor, data[:5], at)
+        raise OSError(self.error, os.strerror(self.error))
+
+
+def test_a_full_disk_is_said_once_and_recording_goes_on_without_a_hole_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path / "run", mcap=True)
+    disk = Disk(monkeypatch)
+    rig.turn(heard(10))
+    disk.error = errno.ENOSPC
+    for turn in range(1, 11):
+        rig.turn(heard(10, 10 * turn), after_ns=AGAIN_NS)
+        assert numbers(*rig.logs()) == list(range(10)), "half a line is in the log"
+    assert rig.said == [f"cannot write in {rig.path}: No space left on device; trying again every second"]
+    disk.error = None
+    rig.turn(heard(10, 110), after_ns=AGAIN_NS)
+    assert rig.said[1:] == [f"writing again in {rig.path}"]
+    rig.recording.close(rig.now_ns)
+    assert numbers(*rig.logs()) == list(range(120))
+    with (rig.path / "can0-000001.mcap").open("rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages()) == 120
+    assert rig.recording.lost == 0
+
+
+def test_frames_that_no_memory_holds_while_the_disk_is_full_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsai_vcu.diagnostics.recorder.recording._MOST_WAITING", 100)
+    rig = Rig(tmp_path / "run")
+    disk = Disk(monkeypatch)
+    disk.error = errno.ENOSPC
+    rig.turn(heard(10), after_ns=AGAIN_NS)
+    for turn in range(1, 21):
+        rig.turn(heard(10, 10 * turn), after_ns=AGAIN_NS)
+    disk.error = None
+    rig.turn([], after_ns=AGAIN_NS)
+    kept = numbers(*rig.logs())
+    assert rig.recording.lost == 210 - len(kept) > 0
+    assert kept[-1] == 209, "the newest are the last to go"
+    assert rig.said[-1] == f"writing again in {rig.path}; {rig.recording.lost} frames were lost"
+
+
+def test_files_that_are_gone_for_good_are_followed_by_a_new_segment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path / "run")
+    disk = Disk(monkeypatch)
+    rig.turn(heard(10))
+    disk.error = errno.EIO
+    rig.turn(heard(10, 10))
+    disk.error = None
+    rig.turn(heard(10, 20), after_ns=AGAIN_NS)
+    assert [path.name for path in rig.logs()] == ["can0-000001.log", "can0-000002.log"]
+    assert numbers(*rig.logs()) == [*range(10), *range(20, 30)]
+    assert rig.recording.lost == 10
+
+
+def test_a_segment_that_somebody_deletes_is_followed_by_another(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run")
+    rig.turn(heard(10))
+    rig.logs()[0].unlink()
+    rig.turn(heard(10, 10))
+    assert rig.said == [f"{rig.path / 'can0-000001.log'} has been deleted; going on in a new one"]
+    assert numbers(*rig.logs()) == list(range(10, 20))
+
+
+def test_a_write_that_fails_leaves_the_file_as_the_last_good_one_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = DurableFile(tmp_path / "file")
+    file.put(b"good\n")
+    file.push()
+    disk = Disk(monkeypatch)
+    disk.error = errno.ENOSPC
+    file.put(b"more than five bytes\n")
+    with pytest.raises(OSError, match="No space left"):
+        file.push()
+    assert (tmp_path / "file").read_bytes() == b"good\n"
+    disk.error = None
+    file.push()
+    assert (tmp_path / "file").read_bytes() == b"good\nmore than five bytes\n"
+    file.close()
+
+
+def test_no_room_is_an_error_of_its_own(tmp_path: Path) -> None:
+    place = Place(tmp_path / "run.log", "can0", Bounds(keep_free_bytes=1 << 62))
+    with pytest.raises(NoRoomError, match="stay free"):
+        place.make_room(1)
+
+
+# ---------------------------------------------------------------- a power cut
+
+
+def test_a_torn_last_line_is_taken_away_on_resuming(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run")
+    rig.turn(heard(10))
+    log = rig.logs()[0]
+    rig.place.close()
+    whole = log.read_bytes()
+    log.write_bytes(whole + whole[:LINE_BYTES].replace(b"523#", b"523#FF")[:30] + bytes(4096))
+    again = Rig(tmp_path / "run")
+    assert again.said == [f"{log} was cut off in its last line: 4126 bytes taken away"]
+    assert numbers(log) == list(range(10))
+
+
+@pytest.mark.parametrize("tail", [b"", b"\0" * 10, b"(17000000", b"(1700000000.000000) can0 523#64006400"])
+def test_only_what_is_no_whole_line_is_taken_away(tail: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes(b"(1.000000) can0 523#640064006400\n" * 5000 + tail)
+    assert repair_text(path) == len(tail)
+    assert path.read_bytes() == b"(1.000000) can0 523#640064006400\n" * 5000
+    assert repair_text(path) == 0
+
+
+def recorded_mcap(folder: Path, *, ended: bool) -> bytes:
+    """Ten turns of ten frames; the bytes of the MCAP."""
+    rig = Rig(folder, mcap=True)
+    for turn in range(10):
+        frames = heard(10, 10 * turn)
+        if turn >= 5:
+            frames += [(Frame(0x520, bytes(8)), frames[-1][1])]
+        rig.turn(frames)
+    if ended:
+        rig.recording.close(rig.now_ns)
+    return (folder / "can0-000001.mcap").read_bytes()
+
+
+def streamed(data: bytes) -> list[int]:
+    """Log times that a streaming reader gets out of what there is of an MCAP."""
+    times = []
+    try:
+        for _, _, message in NonSeekingReader(io.BytesIO(data)).iter_messages(log_time_order=False):
+            times.append(message.log_time)
+    except Exception as error:  # how it ends is its own affair: what it read before counts
+        assert not isinstance(error, AssertionError)
+    return times
+
+
+def test_an_mcap_without_its_end_is_read_by_a_streaming_reader_up_to_the_last_turn(tmp_path: Path) -> None:
+    data = recorded_mcap(tmp_path / "run", ended=False)
+    assert len(streamed(data)) == 105
+    assert len(streamed(data[:-40])) >= 94, "more than the last turn is lost"
+
+
+def test_an_mcap_cut_off_anywhere_becomes_whole_and_loses_at_most_the_turn_that_was_cut(tmp_path: Path) -> None:
+    data = recorded_mcap(tmp_path / "run", ended=False)
+    path = tmp_path / "cut.mcap"
+    chance = random.Random(1)
+    before = 0
+    for length in sorted({0, 5, 8, 20, len(data) - 1, len(data), *chance.sample(range(len(data)), 50)}):
+        path.write_bytes(data[:length])
+        expected = streamed(data[:length])
+        assert repair_mcap(path) is not None
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+            assert summary is not None and summary.statistics is not None
+            file.seek(0)
+            found = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+            file.seek(0)
+            steer = list(make_reader(file).iter_messages(topics=["/can0/VCU2AI_Steer"]))
+        assert len(found) == len(expected) == summary.statistics.message_count >= before
+        assert len(steer) == sum(
+            summary.statistics.channel_message_counts.get(c.id, 0)
+            for c in summary.channels.values()
+            if c.topic == "/can0/VCU2AI_Steer"
+        )
+        before = len(found)
+        assert repair_mcap(path) is None, "it is whole now"
+    assert before == 105
+
+
+def test_a_last_chunk_of_garbage_is_cut_off(tmp_path: Path) -> None:
+    data = recorded_mcap(tmp_path / "run", ended=False)
+    path = tmp_path / "garbage.mcap"
+    path.write_bytes(data[:-1200] + bytes(1200))
+    assert repair_mcap(path) is not None
+    with path.open("rb") as file:
+        assert 80 <= sum(1 for _ in make_reader(file).iter_messages()) < 105
+
+
+def test_an_mcap_that_ended_properly_is_left_alone(tmp_path: Path) -> None:
+    data = recorded_mcap(tmp_path / "run", ended=True)
+    path = tmp_path / "run" / "can0-000001.mcap"
+    assert repair_mcap(path) is None
+    assert path.read_bytes() == data
+
+
+def test_resuming_gives_an_mcap_its_end(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run", mcap=True)
+    rig.turn(heard(10))
+    rig.place.close()
+    again = Rig(tmp_path / "run", mcap=True)
+    assert again.said == [f"{tmp_path / 'run' / 'can0-000001.mcap'} had no end: given one"]
+
+
+# ---------------------------------------------------------------- the MCAP
+
+
+def test_the_mcap_is_a_ros_2_bag_with_every_signal_the_ros_messages_and_what_was_in_force(tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    rig = Rig(tmp_path / "run", mcap=True)
+    topic = RosTopic("/spoken", "std_msgs/msg/String", "string data\n")
+    rig.recording.take_messages([RosMessage(topic, b"\0\1\0\0\3\0\0\0Go\0", BEGAN_NS + 5, BEGAN_NS + 4)])
+    rig.turn(heard(10))
+    rig.recording.close(rig.now_ns)
+    path = rig.path / "can0-000001.mcap"
+    with AnyReader([path]) as bag:
+        assert {c.topic: c.msgcount for c in bag.connections} == {"/can0/VCU2AI_Steer": 10, "/spoken": 1}
+        said = {
+            c.topic: [bag.deserialize(data, c.msgtype) for _, _, data in bag.messages([c])] for c in bag.connections
+        }
+    assert [message.data for message in said["/spoken"]] == ["Go"]  # type: ignore[attr-defined]
+    angles = [message.angle for message in said["/can0/VCU2AI_Steer"]]  # type: ignore[attr-defined]
+    assert angles == [n * 0.1 for n in range(10)]
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        assert reader.get_header().profile == "ros2"
+        (metadata,) = list(reader.iter_metadata())
+        assert metadata.metadata["revision"] == "2026"
+
+
+@pytest.mark.parametrize("error", [True, False], ids=["error", "extended"])
+def test_frames_that_no_database_knows_are_in_the_log_and_not_in_the_mcap(tmp_path: Path, error: bool) -> None:
+    rig = Rig(tmp_path / "run", mcap=True)
+    frame = Frame(0x40, bytes(8), extended=not error, error=error)
+    rig.turn([(frame, BEGAN_NS), *heard(1)])
+    rig.recording.close(rig.now_ns)
+    frames, problems = read_log(rig.logs()[0])
+    assert not problems and [f.error for f in frames] == [error, False]
+    with (rig.path / "can0-000001.mcap").open("rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages()) == 1

@@ -1,0 +1,120 @@
+"""A recorded run, driven once more against a bridge of today, gives the same decisions.
+
+The run is driven in lockstep and recorded as `fsai-vcu drive --log` does. From the log a fresh bridge hears the car's
+frames, and from the run the commands that the controller gave. Compared is everything that the AI computer says: its
+five messages, every byte, at the same instants: AI_STATUS (mission status, direction, handshake, ESTOP_REQUEST),
+steering, torque, motor speed limits, brake, laps and cones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.lockstep import Lockstep
+from fsai_hil.tracks import load_track
+from fsai_hil.world import WorldSetup
+from fsai_vcu.core.bridge import Bridge
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.diagnostics.logs import read_log
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.recording import CandumpWriter
+from fsai_vcu.runtime.rerun import compare, rerun
+
+MS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A run as it is on the disk, and the commands of it."""
+
+    frames: list[Frame]
+    commands: list[tuple[int, VehicleCommand]]
+    revision: str
+    end_ns: int
+
+    def again(self, config: BridgeConfig | None = None) -> list[Frame]:
+        chosen = revision(self.revision)
+        codec = Codec(chosen)
+        bridge = Bridge(codec, chosen, CARS[self.revision], config or BridgeConfig())
+        car = [frame for frame in self.frames if frame.can_id not in AI_IDS]
+        return rerun(bridge, codec, self.commands, car, 0, self.end_ns)
+
+
+def record(
+    path: Path, setup: WorldSetup, *, silent_from_ns: int | None = None, until_ns: int | None = None
+) -> Recorded:
+    """Drive and record, to the end or `until_ns`; from `silent_from_ns` on the controller's commands are lost."""
+    commands: list[tuple[int, VehicleCommand]] = []
+
+    def tap(command: VehicleCommand, now_ns: int) -> VehicleCommand | None:
+        if silent_from_ns is not None and now_ns >= silent_from_ns:
+            return None
+        commands.append((now_ns, command))
+        return command
+
+    with CandumpWriter(path, "vcan0") as writer:
+        lockstep = Lockstep(setup, on_frame=writer.write)
+        lockstep.computer.command_filter = tap
+        while not lockstep.world.done and (until_ns is None or lockstep.now_ns < until_ns):
+            lockstep.step()
+    frames, problems = read_log(path)
+    assert not problems
+    read = [Frame(frame.can_id, frame.data, frame.t_ns, frame.extended) for frame in frames]
+    return Recorded(read, commands, setup.revision, lockstep.now_ns)
+
+
+@pytest.fixture(scope="module")
+def silenced(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """A run in which the controller falls silent at speed: a service-brake stop, and FINISHED at rest."""
+    path = tmp_path_factory.mktemp("run") / "run.log"
+    setup = WorldSetup(missions=[Ami.ACCELERATION], gps=False, revision="2021")
+    return record(path, setup, silent_from_ns=19_500 * MS)
+
+
+def test_a_whole_mission_is_decided_in_the_same_way_to_the_last_byte(tmp_path: Path) -> None:
+    driven = record(tmp_path / "run.log", WorldSetup(missions=[Ami.ACCELERATION]))
+    statuses = [frame.data[1] >> 4 & 0x3 for frame in driven.frames if frame.can_id == 0x510]
+    assert statuses[-1] == 3, "FINISHED belongs to a whole mission"
+    comparison = compare(driven.frames, driven.again())
+    assert comparison.equal, "\n".join(map(str, comparison.differences[:10]))
+    assert set(comparison.same) == set(AI_IDS)
+    assert min(comparison.same.values()) > 1000, "the run is too short to show anything"
+
+
+def test_bends_are_decided_in_the_same_way_to_the_last_byte(tmp_path: Path) -> None:
+    setup = WorldSetup(missions=[Ami.AUTOCROSS], track=load_track("small_oval"), gps=False)
+    driven = record(tmp_path / "run.log", setup, until_ns=20_000 * MS)
+    asked = {frame.data for frame in driven.frames if frame.can_id == 0x513}
+    assert len(asked) > 50, "nothing was steered"
+    comparison = compare(driven.frames, driven.again())
+    assert comparison.equal, "\n".join(map(str, comparison.differences[:10]))
+
+
+def test_a_run_that_a_fault_ended_is_decided_in_the_same_way(silenced: Recorded) -> None:
+    comparison = compare(silenced.frames, silenced.again())
+    assert comparison.equal, "\n".join(map(str, comparison.differences[:10]))
+
+
+def test_a_bridge_that_decides_otherwise_is_noticed(silenced: Recorded) -> None:
+    comparison = compare(silenced.frames, silenced.again(replace(BridgeConfig(), stop_brake_pct=41.0)))
+    assert {difference.can_id for difference in comparison.differences} == {0x514}
+    assert "0x514: then " in str(comparison.differences[0])
+
+
+def test_what_the_car_says_is_what_decides(silenced: Recorded) -> None:
+    without_go = [
+        replace(frame, data=bytes([frame.data[0], frame.data[1] & ~0x08, *frame.data[2:]]))
+        if frame.can_id == 0x520
+        else frame
+        for frame in silenced.frames
+    ]
+    assert not compare(silenced.frames, replace(silenced, frames=without_go).again()).equal

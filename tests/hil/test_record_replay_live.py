@@ -1,0 +1,162 @@
+"""Recording and replaying on a real interface: what passes is on the disk, whatever happens to interface and disk."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from conftest import BusLog, listeners
+from fsai_hil.stack import await_condition
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import CanBus, open_bus
+
+WITHIN_S = 20.0
+_STAMP = re.compile(r"\(\d+\.\d+\) ")
+
+FRAMES = [
+    Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),
+    Frame(0x510, bytes.fromhex("0100200000000000")),
+    Frame(0x514, b"\x0a\xff"),
+    Frame(0x080),
+    Frame(0x18FF0001, b"\x7f", extended=True),
+    Frame(0x523, bytes(6), remote=True),
+]
+
+
+class Recorder:
+    """`fsai-vcu record`, listening; `said` is what it said when it has ended."""
+
+    def __init__(self, interface: str, output: Path, *options: str) -> None:
+        before = listeners(interface)
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", "record", "-i", interface, "-o", str(output), *options]
+        self._errors = Path(tempfile.mkdtemp()) / "stderr"
+        with self._errors.open("wb") as errors:
+            self.process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stderr=errors)
+        await_condition(lambda: listeners(interface) > before, WITHIN_S, "the recorder listens")
+
+    def said(self) -> str:
+        return self._errors.read_text()
+
+    def await_words(self, words: str) -> None:
+        await_condition(lambda: words in self.said(), WITHIN_S, f"the recorder says '{words}'")
+
+    def stop(self) -> int:
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(WITHIN_S)
+
+
+def lines(*logs: Path) -> list[str]:
+    """Without their times."""
+    return [_STAMP.sub("", line) for log in logs for line in log.read_text().splitlines()]
+
+
+def test_a_recording_has_the_lines_of_candump(
+    interface: str, listen: Callable[..., CanBus], bus_log: BusLog, tmp_path: Path
+) -> None:
+    log = tmp_path / "run.log"
+    recorder = Recorder(interface, log)
+    bus = listen()
+    assert all(bus.send(frame) for frame in FRAMES)
+    await_condition(lambda: log.read_text().count("\n") == len(FRAMES), WITHIN_S, "every frame is on the disk")
+    assert recorder.stop() == 0
+    await_condition(lambda: bus_log.path.read_text().count("\n") == len(FRAMES), WITHIN_S, "candump has them too")
+    # candump says how long an answer a remote frame asks for; python-can keeps no payload of one.
+    assert lines(log) == [re.sub(r"#R\d$", "#R", line) for line in lines(bus_log.path)]
+
+
+@pytest.fixture
+def other() -> Iterator[str]:
+    """An interface of one's own, to be taken down."""
+    subprocess.run(["ip", "link", "add", "dev", "vcan3", "type", "vcan"], check=True)
+    subprocess.run(["ip", "link", "set", "vcan3", "up"], check=True)
+    yield "vcan3"
+    subprocess.run(["ip", "link", "del", "vcan3"], check=True)
+
+
+def test_an_interface_that_goes_down_and_comes_back_does_not_end_the_recording(other: str, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    recorder = Recorder(other, folder)
+    with open_bus(other) as bus:
+        assert bus.send(Frame(0x520, b"\x01"))
+    log = folder / f"{other}-000001.log"
+    await_condition(lambda: log.exists() and log.stat().st_size > 0, WITHIN_S, "the first frame is on the disk")
+    subprocess.run(["ip", "link", "set", other, "down"], check=True)
+    recorder.await_words("waiting for it to come back")
+    subprocess.run(["ip", "link", "set", other, "up"], check=True)
+    recorder.await_words(f"{other} is back after")
+    with open_bus(other) as bus:
+        assert bus.send(Frame(0x520, b"\x02"))
+    await_condition(lambda: len(lines(log)) == 2, WITHIN_S, "the second frame is on the disk")
+    assert recorder.stop() == 0
+    assert lines(log) == [f"{other} 520#01", f"{other} 520#02"]
+    assert recorder.said().count("\n") == 3
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Two megabytes."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)], check=True)
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_disk_that_is_full_is_said_and_what_was_heard_meanwhile_is_kept_until_there_is_room(
+    other: str, small_disk: Path
+) -> None:
+    folder = small_disk / "run"
+    filler = small_disk / "filler"
+    recorder = Recorder(other, folder, "--keep-free", "0")
+    log = folder / f"{other}-000001.log"
+    with open_bus(other) as bus:
+        assert bus.send(Frame(0x520, b"\x01"))
+        await_condition(lambda: log.exists() and log.stat().st_size > 0, WITHIN_S, "the first frame is on the disk")
+        with filler.open("wb", buffering=0) as file, pytest.raises(OSError, match="No space left"):
+            while True:
+                file.write(bytes(512))
+        sent = 0
+
+        def it_is_full() -> bool:
+            nonlocal sent
+            assert recorder.process.poll() is None, recorder.said()
+            assert all(bus.send(Frame(0x520, bytes(8))) for _ in range(5))  # the log's last page has room for some
+            sent += 5
+            return "No space left on device; trying again every second" in recorder.said()
+
+        await_condition(it_is_full, WITHIN_S, "the recorder says that the disk is full")
+        filler.unlink()
+        recorder.await_words("writing again in")
+        await_condition(lambda: len(lines(log)) == 1 + sent, WITHIN_S, "every frame is on the disk")
+    assert recorder.stop() == 0
+    assert recorder.said().count("\n") == 3
+
+
+def test_a_replayed_log_is_on_the_bus_in_its_order_and_only_the_cars_part_of_it(
+    interface: str,
+    bus_log: BusLog,
+    tmp_path: Path,
+    verb: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    log = tmp_path / "run.log"
+    log.write_text(
+        "".join(
+            f"({n / 100:.6f}) can0 {line}\n"
+            for n, line in enumerate(
+                ["520#0102030405060708", "510#00", "523#640064006400", "18FF0001#7F", "081#00", "526#00"] * 20
+            )
+        )
+    )
+    done = verb("replay", str(log), "-i", interface, "--rate", "4")
+    assert done.returncode == 0, done.stderr
+    assert "left out: 20 frames of reserved ids, 20 frames of the AI computer's own ids" in done.stderr
+    await_condition(lambda: bus_log.path.read_text().count("\n") == 80, WITHIN_S, "candump has all of it")
+    sent = [f"{interface} {line}" for line in ["520#0102030405060708", "523#640064006400", "18FF0001#7F", "526#00"]]
+    assert lines(bus_log.path) == sent * 20
