@@ -5,6 +5,7 @@ LINTED := fsai_vcu hil nodes tests
 # Tests that live in real time get the machine to themselves; all others share its processors.
 REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py)
 
+.PHONY: install uninstall deb
 .PHONY: help setup demo test verify mutation campaign soak scrutineering bench lint format clean
 .DEFAULT_GOAL := help
 
@@ -46,6 +47,15 @@ scrutineering: setup  ## the handshake's response time on a real vcan0, idle and
 
 bench: setup  ## speed, as ratios to cantools and python-can
 	$(BIN)/python -m fsai_hil.bench
+
+install:  ## install as the car's software, as root (or below DESTDIR=...); docs/car.md says what comes next
+	@scripts/install-car install
+
+uninstall:  ## take it away again; configuration and logs are kept
+	@scripts/install-car uninstall
+
+deb:  ## a Debian package that needs no network where it is installed, in out/deb
+	@scripts/install-car deb
 
 lint: setup  ## ruff and mypy
 	$(BIN)/ruff check $(LINTED)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import os
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 from typing import NoReturn
 
 # verb -> (module, what it does in one line)
@@ -19,13 +21,23 @@ VERBS: dict[str, tuple[str, str]] = {
     "mode": ("mode", "set the mode: autonomous or manual"),
     "emergency-brake": ("emergency_brake", "request an emergency brake"),
     "status": ("status", "show mode, AS state, and what stands between now and driving"),
+    "config": ("config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to"),
+    "doctor": ("doctor", "say what is right and what is wrong on this machine, and check the wheels"),
+    "enclaves": ("enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)"),
     "dump": ("dump", "show the frames of a bus or a log as candump does, with their signals"),
     "decode": ("decode", "decode every frame of a log"),
     "stats": ("stats", "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict"),
     "check": ("check", "say what is wrong on a bus or in a log, and nothing else"),
+    "monitor": ("monitor", "watch a bus live: AS state, why it is not driving, what is asked and given; never sends"),
     "explain": ("explain", "tell the story of a recorded run: why it braked, or why it did not start"),
     "report": ("report", "turn a recorded run into one page: plots, story and figures"),
-    "record": ("record", "record a bus as a candump log"),
+    "send": ("send", "send a frame by its signals, for the bench; never beside a live bridge"),
+    "record": ("record", "record a bus, safe on the disk within a second; also as MCAP"),
+    "recorder": ("recorder", "record the bus as the service does: within the bounds of the configuration"),
+    "export": ("export", "turn a log into tables: CSV, Parquet, MCAP, MF4"),
+    "replay": ("replay", "send a log onto a bus again"),
+    "completion": ("completion", "print a script with which bash, zsh or fish complete this command"),
+    "reference": ("reference", "write the reference of all verbs, as Markdown or as a manual page"),
 }
 
 
@@ -40,9 +52,53 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows what there is\n")
 
 
+def module_of(verb: str) -> ModuleType:
+    """The module of a verb: EXAMPLE, add_arguments(parser), run(args), and parse(parser, argv) where it has its own."""
+    return importlib.import_module(f"fsai_vcu.cli.{VERBS[verb][0]}")
+
+
+def parser_of(verb: str) -> Parser:
+    """The parser of a verb, whole: help, completion and the reference are all made from it."""
+    module, summary = module_of(verb), VERBS[verb][1]
+    parser = Parser(
+        prog=f"fsai-vcu {verb}",
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"example:\n  {module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    return parser
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb. Exit status: 0 done, 1 failed, 2 wrong use, 130 interrupted."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()  # not at the end of the process, where nobody could say what went wrong
+    except BrokenPipeError:
+        # The reader (a pager, `head`) has gone: that is its good right.
+        _discard_output()
+        return 0
+    except OSError as error:
+        if error.errno not in _DISK_FULL:
+            raise
+        _discard_output()
+        print(f"fsai-vcu: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
+        return 1
+
+
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def _discard_output() -> None:
+    """What is still waiting to be written has nowhere to go, at the end of the process either."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         _print_help()
         return 0 if arguments else 2
@@ -55,15 +111,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if verb not in VERBS:
         print(f"fsai-vcu: no verb '{verb}'; there are: {', '.join(VERBS)}", file=sys.stderr)
         return 2
-    name, summary = VERBS[verb]
-    module = importlib.import_module(f"fsai_vcu.cli.{name}")
-    parser = Parser(
-        prog=f"fsai-vcu {verb}",
-        description=summary[0].upper() + summary[1:] + ".",
-        epilog=f"example:\n  {module.EXAMPLE}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    module.add_arguments(parser)
+    module = module_of(verb)
+    parser = parser_of(verb)
     parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
     args = parse(parser, arguments[1:])
     try:
@@ -74,10 +123,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"fsai-vcu {verb}: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # The reader (a pager, `head`) has gone: that is its good right.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
 
 
 def _print_help() -> None:

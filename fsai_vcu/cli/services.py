@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from fsai_vcu.cli.main import UserError
+from fsai_vcu.runtime.configuration import usual_environment
 
 WAIT_S = 10.0
 ASK_AGAIN_S = 1.0
@@ -19,13 +21,21 @@ _NO_ROS = (
 
 @contextmanager
 def operator_node() -> Iterator[Any]:
-    """A short-lived node. Raises UserError where ROS 2 or the project's messages are missing."""
+    """A short-lived node, where the car's configuration says that its nodes are to be found.
+
+    Raises UserError where ROS 2 or the project's messages are missing.
+    """
+    os.environ.update(usual_environment())
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
         import rclpy
     except ImportError as error:
         raise UserError(_NO_ROS.format(missing=error)) from error
-    rclpy.init()
+    # A question leaves no log file behind, and needs no place for one.
+    words = ["--ros-args", "--disable-external-lib-logs"]
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true":
+        words += ["--enclave", "/fsai/operator"]
+    rclpy.init(args=words)
     node = rclpy.create_node("fsai_operator")
     try:
         yield node

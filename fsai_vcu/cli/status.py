@@ -57,6 +57,8 @@ def _as_text(state: Any) -> str:
         f"ASMS {'on' if state.as_switch else 'off'}, TSMS {'on' if state.ts_switch else 'off'}, "
         f"Go {'on' if state.go_signal else 'off'}",
     ]
+    if state.operational_limits:
+        lines.append(f"limits    {', '.join(state.operational_limits)}")
     if math.isnan(state.status_age_s):
         lines.append("car       nothing heard (no 0x520)")
     elif state.status_age_s > 0.1:

@@ -40,6 +40,10 @@ Measuring
     quantile(ordered, share)                      # quantiles.py: one meaning of p50 and p99 for the whole project
     bench.speed(log)                              # beside cantools' own command line, in the same run
 
+Watching, sending
+    view = View(); view.update(frames); view.picture(now_ns)      # monitor/: one moment of a bus, and its drawing
+    outgoing(databases, "BenchLamp", ["COLOUR=RED"])              # sending.py: a frame by its signals, or a refusal
+
 On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
 with filters, problems and an exit status), `add_database_arguments`, `decoder_of`, `Output`.
 """

@@ -11,10 +11,11 @@ import tomllib
 from pathlib import Path
 
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
 
 
 def read_limits(path: Path | str) -> OperationalLimits:
-    """Raises LimitsError with one clear line that names the file."""
+    """Raises LimitsError with one clear line that names the file, and the line in it."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
@@ -22,8 +23,18 @@ def read_limits(path: Path | str) -> OperationalLimits:
     except UnicodeDecodeError as error:
         raise LimitsError(f"the operational limits {path} are not a text file") from error
     try:
-        return parse_limits(tomllib.loads(text))
+        mapping = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise LimitsError(f"the operational limits {path} are not valid TOML: {error}") from error
-    except LimitsError as error:
-        raise LimitsError(f"the operational limits {path}: {error}") from error
+        place = _place(line_of(error))
+        raise LimitsError(f"the operational limits {path}{place} are not valid TOML: {words_of(error)}") from error
+    lines = TomlLines(text)
+    for name, value in mapping.items():
+        try:
+            parse_limits({name: value})
+        except LimitsError as error:
+            raise LimitsError(f"the operational limits {path}{_place(lines.of(name))}: {error}") from error
+    return parse_limits(mapping)
+
+
+def _place(line: int | None) -> str:
+    return "" if line is None else f", line {line}"

@@ -18,7 +18,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fsai_nodes.clock_step import on_clock_step
+from fsai_nodes.configured import Configured
+from fsai_nodes.edge import Clocks
 from fsai_nodes.parameters import NodeError
+from fsai_vcu.runtime.notify import Notifier
 
 _STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
@@ -26,15 +29,18 @@ _STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
 def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[str] | None = None) -> int:
     """Run the nodes that `factories` make until SIGINT or SIGTERM; returns the exit status.
 
+    `name`: of the node, or 'composed'; its settings are those of --config, where the command line has one.
     A node that cannot start or go on raises NodeError: its line goes to stderr after `name`, and the status is 1.
     A node with a `stop` method is stopped before ROS is shut down.
     """
     # Not rclpy's own handlers: nodes finish in order (the bridge says goodbye to the car) while ROS still works.
     stop_signals = _StopSignals()
     try:
-        rclpy.init(
-            args=list(sys.argv if arguments is None else arguments), signal_handler_options=SignalHandlerOptions.NO
-        )
+        configured = Configured(sys.argv if arguments is None else arguments, name)
+        rclpy.init(args=configured.arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except NodeError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
     except Exception as error:  # what a bad --ros-args raises has no class of its own
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return 1
@@ -48,6 +54,10 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
         for factory in factories:
             nodes.append(factory())
             executor.add_node(nodes[-1])
+        for line in configured.lines:
+            nodes[0].get_logger().info(line)
+        if not any(getattr(node, "tells_systemd", False) for node in nodes):
+            _tell_systemd(nodes[0])
         while not stop_signals.received.is_set():
             executor.spin_once()
     except NodeError as error:
@@ -64,6 +74,14 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
             node.destroy_node()
         rclpy.try_shutdown()
     return status
+
+
+def _tell_systemd(node: Node) -> None:
+    """Ready now; and the watchdog is fed by the executor, so that a node that hangs is started anew."""
+    notifier = Notifier()
+    notifier.send("READY=1")
+    if notifier.watchdog_period_ns:
+        Clocks(node).every(notifier.watchdog_period_ns / 1e9, lambda: notifier.send("WATCHDOG=1"))
 
 
 class _StopSignals:

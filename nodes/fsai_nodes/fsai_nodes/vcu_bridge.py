@@ -148,6 +148,8 @@ class _Configured:
 class VcuBridge(LifecycleNode):
     """Raises NodeError from its constructor when it starts by itself and cannot."""
 
+    tells_systemd = True  # the CAN loop does: its watchdog is fed by cycles that met their deadline, by nothing else
+
     def __init__(self, **options: object) -> None:
         super().__init__("vcu_bridge", **options)
         self._state_label = "unconfigured"

@@ -1,0 +1,58 @@
+"""`fsai-vcu config`: is /etc/fsai/fsai.toml right, and what does it come to?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+EXAMPLE = "fsai-vcu config check /etc/fsai/fsai.toml"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("what", choices=("check", "show"), help="check: is it right? show: every setting in force")
+    parser.add_argument("file", nargs="?", type=Path, help="the configuration (default: /etc/fsai/fsai.toml)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.runtime.configuration import USUAL_PATH, ConfigurationError, read_configuration
+
+    path = args.file or USUAL_PATH
+    try:
+        configuration = read_configuration(path)
+    except ConfigurationError as error:
+        if args.json:
+            print(json.dumps({"file": str(path), "right": False, "problems": list(error.problems)}))
+        for problem in () if args.json else error.problems:
+            print(problem, file=sys.stderr)
+        return 1
+    if args.json:
+        print(json.dumps({"file": str(path), "right": True, "problems": [], **_as_dict(configuration)}))
+    elif args.what == "show":
+        print("\n".join(configuration.described()))
+        for node, parameters in configuration.parameters().items():
+            print(f"\nparameters of {node}:")
+            print("\n".join(f"  {name}: {json.dumps(value)}" for name, value in parameters.items()))
+    else:
+        print(f"{path}: right")
+        print("\n".join(f"operational limits: {line}" for line in configuration.limits_described()))
+    return 0
+
+
+def _as_dict(configuration: Any) -> dict[str, Any]:
+    from fsai_vcu.runtime.configuration import KEYS, TABLES
+
+    settings: dict[str, dict[str, Any]] = {table: {} for table in TABLES}
+    for key in KEYS:
+        value = configuration.value(key.table, key.name)
+        plain = isinstance(value, (bool, int, float, str, tuple, list))
+        settings[key.table][key.name] = value if plain else str(value)
+    return {
+        "settings": settings,
+        "operational_limits": list(configuration.limits_described()),
+        "parameters": configuration.parameters(),
+        "environment": configuration.environment(),
+    }

@@ -1,0 +1,183 @@
+"""`fsai-vcu doctor`: what is right and what is wrong on this machine, on one screen; and whose wheel is whose."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.doctor.machine import Wanted
+    from fsai_vcu.interface.codec import Codec
+    from fsai_vcu.runtime.configuration import Configuration
+
+EXAMPLE = "fsai-vcu doctor; fsai-vcu doctor --wheels"
+
+_MARKS = {"right": "ok  ", "wrong": "WRONG", "note": "-   "}
+_PATIENCE_S = 60.0  # for a wheel to be turned
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration (default: /etc/fsai/fsai.toml)")
+    parser.add_argument("-i", "--interface", help="the bus to listen to (default: the configuration's)")
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to listen to the bus (2 s)")
+    parser.add_argument(
+        "--wheels", action="store_true", help="commissioning: asks for one wheel after the other to be turned by hand"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit status: 0 when nothing is wrong."""
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.runtime.configuration import USUAL_PATH, ConfigurationError, read_configuration
+
+    if not 0.0 < args.seconds < math.inf:
+        raise UserError(f"--seconds is {args.seconds:g}, not a time to listen for")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    configuration: Configuration | None = None
+    problems: tuple[str, ...] = ()
+    try:
+        configuration = read_configuration(args.config or USUAL_PATH)
+    except ConfigurationError as error:
+        problems = error.problems
+    if args.wheels:
+        if configuration is None:
+            raise UserError(problems[0])
+        return _turn_wheels(configuration, args.interface or configuration.interface, as_json=args.json)
+
+    from fsai_vcu.diagnostics.doctor.checks import examine
+    from fsai_vcu.diagnostics.doctor.collect import collect
+
+    wanted = codec = None
+    if configuration is not None:
+        wanted = _wanted(configuration, args.interface)
+        codec = _codec(configuration)
+    findings = examine(collect(wanted, problems, codec, args.seconds))
+    wrong = sum(finding.level == "wrong" for finding in findings)
+    if args.json:
+        print(json.dumps({"wrong": wrong, "findings": [asdict(finding) for finding in findings]}))
+        return 1 if wrong else 0
+    width = max(len(finding.topic) for finding in findings)
+    for finding in findings:
+        print(f"{_MARKS[finding.level]:<5} {finding.topic:<{width}}  {finding.words}")
+        if finding.todo:
+            print(f"{'':5} {'':<{width}}  -> {finding.todo}")
+    print("all is well" if not wrong else f"{wrong} wrong")
+    return 1 if wrong else 0
+
+
+def _wanted(configuration: Configuration, interface: str | None) -> Wanted:
+    from fsai_vcu.core.vehicle.parameters import CARS
+    from fsai_vcu.diagnostics.doctor.machine import Wanted
+    from fsai_vcu.runtime.configuration import BITRATE, QUEUE_FRAMES
+
+    return Wanted(
+        path=str(configuration.path),
+        interface=interface or configuration.interface,
+        revision=configuration.revision,
+        bitrate=BITRATE,
+        queue_frames=QUEUE_FRAMES,
+        wheel_mapping=str(configuration.wheel_mapping),
+        wheel_pulses_per_rev=CARS[configuration.car].wheel_pulses_per_rev,
+        limits=configuration.limits_described(),
+        limits_path=str(configuration.limits_path or ""),
+        environment=configuration.environment(),
+        discovery=configuration.text("ros", "discovery"),
+        keystore=configuration.text("ros", "keystore"),
+        recording_folder=configuration.text("recording", "folder"),
+        leave_free_mib=int(configuration.number("recording", "leave_free_mib")),
+    )
+
+
+def _codec(configuration: Configuration, *, as_wired: bool = False) -> Codec:
+    """as_wired: the wheels as their signals are called, without the configured mapping."""
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.interface.codec import Codec
+    from fsai_vcu.interface.database import DatabaseError
+    from fsai_vcu.interface.revisions import REVISIONS
+    from fsai_vcu.interface.wheels import STRAIGHT
+
+    files = [Path(name) for name in configuration.dbc_files]
+    mapping = STRAIGHT if as_wired else configuration.wheel_mapping
+    try:
+        return Codec(REVISIONS[configuration.revision], files or None, mapping)
+    except DatabaseError as error:
+        raise UserError(str(error)) from error
+
+
+def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool) -> int:
+    """The commissioning check: each wheel is turned once, forwards, with the car on stands and nothing energised."""
+    import time
+
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.core.vehicle.parameters import CARS
+    from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelCheck
+    from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
+
+    codec = _codec(configuration, as_wired=True)
+    pulses_per_rev = CARS[configuration.car].wheel_pulses_per_rev
+    check = WheelCheck()
+    asked: str | None = None
+    problems: list[str] = []
+
+    def say(words: str) -> None:
+        print(words, file=sys.stderr if as_json else sys.stdout, flush=True)
+
+    try:
+        bus = open_bus(interface, receive=(0x525, 0x526), may_send=())
+    except BusError as error:
+        raise UserError(str(error)) from error
+    with bus:
+        until_ns = 0
+        while check.asked is not None:
+            if check.asked != asked:
+                asked = check.asked
+                until_ns = time.monotonic_ns() + int(_PATIENCE_S * 1e9)
+                say(f"turn the {NAMES[asked]} wheel once, slowly, forwards; then let it stand")
+            if time.monotonic_ns() >= until_ns:
+                raise UserError(f"no wheel has turned for {_PATIENCE_S:g} s, as 0x526 tells")
+            try:
+                frame = bus.recv(0.2)
+            except BusLost as error:
+                raise UserError(str(error)) from error
+            image = None if frame is None else codec.decode(frame).image
+            if isinstance(image, WheelSpeeds):
+                check.on_speeds(image.all_rpm)
+            elif isinstance(image, WheelCounts):
+                turn = check.on_counts((image.fl, image.fr, image.rl, image.rr), time.monotonic_ns())
+                if turn is not None:
+                    problem = turn.problem(pulses_per_rev)
+                    if turn.source is None:
+                        say(f"  {problem}")
+                        continue
+                    say(f"  {NAMES[turn.wheel]}: found in {turn.source}, {turn.counted} pulses")
+                    if problem:
+                        say(f"  WRONG: {problem}")
+                        problems.append(f"{NAMES[turn.wheel]}: {problem}")
+    mapping = check.mapping()
+    configured = configuration.wheel_mapping
+    todo = ""
+    if mapping is None:
+        problems.append("two wheels were found in one signal: turn one wheel alone, and begin again")
+    elif mapping != configured:
+        table = ", ".join(f'{turn.wheel} = "{turn.source}"' for turn in check.turns if turn.wheel != turn.source)
+        todo = f"[car] wheel_mapping = {{ {table} }}" if table else "[car] without wheel_mapping"
+        problems.append(f"the wiring is {mapping}, the configuration says {configured}")
+    if as_json:
+        turns = [{**asdict(turn), "source": turn.source} for turn in check.turns]
+        print(json.dumps({"wrong": len(problems), "problems": problems, "todo": todo, "turns": turns}))
+    else:
+        for problem in problems:
+            print(f"WRONG {problem}")
+        if todo:
+            print(f"-> {configuration.path}: {todo}")
+        if not problems:
+            print("all is well: every wheel is where the configuration says")
+    return 1 if problems else 0

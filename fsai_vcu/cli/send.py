@@ -1,0 +1,181 @@
+"""`fsai-vcu send`: a frame by message and signal names, for the bench; never beside a live bridge."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from fsai_vcu.cli.sources import add_database_arguments
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.sending import Outgoing
+    from fsai_vcu.runtime.bus import CanBus
+
+EXAMPLE = (
+    "fsai-vcu send BenchLamp COLOUR=RED -i can0 --dbc bench.dbc --count 10 --period 100\n"
+    "  fsai-vcu send AI2VCU_Steer STEER_REQUEST=5 --as-ai --dry-run"
+)
+ABOUT = """\
+Signals that are not named get the database's initial value, or 0; where 0 is
+out of range they must be named. Values are numbers or words of the signal's
+table. Identifiers that are reserved for the car, the VCU's and those of the
+car's other devices are always refused. The AI computer's own (0x510 to 0x514,
+0x501) are refused without --as-ai: a car that hears them switches its tractive
+system on and arms its EBS. A bus on which anybody sends them already is
+refused, and left at once if somebody begins to."""
+
+_LISTEN_S = 0.5  # fifty cycles of a bridge
+_LEAST_LISTEN_S = 0.2  # as long as a bridge itself listens before it sends
+_PERIOD_MS = 100.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{ABOUT}"
+    parser.add_argument("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
+    parser.add_argument("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
+    parser.add_argument("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
+    add_database_arguments(parser)
+    parser.add_argument("--count", type=int, default=1, metavar="N", help="so many times (default: 1; 0: until Ctrl-C)")
+    parser.add_argument("--period", type=float, metavar="MS", help="so far apart (default: the database's, or 100 ms)")
+    parser.add_argument(
+        "--listen", type=float, default=_LISTEN_S, metavar="S", help="for a live bridge, before sending (default: 0.5)"
+    )
+    parser.add_argument("--as-ai", action="store_true", help="the AI computer's own identifiers too: see above")
+    parser.add_argument("--dry-run", action="store_true", help="send nothing; print the frame as cansend takes it")
+    parser.add_argument("--json", action="store_true", help="print the frame and its signals as one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
+    from fsai_vcu.diagnostics.sending import SendingError, outgoing
+
+    _check(args)
+    try:
+        databases = load_databases(args.dbc, args.revision)
+        frame = outgoing(databases, args.message, args.signals, as_ai=args.as_ai)
+    except (DatabasesError, SendingError) as error:
+        raise UserError(str(error)) from error
+    if args.dry_run:
+        _show(args, frame)
+        return 0
+    if args.interface is None:
+        raise UserError("-i says on which CAN interface; --dry-run sends nothing")
+    return _send(args, frame)
+
+
+def _check(args: argparse.Namespace) -> None:
+    from fsai_vcu.cli.main import UserError
+
+    if args.count < 0:
+        raise UserError(f"--count is {args.count}, but must be 0 or more")
+    if args.period is not None and not 1.0 <= args.period < math.inf:
+        raise UserError(f"--period is {args.period:g} ms, but must be 1 or more")
+    if not _LEAST_LISTEN_S <= args.listen < math.inf:
+        raise UserError(f"--listen is {args.listen:g} s, but must be {_LEAST_LISTEN_S:g} or more to hear a live bridge")
+
+
+def _show(args: argparse.Namespace, frame: Outgoing) -> None:
+    if args.json:
+        shown = {
+            "message": frame.message,
+            "id": frame.frame.can_id,
+            "extended": frame.frame.extended,
+            "frame": frame.cansend,
+            "signals": dict(frame.values),
+            "filled": list(frame.filled),
+        }
+        print(json.dumps(shown))
+        return
+    print(frame.cansend)
+    said = ", ".join(f"{name} {value}" for name, value in frame.values.items())
+    print(f"{frame.message}: {said or 'no signals'}", file=sys.stderr)
+    if frame.filled:
+        print(f"not named, so as the database begins: {', '.join(frame.filled)}", file=sys.stderr)
+
+
+def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
+    from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
+    lock = None
+    try:
+        if outgoing.is_of_the_ai:
+            lock = InterfaceLock(args.interface)  # no bridge begins while somebody else speaks for the AI computer
+        bus = open_bus(args.interface, may_send={outgoing.frame.can_id})
+    except (BusError, AlreadyRunning) as error:
+        if lock is not None:
+            lock.release()
+        raise UserError(str(error)) from error
+    with bus:
+        sender = _Sender(bus, args, outgoing)
+        try:
+            sender.listen()
+            _show(args, outgoing)
+            sender.run()
+        except BusLost as error:
+            raise UserError(f"{error}; {sender.sent} frames were sent") from error
+        except KeyboardInterrupt:
+            if args.count:
+                raise
+        finally:
+            if lock is not None:
+                lock.release()
+    dropped = f", {sender.dropped} dropped because the transmit queue was full" if sender.dropped else ""
+    print(f"{sender.sent} frame{'s' * (sender.sent != 1)} sent on {args.interface}{dropped}", file=sys.stderr)
+    return 1 if sender.dropped else 0
+
+
+class _Sender:
+    """Sends, and stops at the first sign of a live bridge."""
+
+    def __init__(self, bus: CanBus, args: argparse.Namespace, outgoing: Outgoing) -> None:
+        self.sent = 0
+        self.dropped = 0
+        self._bus = bus
+        self._count: int = args.count
+        self._listen_s: float = args.listen
+        self._period_s = (args.period or outgoing.period_ms or _PERIOD_MS) / 1000.0
+        self._frame = outgoing.frame
+
+    def listen(self) -> None:
+        """Raises UserError if a bridge is heard."""
+        self._heed(time.monotonic() + self._listen_s)
+
+    def run(self) -> None:
+        due_s = time.monotonic()
+        while True:
+            if self._bus.send(self._frame):
+                self.sent += 1
+            else:
+                self.dropped += 1
+            if self._count and self.sent + self.dropped >= self._count:
+                return
+            due_s = max(due_s + self._period_s, time.monotonic())  # late ones are not caught up with in a burst
+            self._heed(due_s)
+
+    def _heed(self, until_s: float) -> None:
+        """Hear the bus until then, and in any case whatever has come so far."""
+        from fsai_vcu.cli.main import UserError
+        from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID
+
+        ours = {*AI_IDS, *({OPTIONAL_AI_ID} & {self._frame.can_id})}
+        while True:
+            left_s = until_s - time.monotonic()
+            heard = self._bus.recv(max(0.0, left_s))
+            if heard is None:
+                if left_s <= 0.0:
+                    return
+                continue
+            if heard.extended or heard.error or heard.can_id not in ours:
+                continue
+            who = "a PCAN-GPS" if heard.can_id == OPTIONAL_AI_ID else "a live bridge"
+            told = f"; {self.sent} frames were sent before" if self.sent else ""
+            raise UserError(f"{who} is heard on {self._bus.spec} (0x{heard.can_id:03X}): stop it first{told}")

@@ -1,0 +1,334 @@
+"""The judgement: a machine goes in, findings come out, each wrong one with what to do. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from fsai_vcu.diagnostics.doctor.machine import Machine, Wanted
+
+Level = Literal["right", "wrong", "note"]
+
+_FIRST_BELIEVABLE_YEAR = 2025
+_WHEELS = ("front left", "front right", "rear left", "rear right")
+_NO_CONFIGURATION = "needs the configuration"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the doctor's screen. `todo`: what to do about it; a wrong finding always has one."""
+
+    topic: str
+    level: Level
+    words: str
+    todo: str = ""
+
+
+def examine(machine: Machine) -> tuple[Finding, ...]:
+    """Everything there is to say, in the order in which it is put right."""
+    return tuple(finding for check in CHECKS for finding in check(machine))
+
+
+def configuration(machine: Machine) -> Iterator[Finding]:
+    wanted = machine.wanted
+    if wanted is None:
+        for problem in machine.configuration_problems or ("no configuration was read",):
+            yield _wrong("configuration", problem, "put it right; fsai-vcu config check says when it is")
+        return
+    yield _right("configuration", f"{wanted.path}: revision {wanted.revision}, {wanted.interface}")
+
+
+def limits(machine: Machine) -> Iterator[Finding]:
+    wanted = machine.wanted
+    if wanted is None:
+        yield _note("limits", _NO_CONFIGURATION)
+    elif not wanted.limits_path:
+        yield _note("limits", "none but the car's own: [limits] file is empty")
+    else:
+        yield _right("limits", f"{wanted.limits_path}: {', '.join(wanted.limits)}")
+
+
+def interface(machine: Machine) -> Iterator[Finding]:
+    wanted, link = machine.wanted, machine.link
+    if wanted is None:
+        yield _note("interface", _NO_CONFIGURATION)
+        return
+    name = wanted.interface
+    if ":" in name:
+        yield _note("interface", f"{name} is a stand-in for a rehearsal, not a car's bus")
+        return
+    if link is None:
+        there = f"there are: {', '.join(machine.interfaces)}" if machine.interfaces else "this machine has none"
+        yield _wrong(
+            "interface",
+            f"no interface {name} ({there})",
+            "plug the adapter in, look for it in `journalctl -k`, or name another in [can] interface",
+        )
+        return
+    if link.kind not in ("can", "vcan"):
+        yield _wrong("interface", f"{name} is no CAN interface but {link.kind}", "name the adapter in [can] interface")
+        return
+    bring_up = f"sudo systemctl restart fsai-link@{name}, and look into its journal"
+    if link.state == "BUS-OFF":
+        yield _wrong("interface", f"{name} is off the bus (BUS-OFF)", "check wiring, termination and bitrate")
+    elif not link.up:
+        yield _wrong("interface", f"{name} is down", bring_up)
+    else:
+        yield _right("interface", f"{name} is up" + (f", {link.state}" if link.state else ""))
+    if link.kind == "vcan":
+        yield _note("bitrate", f"{name} is virtual: no bitrate, no acknowledge, no bus-off")
+    elif link.bitrate != wanted.bitrate:
+        yield _wrong("bitrate", f"{link.bitrate or 'unknown'} bit/s instead of {wanted.bitrate}", bring_up)
+    else:
+        yield _right("bitrate", f"{link.bitrate} bit/s")
+    if link.queue_frames > wanted.queue_frames:
+        yield _wrong(
+            "queue",
+            f"{link.queue_frames} frames may wait to be sent: {link.queue_frames * 2} ms of stale commands",
+            f"sudo ip link set {name} txqueuelen {wanted.queue_frames}; fsai-link@{name} does it at every start",
+        )
+    else:
+        yield _right("queue", f"{link.queue_frames} frames")
+    if link.kind == "can":
+        if link.restart_ms:
+            yield _right("driver", f"{link.driver or 'unknown'}, starts again {link.restart_ms} ms after bus-off")
+        elif machine.services.get(f"fsai-link@{name}.service") == "active":
+            yield _right("driver", f"{link.driver or 'unknown'}; after bus-off fsai-link@{name} starts it again")
+        else:
+            yield _wrong(
+                "driver",
+                f"{link.driver or 'unknown'} does not start again after bus-off, and nobody does it for it",
+                f"sudo systemctl start fsai-link@{name}",
+            )
+
+
+def bus(machine: Machine) -> Iterator[Finding]:
+    wanted, heard = machine.wanted, machine.bus
+    if wanted is None or heard is None:
+        yield _note("bus", "not listened to")
+        return
+    if heard.problem:
+        yield _wrong("bus", heard.problem, "first put the interface right")
+        return
+    if not heard.frames:
+        yield _wrong(
+            "bus",
+            f"silent for {heard.seconds:g} s",
+            "switch the car's low voltage on; check plug, wiring (CAN high and low) and the two terminations",
+        )
+        return
+    if not heard.from_car:
+        yield _wrong(
+            "bus",
+            f"{heard.frames} frames in {heard.seconds:g} s, but none of the VCU's status (0x520)",
+            "is this the AI bus of the car, and is the VCU on?",
+        )
+        return
+    if heard.error_frames:
+        yield _wrong(
+            "bus",
+            f"the VCU is heard, with {heard.error_frames} error frames in {heard.seconds:g} s",
+            "check wiring and termination (60 ohm between CAN high and low)",
+        )
+    else:
+        yield _right("bus", f"the VCU is heard: {heard.frames} frames in {heard.seconds:g} s")
+    if heard.revision != wanted.revision:
+        yield _wrong(
+            "revision",
+            f"the bus speaks {heard.revision} ({heard.revision_why}), the configuration says {wanted.revision}",
+            f'[can] revision = "{heard.revision}"',
+        )
+    else:
+        yield _right("revision", f"{heard.revision} ({heard.revision_why})")
+    yield from _wheels(wanted, heard.speeds_heard, heard.pulses_heard, heard.pulses, heard.speed_max_rpm)
+
+
+def _wheels(
+    wanted: Wanted,
+    speeds_heard: bool,
+    pulses_heard: bool,
+    pulses: tuple[int, int, int, int],
+    speed_max_rpm: tuple[int, int, int, int],
+) -> Iterator[Finding]:
+    if not speeds_heard or not pulses_heard:
+        missing = " and ".join(
+            name
+            for name, heard in (("wheel speeds (0x525)", speeds_heard), ("pulses (0x526)", pulses_heard))
+            if not heard
+        )
+        yield _wrong("wheels", f"no {missing} on the bus", "without them the car is braked; check the VCU")
+        return
+    turning = [index for index in range(4) if pulses[index] or speed_max_rpm[index]]
+    if not turning:
+        yield _note("wheels", f"none turns ({wanted.wheel_mapping}); to check the wiring: fsai-vcu doctor --wheels")
+        return
+    mute = [index for index in turning if not pulses[index] or not speed_max_rpm[index]]
+    words = ", ".join(f"{_WHEELS[index]} {pulses[index]} pulses, {speed_max_rpm[index]} rpm" for index in turning)
+    if mute:
+        yield _wrong(
+            "wheels",
+            f"speed and pulses do not agree: {words}",
+            "a sensor or its wiring; fsai-vcu doctor --wheels shows each",
+        )
+    else:
+        yield _right("wheels", words)
+
+
+def ros(machine: Machine) -> Iterator[Finding]:
+    here = machine.ros
+    if not here.rclpy:
+        yield _wrong(
+            "ROS 2",
+            "rclpy is not in this Python environment",
+            "use the car's own command (/usr/bin/fsai-vcu, after make install), or source /opt/ros/jazzy/setup.bash",
+        )
+    else:
+        distribution = here.distribution or "from the package index"
+        yield _right("ROS 2", f"{distribution}, {here.rclpy}")
+        if here.distribution and here.distribution != "jazzy":
+            yield _wrong("ROS 2", f"the distribution is {here.distribution}", "this is made for jazzy")
+        if not here.messages or not here.nodes:
+            missing = " and ".join(
+                name for name, there in (("fsai_msgs", here.messages), ("fsai_nodes", here.nodes)) if not there
+            )
+            yield _wrong("ROS 2", f"{missing} not installed beside it", "make install (or make setup in a checkout)")
+
+
+def dds(machine: Machine) -> Iterator[Finding]:
+    wanted = machine.wanted
+    if wanted is None:
+        yield _note("DDS", _NO_CONFIGURATION)
+        return
+    domain = f"domain {wanted.environment.get('ROS_DOMAIN_ID', '0')}"
+    if wanted.discovery == "localhost":
+        if machine.dds_listening:
+            yield _wrong(
+                "DDS",
+                f"a node listens on {', '.join(machine.dds_listening)}, though it is to stay on this machine",
+                "start it by its service, or with --config: then it is bound to 127.0.0.1",
+            )
+        else:
+            yield _right("DDS", f"{domain}, on the loopback alone")
+    elif not wanted.keystore:
+        yield _wrong(
+            "DDS",
+            f"{domain}, open to every network of this machine: anybody there can drive the car",
+            '[ros] discovery = "localhost", or keys: fsai-vcu enclaves, and [ros] keystore',
+        )
+    else:
+        yield _right("DDS", f"{domain}, open to the networks, encrypted with {wanted.keystore}")
+
+
+def services(machine: Machine) -> Iterator[Finding]:
+    if not machine.services:
+        yield _note("services", "systemd does not run here, or nothing of ours is installed")
+        return
+    bad = {name: state for name, state in machine.services.items() if state != "active"}
+    if not bad:
+        yield _right("services", f"{len(machine.services)} active: {', '.join(_short(n) for n in machine.services)}")
+        return
+    words = ", ".join(f"{_short(name)} is {state}" for name, state in bad.items())
+    first = next(iter(bad))
+    yield _wrong("services", words, f"sudo systemctl start fsai.target; journalctl -b -u {first}")
+
+
+def scheduling(machine: Machine) -> Iterator[Finding]:
+    if machine.rt_runtime_us == 0:
+        yield _wrong(
+            "scheduling",
+            "this kernel gives real-time threads no time at all",
+            "sudo sysctl kernel.sched_rt_runtime_us=950000",
+        )
+    here = machine.scheduling
+    if here is None:
+        yield _note("scheduling", "no bridge runs here, so its scheduling cannot be seen")
+        return
+    if here.policy != "SCHED_FIFO":
+        yield _wrong(
+            "scheduling",
+            f"the CAN loop runs as {here.policy}: late under load",
+            "start it by its service, which gives it LimitRTPRIO=; a kernel with RT_GROUP_SCHED refuses",
+        )
+    else:
+        yield _right("scheduling", f"the CAN loop runs as {here.policy} {here.priority}")
+    if here.memory_locked:
+        yield _right("memory", "the bridge's is locked")
+    else:
+        yield _wrong(
+            "memory",
+            "the bridge's is not locked: a page fault delays a cycle",
+            "start it by its service, which has LimitMEMLOCK=infinity",
+        )
+
+
+def clock(machine: Machine) -> Iterator[Finding]:
+    if machine.clock_year < _FIRST_BELIEVABLE_YEAR:
+        yield _wrong(
+            "clock",
+            f"it is the year {machine.clock_year} here: logs are dated wrongly (driving uses no date)",
+            "connect a network once, or set it: sudo timedatectl set-time",
+        )
+    elif machine.clock_synchronised:
+        yield _right("clock", "synchronised")
+    else:
+        yield _note("clock", "not synchronised: the dates of logs may be off; driving does not use the date")
+
+
+def disk(machine: Machine) -> Iterator[Finding]:
+    wanted = machine.wanted
+    if wanted is None or machine.disk_free_mib is None:
+        yield _note("disk", _NO_CONFIGURATION if wanted is None else f"{wanted.recording_folder} is not there yet")
+        return
+    if machine.disk_free_mib < wanted.leave_free_mib:
+        yield _wrong(
+            "disk",
+            f"{machine.disk_free_mib} MiB free at {wanted.recording_folder}: nothing is recorded",
+            f"make room: recording leaves {wanted.leave_free_mib} MiB to others ([recording] leave_free_mib)",
+        )
+    else:
+        yield _right("disk", f"{machine.disk_free_mib} MiB free at {wanted.recording_folder}")
+    if machine.folder_problem:
+        yield _wrong("disk", machine.folder_problem, "sudo systemd-tmpfiles --create fsai.conf")
+
+
+def permissions(machine: Machine) -> Iterator[Finding]:
+    if machine.user == "root" or "fsai" in machine.groups or machine.user == "fsai":
+        yield _right("permissions", f"{machine.user} may read configuration and logs")
+    else:
+        yield _note(
+            "permissions",
+            f"{machine.user} is not in the group fsai: configuration and logs may be closed to you "
+            f"(sudo usermod -aG fsai {machine.user})",
+        )
+
+
+CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
+    configuration,
+    limits,
+    interface,
+    bus,
+    ros,
+    dds,
+    services,
+    scheduling,
+    clock,
+    disk,
+    permissions,
+)
+
+
+def _short(unit: str) -> str:
+    return unit.removesuffix(".service").removeprefix("fsai-")
+
+
+def _right(topic: str, words: str) -> Finding:
+    return Finding(topic, "right", words)
+
+
+def _note(topic: str, words: str) -> Finding:
+    return Finding(topic, "note", words)
+
+
+def _wrong(topic: str, words: str, todo: str) -> Finding:
+    return Finding(topic, "wrong", words, todo)

@@ -1,0 +1,101 @@
+"""A machine as the doctor sees it: one frozen snapshot. None says that something could not be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What the configuration asks for."""
+
+    path: str
+    interface: str
+    revision: str
+    bitrate: int
+    queue_frames: int
+    wheel_mapping: str  # fl=fl,fr=fr,…
+    wheel_pulses_per_rev: int
+    limits: tuple[str, ...]  # in words
+    limits_path: str
+    environment: Mapping[str, str]  # for ROS 2
+    discovery: str
+    keystore: str
+    recording_folder: str
+    leave_free_mib: int
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A network interface. bitrate, restart_ms, state: of a CAN controller."""
+
+    name: str
+    kind: str  # can, vcan, or another
+    up: bool
+    queue_frames: int
+    bitrate: int | None = None
+    restart_ms: int | None = None
+    state: str = ""  # ERROR-ACTIVE, ERROR-PASSIVE, BUS-OFF
+    driver: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BusHeard:
+    """What was on the bus while the doctor listened. Pulses and speeds by the configured mapping: fl, fr, rl, rr."""
+
+    seconds: float
+    frames: int = 0
+    problem: str = ""  # why nothing could be heard
+    error_frames: int = 0
+    from_car: bool = False  # 0x520 was among them
+    from_ai: bool = False  # somebody sends commands
+    revision: str = ""
+    revision_why: str = ""
+    speeds_heard: bool = False
+    pulses_heard: bool = False
+    pulses: tuple[int, int, int, int] = (0, 0, 0, 0)  # counted while listening
+    speed_max_rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Ros:
+    """ROS 2 in this Python environment."""
+
+    rclpy: str = ""  # where it comes from; empty: not there
+    distribution: str = ""
+    messages: bool = False
+    nodes: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Scheduling:
+    """How a running bridge is scheduled. policy: SCHED_FIFO, SCHED_OTHER…, of its loop's thread."""
+
+    policy: str
+    priority: int
+    memory_locked: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """All of it. `services`: the state of each unit of ours by name; empty where systemd does not run."""
+
+    wanted: Wanted | None = None
+    configuration_problems: tuple[str, ...] = ()
+    interfaces: tuple[str, ...] = ()  # CAN interfaces there are
+    link: Link | None = None
+    bus: BusHeard | None = None
+    ros: Ros = Ros()
+    services: Mapping[str, str] = field(default_factory=dict)
+    scheduling: Scheduling | None = None
+    rt_runtime_us: int | None = None  # how much of a second real-time threads may have, of 1 000 000; -1: all
+    clock_synchronised: bool | None = None
+    clock_year: int = 0
+    disk_free_mib: int | None = None  # where bus logs go
+    folder_problem: str = ""  # why the log folder cannot be used
+    user: str = ""
+    groups: tuple[str, ...] = ()
+    dds_listening: tuple[str, ...] = ()  # addresses of this machine's networks on which a process of ours listens
+    kernel: str = ""
+    system: str = ""

@@ -1,0 +1,314 @@
+"""Frames in, pictures out. No clock and no bus: times are those of the frames, and `now` is an argument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
+from fsai_vcu.diagnostics.databases import Databases
+from fsai_vcu.diagnostics.errors import error_words
+from fsai_vcu.diagnostics.frames import ERROR, Frames
+from fsai_vcu.diagnostics.layouts import EXTENDED_KEY
+from fsai_vcu.diagnostics.monitor.memory import LONG_NS, WINDOW_NS, Memory
+from fsai_vcu.diagnostics.monitor.picture import Actuator, Freshness, MessagePicture, Picture
+from fsai_vcu.diagnostics.monitor.waiting import mode, why_not_driving
+from fsai_vcu.diagnostics.statistics import BusStatistics, MessageStatistics, expected_period_ns, measure
+from fsai_vcu.diagnostics.story.emergencies import emergencies
+from fsai_vcu.diagnostics.story.evidence import intrusion_words
+from fsai_vcu.diagnostics.story.incident import Incident
+from fsai_vcu.diagnostics.story.link import ms
+from fsai_vcu.diagnostics.story.record import Record, Signal, record_of
+from fsai_vcu.diagnostics.story.revision import guess_revision
+from fsai_vcu.diagnostics.story.signals import (
+    AMI,
+    ANGLE,
+    ANGLE_MAX,
+    AS_STATE,
+    AS_SWITCH,
+    BRAKE_F,
+    BRAKE_R,
+    BRAKE_REQ_F,
+    BRAKE_REQ_R,
+    DIRECTION,
+    DRIVING,
+    EBS_STATE,
+    EMERGENCY,
+    ESTOP,
+    FAULTS,
+    GO,
+    MISSION_STATUS,
+    OP_STATE,
+    SHUTDOWN_CAUSE,
+    STATUS,
+    STATUS_BRK,
+    STATUS_EBS,
+    STEER,
+    STEERING_STATUS,
+    SYSTEM_WARNINGS,
+    TORQUE_F,
+    TORQUE_R,
+    TS_STATE,
+    TS_SWITCH,
+    WARNINGS,
+    S,
+    label,
+)
+from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import Revision
+
+EXPECTED: Final = tuple(
+    message.can_id
+    for message in BUS_TABLE
+    if message.flow in (Flow.TO_VCU, Flow.FROM_VCU) and message.timeout_ns is not None
+)
+"""What is on the car's bus whenever car and AI computer are up, heard or not."""
+
+_UNSUPERVISED_PERIODS: Final = 10  # interface specification v4.0: ten in a row are a loss
+_LATE_PERIODS: Final = 5
+_SLOW_ECHO_S: Final = 0.05  # half of the 100 ms that the VCU grants
+_SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake are all there
+
+_ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
+    "steering": (STEER, ANGLE, ANGLE_MAX, "deg"),
+    "torque front": (
+        TORQUE_F,
+        Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"),
+        Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"),
+        "Nm",
+    ),
+    "torque rear": (
+        TORQUE_R,
+        Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"),
+        Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"),
+        "Nm",
+    ),
+    "brake front": (BRAKE_REQ_F, BRAKE_F, None, "%"),
+    "brake rear": (BRAKE_REQ_R, BRAKE_R, None, "%"),
+}
+_WHEELS: Final = {name: Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED") for name in ("FL", "FR", "RL", "RR")}
+_CAR_SPEED: Final = Signal("VCU2LOG_Dynamics1", "Speed_actual")
+_STATES: Final = (OP_STATE, TS_STATE, EBS_STATE, STATUS_EBS, STEERING_STATUS, STATUS_BRK)
+_ONLY_2026: Final = (OP_STATE, TS_STATE, EBS_STATE)
+
+
+class View:
+    """What a bus says, moment by moment. `revision` None: told from the frames. `databases` replace our own."""
+
+    def __init__(self, channel: str = "", revision: Revision | None = None, databases: Databases | None = None) -> None:
+        self.memory = Memory()
+        self._channel = channel
+        self._revision = revision
+        self._databases = databases
+        self._emergency: Incident | None = None
+        self._settled = False
+
+    def update(self, frames: Frames) -> None:
+        """More frames of the bus, in the order in which they came."""
+        self.memory.update(frames)
+
+    def picture(self, now_ns: int) -> Picture:
+        """What there is to see at `now_ns`, on the clock of the frames."""
+        window = self.memory.window(now_ns)
+        frames = self.memory.condensed(window)
+        if not len(frames):
+            named = self._revision.name if self._revision else "2026"
+            return Picture(now_ns, self._channel, named, "nothing heard yet", 0, link=("nothing is heard on this bus",))
+        revision, reason = (self._revision, "given") if self._revision else guess_revision(frames)
+        record = record_of(frames, revision, reason, self._databases)
+        self._look_for_emergency(record, now_ns, revision, reason)
+        return _Moment(self.memory, record, window, now_ns).picture(self._emergency, self._channel)
+
+    def _look_for_emergency(self, record: Record, now_ns: int, revision: Revision, reason: str) -> None:
+        """The causes of an emergency brake are found while the frames before it are remembered whole, and kept."""
+        span = record.series(AS_STATE).span_at(now_ns)
+        if span is None or span.value != EMERGENCY or span.before is None:
+            self._emergency, self._settled = None, False
+            return
+        if self._settled:
+            return
+        long = record_of(self.memory.condensed(self.memory.window(now_ns, LONG_NS)), revision, reason, self._databases)
+        found = [one for one in emergencies(long) if one.t_ns == span.begin_ns]
+        self._emergency = found[0] if found else None
+        self._settled = now_ns - span.begin_ns > _SETTLED_NS
+
+
+class _Moment:
+    """One look at a record."""
+
+    def __init__(self, memory: Memory, record: Record, window: Frames, now_ns: int) -> None:
+        self._memory = memory
+        self._record = record
+        self._now_ns = now_ns
+        ours = [number for number, name in enumerate(window.channels) if name == record.channel]
+        self._window = window.only(window.channel == ours[0]) if len(window.channels) > 1 and ours else window
+        self._stats = self._measured()
+
+    def _measured(self) -> BusStatistics | None:
+        found = measure(self._window, self._record.decoder, revision=self._record.revision.name)
+        return found[0] if found else None
+
+    def picture(self, emergency: Incident | None, channel: str) -> Picture:
+        record, now_ns, stats = self._record, self._now_ns, self._stats
+        span = record.series(AS_STATE).span_at(now_ns)
+        status = self._fresh(STATUS)
+        messages = self._messages()
+        wheels = {name: value for name, signal in _WHEELS.items() if (value := self._value(signal)) is not None}
+        car = CARS.get(record.revision.name, ADS_DV_2026)
+        times = record.times(STATUS)
+        return Picture(
+            t_ns=now_ns,
+            channel=channel or record.channel,
+            revision=record.revision.name,
+            revision_reason=record.revision_reason,
+            frames=self._memory.frames,
+            as_state=self._label(AS_STATE),
+            as_state_s=(now_ns - span.begin_ns) / S if span is not None and status else None,
+            as_state_heard=None if span is None else label(AS_STATE, span.value),
+            status_age_s=(now_ns - int(times[-1])) / S if len(times) else None,
+            mission=self._label(AMI),
+            mode=mode(record, now_ns, self._fresh(0x510)),
+            mission_status=self._label(MISSION_STATUS),
+            direction=self._label(DIRECTION),
+            estop_request=self._flag(ESTOP),
+            go=self._flag(GO),
+            as_switch=self._flag(AS_SWITCH),
+            ts_switch=self._flag(TS_SWITCH),
+            states=self._states(),
+            driving=status and span is not None and span.value == DRIVING,
+            why_not_driving=why_not_driving(record, now_ns, emergency),
+            wheels_rpm=wheels,
+            speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
+            speed_actual_kmh=self._value(_CAR_SPEED),
+            actuators={
+                name: Actuator(
+                    self._value(asked), self._value(given), self._value(limit) if limit is not None else None, unit
+                )
+                for name, (asked, given, limit, unit) in _ACTUATORS.items()
+            },
+            faults=tuple(signal.name for signal in FAULTS if self._flag(signal)),
+            warnings=tuple(signal.name for signal in (*WARNINGS, *SYSTEM_WARNINGS) if self._flag(signal)),
+            shutdown_cause=self._label(SHUTDOWN_CAUSE) if self._flag(SHUTDOWN_CAUSE) else None,
+            handshake=stats.handshake if stats is not None else None,
+            handshake_waiting_s=self._handshake_waiting_s(),
+            load=stats.load if stats is not None else None,
+            link=tuple(self._link(messages)),
+            messages=messages,
+        )
+
+    # ------------------------------------------------------------ values
+
+    def _value(self, signal: Signal) -> float | None:
+        """The newest value, unless its message is lost."""
+        return self._record.series(signal).at(self._now_ns) if self._fresh(signal.can_id) else None
+
+    def _flag(self, signal: Signal) -> bool | None:
+        value = self._value(signal)
+        return None if value is None else bool(value)
+
+    def _label(self, signal: Signal) -> str | None:
+        value = self._value(signal)
+        return None if value is None else label(signal, value)
+
+    def _states(self) -> dict[str, str]:
+        found = {}
+        for signal in _STATES:
+            said = self._label(signal)
+            if said is not None and not (signal in _ONLY_2026 and self._record.revision.name == "2021"):
+                found[signal.name] = said
+        if EBS_STATE.name in found:
+            found.pop(STATUS_EBS.name, None)  # the older word for the same
+        return found
+
+    def _fresh(self, can_id: int) -> bool:
+        """Whether the message is heard, whole, and not missing for so long that it counts as lost."""
+        times = self._record.times(can_id)
+        return bool(len(times)) and self._now_ns - int(times[-1]) < self._lost_after_ns(can_id)
+
+    def _lost_after_ns(self, key: int) -> int:
+        own = BY_ID.get(key)
+        if own is not None and own.timeout_ns is not None:
+            return own.timeout_ns
+        expected_ns = self._expected_ns(key)
+        return _UNSUPERVISED_PERIODS * expected_ns if expected_ns else WINDOW_NS
+
+    def _expected_ns(self, key: int) -> int | None:
+        layout = self._record.decoder.databases.layouts.get(key)
+        return expected_period_ns(key, layout, self._record.revision.name)
+
+    # ------------------------------------------------------------ messages
+
+    def _messages(self) -> tuple[MessagePicture, ...]:
+        measured = {} if self._stats is None else {_key(message): message for message in self._stats.messages}
+        order = {message.can_id: place for place, message in enumerate(BUS_TABLE)}
+        keys = sorted({*EXPECTED, *self._memory.first_ns}, key=lambda key: (order.get(key, len(order)), key))
+        return tuple(self._message(key, measured.get(key)) for key in keys)
+
+    def _message(self, key: int, measured: MessageStatistics | None) -> MessagePicture:
+        layout = self._record.decoder.databases.layouts.get(key)
+        newest = self._memory.newest(key)
+        expected_ns = self._expected_ns(key)
+        expected_hz = round(S / expected_ns, 2) if expected_ns else None
+        name = layout.name if layout is not None else None
+        if newest is None:
+            return MessagePicture(key, False, name, 0.0, expected_hz, None, Freshness.NEVER, False)
+        listened_ns = min(WINDOW_NS, max(self._now_ns - self._memory.first_ns[key], 1))
+        count = measured.count if measured is not None else 0
+        # The first frame begins the time over which the others are counted.
+        rate_hz = max(0, count - (listened_ns < WINDOW_NS)) * S / listened_ns
+        age_ns = max(0, self._now_ns - newest.t_ns)
+        freshness = Freshness.FRESH
+        if age_ns >= self._lost_after_ns(key):
+            freshness = Freshness.LOST
+        elif expected_ns and age_ns >= _LATE_PERIODS * expected_ns:
+            freshness = Freshness.LATE
+        wrong = layout is not None and newest.length != layout.length
+        return MessagePicture(newest.can_id, newest.extended, name, rate_hz, expected_hz, age_ns / S, freshness, wrong)
+
+    # ------------------------------------------------------------ the link
+
+    def _handshake_waiting_s(self) -> float | None:
+        """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or nobody asks."""
+        answers = self._record.answers
+        if not answers or answers[-1].echo_ns is not None or not self._fresh(STATUS):
+            return None
+        return (self._now_ns - answers[-1].toggle_ns) / S
+
+    def _link(self, messages: tuple[MessagePicture, ...]) -> list[str]:
+        """What is wrong on the bus itself, the gravest first."""
+        said = []
+        strangers = [one for one in self._record.intrusions if one.end_ns > self._now_ns - WINDOW_NS]
+        if strangers:
+            ids = sorted({one.can_id for one in strangers})
+            others = f", and on {', '.join(f'0x{can_id:03X}' for can_id in ids[1:])}" if len(ids) > 1 else ""
+            first = next(one for one in strangers if one.can_id == ids[0])
+            said.append(f"somebody else sends on the AI computer's ids: {intrusion_words(first)}{others}")
+        lost = [m for m in messages if not m.extended and m.can_id in AI_IDS and m.freshness is Freshness.LOST]
+        if len(lost) == len(AI_IDS):
+            age_s = min(m.age_s or 0.0 for m in lost)
+            said.append(f"the AI computer is silent for {ms(round(age_s * S))}: to the VCU that is AI_COMMS_LOST")
+        else:
+            said += [
+                f"{BY_ID[m.can_id]} is missing for {ms(round((m.age_s or 0.0) * S))}: to the VCU that is AI_COMMS_LOST"
+                for m in lost
+            ]
+        wrong = [message for message in messages if message.wrong_length]
+        said += [f"{m.name} (0x{m.number}) has the wrong length: it counts as missing" for m in wrong]
+        waiting_s = self._handshake_waiting_s()
+        if waiting_s is not None and waiting_s >= _SLOW_ECHO_S and len(lost) < len(AI_IDS):
+            said.append(f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)")
+        said += self._errors()
+        return said
+
+    def _errors(self) -> list[str]:
+        errors = self._window.only((self._window.flags & ERROR) != 0)
+        if not len(errors):
+            return []
+        last = len(errors) - 1
+        words = ", ".join(error_words(int(errors.can_id[last]), errors.payload(last)))
+        return [f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s, the last: {words}"]
+
+
+def _key(message: MessageStatistics) -> int:
+    return message.can_id | (EXTENDED_KEY if message.extended else 0)

@@ -1,0 +1,481 @@
+"""One file for the whole AI computer, /etc/fsai/fsai.toml: read, checked, and turned into every node's parameters.
+
+`KEYS` is the one place that says what may stand in the file and which parameter of which node it becomes. What cannot
+be used is refused with file, line and key, all of it at once; the operational limits stand in a file of their own,
+because an official imposes them and nobody else may change them with the rest.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fsai_vcu.core.control.settings import CONTROLLER_RANGES, ControllerSettings
+from fsai_vcu.core.limits import LimitsError, OperationalLimits
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.interface.wheels import WHEELS, WheelMapping
+from fsai_vcu.runtime.limits_file import read_limits
+from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
+
+USUAL_PATH = Path("/etc/fsai/fsai.toml")
+SAME_AS_REVISION = "same_as_revision"
+BITRATE = 500_000  # interface specification v4.0: 500 kbit/s
+QUEUE_FRAMES = 10  # two cycles of commands; more would be stale before they left
+
+Plain = bool | int | float | str
+
+_CONFIG = BridgeConfig()
+_CONTROLLER = ControllerSettings()
+_PLANNER = PlannerSettings()
+_MISSIONS = MissionSettings()
+
+
+class ConfigurationError(Exception):
+    """The configuration cannot be used. `problems` has one line each; the message is the first, and says how many."""
+
+    def __init__(self, problems: list[str]) -> None:
+        self.problems = tuple(problems)
+        more = len(problems) - 1
+        super().__init__(problems[0] + (f" (and {more} more: fsai-vcu config check shows all)" if more else ""))
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One setting of the file: `name` in `[table]`. `parameters`: (node, parameter) that it becomes, unchanged."""
+
+    table: str
+    name: str
+    default: object
+    meaning: str
+    parameters: tuple[tuple[str, str], ...] = ()
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def spelt(self) -> str:
+        return f"[{self.table}] {self.name}"
+
+    def problem(self, value: object) -> str | None:
+        """Why `value` cannot stand there, as the end of a sentence about it."""
+        if isinstance(self.default, WheelMapping):
+            return _mapping_problem(value)
+        if isinstance(self.default, tuple):
+            if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
+                return f'must be a list of texts, such as ["car.dbc"], not {_shown(value)}'
+            return None
+        if isinstance(self.default, bool):
+            return None if isinstance(value, bool) else f"must be true or false, not {_shown(value)}"
+        if isinstance(self.default, str):
+            return self._text_problem(value)
+        return self._number_problem(value)
+
+    def _text_problem(self, value: object) -> str | None:
+        if not isinstance(value, str):
+            example = str(value) if str(value) in self.choices else self.choices[-1] if self.choices else self.default
+            return f'must be a text in quotes, such as "{example}", not {_shown(value)}'
+        if self.choices and value not in self.choices:
+            return f"must be one of {', '.join(self.choices)}, not {_shown(value)}{_nearest(value, self.choices)}"
+        return None
+
+    def _number_problem(self, value: object) -> str | None:
+        whole = isinstance(self.default, int)
+        kinds = (int,) if whole else (int, float)
+        if isinstance(value, bool) or not isinstance(value, kinds):
+            return f"must be a {'whole ' if whole else ''}number, not {_shown(value)}"
+        if not math.isfinite(value):
+            return f"must be a finite number, not {value}"
+        if self.low is not None and self.high is not None and not self.low <= value <= self.high:
+            return f"must be between {self.low:g} and {self.high:g}, not {value:g}"
+        return None
+
+
+KEYS: tuple[Key, ...] = (
+    Key("can", "interface", "can0", "the bus of the car; a service is told its own, fsai-bridge@can0"),
+    Key(
+        "can",
+        "revision",
+        "2026",
+        "revision of the car's CAN interface",
+        (("vcu_bridge", "revision"),),
+        choices=tuple(REVISIONS),
+    ),
+    Key("can", "dbc_files", (), "DBC files to use instead of the revision's own; none: its own"),
+    Key(
+        "can",
+        "listen_only",
+        _CONFIG.listen_only,
+        "never send: sending anything energises the tractive system and arms the EBS",
+        (("vcu_bridge", "listen_only"),),
+    ),
+    Key(
+        "car",
+        "parameters",
+        SAME_AS_REVISION,
+        "whose masses, lengths and actuators",
+        choices=(SAME_AS_REVISION, *CARS),
+    ),
+    Key("car", "wheel_mapping", WheelMapping(), "where each wheel's sensor is found; fsai-vcu doctor --wheels tells"),
+    Key(
+        "car",
+        "autonomous_at_power_up",
+        _CONFIG.autonomous_at_power_up,
+        "enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF",
+        (("vcu_bridge", "autonomous_at_power_up"),),
+    ),
+    Key(
+        "car",
+        "service_brake",
+        _CONFIG.service_brake,
+        "how the car is held and stopped; motor is for the official simulator",
+        (("vcu_bridge", "service_brake"),),
+        choices=("hydraulic", "motor"),
+    ),
+    Key(
+        "car",
+        "holding_brake_pct",
+        _CONFIG.holding_brake_pct,
+        "brake that holds the car at rest",
+        (("vcu_bridge", "holding_brake_pct"),),
+        low=0.0,
+        high=100.0,
+    ),
+    Key(
+        "car",
+        "stop_brake_pct",
+        _CONFIG.stop_brake_pct,
+        "brake of a service-brake stop",
+        (("vcu_bridge", "stop_brake_pct"),),
+        low=10.0,
+        high=100.0,
+    ),
+    Key("limits", "file", "", "operational limits, imposed by an official; empty: none but the car's own"),
+    Key(
+        "missions",
+        "trackdrive_laps",
+        _MISSIONS.trackdrive_laps,
+        "laps of a trackdrive",
+        (("path_planner", "laps"),),
+        low=1,
+        high=100,
+    ),
+    Key(
+        "missions",
+        "max_speed_mps",
+        _CONTROLLER.max_speed_mps,
+        "highest speed on laps, in the skidpad and in the demo",
+        (("vehicle_controller", "max_speed"),),
+        *CONTROLLER_RANGES["max_speed_mps"],
+    ),
+    Key(
+        "missions",
+        "skidpad_max_speed_mps",
+        _CONTROLLER.skidpad_max_speed_mps,
+        "highest speed in the skidpad; max_speed_mps holds there too",
+        (("vehicle_controller", "skidpad_max_speed"),),
+        *CONTROLLER_RANGES["skidpad_max_speed_mps"],
+    ),
+    Key(
+        "missions",
+        "acceleration_max_speed_mps",
+        _CONTROLLER.acceleration_max_speed_mps,
+        "highest speed in the acceleration, where max_speed_mps does not hold",
+        (("vehicle_controller", "acceleration_max_speed"),),
+        *CONTROLLER_RANGES["acceleration_max_speed_mps"],
+    ),
+    Key(
+        "perception",
+        "confidence_threshold",
+        0.5,
+        "raw cones with a lower confidence are dropped",
+        (("cone_detector", "confidence_threshold"),),
+        low=0.0,
+        high=1.0,
+    ),
+    Key(
+        "perception",
+        "range_max_m",
+        _PLANNER.range_max_m,
+        "cones further away are not used",
+        (("path_planner", "range_max_m"),),
+        *PLANNER_RANGES["range_max_m"],
+    ),
+    Key(
+        "perception",
+        "horizon_m",
+        _PLANNER.horizon_m,
+        "how far to look for the lane",
+        (("path_planner", "horizon_m"),),
+        *PLANNER_RANGES["horizon_m"],
+    ),
+    Key("ros", "domain_id", 0, "ROS_DOMAIN_ID of the car", low=0, high=101),
+    Key(
+        "ros",
+        "discovery",
+        "localhost",
+        "who may find the nodes: this machine only, or its networks as well (then with a keystore)",
+        choices=("localhost", "subnet"),
+    ),
+    Key("ros", "keystore", "", "SROS2 keystore that fsai-vcu enclaves has made; empty: no encryption, no permissions"),
+    Key("recording", "folder", "/var/log/fsai", "where bus logs are kept"),
+    Key("recording", "keep_mib", 20_000, "the logs together; the oldest go first", low=100, high=10_000_000),
+    Key("recording", "leave_free_mib", 2_000, "room that recording leaves to others on that disk", low=0, high=10**7),
+)
+_BY_PLACE = {(key.table, key.name): key for key in KEYS}
+TABLES = tuple(dict.fromkeys(key.table for key in KEYS))
+
+# Fast DDS shares memory between processes by default, and what a killed one leaves locked there can hang the others;
+# on the car processes are killed (the watchdog does), so they talk over UDP.
+_DISCOVERY = {
+    "localhost": {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",  # as the file says
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("dds_loopback.xml")),
+    },
+    "subnet": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """What the file says, with the defaults for what it leaves out. `limits`: None where no file is named."""
+
+    path: Path | None
+    limits: OperationalLimits | None = None
+    values: Mapping[tuple[str, str], object] = field(default_factory=dict)
+
+    def value(self, table: str, name: str) -> object:
+        return self.values.get((table, name), _BY_PLACE[table, name].default)
+
+    def text(self, table: str, name: str) -> str:
+        return str(self.value(table, name))
+
+    def number(self, table: str, name: str) -> float:
+        value = self.value(table, name)
+        assert isinstance(value, (int, float)), "checked when it was read"
+        return value
+
+    @property
+    def interface(self) -> str:
+        return self.text("can", "interface")
+
+    @property
+    def revision(self) -> str:
+        return self.text("can", "revision")
+
+    @property
+    def car(self) -> str:
+        """A name in CARS."""
+        name = self.text("car", "parameters")
+        return self.revision if name == SAME_AS_REVISION else name
+
+    @property
+    def wheel_mapping(self) -> WheelMapping:
+        value = self.value("car", "wheel_mapping")
+        assert isinstance(value, WheelMapping), "checked when it was read"
+        return value
+
+    @property
+    def dbc_files(self) -> tuple[str, ...]:
+        value = self.value("can", "dbc_files")
+        assert isinstance(value, (list, tuple)), "checked when it was read"
+        return tuple(value)
+
+    @property
+    def limits_path(self) -> Path | None:
+        name = self.text("limits", "file")
+        return Path(name) if name else None
+
+    def parameters(self, interface: str | None = None) -> dict[str, dict[str, Plain]]:
+        """Every node's parameters by node name. `interface`: instead of the file's."""
+        found: dict[str, dict[str, Plain]] = {
+            "vcu_bridge": {"can_interface": interface or self.interface},
+            "cone_detector": {},
+            "path_planner": {},
+            "vehicle_controller": {},
+        }
+        for key in KEYS:
+            value = self.value(key.table, key.name)
+            for node, parameter in key.parameters:
+                assert isinstance(value, (bool, int, float, str)), "others have their own line below"
+                found[node][parameter] = float(value) if isinstance(key.default, float) else value
+        for node in ("vcu_bridge", "path_planner", "vehicle_controller"):
+            found[node]["car"] = self.car
+        found["vcu_bridge"]["wheel_mapping"] = "" if self.wheel_mapping.straight else str(self.wheel_mapping)
+        found["vcu_bridge"]["dbc_files"] = ",".join(self.dbc_files)
+        found["vcu_bridge"]["limits"] = str(self.limits_path or "")
+        if self.limits is not None:
+            # The controller plans with the speed that the gate will let it have.
+            for parameter, name in _SPEEDS.items():
+                wanted = float(found["vehicle_controller"][parameter])
+                lowest = CONTROLLER_RANGES[name][0]
+                found["vehicle_controller"][parameter] = max(lowest, min(wanted, self.limits.max_speed_mps))
+        return found
+
+    def environment(self) -> dict[str, str]:
+        """What ROS 2 reads from a process's environment."""
+        found = {"ROS_DOMAIN_ID": self.text("ros", "domain_id"), **_DISCOVERY[self.text("ros", "discovery")]}
+        if keystore := self.text("ros", "keystore"):
+            found |= {
+                "ROS_SECURITY_ENABLE": "true",
+                "ROS_SECURITY_STRATEGY": "Enforce",
+                "ROS_SECURITY_KEYSTORE": keystore,
+            }
+        return found
+
+    def described(self) -> tuple[str, ...]:
+        """The settings, one line each, and after them the limits: for the screen and beside every log."""
+        lines = [f"{key.spelt} = {_shown(self.value(key.table, key.name))}" for key in KEYS]
+        return (*lines, *(f"operational limit {line}" for line in self.limits_described()))
+
+    def limits_described(self) -> tuple[str, ...]:
+        return ("none but the car's own",) if self.limits is None else self.limits.described()
+
+
+_SPEEDS = {
+    "max_speed": "max_speed_mps",
+    "skidpad_max_speed": "skidpad_max_speed_mps",
+    "acceleration_max_speed": "acceleration_max_speed_mps",
+}
+
+
+def read_configuration(path: Path | str) -> Configuration:
+    """The configuration in `path`, with the operational limits it names. Raises ConfigurationError."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError([f"{path}: cannot be read: {error.strerror}"]) from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError([f"{path}: is not a text file in UTF-8"]) from error
+    return parse_configuration(text, path)
+
+
+def parse_configuration(text: str, path: Path) -> Configuration:
+    """As `read_configuration`, of a text that is said to come from `path`."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError([_problem(path, line_of(error), f"not valid TOML: {words_of(error)}")]) from error
+    lines = TomlLines(text)
+    problems: list[tuple[int, str]] = []
+    values: dict[tuple[str, str], object] = {}
+
+    def refuse(words: str, *place: str) -> None:
+        line = lines.of(*place)
+        problems.append((line or 0, _problem(path, line, words)))
+
+    for table, content in document.items():
+        if table not in TABLES:
+            refuse(_unknown_at_top(table, content), table)
+        elif not isinstance(content, dict):
+            refuse(f"{table} is a table: write [{table}], and its settings below it", table)
+        else:
+            for name, value in content.items():
+                key = _BY_PLACE.get((table, name))
+                if key is None:
+                    refuse(_unknown(table, name), table, name)
+                elif problem := key.problem(value):
+                    refuse(f"{key.spelt} {problem}", table, name)
+                else:
+                    values[table, name] = _kept(key, value)
+    limits = None
+    configuration = Configuration(path, None, values)
+    if configuration.limits_path is not None:
+        try:
+            limits = read_limits(configuration.limits_path)
+        except LimitsError as error:
+            refuse(f"[limits] file: {error}", "limits", "file")
+    for file in configuration.dbc_files:
+        if not Path(file).is_file():
+            refuse(f"[can] dbc_files: no such file: {file}", "can", "dbc_files")
+    keystore = configuration.text("ros", "keystore")
+    if keystore and not Path(keystore).is_dir():
+        refuse(f"[ros] keystore: no such folder: {keystore}; fsai-vcu enclaves makes one", "ros", "keystore")
+    if problems:
+        raise ConfigurationError([words for _, words in sorted(problems)])
+    return Configuration(path, limits, values)
+
+
+def usual_environment(environ: Mapping[str, str] | None = None) -> dict[str, str]:
+    """What a command of the operator's needs besides `environ` to hear the car's nodes: nothing without the file.
+
+    What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of.
+    """
+    environ = os.environ if environ is None else environ
+    try:
+        configured = read_configuration(USUAL_PATH).environment()
+    except ConfigurationError:
+        return {}
+    return {name: value for name, value in configured.items() if name not in environ}
+
+
+def _problem(path: Path, line: int | None, words: str) -> str:
+    return f"{path}: {words}" if line is None else f"{path}, line {line}: {words}"
+
+
+def _kept(key: Key, value: object) -> object:
+    if isinstance(key.default, WheelMapping):
+        assert isinstance(value, dict), "checked by its key"
+        return WheelMapping.of(value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _mapping_problem(value: object) -> str | None:
+    example = '{ fl = "fr", fr = "fl" }'
+    if not isinstance(value, dict):
+        return f"must be a table such as {example}, not {_shown(value)}"
+    for wheel in value:
+        if wheel not in WHEELS:
+            return f"names a wheel '{wheel}'; the wheels are {', '.join(WHEELS)}"
+    try:
+        WheelMapping.of(value)
+    except ValueError:
+        return f"must name each of {', '.join(WHEELS)} once, such as {example}"
+    return None
+
+
+def _unknown(table: str, name: str) -> str:
+    here = [key.name for key in KEYS if key.table == table]
+    hint = _nearest(name, here)
+    if not hint:
+        elsewhere = [key.spelt for key in KEYS if key.name == name]
+        hint = f"; there is {elsewhere[0]}" if elsewhere else f"; there are {', '.join(here)}"
+    return f"[{table}] has no setting '{name}'{hint}"
+
+
+def _unknown_at_top(name: str, content: object) -> str:
+    if isinstance(content, dict):
+        return f"there is no table [{name}]{_nearest(name, TABLES) or '; there are ' + ', '.join(TABLES)}"
+    places = [key.spelt for key in KEYS if key.name == name]
+    if places:
+        return f"'{name}' stands outside of its table: it is {places[0]}"
+    near = difflib.get_close_matches(name, [key.name for key in KEYS], 1)
+    hint = next(f"; did you mean {key.spelt}?" for key in KEYS if key.name == near[0]) if near else ""
+    return f"there is no setting '{name}'{hint}"
+
+
+def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
+    near = difflib.get_close_matches(name.lower(), known, 1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _shown(value: object) -> str:
+    """A value as it would stand in the file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, WheelMapping):
+        return str(value)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_shown(each) for each in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

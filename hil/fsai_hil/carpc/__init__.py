@@ -1,0 +1,1 @@
+"""The car's PC rehearsed: the real systemd as process 1, our package on it, vcan0 and the simulated car as services."""

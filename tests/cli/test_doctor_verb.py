@@ -1,0 +1,309 @@
+"""The doctor: judgement over snapshots of machines, and the verb on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+from fsai_vcu.diagnostics.doctor.checks import Finding, examine
+from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Scheduling, Wanted
+from fsai_vcu.diagnostics.doctor.wheels import Turn, WheelCheck
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.images import VcuStatus, WheelCounts, WheelSpeeds
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.wheels import WheelMapping
+from fsai_vcu.runtime.bus import open_bus
+
+WANTED = Wanted(
+    path="/etc/fsai/fsai.toml",
+    interface="can0",
+    revision="2026",
+    bitrate=500_000,
+    queue_frames=10,
+    wheel_mapping="fl=fl,fr=fr,rl=rl,rr=rr",
+    wheel_pulses_per_rev=20,
+    limits=("max_speed_mps = 5",),
+    limits_path="/etc/fsai/limits.toml",
+    environment={"ROS_DOMAIN_ID": "7"},
+    discovery="localhost",
+    keystore="",
+    recording_folder="/var/log/fsai",
+    leave_free_mib=2000,
+)
+WELL = Machine(
+    wanted=WANTED,
+    interfaces=("can0",),
+    link=Link("can0", "can", True, 10, 500_000, 100, "ERROR-ACTIVE", "peak_usb"),
+    bus=BusHeard(
+        2.0,
+        frames=3000,
+        from_car=True,
+        revision="2026",
+        revision_why="0x520 carries OP_STATE",
+        speeds_heard=True,
+        pulses_heard=True,
+    ),
+    ros=Ros("/opt/ros/jazzy/lib/rclpy", "jazzy", True, True),
+    services={"fsai-bridge@can0.service": "active", "fsai-link@can0.service": "active"},
+    scheduling=Scheduling("SCHED_FIFO", 45, True),
+    rt_runtime_us=-1,
+    clock_synchronised=True,
+    clock_year=2026,
+    disk_free_mib=50_000,
+    user="root",
+)
+LINK, BUS = WELL.link, WELL.bus
+assert LINK is not None and BUS is not None
+
+
+def wrong(machine: Machine) -> list[Finding]:
+    return [finding for finding in examine(machine) if finding.level == "wrong"]
+
+
+def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen() -> None:
+    findings = examine(WELL)
+    assert wrong(WELL) == []
+    assert len(findings) <= 24, "one screen"
+    assert {
+        "configuration",
+        "limits",
+        "interface",
+        "bitrate",
+        "queue",
+        "driver",
+        "bus",
+        "revision",
+        "wheels",
+        "ROS 2",
+        "DDS",
+        "services",
+        "scheduling",
+        "memory",
+        "clock",
+        "disk",
+        "permissions",
+    } == {finding.topic for finding in findings}
+
+
+@pytest.mark.parametrize(
+    ("machine", "topic", "words"),
+    [
+        (replace(WELL, wanted=None, configuration_problems=("f.toml, line 3: bad",)), "configuration", "line 3: bad"),
+        (replace(WELL, link=None, interfaces=("can1",)), "interface", "no interface can0 (there are: can1)"),
+        (replace(WELL, link=replace(LINK, up=False)), "interface", "can0 is down"),
+        (replace(WELL, link=replace(LINK, state="BUS-OFF")), "interface", "off the bus"),
+        (replace(WELL, link=replace(LINK, kind="ether")), "interface", "no CAN interface but ether"),
+        (replace(WELL, link=replace(LINK, bitrate=250_000)), "bitrate", "250000 bit/s instead of 500000"),
+        (replace(WELL, link=replace(LINK, queue_frames=1000)), "queue", "1000 frames may wait"),
+        (replace(WELL, link=replace(LINK, restart_ms=0), services={}), "driver", "nobody does it for it"),
+        (replace(WELL, bus=replace(BUS, frames=0)), "bus", "silent for 2 s"),
+        (replace(WELL, bus=replace(BUS, from_car=False)), "bus", "none of the VCU's status"),
+        (replace(WELL, bus=replace(BUS, error_frames=4)), "bus", "4 error frames"),
+        (replace(WELL, bus=BusHeard(2.0, problem="no CAN interface 'can0'")), "bus", "no CAN interface"),
+        (replace(WELL, bus=replace(BUS, revision="2021")), "revision", "speaks 2021"),
+        (replace(WELL, bus=replace(BUS, pulses_heard=False)), "wheels", "no pulses (0x526)"),
+        (replace(WELL, bus=replace(BUS, pulses=(9, 0, 0, 0))), "wheels", "do not agree"),
+        (replace(WELL, ros=Ros()), "ROS 2", "rclpy is not in this"),
+        (replace(WELL, ros=replace(WELL.ros, distribution="humble")), "ROS 2", "humble"),
+        (replace(WELL, ros=replace(WELL.ros, messages=False)), "ROS 2", "fsai_msgs not installed"),
+        (replace(WELL, dds_listening=("0.0.0.0",)), "DDS", "listens on 0.0.0.0"),
+        (replace(WELL, wanted=replace(WANTED, discovery="subnet")), "DDS", "anybody there can drive the car"),
+        (replace(WELL, services={"fsai-planner.service": "failed"}), "services", "planner is failed"),
+        (replace(WELL, scheduling=Scheduling("SCHED_OTHER", 0, True)), "scheduling", "SCHED_OTHER"),
+        (replace(WELL, scheduling=Scheduling("SCHED_FIFO", 45, False)), "memory", "not locked"),
+        (replace(WELL, rt_runtime_us=0), "scheduling", "no time at all"),
+        (replace(WELL, clock_year=1970), "clock", "the year 1970"),
+        (replace(WELL, disk_free_mib=3), "disk", "3 MiB free"),
+        (replace(WELL, folder_problem="x belongs to root"), "disk", "belongs to root"),
+    ],
+)
+def test_what_is_wrong_is_said_under_its_topic_with_what_to_do(machine: Machine, topic: str, words: str) -> None:
+    found = wrong(machine)
+    assert [finding.topic for finding in found] == [topic]
+    assert words in found[0].words
+    assert found[0].todo, "a wrong finding says what to do"
+
+
+def test_a_bench_without_hardware_or_services_is_nothing_wrong() -> None:
+    bench = replace(
+        WELL,
+        wanted=replace(WANTED, interface="vcan0", limits_path=""),
+        link=Link("vcan0", "vcan", True, 10),
+        services={},
+        scheduling=None,
+        clock_synchronised=None,
+        disk_free_mib=None,
+    )
+    assert wrong(bench) == []
+
+
+def test_wheels_that_turn_are_shown_with_their_pulses() -> None:
+    turning = replace(WELL, bus=replace(BUS, pulses=(20, 0, 0, 0), speed_max_rpm=(31, 0, 0, 0)))
+    (finding,) = [finding for finding in examine(turning) if finding.topic == "wheels"]
+    assert finding.level == "right" and finding.words == "front left 20 pulses, 31 rpm"
+
+
+# ---------------------------------------------------------------- the commissioning check
+
+STEP_NS = 10_000_000
+Four = tuple[int, int, int, int]
+
+
+def turned(check: WheelCheck, signal: int, pulses: int, t_ns: int, counts: list[int]) -> Turn | None:
+    """One wheel is turned by hand: its signal counts `pulses`, then all is still for two seconds."""
+    found = None
+    for step in range(pulses + 200):
+        t_ns += STEP_NS
+        if step < pulses:
+            counts[signal] = (counts[signal] + 1) % 65536
+            check.on_speeds(tuple(30 if index == signal else 0 for index in range(4)))  # type: ignore[arg-type]
+        found = check.on_counts((counts[0], counts[1], counts[2], counts[3]), t_ns) or found
+    return found
+
+
+def test_the_wheels_turned_one_after_another_tell_the_wiring_across_a_counters_wrap() -> None:
+    check, counts = WheelCheck(), [65530, 5, 5, 5]
+    asked = []
+    for position, signal in enumerate((1, 0, 2, 3)):
+        asked.append(check.asked)
+        check.on_counts((counts[0], counts[1], counts[2], counts[3]), position * 10**10)
+        turn = turned(check, signal, 20, position * 10**10, counts)
+        assert turn is not None and turn.counted == 20 and turn.problem(20) is None
+    assert asked == ["fl", "fr", "rl", "rr"] and check.asked is None
+    assert check.mapping() == WheelMapping(fl="fr", fr="fl")
+
+
+@pytest.mark.parametrize(
+    ("pulses", "speeds", "words"),
+    [
+        ((20, 20, 0, 0), (30, 30, 0, 0), "more than one signal counted (fl 20, fr 20)"),
+        ((20, 0, 0, 0), (0, 0, 0, 0), "pulses come (20), but no speed"),
+        ((20, 0, 0, 0), (0, 30, 0, 0), "the pulses are those of fl, the speed is that of fr"),
+        ((36, 0, 0, 0), (30, 0, 0, 0), "36 pulses for one turn instead of 20"),
+    ],
+)
+def test_what_is_wrong_with_a_wheel_is_told(pulses: Four, speeds: Four, words: str) -> None:
+    assert words in str(Turn("fl", pulses, speeds).problem(20))
+
+
+def test_a_wheel_that_somebody_leans_on_is_no_turn_and_two_in_one_signal_are_no_wiring() -> None:
+    check, counts = WheelCheck(), [0, 0, 0, 0]
+    check.on_counts((0, 0, 0, 0), 0)
+    assert turned(check, 0, 3, 0, counts) is None and check.asked == "fl"
+    for start in range(1, 5):
+        turned(check, 0, 20, start * 10**10, counts)
+    assert check.asked is None and check.mapping() is None
+
+
+# ---------------------------------------------------------------- the verb
+
+
+class SpeakingCar(threading.Thread):
+    """Says 0x520, 0x525 and 0x526 on a stand-in bus; `turn(signal, pulses)` turns a wheel."""
+
+    def __init__(self, bus: str) -> None:
+        super().__init__(daemon=True)
+        self._bus, self._codec = open_bus(bus), Codec(revision("2026"))
+        self._ended = threading.Event()
+        self._left = [0, 0, 0, 0]
+        self._counts = [65530, 0, 0, 0]
+
+    def turn(self, signal: int, pulses: int) -> None:
+        self._left[signal] = pulses
+
+    def run(self) -> None:
+        while not self._ended.wait(0.01):
+            moving = [bool(left) for left in self._left]
+            self._counts = [(count + step) % 65536 for count, step in zip(self._counts, moving, strict=True)]
+            self._left = [left - step for left, step in zip(self._left, moving, strict=True)]
+            rpm = [30 * step for step in moving]
+            for image in (
+                VcuStatus(as_state=AsState.AS_OFF),
+                WheelSpeeds(rpm[0], rpm[1], rpm[2], rpm[3]),
+                WheelCounts(*self._counts),
+            ):
+                self._bus.send(self._codec.encode(image))
+        self._bus.close()
+
+    def end(self) -> None:
+        self._ended.set()
+        self.join(5.0)
+
+
+@pytest.fixture
+def car(tmp_path: Path) -> Iterator[tuple[SpeakingCar, Path]]:
+    bus = f"loopback:doctor-{os.getpid()}"
+    file = tmp_path / "fsai.toml"
+    file.write_text(f'[can]\ninterface = "{bus}"\n[car]\nwheel_mapping = {{ fl = "fr", fr = "fl" }}\n')
+    speaking = SpeakingCar(bus)
+    speaking.start()
+    yield speaking, file
+    speaking.end()
+
+
+def test_the_verb_says_what_is_on_the_bus_and_its_exit_status_tells_whether_all_is_well(
+    car: tuple[SpeakingCar, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main(["doctor", "--config", str(car[1]), "--seconds", "0.3", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    by_topic = {finding["topic"]: finding for finding in said["findings"]}
+    assert by_topic["bus"]["level"] == "right" and "the VCU is heard" in by_topic["bus"]["words"]
+    assert by_topic["revision"]["level"] == "right"
+    assert by_topic["wheels"]["level"] == "note" and "none turns" in by_topic["wheels"]["words"]
+    assert status == (1 if said["wrong"] else 0)
+    assert said["wrong"] == sum(finding["level"] == "wrong" for finding in said["findings"])
+
+
+def test_the_verb_asks_for_each_wheel_and_tells_a_wiring_that_is_not_the_configured_one(
+    car: tuple[SpeakingCar, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from fsai_vcu.diagnostics.doctor import wheels
+
+    monkeypatch.setattr(wheels, "_STILL_NS", 200_000_000)
+    ended = threading.Event()
+    signal_of = {"fl": 0, "fr": 1, "rl": 2, "rr": 3}
+    hand = threading.Thread(target=lambda: turn_what_is_asked(car[0], signal_of, ended), daemon=True)
+    seen: list[WheelCheck] = []
+    original: Callable[[WheelCheck], None] = WheelCheck.__init__
+    monkeypatch.setattr(WheelCheck, "__init__", lambda self: (original(self), seen.append(self))[0])
+
+    def turn_what_is_asked(speaking: SpeakingCar, signals: dict[str, int], done: threading.Event) -> None:
+        before: str | None = None
+        while not done.wait(0.02):
+            asked = seen[0].asked if seen and seen[0]._counts is not None else None
+            if asked is not None and asked != before:
+                before = asked
+                speaking.turn(signals[asked], 20)
+
+    hand.start()
+    try:
+        status = main(["doctor", "--config", str(car[1]), "--wheels", "--json"])
+    finally:
+        ended.set()
+        hand.join(5.0)
+    said = json.loads(capsys.readouterr().out)
+    assert status == 1
+    assert said["problems"] == ["the wiring is fl=fl,fr=fr,rl=rl,rr=rr, the configuration says fl=fr,fr=fl,rl=rl,rr=rr"]
+    assert said["todo"] == "[car] without wheel_mapping"
+    assert [turn["source"] for turn in said["turns"]] == ["fl", "fr", "rl", "rr"]
+
+
+def test_without_a_configuration_the_doctor_says_so_and_still_looks_at_the_rest(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    before = time.monotonic()
+    assert main(["doctor", "--config", str(tmp_path / "absent.toml")]) == 1
+    shown = capsys.readouterr().out
+    assert "WRONG configuration" in shown and "->" in shown and "permissions" in shown
+    assert time.monotonic() - before < 30.0
+    assert main(["doctor", "--config", str(tmp_path / "absent.toml"), "--wheels"]) == 1
+    assert "absent.toml: cannot be read" in capsys.readouterr().err

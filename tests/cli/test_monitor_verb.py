@@ -1,0 +1,273 @@
+"""`fsai-vcu monitor`: on a log, on a live bus, on a terminal that it leaves as it was; it never sends."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import open_bus
+
+DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
+OFF = bytes.fromhex("2106013020000000")
+WITHIN_S = 30.0
+VERB = [sys.executable, "-m", "fsai_vcu.cli.main", "monitor"]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    """Three seconds of AS_OFF without a mission, then three of AS_DRIVING."""
+    path = tmp_path / "run.log"
+    lines = []
+    for step in range(600):
+        at_s = 1_700_000_000 + step / 100
+        lines.append(f"({at_s:.6f}) can0 520#{(OFF if step < 300 else DRIVING).hex().upper()}\n")
+        lines.append(f"({at_s + 0.001:.6f}) can0 525#0001000100010001\n")
+        lines.append(f"({at_s + 0.002:.6f}) can0 510#{'0000000000000000' if step < 300 else '0060000000000000'}\n")
+    path.write_text("".join(lines))
+    return str(path)
+
+
+def shown(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
+    assert main(["monitor", *argv]) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_log_is_shown_as_it_stood_at_its_end(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = shown(capsys, log)
+    assert lines[0].startswith(" run.log   revision 2026")
+    assert lines[0].endswith("6.0 s into the log")
+    assert lines[1].startswith("AS_DRIVING for 3.0 s  Go on  ASMS on  TSMS on  mode autonomous")
+    assert "driving" in lines
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+
+
+def test_a_moment_of_a_log_is_shown_with_what_stood_in_the_way(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (line,) = shown(capsys, log, "--at", "2", "--plain")
+    assert line.startswith("2.0 s into the log | AS_OFF | NOT_SELECTED |")
+    assert "no mission is chosen on the AMI" in line
+
+
+def test_a_log_is_played_a_line_for_each_second_of_it(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = shown(capsys, log, "--rate", "0", "--plain")
+    assert [line.split(" | ")[:2] for line in lines] == [
+        ["1.0 s into the log", "AS_OFF"],
+        ["2.0 s into the log", "AS_OFF"],
+        ["3.0 s into the log", "AS_OFF"],
+        ["4.0 s into the log", "AS_DRIVING"],
+        ["5.0 s into the log", "AS_DRIVING"],
+        ["6.0 s into the log", "AS_DRIVING"],
+    ]
+
+
+def test_played_at_a_rate_a_log_takes_its_time(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    begun_s = time.monotonic()
+    lines = shown(capsys, log, "--rate", "10", "--every", "0.1", "--plain")
+    assert len(lines) == 6
+    assert time.monotonic() - begun_s >= 0.5
+
+
+def test_json_is_one_object_for_each_look_with_the_promised_keys(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    entries = [json.loads(line) for line in shown(capsys, log, "--rate", "0", "--json", "--every", "2")]
+    assert [entry["as_state"] for entry in entries] == ["AS_OFF", "AS_DRIVING", "AS_DRIVING"]
+    promised = {
+        "t", "channel", "revision", "as_state", "as_state_s", "mission", "mode", "go", "as_switch", "ts_switch",
+        "driving", "why_not_driving", "wheels_rpm", "speed_mps", "actuators", "faults", "warnings", "shutdown_cause",
+        "handshake", "load", "link", "messages",
+    }  # fmt: skip
+    assert entries[0].keys() >= promised
+    assert entries[0]["t"] == pytest.approx(1_700_000_002.0)
+    assert "no mission is chosen on the AMI" in [one["words"] for one in entries[0]["why_not_driving"]]
+    messages = {message["id"]: message for message in entries[-1]["messages"]}
+    assert messages[0x520]["freshness"] == "ok" and messages[0x511]["freshness"] == "never heard"
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["gone.log"], "gone.log: No such file or directory"),
+        (["nowhere0"], "no CAN interface 'nowhere0'"),
+        (["LOG", "--rate", "-1"], "--rate is -1, but must be 0 or more"),
+        (["LOG", "--at", "nan"], "--at is nan"),
+        (["LOG", "--every", "0"], "--every is 0, but must be 0.02 or more"),
+        (["LOG", "--seconds", "3"], "--seconds is for live buses"),
+        (["loopback:monitor-none", "--rate", "1"], "--at and --rate are for logs"),
+        (["LOG", "--revision", "2030"], "choose one of 2021, 2026"),
+        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read"),
+        (["EMPTY"], "no frames in it"),
+        (["GARBAGE"], "line 1: not text"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    argv: list[str], words: str, log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty.log").touch()
+    (tmp_path / "garbage.log").write_bytes(b"\x00\xff\xfe\x01\n")
+    names = {"LOG": log, "EMPTY": str(tmp_path / "empty.log"), "GARBAGE": str(tmp_path / "garbage.log")}
+    assert main(["monitor", *[names.get(word, word) for word in argv]]) == 1
+    said = capsys.readouterr()
+    assert words in said.err.splitlines()[0]
+    assert said.out == ""
+
+
+def test_a_broken_log_is_shown_as_far_as_it_can_be_read_and_fails(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with Path(log).open("a") as file:
+        file.write("garbage\n")
+    assert main(["monitor", log, "--plain"]) == 1
+    said = capsys.readouterr()
+    assert "AS_DRIVING" in said.out
+    assert "line 1801: not a line of candump" in said.err and said.err.count("\n") == 1
+
+
+def test_a_reader_that_goes_away_is_no_error(log: str) -> None:
+    argv = [*VERB, log, "--rate", "0", "--every", "0.02", "--json"]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.wait(WITHIN_S) == 0
+        assert process.stderr.read() == b""
+
+
+# ---------------------------------------------------------------- live
+
+
+@contextlib.contextmanager
+def sending(name: str) -> Iterator[list[Frame]]:
+    """A car on a stand-in bus; what anybody else sends there is in the list."""
+    heard: list[Frame] = []
+    ended = threading.Event()
+
+    def send() -> None:
+        with open_bus(name) as bus:
+            while not ended.wait(0.01):
+                bus.send(Frame(0x520, DRIVING))
+                if (frame := bus.recv(0.0)) is not None:
+                    heard.append(frame)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield heard
+    finally:
+        ended.set()
+        thread.join()
+
+
+def test_a_live_bus_is_shown_and_nothing_is_ever_sent_on_it(capsys: pytest.CaptureFixture[str]) -> None:
+    name = f"loopback:monitor-{os.getpid()}"
+    with sending(name) as heard:
+        lines = shown(capsys, name, "--json", "--seconds", "1.5", "--every", "0.2")
+    entries = [json.loads(line) for line in lines]
+    assert entries[-1]["as_state"] == "AS_DRIVING"
+    assert entries[-1]["driving"] is True
+    assert [m["freshness"] for m in entries[-1]["messages"] if m["id"] == 0x520] == ["ok"]
+    assert len(entries) > 2
+    assert heard == []
+
+
+class Terminal:
+    """The verb on a pseudo-terminal of 80 by 24."""
+
+    def __init__(self, *argv: str) -> None:
+        self.master, slave = pty.openpty()
+        self.resize(80, 24)
+        self.before = termios.tcgetattr(self.master)
+        self.seen = ""
+        self.process = subprocess.Popen(
+            [*VERB, *argv],
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            env={**os.environ, "TERM": "xterm", "NO_COLOR": ""},
+        )
+        os.close(slave)
+
+    def resize(self, columns: int, lines: int) -> None:
+        fcntl.ioctl(self.master, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
+
+    def read(self, pattern: str) -> str:
+        """What is shown from here on, until it has the pattern."""
+        begin = len(self.seen)
+        until_s = time.monotonic() + WITHIN_S
+        while not re.search(pattern, self.seen[begin:]):
+            assert time.monotonic() < until_s, f"{pattern} never came: {self.seen[-2000:]!r}"
+            if select.select([self.master], [], [], 0.1)[0]:
+                try:
+                    self.seen += os.read(self.master, 65536).decode()
+                except OSError:  # Linux's way to say that the other side is closed
+                    break
+        assert re.search(pattern, self.seen[begin:]), self.seen[-2000:]
+        return self.seen[begin:]
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self.master)
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    found = Terminal(f"loopback:monitor-tty-{os.getpid()}")
+    yield found
+    found.close()
+
+
+ENTER, LEAVE = re.escape("\x1b[?1049h"), re.escape("\x1b[0m\x1b[?25h\x1b[?1049l")
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, "q"])
+def test_however_it_ends_the_terminal_is_left_as_it_was(terminal: Terminal, how: signal.Signals | str) -> None:
+    terminal.read("nothing is heard on this bus")
+    assert re.search(ENTER, terminal.seen)
+    assert termios.tcgetattr(terminal.master)[3] & termios.ECHO == 0
+    if isinstance(how, str):
+        os.write(terminal.master, how.encode())
+    else:
+        terminal.process.send_signal(how)
+    terminal.read(LEAVE)
+    assert terminal.process.wait(WITHIN_S) == 0
+    assert termios.tcgetattr(terminal.master) == terminal.before
+
+
+def test_a_resized_terminal_is_drawn_anew_in_its_new_size(terminal: Terminal) -> None:
+    terminal.read("nothing is heard on this bus")
+    terminal.resize(60, 10)
+    text = terminal.read(r"\x1b\[2J[^\x00]*\x1b\[10;1H")
+    rows = {int(row) for row in re.findall(r"\x1b\[(\d+);1H", text[text.rindex("\x1b[2J") :])}
+    assert max(rows) <= 10
+
+
+def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> None:
+    terminal.read("nothing is heard on this bus")
+    os.kill(terminal.process.pid, signal.SIGTSTP)
+    terminal.read(LEAVE)
+    os.kill(terminal.process.pid, signal.SIGCONT)
+    terminal.read(ENTER)
+    terminal.process.send_signal(signal.SIGINT)
+    assert terminal.process.wait(WITHIN_S) == 0
+
+
+def test_a_terminal_that_can_do_nothing_gets_plain_lines(log: str) -> None:
+    done = subprocess.run(
+        [*VERB, log, "--rate", "0"], capture_output=True, text=True, env={**os.environ, "TERM": "dumb"}
+    )
+    assert done.returncode == 0 and "\x1b" not in done.stdout and done.stdout.count("\n") == 6

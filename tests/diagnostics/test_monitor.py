@@ -1,0 +1,384 @@
+"""The live view: what it says of a moment, what it remembers, what it draws. No bus and no clock."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from story_runs import Ended, branch, driving, off, ready
+
+from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.monitor.drawing import plain_line, screen_lines
+from fsai_vcu.diagnostics.monitor.memory import LONG_NS
+from fsai_vcu.diagnostics.monitor.picture import Freshness, Picture
+from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import REVISIONS
+
+MS = 1_000_000
+S = 1000 * MS
+CYCLE = 10 * MS
+SELECTED, FINISHED = "0010000000000000", "0030000000000000"
+STEER = bytes.fromhex("7B002C017B00")  # ANGLE 12.3, ANGLE_MAX 30, ANGLE_REQUEST 12.3
+
+
+def status(
+    state: AsState, *, go: bool = False, asms: bool = True, tsms: bool = True, ami: Ami = Ami.TRACKDRIVE, bits: int = 0
+) -> bytes:
+    """A 0x520 of a 2026 car with everything up."""
+    switches = (asms << 9) | (tsms << 10) | (go << 11) | (1 << 12)
+    word = switches | (state << 16) | (ami << 20) | (2 << 4) | (3 << 28) | (2 << 36) | bits
+    return word.to_bytes(8, "little")
+
+
+def every_cycle(begin_ns: int, end_ns: int, *sent: tuple[int, bytes | str]) -> Frames:
+    """The same frames every 10 ms, half a millisecond apart."""
+    return frames_of(
+        LogFrame(t_ns + place * MS // 2, "can0", can_id, bytes.fromhex(data) if isinstance(data, str) else data)
+        for t_ns in range(begin_ns, end_ns, CYCLE)
+        for place, (can_id, data) in enumerate(sent)
+    )
+
+
+AI = [(0x510, SELECTED), (0x511, "00000000"), (0x512, "00000000"), (0x513, "0000"), (0x514, "0000")]
+
+
+def seen(*parts: Frames, now_ns: int | None = None) -> Picture:
+    view = View("can0")
+    for part in parts:
+        view.update(part)
+    assert view.memory.newest_ns is not None
+    return view.picture(view.memory.newest_ns if now_ns is None else now_ns)
+
+
+def in_chunks(frames: Frames, length_ns: int = 50 * MS) -> list[Frames]:
+    """As a live bus gives them."""
+    edges = np.arange(int(frames.t_ns[0]), int(frames.t_ns[-1]) + length_ns, length_ns)
+    cuts = np.searchsorted(frames.t_ns, edges)
+    ends = [*cuts[1:].tolist(), len(frames)]
+    return [frames.only(np.arange(a, b, dtype=np.int64)) for a, b in zip(cuts.tolist(), ends, strict=True)]
+
+
+def words(picture: Picture) -> list[str]:
+    return [one.words for one in picture.why_not_driving]
+
+
+# ---------------------------------------------------------------- runs of the simulated car
+
+
+@pytest.fixture(scope="module")
+def go_off() -> Ended:
+    return branch(driving(), lambda run: run.switch(go=False), 2.0)
+
+
+@pytest.fixture(scope="module")
+def asms_off() -> Ended:
+    return branch(driving(), lambda run: run.switch(asms=False), 2.0)
+
+
+def test_a_driving_car_shows_what_is_asked_and_what_is_given() -> None:
+    picture = seen(*in_chunks(branch(driving(), lambda run: None, 0.5).frames))
+    assert picture.driving and picture.why_not_driving == ()
+    assert (picture.as_state, picture.mission, picture.mode) == ("AS_DRIVING", "ACCELERATION", "autonomous")
+    assert (picture.mission_status, picture.direction) == ("RUNNING", "FORWARD")
+    assert picture.go and picture.as_switch and picture.ts_switch
+    assert picture.speed_mps is not None and picture.speed_mps > 3.0
+    assert set(picture.wheels_rpm) == {"FL", "FR", "RL", "RR"}
+    rear = picture.actuators["torque rear"]
+    assert rear.asked and rear.given and rear.limit and 0.5 * rear.asked < rear.given <= rear.limit
+    assert (picture.faults, picture.link, picture.shutdown_cause) == ((), (), None)
+    assert picture.handshake is not None and picture.handshake.unanswered == 0
+    assert picture.load is not None and 0.1 < picture.load < 0.9
+    assert picture.revision == "2026"
+    assert {m.freshness for m in picture.messages if m.can_id in EXPECTED} == {Freshness.FRESH}
+
+
+def test_an_emergency_brake_is_told_with_its_cause_and_remedy_for_as_long_as_it_stands(
+    go_off: Ended, asms_off: Ended
+) -> None:
+    for ended, said in ((go_off, "Go went off"), (asms_off, "ASMS was turned off")):
+        view = View("can0")
+        pictures = []
+        for chunk in in_chunks(ended.frames, 250 * MS):
+            view.update(chunk)
+            if len(chunk) and chunk.t_ns[-1] > ended.injected_ns:
+                pictures.append(view.picture(int(chunk.t_ns[-1])))
+        assert pictures[-1].as_state == "EMERGENCY_BRAKE"
+        assert said in words(pictures[-1])[0]
+        assert pictures[-1].why_not_driving[0].remedy
+        # Long after the frames around it are forgotten, it is still known.
+        end_ns = int(ended.frames.t_ns[-1])
+        last = ended.frames.only(ended.frames.t_ns > end_ns - CYCLE)
+        for step in range(0, 2 * LONG_NS, 50 * MS):
+            view.update(last.at(last.t_ns + CYCLE + step))
+        assert view.memory.newest_ns is not None
+        assert said in words(view.picture(view.memory.newest_ns))[0]
+
+
+def test_an_emergency_brake_that_was_there_before_is_said_to_be() -> None:
+    picture = seen(every_cycle(0, S, (0x520, status(AsState.EMERGENCY_BRAKE)), *AI))
+    assert words(picture) == ["the car is in EMERGENCY_BRAKE, and was before this began to listen"]
+
+
+def test_in_as_off_every_unmet_condition_is_named_first_what_must_be_put_right_first() -> None:
+    picture = seen(*in_chunks(branch(off(), lambda run: None, 0.5).frames))
+    assert picture.as_state == "AS_OFF"
+    assert words(picture)[0] == "no mission is chosen on the AMI"
+    assert picture.mode == "unknown before a mission"
+    assert [one.follows for one in picture.why_not_driving] == sorted(one.follows for one in picture.why_not_driving)
+
+
+def test_in_as_ready_the_5_s_are_counted_down_and_then_go_is_waited_for() -> None:
+    early = seen(*in_chunks(branch(ready(), lambda run: None, 0.5).frames))
+    assert re.fullmatch(r"waiting in AS_READY: [34]\.\d s of 5 s left", words(early)[0])
+    assert words(early)[1] == "waiting for Go"
+    late = seen(*in_chunks(branch(ready(), lambda run: None, 6.0).frames))
+    assert words(late) == ["waiting for Go"]
+    held = seen(*in_chunks(branch(ready(), lambda run: run.switch(go=True), 1.0).frames))
+    assert words(held)[-1] == "Go was on already: only a rising edge counts"
+
+
+# ---------------------------------------------------------------- ages
+
+
+def test_a_value_is_gone_when_its_message_counts_as_lost_and_not_a_nanosecond_before() -> None:
+    frames = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), (0x523, STEER), *AI)
+    others = every_cycle(S, 2 * S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
+    last_ns = int(frames.t_ns[frames.can_id == 0x523][-1])
+    before = seen(frames, others, now_ns=last_ns + 100 * MS - 1)
+    after = seen(frames, others, now_ns=last_ns + 100 * MS)
+    assert (before.actuators["steering"].given, before.actuators["steering"].limit) == (12.3, 30.0)
+    assert (after.actuators["steering"].given, after.actuators["steering"].limit) == (None, None)
+    freshness = {
+        number: {m.can_id: m.freshness for m in picture.messages}[0x523]
+        for number, picture in enumerate((before, after))
+    }
+    assert freshness == {0: Freshness.LATE, 1: Freshness.LOST}
+
+
+def test_a_car_that_fell_silent_keeps_none_of_its_last_words_but_says_which_they_were() -> None:
+    frames = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
+    last_ns = int(frames.t_ns[frames.can_id == 0x520][-1])
+    fresh, lost = (seen(frames, now_ns=last_ns + age_ns) for age_ns in (100 * MS - 1, 100 * MS))
+    assert fresh.as_state == "AS_DRIVING" and fresh.driving
+    assert (lost.as_state, lost.go, lost.mission, lost.driving) == (None, None, None, False)
+    assert lost.as_state_heard == "AS_DRIVING" and lost.status_age_s == pytest.approx(0.1)
+    assert words(lost) == ["0x520 is missing for 100 ms: the car is silent"]
+
+
+def test_the_ai_computers_silence_is_told_as_what_it_is_to_the_vcu() -> None:
+    both = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
+    alone = every_cycle(S, 2 * S, (0x520, status(AsState.AS_OFF)))
+    picture = seen(both, alone)
+    assert picture.link[0].startswith("the AI computer is silent for 99")
+    assert picture.link[0].endswith("to the VCU that is AI_COMMS_LOST")
+    assert picture.mode == "unknown" and picture.mission_status is None
+    partly = seen(both, every_cycle(S, 2 * S, (0x520, status(AsState.AS_OFF)), *AI[:3], AI[4]))
+    assert partly.link[0].startswith("AI2VCU_Steer (0x513) is missing for 1.0")
+
+
+def test_rates_are_those_of_the_last_seconds_and_what_is_never_heard_is_named() -> None:
+    frames = every_cycle(0, 5 * S, (0x520, status(AsState.AS_OFF)), (0x7AA, "01"))
+    picture = seen(*in_chunks(frames))
+    found = {message.can_id: message for message in picture.messages}
+    assert found[0x520].rate_hz == pytest.approx(100, abs=1) and found[0x520].expected_hz == 100
+    assert (found[0x7AA].name, found[0x7AA].expected_hz) == (None, None)
+    assert found[0x7AA].rate_hz == pytest.approx(100, abs=1)
+    assert {found[can_id].freshness for can_id in AI_IDS} == {Freshness.NEVER}
+    gone = seen(frames, every_cycle(5 * S, 9 * S, (0x520, status(AsState.AS_OFF))))
+    assert {m.can_id: (m.rate_hz, m.freshness) for m in gone.messages}[0x7AA] == (0.0, Freshness.LOST)
+
+
+def test_extended_remote_and_error_frames_and_wrong_lengths_are_told_apart() -> None:
+    status_ns = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), (0x514, "000000"))
+    strange = frames_of(
+        [
+            LogFrame(S, "can0", 0x520, b"\x01", extended=True),
+            LogFrame(S + 1, "can0", 0x004, bytes((0, 0x10, 0, 0, 0, 0, 0, 0)), error=True),
+        ]
+    )
+    picture = seen(status_ns, strange)
+    assert [(m.number, m.name) for m in picture.messages if m.extended] == [("00000520", None)]
+    assert "AI2VCU_Brake (0x514) has the wrong length: it counts as missing" in picture.link
+    assert picture.link[-1] == "1 error frame in 3 s, the last: controller (receive error-passive)"
+    assert picture.as_state == "AS_OFF"
+
+
+def test_a_second_sender_on_the_ai_computers_ids_is_named() -> None:
+    good = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
+    twice = [
+        LogFrame(t_ns, "can0", can_id, bytes.fromhex(data))
+        for step in range(100, 150)
+        for place, (can_id, data) in enumerate(AI)
+        for t_ns in (step * CYCLE + place * MS // 2, step * CYCLE + place * MS // 2 + 3 * MS)
+    ]
+    frames = frames_of(sorted(twice, key=lambda frame: frame.t_ns))
+    picture = seen(good, frames)
+    assert [text for text in picture.link if text.startswith("somebody else sends on the AI computer's ids: 0x510")]
+
+
+def test_an_echo_that_does_not_come_is_told_while_it_is_waited_for() -> None:
+    toggled = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
+    waiting = every_cycle(S, S + 80 * MS, (0x520, status(AsState.AS_OFF, bits=1)), *AI)
+    picture = seen(toggled, waiting)
+    assert picture.handshake_waiting_s == pytest.approx(0.072, abs=0.005)
+    assert "the handshake's echo is missing for 72 ms (100 ms are a loss)" in picture.link
+
+
+def test_faults_and_warnings_have_the_specifications_names() -> None:
+    bits = (1 << 24) | (1 << 49) | (1 << 33) | (10 << 56)
+    picture = seen(every_cycle(0, S, (0x520, status(AsState.AS_OFF, bits=bits)), *AI))
+    assert (picture.faults, picture.shutdown_cause) == (("BMS_FAULT",), "BMS_FAULT")
+    assert picture.warnings == ("WARN_BATT_SOC_LOW",)
+    assert "the car reports a fault (FAULT_STATUS 1)" in words(picture)
+
+
+# ---------------------------------------------------------------- memory
+
+
+def hours(begin_ns: int, count: int, data: bytes) -> Frames:
+    """Many 0x520, made at once."""
+    zeros = np.zeros(count, np.uint8)
+    return Frames(
+        begin_ns + CYCLE * np.arange(count, dtype=np.int64),
+        np.full(count, 0x520, np.uint32),
+        zeros,
+        zeros + np.uint8(8),
+        np.full(count, int.from_bytes(data, "little"), np.uint64),
+        np.zeros(count, np.int32),
+        ["can0"],
+    )
+
+
+def test_after_an_hour_it_is_still_known_that_the_car_was_not_switched_off_since_its_last_run() -> None:
+    run = every_cycle(0, S, (0x520, status(AsState.AS_FINISHED)), *AI)
+    hour = hours(S, 360_000, status(AsState.AS_OFF))
+    view = View("can0")
+    for part in (run, *in_chunks(hour, 10 * S)):
+        view.update(part)
+    now_ns = int(hour.t_ns[-1])
+    assert "the car has not been switched off since its last run" in words(view.picture(now_ns))
+    window = view.memory.window(now_ns)
+    assert len(view.memory.condensed(window)) - len(window) < 8000
+    switched = View("can0")
+    for part in (run, *in_chunks(hours(S, 100, status(AsState.AS_OFF))), hours(4 * S, 360_000, status(AsState.AS_OFF))):
+        switched.update(part)
+    assert "the car has not been switched off since its last run" not in words(
+        switched.picture(4 * S + 360_000 * CYCLE)
+    )
+
+
+def test_a_silence_of_less_than_a_second_is_no_power_cycle_wherever_it_falls() -> None:
+    for shift in range(0, 500, 50):
+        begin_ns = S + shift * MS
+        run = every_cycle(0, begin_ns, (0x520, status(AsState.AS_FINISHED)), *AI)
+        off_1 = hours(begin_ns, 43, status(AsState.AS_OFF))
+        off_2 = hours(int(off_1.t_ns[-1]) + 990 * MS, 2000, status(AsState.AS_OFF))
+        picture = seen(run, off_1, off_2)
+        assert "the car has not been switched off since its last run" in words(picture), shift
+
+
+def test_times_that_step_back_do_not_make_old_frames_new() -> None:
+    frames = every_cycle(100 * S, 101 * S, (0x520, status(AsState.AS_READY)), *AI)
+    back = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
+    view = View("can0")
+    view.update(frames)
+    for part in in_chunks(back):
+        view.update(part)
+    assert view.memory.newest_ns == 101 * S - CYCLE + 2 * (5 * MS // 2) + 99 * CYCLE
+    picture = view.picture(view.memory.newest_ns)
+    assert picture.as_state == "AS_DRIVING"
+    assert picture.as_state_s == pytest.approx(0.99, abs=0.02)
+
+
+def test_chunks_of_any_size_give_the_same_picture() -> None:
+    frames = branch(driving(), lambda run: None, 0.2).frames
+    now_ns = int(frames.t_ns[-1])
+    small, large = seen(*in_chunks(frames, 7 * MS)), seen(frames)
+    assert small.t_ns == large.t_ns == now_ns
+    assert small.as_dict() == large.as_dict()
+
+
+def test_the_revision_is_told_from_the_bus_or_as_given() -> None:
+    old = joined(
+        [
+            every_cycle(
+                0, S, (0x520, bytes.fromhex("0016110000000000")), (0x523, "0000d2000000"), (0x120, "0400010000000000")
+            )
+        ]
+    )
+    assert seen(old).revision == "2021"
+    assert "TS_STATE" not in seen(old).states
+    given = View("can0", REVISIONS["2026"])
+    given.update(old)
+    assert given.picture(S).revision == "2026"
+
+
+# ---------------------------------------------------------------- drawing
+
+
+SIZES = [(80, 24), (40, 10), (20, 5), (1, 1), (132, 43), (250, 80)]
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_no_line_is_wider_and_no_picture_higher_than_the_terminal(width: int, height: int, go_off: Ended) -> None:
+    strange = frames_of([LogFrame(int(go_off.frames.t_ns[-1]), "can0", can_id) for can_id in range(0x700, 0x740)])
+    for picture in (
+        seen(go_off.frames),
+        seen(go_off.frames, strange),
+        seen(go_off.frames, now_ns=int(go_off.frames.t_ns[-1]) + 4000 * S),
+        View("can0").picture(0),
+    ):
+        lines = screen_lines(picture, width, height, "12:34:56", color=True)
+        assert len(lines) <= height
+        assert all(len(re.sub(r"\x1b\[[\d;]*m", "", line)) <= width for line in lines)
+        plain = screen_lines(picture, width, height, "12:34:56", color=False)
+        assert "\x1b" not in "".join(plain)
+        assert [re.sub(r"\x1b\[[\d;]*m", "", line) for line in lines] == plain
+
+
+def test_on_80_by_24_everything_that_was_asked_for_is_to_be_seen(go_off: Ended) -> None:
+    text = "\n".join(screen_lines(seen(go_off.frames), 80, 24, "12:34:56", color=False))
+    for said in (
+        "EMERGENCY_BRAKE for 2.0 s",
+        "mode autonomous",
+        "mission ACCELERATION",
+        "Go off",
+        "ASMS on",
+        "steering",
+        "torque rear",
+        "brake front",
+        "m/s",
+        "wheels      FL 0",
+        "handshake   answered in",
+        "faults      none",
+        "why not driving:",
+        "the remote's Go went off",
+        "510 AI2VCU_Status          100/s",
+        "526 VCU2AI_Wheel_counts    100/s",
+    ):
+        assert said in text, said
+
+
+def test_where_not_all_messages_fit_those_that_are_not_well_do() -> None:
+    frames = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *((i, "01") for i in range(0x700, 0x715)), (0x7FF, ""))
+    on = every_cycle(S, 5 * S, (0x520, status(AsState.AS_OFF)), *((i, "01") for i in range(0x700, 0x715)))
+    lines = screen_lines(seen(frames, on), 80, 24, color=False)
+    assert any(re.search(r"7FF in no database .* LOST", line) for line in lines)
+    assert any("… and " in line for line in lines)
+
+
+def test_control_characters_in_foreign_names_never_reach_the_terminal() -> None:
+    view = View("\x1b]0;evil\x07bus")
+    assert all(
+        "\x1b]" not in line and "\x07" not in line for line in screen_lines(view.picture(0), 80, 24, color=False)
+    )
+
+
+def test_the_plain_line_is_one_line_with_the_reasons(go_off: Ended) -> None:
+    line = plain_line(seen(go_off.frames), "12:34:56")
+    assert "\n" not in line
+    assert line.startswith("12:34:56 | EMERGENCY_BRAKE | ACCELERATION | mode autonomous | Go off | 0.0 m/s")
+    assert "why not driving: the remote's Go went off" in line

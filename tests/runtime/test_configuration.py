@@ -1,0 +1,207 @@
+"""One file configures the whole computer; what is wrong in it is said with file, line and key."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.core.limits import LimitsError
+from fsai_vcu.interface.wheels import WheelMapping
+from fsai_vcu.runtime import configuration as module
+from fsai_vcu.runtime.configuration import (
+    KEYS,
+    Configuration,
+    ConfigurationError,
+    parse_configuration,
+    read_configuration,
+    usual_environment,
+)
+from fsai_vcu.runtime.limits_file import read_limits
+from fsai_vcu.runtime.toml_lines import TomlLines
+
+CHECKOUT = Path(__file__).parents[2]
+NAMED = Path("/etc/fsai/fsai.toml")
+
+
+def parsed(text: str) -> Configuration:
+    return parse_configuration(text, NAMED)
+
+
+def problems(text: str) -> tuple[str, ...]:
+    with pytest.raises(ConfigurationError) as refused:
+        parsed(text)
+    return refused.value.problems
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("\n[can]\nrevison = '2026'\n", "line 3: [can] has no setting 'revison'; did you mean revision?"),
+        ("[cann]\nrevision = '2026'\n", "line 1: there is no table [cann]; did you mean can?"),
+        ("interface = 'can0'\n", "line 1: 'interface' stands outside of its table: it is [can] interface"),
+        ("[car]\ninterface = 'can0'\n", "line 2: [car] has no setting 'interface'; there is [can] interface"),
+        ("[can]\nrevision = 2026\n", 'line 2: [can] revision must be a text in quotes, such as "2026", not 2026'),
+        ("[can]\nrevision = '2062'\n", 'one of 2021, 2026, not "2062"; did you mean 2026?'),
+        ("[car]\nautonomous_at_power_up = 'yes'\n", "line 2: [car] autonomous_at_power_up must be true or false"),
+        ("[missions]\ntrackdrive_laps = 1.5\n", "line 2: [missions] trackdrive_laps must be a whole number, not 1.5"),
+        ("[missions]\ntrackdrive_laps = true\n", "must be a whole number, not true"),
+        ("[missions]\nmax_speed_mps = 0.4\n", "line 2: [missions] max_speed_mps must be between 0.5 and 30, not 0.4"),
+        ("[missions]\nmax_speed_mps = nan\n", "must be a finite number, not nan"),
+        ("[car]\nwheel_mapping = 'fl=fr'\n", "line 2: [car] wheel_mapping must be a table such as { fl"),
+        ("[car]\nwheel_mapping = { fl = 'fr' }\n", "line 2: [car] wheel_mapping must name each of fl, fr, rl, rr once"),
+        ("[car]\nwheel_mapping = { front = 'fr' }\n", "names a wheel 'front'; the wheels are fl, fr, rl, rr"),
+        ("[can]\ndbc_files = 'car.dbc'\n", "line 2: [can] dbc_files must be a list of texts"),
+        ("[can]\ndbc_files = ['/nowhere/car.dbc']\n", "line 2: [can] dbc_files: no such file: /nowhere/car.dbc"),
+        ("[limits]\nfile = '/nowhere/l.toml'\n", "line 2: [limits] file: cannot read the operational limits /nowhere/"),
+        ("[ros]\nkeystore = '/nowhere'\n", "line 2: [ros] keystore: no such folder: /nowhere"),
+        ("[can]\ninterface = can0\n", "line 2: not valid TOML: invalid value"),
+        ("car = 3\n", "line 1: car is a table: write [car]"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_file_line_and_key(text: str, words: str) -> None:
+    (problem,) = problems(text)
+    assert problem.startswith(f"{NAMED}, line ")
+    assert words in problem
+
+
+def test_every_mistake_is_told_at_once_in_the_order_of_the_lines() -> None:
+    told = problems("[missions]\nmax_speed_mps = 99\n[can]\nx = 1\n[car]\nservice_brake = 'anchor'\n")
+    assert [words.split(":")[0] for words in told] == [f"{NAMED}, line {line}" for line in (2, 4, 6)]
+    with pytest.raises(ConfigurationError, match=r"and 2 more: fsai-vcu config check shows all"):
+        parsed("[missions]\nmax_speed_mps = 99\n[can]\nx = 1\n[car]\nservice_brake = 'anchor'\n")
+
+
+def test_a_file_that_is_not_there_or_no_text_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"absent\.toml: cannot be read: No such file"):
+        read_configuration(tmp_path / "absent.toml")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigurationError, match="is not a text file"):
+        read_configuration(tmp_path / "bytes.toml")
+
+
+def test_an_empty_file_is_the_defaults_and_every_key_can_be_said() -> None:
+    assert parsed("").interface == "can0"
+    assert len(parsed("").described()) == len(KEYS) + 1
+    assert len({(key.table, key.name) for key in KEYS}) == len(KEYS)
+
+
+def test_the_installed_configuration_is_right_but_for_the_place_of_its_limits(tmp_path: Path) -> None:
+    text = (CHECKOUT / "systemd" / "etc" / "fsai.toml").read_text()
+    limits = CHECKOUT / "systemd" / "etc" / "limits.toml"
+    configuration = parsed(text.replace("/etc/fsai/limits.toml", str(limits)))
+    assert configuration.value("car", "autonomous_at_power_up") is True  # no link to the car in staging
+    assert configuration.limits == read_limits(limits)
+    assert configuration.limits_path == limits
+    assert configuration.text("ros", "discovery") == "localhost"
+
+
+def test_settings_become_the_parameters_of_their_nodes() -> None:
+    found = parsed(
+        "[can]\ninterface='can7'\nrevision='2021'\nlisten_only=true\n[missions]\ntrackdrive_laps=3\nmax_speed_mps=4\n"
+        "[car]\nwheel_mapping={fl='fr',fr='fl'}\n[perception]\nrange_max_m=11\n"
+    ).parameters()
+    assert found["vcu_bridge"]["can_interface"] == "can7"
+    assert found["vcu_bridge"]["revision"] == "2021" and found["vcu_bridge"]["listen_only"] is True
+    assert found["vcu_bridge"]["wheel_mapping"] == "fl=fr,fr=fl,rl=rl,rr=rr"
+    assert (found["path_planner"]["laps"], found["path_planner"]["range_max_m"]) == (3, 11.0)
+    assert found["vehicle_controller"]["max_speed"] == 4.0
+    assert {found[node]["car"] for node in ("vcu_bridge", "path_planner", "vehicle_controller")} == {"2021"}
+
+
+def test_a_service_is_told_its_own_interface() -> None:
+    assert parsed("").parameters("vcan0")["vcu_bridge"]["can_interface"] == "vcan0"
+
+
+@pytest.mark.parametrize(("limit", "speed"), [("3.5", 3.5), ("12", 6.0), ("0.1", 0.5)])
+def test_the_controller_plans_with_the_speed_that_the_limits_leave_it(limit: str, speed: float, tmp_path: Path) -> None:
+    (tmp_path / "limits.toml").write_text(f"max_speed_mps = {limit}\n")
+    configuration = parsed(f"[limits]\nfile = '{tmp_path}/limits.toml'\n[missions]\nmax_speed_mps = 6\n")
+    controller = configuration.parameters()["vehicle_controller"]
+    assert controller["max_speed"] == speed
+    assert float(controller["acceleration_max_speed"]) <= max(float(limit), 0.5)
+
+
+def test_the_limits_in_force_are_confirmed_with_the_settings(tmp_path: Path) -> None:
+    (tmp_path / "limits.toml").write_text("max_steer_deg = 12\n")
+    described = parsed(f"[limits]\nfile = '{tmp_path}/limits.toml'\n").described()
+    assert "operational limit max_steer_deg = 12" in described
+    assert "operational limit none but the car's own" in parsed("").described()
+
+
+def test_a_wrong_limit_is_refused_with_its_file_and_line(tmp_path: Path) -> None:
+    file = tmp_path / "limits.toml"
+    file.write_text("# venue\nmax_speed_mps = 5\nmax_sped_mps = 3\n")
+    with pytest.raises(LimitsError, match=rf"{file}, line 3: unknown limit max_sped_mps"):
+        read_limits(file)
+    file.write_text("max_speed_mps = 'slow'\n")
+    with pytest.raises(LimitsError, match=r"line 1: max_speed_mps is 'slow'"):
+        read_limits(file)
+    file.write_text("max_speed_mps = 5\nmax_steer_deg = \n")
+    with pytest.raises(LimitsError, match=r"line 2 are not valid TOML: invalid value"):
+        read_limits(file)
+
+
+def test_dds_stays_on_this_machine_unless_the_configuration_opens_it(tmp_path: Path) -> None:
+    environment = parsed("[ros]\ndomain_id = 42\n").environment()
+    assert environment["ROS_DOMAIN_ID"] == "42"
+    profile = Path(environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    assert "<address>127.0.0.1</address>" in profile.read_text()
+    opened = parsed(f"[ros]\ndiscovery = 'subnet'\nkeystore = '{tmp_path}'\n").environment()
+    assert opened["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET" and "FASTRTPS_DEFAULT_PROFILES_FILE" not in opened
+    assert opened["ROS_SECURITY_STRATEGY"] == "Enforce" and opened["ROS_SECURITY_KEYSTORE"] == str(tmp_path)
+
+
+def test_the_operators_commands_look_where_the_car_is_and_the_callers_own_word_goes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "fsai.toml"
+    monkeypatch.setattr(module, "USUAL_PATH", file)
+    assert usual_environment({}) == {}
+    file.write_text("[ros]\ndomain_id = 9\n")
+    assert usual_environment({})["ROS_DOMAIN_ID"] == "9"
+    assert "ROS_DOMAIN_ID" not in usual_environment({"ROS_DOMAIN_ID": "3"})
+
+
+def test_a_key_is_found_on_its_line_whatever_stands_around_it() -> None:
+    text = (
+        '# [can]\n\n[ can ] # the bus\n"interface" = "a"\ndbc_files = [\n  "x = 1",\n]\ntext = """\n[car]\nq = 1\n"""\n'
+    )
+    text += "[car]\nwheel_mapping = { fl = 'fr' }\nnested.key = 1\n"
+    lines = TomlLines(text)
+    assert (lines.of("can"), lines.of("can", "interface"), lines.of("can", "dbc_files")) == (3, 4, 5)
+    assert (lines.of("car"), lines.of("car", "wheel_mapping"), lines.of("car", "wheel_mapping", "fl")) == (12, 13, 13)
+    assert lines.of("car", "nested", "key") == 14
+    assert lines.of("car", "q") == 12 and lines.of("nothing") is None
+
+
+def test_every_key_that_becomes_a_parameter_has_its_nodes_default_and_range() -> None:
+    pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
+    import sys
+
+    sys.path.insert(0, str(CHECKOUT / "nodes" / "fsai_nodes"))
+    from fsai_nodes import cone_detector, path_planner, vcu_bridge, vehicle_controller
+
+    tables = {
+        each.__name__.rpartition(".")[2]: {setting.name: setting for setting in each.SETTINGS}
+        for each in (cone_detector, path_planner, vcu_bridge, vehicle_controller)
+    }
+    for node, values in parsed("").parameters().items():
+        for name, value in values.items():
+            assert tables[node][name].problem(value) is None, f"{node} refuses its {name}"
+    for key in KEYS:
+        for node, parameter in key.parameters:
+            setting = tables[node][parameter]
+            assert setting.default == key.default, f"{key.spelt} and {node}'s {parameter}"
+            assert (setting.low, setting.high) == (key.low, key.high), f"{key.spelt} and {node}'s {parameter}"
+            assert not key.choices or setting.choices == key.choices
+
+
+def test_a_configuration_is_frozen() -> None:
+    assert not any(math.isnan(value) for value in (parsed("").number("missions", "max_speed_mps"),))
+    with pytest.raises(AttributeError):
+        parsed("").path = None  # type: ignore[misc]
+    assert {field.name for field in fields(Configuration)} == {"path", "limits", "values"}
+    assert parsed("").wheel_mapping == WheelMapping()

@@ -1,0 +1,100 @@
+"""Installing below a folder, as packages do: again without harm, away without a trace but the configuration."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from install_rig import install_car
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_installing_again_changes_nothing_and_keeps_the_configuration(tmp_path: Path) -> None:
+    assert install_car("install", destination=tmp_path).returncode == 0
+    toml = tmp_path / "etc/fsai/fsai.toml"
+    toml.write_text("# ours\n")
+    before = contents(tmp_path)
+    assert install_car("install", destination=tmp_path).returncode == 0
+    assert contents(tmp_path) == before
+
+
+def test_uninstalling_leaves_the_configuration_and_nothing_else(tmp_path: Path) -> None:
+    install_car("install", destination=tmp_path)
+    (tmp_path / "opt/fsai/bin").mkdir(parents=True)
+    other = tmp_path / "usr/lib/systemd/system/other.service"
+    other.touch()
+    assert install_car("uninstall", destination=tmp_path).returncode == 0
+    assert set(contents(tmp_path)) == {
+        "etc/fsai/fsai.toml",
+        "etc/fsai/limits.toml",
+        "usr/lib/systemd/system/other.service",
+    }
+    again = install_car("uninstall", destination=tmp_path)
+    assert again.returncode == 1 and "nothing is installed" in again.stderr
+
+
+def test_what_is_asked_wrongly_is_told_in_one_line() -> None:
+    done = install_car("instal")
+    assert done.returncode == 1
+    assert done.stderr == "install-car: say install, uninstall or deb\n"
+
+
+def test_no_installed_file_names_the_place_it_was_installed_from(root: Path) -> None:
+    for path in root.rglob("*"):
+        if path.is_file():
+            assert str(root) not in path.read_text(), path
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if shutil.which("dpkg-deb") is None:
+        pytest.skip("no dpkg-deb here: a Debian package is made on Debian or Ubuntu")
+    folder = tmp_path_factory.mktemp("deb")
+    done = install_car("deb", str(folder))
+    assert done.returncode == 0, done.stderr
+    (found,) = folder.glob("*.deb")
+    assert not (folder / "root").exists(), "nothing is left behind"
+    return found
+
+
+def dpkg_deb(*words: object) -> str:
+    return subprocess.run(["dpkg-deb", *map(str, words)], capture_output=True, text=True, check=True).stdout
+
+
+def test_the_package_carries_the_system_files_owned_by_root(package: Path) -> None:
+    listing = dpkg_deb("-c", package).splitlines()
+    names = {line.split()[5].removeprefix(".") for line in listing}
+    assert {
+        "/usr/lib/systemd/system/fsai.target",
+        "/usr/lib/systemd/system/fsai-bridge@.service",
+        "/usr/lib/systemd/system/fsai-.service.d/50-sandbox.conf",
+        "/usr/lib/systemd/network/70-fsai-can.network",
+        "/usr/lib/fsai/link",
+        "/usr/lib/fsai/settle",
+        "/usr/bin/fsai-vcu",
+        "/etc/fsai/fsai.toml",
+    } <= names
+    assert {line.split()[1] for line in listing} == {"root/root"}
+    assert not any(name.startswith("/DEBIAN") for name in names)
+
+
+def test_the_package_keeps_the_configuration_on_upgrade_and_settles_after_unpacking(
+    package: Path, tmp_path: Path
+) -> None:
+    fields = dpkg_deb("-f", package)
+    assert "Package: fsai-vcu" in fields and "systemd (>= 252)" in fields
+    dpkg_deb("-e", package, tmp_path)
+    assert (tmp_path / "conffiles").read_text().splitlines() == ["/etc/fsai/fsai.toml", "/etc/fsai/limits.toml"]
+    assert "/usr/lib/fsai/settle" in (tmp_path / "postinst").read_text()
+    for script in ("postinst", "prerm", "postrm"):
+        subprocess.run(["sh", "-n", tmp_path / script], check=True)

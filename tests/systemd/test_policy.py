@@ -1,0 +1,62 @@
+"""The permissions of encrypted DDS: who may say what, held against the nodes' own tables."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from install_rig import CHECKOUT
+
+POLICY = CHECKOUT / "systemd" / "security" / "policy.xml"
+# What the car obeys.
+DANGEROUS_TOPICS = {"vehicle_cmd", "run_state", "reset_confirmation", "path", "planner_status"}
+DANGEROUS_SERVICES = {"set_mode", "emergency_brake", "reset"}
+
+
+def allowed(kind: str, how: str) -> dict[str, set[str]]:
+    """Names of `kind` (topic, service, action) to the enclaves that may `how` them."""
+    found: dict[str, set[str]] = {}
+    for enclave in ElementTree.parse(POLICY).iter("enclave"):
+        for group in enclave.iter(f"{kind}s"):
+            if group.get(how) == "ALLOW":
+                for entry in group.iter(kind):
+                    found.setdefault(str(entry.text), set()).add(enclave.get("path", "").rpartition("/")[2])
+    return found
+
+
+def test_only_named_nodes_may_say_what_the_car_obeys() -> None:
+    publishers = allowed("topic", "publish")
+    assert publishers["vehicle_cmd"] == {"vehicle_controller"}
+    assert publishers["run_state"] == publishers["vehicle_state"] == {"vcu_bridge"}
+    assert publishers["path"] == publishers["planner_status"] == {"path_planner"}
+    assert publishers["reset_confirmation"] == {"path_planner", "vehicle_controller"}
+    callers = allowed("service", "request")
+    assert set(callers) == DANGEROUS_SERVICES
+    assert {frozenset(who) for who in callers.values()} == {frozenset({"operator"})}
+    assert allowed("action", "call") == {"run_mission": {"operator"}}
+
+
+def test_whoever_looks_on_can_say_nothing() -> None:
+    for how, kind in (("publish", "topic"), ("request", "service"), ("reply", "service"), ("call", "action")):
+        assert all("observer" not in who for who in allowed(kind, how).values())
+
+
+def test_every_topic_of_the_nodes_may_be_said_and_heard_by_somebody() -> None:
+    pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
+    sys.path.insert(0, str(Path(CHECKOUT) / "nodes" / "fsai_nodes"))
+    from fsai_nodes.qos import TOPICS
+
+    topics = {name.lstrip("/") for name in TOPICS}
+    assert topics >= DANGEROUS_TOPICS
+    assert topics <= set(allowed("topic", "publish"))
+    assert topics <= set(allowed("topic", "subscribe"))
+
+
+def test_every_node_of_a_service_has_an_enclave_of_its_name() -> None:
+    enclaves = {each.get("path") for each in ElementTree.parse(POLICY).iter("enclave")}
+    for unit in (CHECKOUT / "systemd" / "units").glob("*.service"):
+        for word in unit.read_text().split():
+            if word.startswith("fsai_nodes."):
+                assert f"/fsai/{word.removeprefix('fsai_nodes.')}" in enclaves

@@ -1,0 +1,142 @@
+"""The units, judged by systemd itself; and what the car's safety asks of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from install_rig import CHECKOUT, UNITS
+
+from fsai_hil.vcan.network import TX_QUEUE_FRAMES
+from fsai_vcu.runtime import loop
+from fsai_vcu.runtime.configuration import BITRATE, QUEUE_FRAMES
+
+NODES = ("fsai-detector.service", "fsai-planner.service", "fsai-controller.service")
+ON_THE_BUS = ("fsai-bridge@can0.service", "fsai-recorder@can0.service", "fsai-link@can0.service")
+BENCH = ("fsai-simulated-car@vcan0.service", "fsai-simulated-sensors.service")
+MOST_EXPOSED = 2.0
+
+
+def analyze(machine: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["systemd-analyze", "--no-pager", f"--root={machine}", *words], capture_output=True, text=True, check=False
+    )
+
+
+def settings(root: Path, unit: str) -> dict[str, list[str]]:
+    """Every assignment of a unit and its drop-ins, in order; an empty one resets."""
+    template = re.sub(r"@.*\.", "@.", unit)
+    files = [root / UNITS / template, root / UNITS / "fsai-.service.d/50-sandbox.conf"]
+    files += sorted((root / UNITS / f"{template}.d").glob("*.conf"))
+    found: dict[str, list[str]] = {}
+    for file in files:
+        for line in file.read_text().splitlines():
+            name, equals, value = line.partition("=")
+            if equals and not line.startswith("#"):
+                found[name] = [*found.get(name, []), value] if value else []
+    return found
+
+
+@pytest.mark.parametrize("unit", ["fsai.target", *NODES, *ON_THE_BUS, "fsai-bridge@vcan0.service", *BENCH])
+def test_systemd_finds_nothing_wrong_with_a_unit(machine: Path, unit: str) -> None:
+    done = analyze(machine, "verify", "--man=no", "--recursive-errors=no", unit)
+    ours = [line for line in done.stderr.splitlines() if "fsai" in line]
+    assert (done.returncode, ours) == (0, []), done.stderr
+
+
+@pytest.mark.parametrize("unit", [*NODES, *ON_THE_BUS])
+def test_a_service_is_exposed_no_more_than_its_work_needs_and_does_not_run_as_root(machine: Path, unit: str) -> None:
+    done = analyze(machine, "security", "--offline=true", f"--threshold={int(MOST_EXPOSED * 10)}", unit)
+    exposure = re.search(r"exposure level for .*: ([\d.]+)", done.stdout)
+    assert exposure is not None, done.stderr
+    assert float(exposure[1]) <= MOST_EXPOSED, done.stdout
+    listed = json.loads(analyze(machine, "security", "--offline=true", "--json=short", unit).stdout)
+    user = next(entry for entry in listed if "DynamicUser" in entry["name"])
+    assert user["set"] is True, "it runs as root"
+
+
+def test_the_bridge_says_itself_when_it_is_ready_and_its_watchdog_outlasts_a_bus_that_is_gone(root: Path) -> None:
+    bridge = settings(root, "fsai-bridge@can0.service")
+    assert bridge["Type"] == ["notify"]
+    watchdog_s = float(bridge["WatchdogSec"][0].removesuffix("s"))
+    # While the bus is gone the loop looks for it, and feeds the watchdog, once in its longest pause; it feeds it at the
+    # first look after half of the time.
+    assert watchdog_s / 2 + loop._REOPEN_MOST_S < watchdog_s
+    assert watchdog_s <= 5.0, "the process comes back within seconds"
+    assert bridge["WatchdogSignal"] == ["SIGKILL"], "a stopped process takes no other"
+
+
+def test_the_bridge_has_real_time_scheduling_and_locked_memory(root: Path) -> None:
+    bridge = settings(root, "fsai-bridge@can0.service")
+    assert bridge["CPUSchedulingPolicy"] == ["fifo"]
+    from fsai_vcu.runtime.realtime import FIFO_PRIORITY
+
+    assert int(bridge["LimitRTPRIO"][0]) >= FIFO_PRIORITY >= int(bridge["CPUSchedulingPriority"][0])
+    assert bridge["LimitMEMLOCK"] == ["infinity"]
+    assert bridge["RestrictRealtime"][-1] == "no"
+    assert "@memlock" in bridge["SystemCallFilter"][-1]
+
+
+@pytest.mark.parametrize("unit", ["fsai-bridge@can0.service", "fsai-recorder@can0.service"])
+def test_what_needs_the_bus_goes_with_the_adapter_and_comes_back_with_it(root: Path, unit: str) -> None:
+    found = settings(root, unit)
+    device = "sys-subsystem-net-devices-%i.device"
+    assert device in found["BindsTo"][0] and device in found["After"][0]
+    assert device in found["WantedBy"][0], "Restart= does not revive what BindsTo= has stopped"
+    assert "fsai-link@%i.service" in found["After"][0]
+
+
+@pytest.mark.parametrize("unit", [*NODES, *ON_THE_BUS])
+def test_a_service_is_started_anew_for_ever(root: Path, unit: str) -> None:
+    found = settings(root, unit)
+    assert found["Restart"] == ["always"]
+    assert found["StartLimitIntervalSec"] == ["0"], "five starts in ten seconds would leave the car dead"
+    pause = found["RestartSec"][0]
+    assert pause in ("200ms", "1s")
+
+
+@pytest.mark.parametrize("unit", [*NODES, "fsai-bridge@can0.service"])
+def test_a_node_hears_and_speaks_on_this_machine_only(root: Path, unit: str) -> None:
+    found = settings(root, unit)
+    assert found["IPAddressDeny"] == ["any"] and found["IPAddressAllow"] == ["localhost"]
+    families = set(found["RestrictAddressFamilies"][0].split())
+    assert families <= {"AF_CAN", "AF_UNIX", "AF_INET", "AF_NETLINK"}
+    assert ("AF_CAN" in families) == (unit == "fsai-bridge@can0.service"), "only the bridge talks to the car"
+
+
+def test_one_service_alone_may_change_the_network_and_nothing_else(root: Path) -> None:
+    with_capabilities = {
+        path.parent.name for path in (root / UNITS).rglob("*.conf") if "AmbientCapabilities" in path.read_text()
+    }
+    assert with_capabilities == {"fsai-link@.service.d"}
+    assert settings(root, "fsai-link@can0.service")["CapabilityBoundingSet"] == ["CAP_NET_ADMIN"]
+
+
+def test_bitrate_and_queue_are_the_same_wherever_they_are_set(root: Path) -> None:
+    network = (root / "usr/lib/systemd/network/70-fsai-can.network").read_text()
+    assert f"BitRate={BITRATE // 1000}K" in network and "RestartSec=100ms" in network
+    assert "RequiredForOnline=no" in network
+    names = (root / "usr/lib/systemd/network/70-fsai-can.link").read_text()
+    assert f"TransmitQueueLength={QUEUE_FRAMES}" in names and "Name=can0" in names
+    assert {"peak_usb", "gs_usb"} <= set(re.findall(r"^Driver=(.*)$", names, re.M)[0].split())
+    script = (root / "usr/lib/fsai/link").read_text()
+    assert re.findall(r"^(BITRATE|QUEUE)=(\d+)", script, re.M) == [
+        ("BITRATE", str(BITRATE)),
+        ("QUEUE", str(QUEUE_FRAMES)),
+    ]
+    assert QUEUE_FRAMES == TX_QUEUE_FRAMES
+
+
+def test_journal_and_logs_are_bounded(root: Path) -> None:
+    journal = (root / "usr/lib/systemd/journald.conf.d/50-fsai.conf").read_text()
+    assert "SystemMaxUse=500M" in journal and "SystemKeepFree=1G" in journal
+    assert "keep_mib" in (root / "etc/fsai/fsai.toml").read_text()
+
+
+def test_no_unit_names_a_file_that_is_not_installed(root: Path) -> None:
+    for unit in (CHECKOUT / "systemd" / "units").glob("*.service"):
+        for command in re.findall(r"^Exec\w+=(\S+)", unit.read_text(), re.M):
+            assert command.startswith("/opt/fsai/bin/") or (root / command.lstrip("/")).exists(), command
