@@ -71,6 +71,18 @@ def test_a_car_that_stops_where_it_may_drive_on_is_worse_than_allowed() -> None:
     assert not verdict.ok and "where the rules demand: drives on" in verdict.faults[0]
 
 
+@pytest.mark.parametrize("over", [True, False])
+def test_a_car_that_brakes_to_the_end_of_its_mission_drives_on_and_one_without_a_mission_s_end_does_not(
+    over: bool,
+) -> None:
+    seen = observed(torque_until_ms=1500, rest_from_ms=7000)
+    if over:
+        seen.mission_over_ns = FAULT_NS + 6800 * MS
+    verdict = judge(case("controller_silent", duration=40), seen, FAULT_NS, ())
+    assert verdict.end is (End.ON if over else End.HELD)
+    assert verdict.ok is over
+
+
 @pytest.mark.parametrize(("brake_ms", "late"), [(340, False), (350, True)])
 def test_a_brake_that_comes_too_late_is_worse_than_allowed(brake_ms: int, late: bool) -> None:
     changed = {**STOPPED, "brake_from_ms": brake_ms}

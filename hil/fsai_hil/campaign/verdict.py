@@ -153,6 +153,8 @@ def _end(seen: Observation, found: _Seen, fault_ns: int) -> End:
     if found.finished_ns is not None:
         return End.ON if over_ns is not None and over_ns <= found.finished_ns else End.STOP
     if last is AsState.AS_DRIVING:
+        if over_ns is not None and found.finished_ns is None and found.estop_ns is None:
+            return End.ON  # it stands because the mission is done, and has yet to say FINISHED
         idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
         drove = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
         return End.HELD if drove and idle and found.rest_ns is not None else End.ON

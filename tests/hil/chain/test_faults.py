@@ -395,7 +395,7 @@ def ip(*arguments: str) -> None:
 
 
 @contextmanager
-def flooded(interface: str, gap_ms: str = "0") -> Iterator[None]:
+def flooded(interface: str, gap_ms: str = "0.1") -> Iterator[None]:
     """A queue that lets out 500 kbit/s and holds ten frames, and cangen at the other end of it."""
     limits = ["rate", str(BITRATE), "burst", "1600", "limit", str(TX_QUEUE_FRAMES * FRAME_BITS // 8)]
     subprocess.run(["tc", "qdisc", "add", "dev", interface, "root", "tbf", *limits], check=True)
