@@ -469,7 +469,7 @@ class WireChecker:
         elif state is AsState.EMERGENCY_BRAKE:
             right_status = mission is MissionStatus.RUNNING
             right_direction = direction is Direction.FORWARD or (
-                direction is Direction.NEUTRAL and self._standing(t_ns)
+                direction is Direction.NEUTRAL and (self._standing(t_ns) or self._stood_before(t_ns))
             )
         where = state.label
         self._rule("output table", "status", not right_status, f"MISSION_STATUS {mission.label} in {where}")
@@ -709,6 +709,11 @@ class WireChecker:
         if since_ns is None and self._slow_until is not None and t_ns - self._slow_until[0] < self._in_flight_ns:
             since_ns = self._slow_until[1]
         return since_ns is not None and t_ns - since_ns >= STANDSTILL_NS - self._slack_ns
+
+    def _stood_before(self, t_ns: int) -> bool:
+        """Whether a log that began less than half a second ago may have begun with a standing car."""
+        turning = self._slow_until is not None or (self._speeds_ns is not None and self._slow_since_ns is None)
+        return not self._from_start and not turning and t_ns - (self._start_ns or 0) < STANDSTILL_NS
 
     def _strange(self, frame: Frame) -> None:
         """Safety rule 8: a log does not name senders, so: what nobody on this bus should send."""

@@ -162,6 +162,15 @@ def test_a_second_run_and_an_emergency_brake_break_no_rule() -> None:
     assert bus.check().violations == ()
 
 
+@pytest.mark.parametrize(("rpm", "seen"), [(0, []), (100, ["output table"])])
+def test_a_log_that_begins_with_a_car_braked_to_rest_does_not_know_for_how_long_it_has_stood(
+    rpm: int, seen: list[str]
+) -> None:
+    bus = Bus().rolls(rpm).car(as_state=AsState.EMERGENCY_BRAKE)
+    bus.says(mission_status=MissionStatus.RUNNING, direction=Direction.NEUTRAL, estop_request=True).run(0.1)
+    assert rules(bus.check()) == seen
+
+
 def test_what_the_sender_cannot_have_seen_yet_is_no_violation() -> None:
     bus = until_driving()
     bus.car(as_state=AsState.EMERGENCY_BRAKE).run(0.02)
