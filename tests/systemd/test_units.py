@@ -140,3 +140,10 @@ def test_no_unit_names_a_file_that_is_not_installed(root: Path) -> None:
     for unit in (CHECKOUT / "systemd" / "units").glob("*.service"):
         for command in re.findall(r"^Exec\w+=(\S+)", unit.read_text(), re.M):
             assert command.startswith("/opt/fsai/bin/") or (root / command.lstrip("/")).exists(), command
+
+
+def test_a_plug_that_is_back_before_its_services_have_ended_brings_them_back_too(root: Path) -> None:
+    # Seen in the rehearsal: the device asked for the recorder while it was still stopping, and nobody asked again.
+    script = (root / "usr/lib/fsai/settle").read_text()
+    assert "Upholds=%s" in script and "fsai-bridge@$interface.service fsai-recorder@$interface.service" in script
+    assert "/etc/systemd/system/fsai.target.d" in script
