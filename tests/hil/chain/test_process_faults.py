@@ -157,6 +157,7 @@ def rules_kept(wire: Wire, *, lost_ns: int | None = None, not_judged: tuple[int,
 # ---------------------------------------------------------------- processes
 
 
+@long
 def test_a_killed_controller_ends_torque_brakes_and_its_successor_does_not_drive_on(chain: Chain, drive: Wire) -> None:
     killed_ns = time.time_ns()
     chain.stack.processes["vehicle_controller"].signal(signal.SIGKILL)
@@ -295,6 +296,7 @@ def test_a_stepped_wall_clock_means_nothing_but_somebody_elses_0x511_is_an_emerg
     rules_kept(drive)
 
 
+@long
 def test_on_a_flooded_bus_cycles_are_dropped_and_counted_and_too_many_of_them_end_the_drive(
     chain: Chain, drive: Wire, interface: str
 ) -> None:
