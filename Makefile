@@ -5,8 +5,7 @@ LINTED := fsai_vcu hil nodes tests
 # Tests that live in real time get the machine to themselves; all others share its processors.
 REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py)
 
-.PHONY: install uninstall deb
-.PHONY: help setup demo test verify mutation campaign soak scrutineering bench lint format clean
+.PHONY: help setup demo test verify mutation campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -17,7 +16,7 @@ setup:  ## create .venv with everything in it; installs system packages when roo
 
 .PHONY: setup-for-tests
 setup-for-tests:
-	@scripts/setup --with-browser
+	@scripts/setup --for-tests
 
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.demo
@@ -47,6 +46,9 @@ scrutineering: setup  ## the handshake's response time on a real vcan0, idle and
 
 bench: setup  ## speed, as ratios to cantools and python-can
 	$(BIN)/python -m fsai_hil.bench
+
+rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
+	$(BIN)/python -m fsai_hil.carpc
 
 install:  ## install as the car's software, as root (or below DESTDIR=...); docs/car.md says what comes next
 	@scripts/install-car install

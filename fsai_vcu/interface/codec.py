@@ -99,11 +99,6 @@ class Codec:
         """What a codec says of a frame never changes: copies of a simulation share it."""
         return self
 
-    @property
-    def can_ids(self) -> frozenset[int]:
-        """The identifiers of which `decode` makes an image."""
-        return frozenset(self._decoders)
-
     def knows(self, can_id: int) -> bool:
         """Whether `decode` makes an image of this identifier."""
         return can_id in self._decoders

@@ -108,9 +108,9 @@ def test_what_was_written_before_the_time_was_up_is_kept_and_no_trace_of_it_else
 
 def test_two_at_once_take_different_processors_while_there_are_some(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uml, "_by_idleness", lambda: [900_003, 900_001])
-    with uml._processor() as first, uml._processor() as second, uml._processor() as third:
+    with uml.processor_of_its_own() as first, uml.processor_of_its_own() as second, uml.processor_of_its_own() as third:
         assert (first, second, third) == (900_003, 900_001, 900_003)
-    with uml._processor() as again:
+    with uml.processor_of_its_own() as again:
         assert again == 900_003
 
 

@@ -65,8 +65,8 @@ def rehearse(missions: str, results: Path, timeout_s: float) -> int:
         init.write_text(init_script(missions, installed, udev, results, modules, clock))
         init.chmod(0o755)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
-        with (results / "console.log").open("wb") as log, uml._processor() as processor:
-            in_time = uml._boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
+        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor:
+            in_time = uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
     if not in_time:
         raise CarPcError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
     report = results / "report.json"

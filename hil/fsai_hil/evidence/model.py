@@ -63,7 +63,6 @@ S: Final = 1_000_000_000
 CYCLE_NS: Final = 10 * MS
 NOW: Final = 1_000 * S  # every state is looked at as if it were now
 NEVER: Final = -1
-AI_LOST_NS: Final = 100 * MS  # interface specification v4.0: echo, or one of the five messages
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
 CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)

@@ -156,8 +156,8 @@ def run_in_uml(
             _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, module_files(uml.modules, modules))
         )
         init.chmod(0o755)
-        with (staged / "uml-kernel.log").open("wb") as log, _processor() as processor:
-            in_time = _boot(uml, init, exchange, log, processor, memory_mib, timeout_s)
+        with (staged / "uml-kernel.log").open("wb") as log, processor_of_its_own() as processor:
+            in_time = boot(uml, init, exchange, log, processor, memory_mib, timeout_s)
         try:
             return int((exchange / "exit-status").read_text())
         except (OSError, ValueError):
@@ -252,7 +252,7 @@ def _q(value: Path | str) -> str:
     return shlex.quote(str(value))
 
 
-def _boot(
+def boot(
     uml: UserModeLinux,
     init: Path,
     exchange: Path,
@@ -329,7 +329,7 @@ def _settle(cpu: int) -> None:
 
 
 @contextlib.contextmanager
-def _processor() -> Iterator[int]:
+def processor_of_its_own() -> Iterator[int]:
     """The least busy processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the least busy.
 
     One that has just started is not busy yet.
