@@ -397,6 +397,17 @@ def test_the_brake_that_follows_from_an_odd_wheel_does_not_explain_it() -> None:
     assert later.implausible_since_ns == T
 
 
+@pytest.mark.parametrize(("asked", "rpm"), [(DRIVING, (300, 300, 1200, 300)), (DRAGGING, (300, 300, 50, 300))])
+def test_torque_that_comes_after_a_wheel_was_odd_does_not_explain_it(
+    asked: AiCommand, rpm: tuple[int, int, int, int]
+) -> None:
+    """Neither as wheelspin nor as a motor held by its speed limit; both would have, had the torque been there before."""
+    speeds = WheelSpeeds(*rpm, t_rx_ns=T)
+    assert check_wheels(CONFIG, CAR, WheelCheck(), asked, speeds, None, T).implausible_since_ns is None
+    check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, speeds, None, T)
+    assert check_wheels(CONFIG, CAR, check, asked, speeds, None, T + 50 * MS).implausible_since_ns == T
+
+
 def test_outside_as_driving_an_odd_wheel_is_forgotten_but_not_what_explains_slip() -> None:
     check = WheelCheck(T, "front left", 1, 2, 3)
     assert forget_wheels(check) == WheelCheck(None, "", 1, 2, 3)
