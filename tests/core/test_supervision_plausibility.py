@@ -401,7 +401,7 @@ def test_the_brake_that_follows_from_an_odd_wheel_does_not_explain_it() -> None:
 def test_torque_that_comes_after_a_wheel_was_odd_does_not_explain_it(
     asked: AiCommand, rpm: tuple[int, int, int, int]
 ) -> None:
-    """Neither as wheelspin nor as a motor held by its speed limit; both would have, had the torque been there before."""
+    """Neither as wheelspin nor as a motor held by its speed limit; with torque before it, both would have."""
     speeds = WheelSpeeds(*rpm, t_rx_ns=T)
     assert check_wheels(CONFIG, CAR, WheelCheck(), asked, speeds, None, T).implausible_since_ns is None
     check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, speeds, None, T)
