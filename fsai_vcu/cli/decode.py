@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Output, Sources, add_database_arguments, decoder_of
+from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments, report_problems
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.frames import Frames
@@ -17,31 +18,47 @@ _AT_ONCE = 60_000  # frames: many of one message are decoded together, and their
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("log", metavar="LOG|INTERFACE", help=SOURCE_HELP)
+    parser.add_argument("log", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
     add_database_arguments(parser)
     parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.frames import joined
-    from fsai_vcu.diagnostics.lines import LineWriter
-    from fsai_vcu.diagnostics.sharing import processes_for, write_lines
+    from fsai_vcu.diagnostics.sharing import processes_for
 
-    sources = Sources("decode", [args.log])
-    writer = LineWriter(decoder_of(args), as_json=args.json, words=not args.numbers)
-    output = Output()
+    decoding = Decoding("decode", args)
     processes = processes_for(args.log)
-    if processes > 1:
-        try:
-            frames, problems = write_lines(Path(args.log), writer.block, sys.stdout.fileno(), processes)
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            raise UserError(f"cannot write the output: {error.strerror or error}") from error
-        sources.report(args.log, frames, problems)
-        return sources.status
+    return _pieces(args, decoding, processes) if processes else _chunks(args, decoding)
+
+
+def _pieces(args: argparse.Namespace, decoding: Decoding, processes: int) -> int:
+    """A candump log, on all processors."""
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.printing import Printer
+    from fsai_vcu.diagnostics.sharing import LARGE_PIECE_BYTES, PIECE_BYTES, write_all, write_lines
+
+    path = Path(args.log)
+    try:
+        decoding.hear_log(path)
+        printer = Printer(decoding.databases, as_json=args.json, words=not args.numbers)
+        piece_bytes = LARGE_PIECE_BYTES if args.json else PIECE_BYTES
+        output = Output()
+        write = partial(write_all, sys.stdout.fileno()) if processes > 1 else output.write
+        count, problems = write_lines(path, printer, write, processes, piece_bytes)
+        output.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise UserError(f"cannot write the output: {error.strerror or error}") from error
+    return report_problems("decode", args.log, count, problems)
+
+
+def _chunks(args: argparse.Namespace, decoding: Decoding) -> int:
+    from fsai_vcu.diagnostics.frames import joined
+
+    sources = Sources("decode", [args.log], decoding)
+    output = Output()
     waiting: list[Frames] = []
     count = 0
     at_once = sources.live or args.log == "-"
@@ -49,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
         waiting.append(chunk)
         count += len(chunk)
         if count >= _AT_ONCE or (at_once and count):
-            output.write(writer.block(joined(waiting)), at_once=at_once)
+            output.write(decoding.writer.block(joined(waiting)), at_once=at_once)
             waiting, count = [], 0
-    output.write(writer.block(joined(waiting)))
+    output.write(decoding.writer.block(joined(waiting)))
     output.flush()
     return sources.status

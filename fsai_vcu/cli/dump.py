@@ -8,10 +8,9 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Output, Sources, add_database_arguments, decoder_of
+from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.decode import Decoder
     from fsai_vcu.diagnostics.frames import Frames
 
 EXAMPLE = "fsai-vcu dump can0,520:7FF,510:7FF,#FFFFFFFF -t z"
@@ -43,16 +42,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.lines import LineWriter
+    from fsai_vcu.cli.main import WrongUse
 
     if args.count is not None and args.count < 1:
-        raise UserError(f"-n is {args.count}, but at least 1 frame can be shown")
+        raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
-        raise UserError(f"-T is {args.idle_ms:g}, not a time")
-    sources = Sources("dump", args.sources)
-    decoder = decoder_of(args)
-    lines = _Lines(args, decoder, LineWriter(decoder, as_json=args.json, words=not args.numbers))
+        raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
+    decoding = Decoding("dump", args)
+    sources = Sources("dump", args.sources, decoding)
+    lines = _Lines(args, decoding)
     output = Output()
     left = args.count
     heard_at = time.monotonic()
@@ -78,13 +76,9 @@ def run(args: argparse.Namespace) -> int:
 class _Lines:
     """Frames as lines, in the style that the arguments ask for."""
 
-    def __init__(self, args: argparse.Namespace, decoder: Decoder, writer: object) -> None:
-        from fsai_vcu.diagnostics.lines import LineWriter
-
-        assert isinstance(writer, LineWriter)
+    def __init__(self, args: argparse.Namespace, decoding: Decoding) -> None:
         self._args = args
-        self._decoder = decoder
-        self._writer = writer
+        self._decoding = decoding
         self._color = args.color or (sys.stdout.isatty() and not os.environ.get("NO_COLOR"))
         self._indented = False
         self._zero_ns: int | None = None
@@ -97,7 +91,7 @@ class _Lines:
         if not len(frames):
             return b""
         if self._args.json:
-            return self._writer.block(frames)
+            return self._decoding.writer.block(frames)
         style = self._args.times
         frames = self._shifted(frames)
         if self._args.log_format:
@@ -106,7 +100,7 @@ class _Lines:
             digits = _TIME_DIGITS[style] if style else None
             heads = screen_lines(frames, time_digits=digits, padded=not self._args.no_signals, indented=self._indented)
             self._indented = self._indented or bool((frames.flags & EXTENDED).any())
-        tails = [b"\n"] * len(frames) if self._args.no_signals else self._writer.tails(frames)
+        tails = [b"\n"] * len(frames) if self._args.no_signals else self._decoding.writer.tails(frames)
         if self._color:
             colors = self._colors(frames)
             heads = [color + head if color else head for color, head in zip(colors, heads, strict=True)]
@@ -137,7 +131,7 @@ class _Lines:
         from fsai_vcu.diagnostics.frames import ERROR
         from fsai_vcu.interface.bus_table import BY_ID, Flow
 
-        which = self._decoder.which(frames)
+        which = self._decoding.decoder.which(frames)
         colors = []
         for known, can_id, flags in zip(which.tolist(), frames.can_id.tolist(), frames.flags.tolist(), strict=True):
             own = BY_ID.get(can_id)

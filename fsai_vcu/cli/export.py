@@ -6,12 +6,8 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import Sources, add_database_arguments, decoder_of
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.frames import Frames
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments
 
 EXAMPLE = (
     "fsai-vcu export run.log.gz --to parquet -o run-tables\n"
@@ -49,30 +45,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.exporting.wide import raster_ns
     from fsai_vcu.diagnostics.exporting.writing import ExportError, check_format, export
 
     if args.raster is not None and not args.wide:
-        raise UserError("--raster goes with --wide")
+        raise WrongUse("--raster goes with --wide")
     if args.words and args.to not in ("csv", "parquet"):
-        raise UserError(f"--words does not go with {args.to}: it has numbers, and the words beside them")
+        raise WrongUse(f"--words does not go with {args.to}: it has numbers, and the words beside them")
     try:
         step_ns = raster_ns(args.raster or _DEFAULT_RASTER) if args.wide else None
+    except ValueError as error:
+        raise WrongUse(str(error)) from error
+    try:
         check_format(args.to)
-    except (ValueError, ExportError) as error:
+    except ExportError as error:
         raise UserError(str(error)) from error
-    sources = Sources("export", args.logs)
+    decoding = Decoding("export", args)
+    sources = Sources("export", args.logs, decoding)
     if sources.live:
-        raise UserError(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
-    decoder = decoder_of(args)
+        raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
     progress = _Progress()
-    frames = _all_frames(sources, progress)
+    frames = sources.everything(heard=progress.reading)
     if not len(frames):
         return sources.status or 1
     try:
         written = export(
-            frames, decoder, args.to, args.output, step_ns=step_ns, words=args.words, progress=progress.writing
+            frames, decoding.decoder, args.to, args.output, step_ns=step_ns, words=args.words, progress=progress.writing
         )
     except ExportError as error:
         raise UserError(str(error)) from error
@@ -90,20 +89,6 @@ def run(args: argparse.Namespace) -> int:
     for note in written.notes:
         print(f"fsai-vcu export: {note}", file=sys.stderr)
     return sources.status
-
-
-def _all_frames(sources: Sources, progress: _Progress) -> Frames:
-    """All frames of all logs, their buses numbered alike."""
-    from fsai_vcu.diagnostics.frames import joined, renumbered
-
-    channels: list[str] = []
-    parts = []
-    count = 0
-    for chunk in sources.chunks():
-        parts.append(renumbered(chunk, channels))
-        count += len(chunk)
-        progress.reading(count)
-    return joined(parts)
 
 
 class _Progress:

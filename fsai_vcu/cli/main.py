@@ -45,6 +45,10 @@ class UserError(Exception):
     """Something the user can put right; the message is one clear line."""
 
 
+class WrongUse(UserError):
+    """What was asked for makes no sense, whatever is on the bus or in the log."""
+
+
 class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, without the whole usage before it."""
 
@@ -90,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
 
 
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def _discard_output() -> None:
@@ -119,7 +123,7 @@ def _run(arguments: list[str]) -> int:
         return int(module.run(args))
     except UserError as error:
         print(f"fsai-vcu {verb}: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, WrongUse) else 1
     except KeyboardInterrupt:
         print(f"fsai-vcu {verb}: interrupted", file=sys.stderr)
         return 130

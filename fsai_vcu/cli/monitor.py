@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Output, Sources
+from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.frames import Frames
@@ -39,10 +39,7 @@ _FAR_OFF_NS = 60 * _NS  # a stamp so far from now is of a device's own clock
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
-    parser.add_argument("--revision", help="interface revision: 2021 or 2026 (default: told from the frames)")
-    parser.add_argument(
-        "--dbc", action="append", default=[], type=Path, metavar="FILE", help="these databases instead of our own"
-    )
+    add_database_arguments(parser)
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so long (live; default: until Ctrl-C)")
     log = parser.add_mutually_exclusive_group()
@@ -53,8 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
+    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.monitor.screen import is_terminal
     from fsai_vcu.diagnostics.monitor.view import View
     from fsai_vcu.interface.revisions import revision
@@ -62,14 +58,12 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     sources = Sources("monitor", [args.source])
     if sources.live and (args.at is not None or args.rate is not None):
-        raise UserError("--at and --rate are for logs")
+        raise WrongUse("--at and --rate are for logs")
     if not sources.live and args.seconds is not None:
-        raise UserError("--seconds is for live buses; --at shows a moment of a log")
-    try:
-        chosen = revision(args.revision) if args.revision else None
-        databases = load_databases(args.dbc, args.revision or "2026") if args.dbc else None
-    except (DatabasesError, ValueError) as error:
-        raise UserError(str(error)) from error
+        raise WrongUse("--seconds is for live buses; --at shows a moment of a log")
+    decoding = Decoding("monitor", args)
+    chosen = revision(args.revision) if args.revision else None
+    databases = decoding.databases if args.dbc else None
     name = args.source.partition(",")[0]
     view = View("standard input" if name == "-" else Path(name).name, chosen, databases)
     drawn = is_terminal() and not (args.plain or args.json)
@@ -93,12 +87,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import WrongUse
 
     for name, least in (("every", 0.02), ("seconds", 0.0), ("at", 0.0), ("rate", 0.0)):
         value = getattr(args, name)
         if value is not None and not least <= value < float("inf"):
-            raise UserError(f"--{name} is {value:g}, but must be {least:g} or more")
+            raise WrongUse(f"--{name} is {value:g}, but must be {least:g} or more")
 
 
 # ---------------------------------------------------------------- moments

@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.toml",
         help="operational limits in force: their content is kept beside the log",
     )
-    add_database_arguments(parser)
+    add_database_arguments(parser, "2026")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -42,8 +42,8 @@ One command, a verb, its arguments. `fsai-vcu --help` lists the verbs, `fsai-vcu
 Wrong use and bad input are answered with one clear line."""
 _STATUSES = (
     ("0", "done, and all is well"),
-    ("1", "failed, or what was looked at is not well"),
-    ("2", "wrong use, or (explain, report) input that could not be read"),
+    ("1", "failed, refused, not wholly readable, or what was looked at is not well"),
+    ("2", "wrong use"),
     ("130", "interrupted with Ctrl-C"),
 )
 

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.frames import joined
     from fsai_vcu.diagnostics.replaying import Player, ReplayError, between, choose, is_physical
     from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     sources = Sources("replay", [args.log])
     if sources.live:
-        raise UserError(f"{args.log} is an interface; replay reads logs")
+        raise WrongUse(f"{args.log} is an interface; replay reads logs")
     if is_physical(args.interface) and not args.physical:
         raise UserError(
             f"{args.interface} may be a real bus, with a car on it: frames of a log move things there; "
@@ -86,16 +86,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import WrongUse
 
     if not 0.0 < args.rate < float("inf"):
-        raise UserError(f"--rate is {args.rate:g}, not a rate")
+        raise WrongUse(f"--rate is {args.rate:g}, not a rate")
     if args.loop is not None and args.loop < 0:
-        raise UserError(f"--loop is {args.loop}, not a number of times")
+        raise WrongUse(f"--loop is {args.loop}, not a number of times")
     if not 0.0 <= args.begin_s < float("inf"):
-        raise UserError(f"--from is {args.begin_s:g}, not a time in the log")
+        raise WrongUse(f"--from is {args.begin_s:g}, not a time in the log")
     if args.end_s is not None and not args.begin_s <= args.end_s < float("inf"):
-        raise UserError(f"--to is {args.end_s:g}, and --from {args.begin_s:g}: there is nothing between them")
+        raise WrongUse(f"--to is {args.end_s:g}, and --from {args.begin_s:g}: there is nothing between them")
 
 
 def _play(player: Player, frames: Frames) -> None:

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
     parser.add_argument("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
     parser.add_argument("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
-    add_database_arguments(parser)
+    add_database_arguments(parser, "2026")
     parser.add_argument("--count", type=int, default=1, metavar="N", help="so many times (default: 1; 0: until Ctrl-C)")
     parser.add_argument("--period", type=float, metavar="MS", help="so far apart (default: the database's, or 100 ms)")
     parser.add_argument(

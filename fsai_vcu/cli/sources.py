@@ -6,21 +6,26 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.databases import Databases
     from fsai_vcu.diagnostics.decode import Decoder
     from fsai_vcu.diagnostics.filters import FrameFilter
     from fsai_vcu.diagnostics.frames import Frames
-    from fsai_vcu.diagnostics.logs import Problems
+    from fsai_vcu.diagnostics.lines import LineWriter
+    from fsai_vcu.diagnostics.log_files import Problems
+    from fsai_vcu.interface.revisions import Revision
 
 SOURCE_HELP: Final = "a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input) or a CAN interface"
 _PROBLEMS_SHOWN = 5
+_FEW_BYTES = 1 << 16  # some two seconds of the car's bus
 
 
-def add_database_arguments(parser: argparse.ArgumentParser) -> None:
+def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
+    """`revision`: the one that counts where none is named; None: the frames tell."""
     parser.add_argument(
         "--dbc",
         action="append",
@@ -29,46 +34,164 @@ def add_database_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="decode with this database instead of the car's own; may be given several times, the first one counts",
     )
-    parser.add_argument("--revision", default="2026", help="interface revision: 2021 or 2026 (default: 2026)")
+    default = revision or "told from the frames"
+    parser.add_argument("--revision", default=revision, help=f"interface revision: 2021 or 2026 (default: {default})")
 
 
 def decoder_of(args: argparse.Namespace) -> Decoder:
-    """The decoder that the arguments ask for. Raises UserError."""
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
-    from fsai_vcu.diagnostics.decode import Decoder
+    """The decoder that the arguments ask for; where they name no revision, of the latest. Raises UserError."""
+    return Decoding("", args).decoder
 
-    try:
-        return Decoder(load_databases(args.dbc, args.revision))
-    except DatabasesError as error:
-        raise UserError(str(error)) from error
+
+class Decoding:
+    """Decodes as the arguments ask for. Where they name neither a revision nor databases, the frames tell.
+
+    `revision` is the name of the revision in force: the given one, else the one told so far, else the latest.
+    """
+
+    def __init__(self, verb: str, args: argparse.Namespace) -> None:
+        """Raises UserError."""
+        from fsai_vcu.cli.main import WrongUse
+        from fsai_vcu.interface.revisions import REVISIONS
+        from fsai_vcu.interface.revisions import revision as revision_named
+
+        self._verb = verb
+        self._args = args
+        self._files: Sequence[Path] = args.dbc
+        self.told: bool = args.revision is not None  # nothing more to be learned from frames
+        try:
+            self.revision = revision_named(args.revision or list(REVISIONS)[-1]).name
+        except ValueError as error:
+            raise WrongUse(str(error)) from error
+        self._databases: Databases | None = None
+        self._decoder: Decoder | None = None
+        self._writer: LineWriter | None = None
+        if self._files:
+            self._databases = self._loaded()  # what is wrong with them is said before anything is read
+
+    @property
+    def databases(self) -> Databases:
+        """By what is known so far: others once frames have told more."""
+        if self._databases is None:
+            self._databases = self._loaded()
+        return self._databases
+
+    @property
+    def decoder(self) -> Decoder:
+        """With the databases of now."""
+        from fsai_vcu.diagnostics.decode import Decoder
+
+        if self._decoder is None:
+            self._decoder = Decoder(self.databases)
+        return self._decoder
+
+    @property
+    def writer(self) -> LineWriter:
+        """Prints as --json and --numbers ask for, with the decoder of now."""
+        from fsai_vcu.diagnostics.lines import LineWriter
+
+        if self._writer is None:
+            self._writer = LineWriter(self.decoder, as_json=self._args.json, words=not self._args.numbers)
+        return self._writer
+
+    def hear(self, frames: Frames) -> None:
+        """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
+        from fsai_vcu.diagnostics.revision import told_revision
+
+        if not self.told and len(frames):
+            self._learn(told_revision(frames))
+
+    def hear_log(self, path: Path) -> None:
+        """The same from the beginning of a candump log: as much of it as it takes."""
+        from fsai_vcu.diagnostics.quick_lines import payloads
+        from fsai_vcu.diagnostics.revision import revision_of
+        from fsai_vcu.diagnostics.sharing import pieces_of
+
+        for block in pieces_of(path, _FEW_BYTES):
+            if self.told:
+                return
+            self._learn(revision_of(payloads(block)))
+
+    def _learn(self, found: tuple[Revision, str] | None) -> None:
+        if found is None:
+            return
+        self.told = True
+        revision, reason = found
+        if revision.name == self.revision:
+            return
+        self.revision = revision.name
+        if not self._files:
+            self._databases = self._decoder = self._writer = None
+            print(f"fsai-vcu {self._verb}: interface revision {revision.name} ({reason})", file=sys.stderr)
+
+    def _loaded(self) -> Databases:
+        from fsai_vcu.cli.main import UserError
+        from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
+
+        try:
+            return load_databases(self._files, self.revision)
+        except DatabasesError as error:
+            raise UserError(str(error)) from error
 
 
 class Sources:
     """Logs or live interfaces named on a command line, as one stream of columns.
 
-    `live` tells which. `status` is 1 once something could not be read; `report` says it on stderr.
+    `live` tells which, `name` what they are called. `status` is 1 once something could not be read; what it
+    was is said on stderr.
     """
 
-    def __init__(self, verb: str, names: Sequence[str], *, keep_waiting: bool = True) -> None:
-        """names: `NAME[,filter…]` each. Raises UserError."""
-        from fsai_vcu.cli.main import UserError
+    def __init__(self, verb: str, names: Sequence[str], decoding: Decoding | None = None) -> None:
+        """names: `NAME[,filter…]` each. decoding: hears every frame, those too that no filter lets through.
+
+        Raises UserError.
+        """
+        from fsai_vcu.cli.main import WrongUse
         from fsai_vcu.diagnostics.filters import split_source
 
         self.verb = verb
         self.status = 0
+        self._decoding = decoding
         try:
             self._rules = [split_source(name) for name in names]
         except ValueError as error:
-            raise UserError(str(error)) from error
+            raise WrongUse(str(error)) from error
+        self.name = ", ".join("standard input" if name == "-" else name for name, _ in self._rules)
         kinds = {_is_log(name) for name, _ in self._rules}
         if len(kinds) > 1:
-            raise UserError("logs and live interfaces cannot be read together")
+            raise WrongUse("logs and live interfaces cannot be read together")
         self.live = kinds == {False}
 
-    def chunks(self, seconds: float | None = None) -> Iterator[Frames]:
-        """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock."""
-        yield from self._live_chunks(seconds) if self.live else self._log_chunks()
+    def chunks(self, seconds: float | None = None, *, announced: bool = False) -> Iterator[Frames]:
+        """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock.
+
+        announced: a person who would see nothing for long is told that this is listening.
+        """
+        yield from self._live_chunks(seconds, announced) if self.live else self._log_chunks()
+
+    def everything(self, seconds: float | None = None, heard: Callable[[int], None] = lambda _: None) -> Frames:
+        """All frames of all logs, their buses numbered alike; of live buses, what they say for so long or until Ctrl-C.
+
+        `heard` is told again and again how many frames there are.
+        """
+        from fsai_vcu.diagnostics.frames import joined, renumbered
+
+        channels: list[str] = []
+        parts: list[Frames] = []
+        count = 0
+        try:
+            for chunk in self.chunks(seconds, announced=True):
+                if len(chunk):
+                    parts.append(renumbered(chunk, channels))
+                    count += len(chunk)
+                heard(count)
+        except KeyboardInterrupt:
+            if not self.live:
+                raise
+        if self.live and not count:
+            self._say(f"nothing was heard on {self.name}")
+            self.status = 1
+        return joined(parts)
 
     def _log_chunks(self) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError
@@ -83,21 +206,12 @@ class Sources:
             with log:
                 for frames in log.chunks():
                     count += len(frames)
+                    if self._decoding is not None:
+                        self._decoding.hear(frames)
                     yield _passing(frames, rule)
-            self.report(log.name, count, log.problems)
+            self.status |= report_problems(self.verb, log.name, count, log.problems)
 
-    def report(self, name: str, frames: int, problems: Problems) -> None:
-        """Say what could not be read of a log of so many frames."""
-        if not frames:
-            problems.add(f"{name}: no frames in it")
-        for text in problems.texts[:_PROBLEMS_SHOWN]:
-            self._say(text)
-        if problems.count > _PROBLEMS_SHOWN:
-            self._say(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
-        if problems:
-            self.status = 1
-
-    def _live_chunks(self, seconds: float | None) -> Iterator[Frames]:
+    def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError
         from fsai_vcu.diagnostics.filters import filtered
         from fsai_vcu.diagnostics.live import LiveSource
@@ -110,7 +224,11 @@ class Sources:
             raise UserError(str(error)) from error
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with source:
+            if announced and seconds is None:
+                self._say(f"listening to {self.name} until Ctrl-C")
             for frames in source.chunks(seconds):
+                if self._decoding is not None:
+                    self._decoding.hear(frames)
                 yield filtered(frames, rules)
             if source.lost is not None:
                 self._say(source.lost)
@@ -118,6 +236,32 @@ class Sources:
 
     def _say(self, text: str) -> None:
         print(f"fsai-vcu {self.verb}: {text}", file=sys.stderr)
+
+
+def report_problems(verb: str, name: str, frames: int, problems: Problems) -> int:
+    """Say what could not be read of a log of so many frames; the exit status that comes of it."""
+    if frames:
+        texts = problems.texts[:_PROBLEMS_SHOWN]
+        if problems.count > _PROBLEMS_SHOWN:
+            texts.append(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
+    else:
+        why = problems.texts[0].removeprefix(name) if problems else ""
+        texts = [f"{name}: nothing could be read{why}" if why else f"{name}: no frames in it"]
+    for text in texts:
+        print(f"fsai-vcu {verb}: {text}", file=sys.stderr)
+    return 1 if texts else 0
+
+
+def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, metavar="S", help="listen so long (live; default: until Ctrl-C)")
+
+
+def check_seconds(args: argparse.Namespace) -> None:
+    """Raises WrongUse."""
+    from fsai_vcu.cli.main import WrongUse
+
+    if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
+        raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
 
 def _passing(frames: Frames, rule: FrameFilter) -> Frames:
@@ -143,7 +287,9 @@ class Output:
         from fsai_vcu.cli.main import UserError
 
         try:
-            self._out.write(block)
+            left = memoryview(block)
+            while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only
+                left = left[self._out.write(left) :]
             if at_once:
                 self._out.flush()
         except BrokenPipeError:

@@ -8,19 +8,31 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Output, Sources, add_database_arguments, decoder_of
+from fsai_vcu.cli.sources import (
+    SOURCE_HELP,
+    Decoding,
+    Output,
+    Sources,
+    add_database_arguments,
+    add_seconds_argument,
+    check_seconds,
+)
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.statistics import BusStatistics, Finding, MessageStatistics
 
 EXAMPLE = "fsai-vcu stats can0 --seconds 10"
+ABOUT = """\
+Exit status: 0 all is well (notes count as well), 1 a problem was found or not
+everything could be read, 2 wrong use."""
 _PROGRESS_S = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
     add_database_arguments(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="listen so long (live; default: until Ctrl-C)")
+    add_seconds_argument(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
     parser.add_argument(
         "--json", action="store_true", help="one JSON object per message, finding and bus; verdict last"
@@ -33,31 +45,17 @@ def run(args: argparse.Namespace) -> int:
 
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.frames import joined
+    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.statistics import judge, measure, verdict
 
-    if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
-        raise UserError(f"--seconds is {args.seconds:g}, not a time")
+    check_seconds(args)
     if args.bitrate is not None and args.bitrate < 1:
-        raise UserError(f"--bitrate is {args.bitrate}, not a bit rate")
-    sources = Sources(verb, [args.source])
-    decoder = decoder_of(args)
-    kept = []
-    count, told_at = 0, time.monotonic()
-    try:
-        for chunk in sources.chunks(args.seconds):
-            if len(chunk):
-                kept.append(chunk)
-                count += len(chunk)
-            if sys.stderr.isatty() and time.monotonic() - told_at > _PROGRESS_S:
-                told_at = time.monotonic()
-                print(f"{count} frames …", file=sys.stderr)
-    except KeyboardInterrupt:
-        if not sources.live:
-            raise
-    frames = joined(kept)
-    found = [(bus, judge(bus)) for bus in measure(frames, decoder, revision=args.revision, bitrate=args.bitrate)]
+        raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
+    decoding = Decoding(verb, args)
+    sources = Sources(verb, [args.source], decoding)
+    frames = sources.everything(args.seconds, _Progress())
+    buses = measure(frames, decoding.decoder, revision=decoding.revision, bitrate=args.bitrate)
+    found = [(bus, judge(bus)) for bus in buses]
     well = bool(found) and all(verdict(findings) for _, findings in found)
     output = Output()
     for bus, findings in found:
@@ -66,6 +64,18 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     findings = [finding for _, several in found for finding in several]
     output.write(_verdict(well, findings, as_json=args.json, frames=len(frames)).encode(), at_once=True)
     return sources.status or (0 if well else 1)
+
+
+class _Progress:
+    """Says on a terminal, every two seconds, how many frames there are."""
+
+    def __init__(self) -> None:
+        self._told_at = time.monotonic()
+
+    def __call__(self, frames: int) -> None:
+        if sys.stderr.isatty() and time.monotonic() - self._told_at > _PROGRESS_S:
+            self._told_at = time.monotonic()
+            print(f"{frames} frames …", file=sys.stderr)
 
 
 def _verdict(well: bool, findings: list[Finding], *, as_json: bool, frames: int) -> str:

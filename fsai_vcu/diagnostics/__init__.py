@@ -10,6 +10,7 @@ Reading
         for frame in log.frames(): ...            # or one by one
         log.problems                              # what could not be read, with its place; never an exception
     read_log(path) -> (Frames, Problems)          # all of it at once
+    guess_revision(frames)                        # revision.py: the interface revision they are of, and why
     LiveSource(interfaces)                        # live.py: the same chunks(), from buses
 
     candump's formats are read and written by candump.py; logs.py knows the binary ones, through python-can.
@@ -29,8 +30,12 @@ Decoding
 
 Printing
     LineWriter(decoder, as_json=False).block(frames)      # lines.py: lines of bytes; tails(): the signals only
-    write_lines(path, writer.block, fd, processes)        # sharing.py: a long candump log, on all processors
+    Printer(databases)(block)                             # printing.py: lines of a candump log, as they are in it
+    write_lines(path, printer, write, processes)          # sharing.py: all of a candump log, on all processors
     error_words(can_id, data)                             # errors.py: an error frame of SocketCAN in words
+
+    `fsai-vcu decode` of a candump log loads neither numpy nor cantools while its lines are usual (quick_lines.py): to
+    load numpy takes as long as to print 100,000 lines. lines.py says what is right, and a test compares them.
 
 Measuring
     measure(frames, decoder, revision=…)          # statistics.py: a BusStatistics for each channel: periods, gaps,
@@ -45,5 +50,6 @@ Watching, sending
     outgoing(databases, "BenchLamp", ["COLOUR=RED"])              # sending.py: a frame by its signals, or a refusal
 
 On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
-with filters, problems and an exit status), `add_database_arguments`, `decoder_of`, `Output`.
+with filters, problems and an exit status), `Decoding` (databases as the arguments ask for, or as the frames tell),
+`add_database_arguments`, `Output`.
 """

@@ -16,11 +16,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from fsai_vcu.diagnostics.databases import load_databases
+from fsai_vcu.diagnostics.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.frames import joined
-from fsai_vcu.diagnostics.lines import LineWriter
-from fsai_vcu.diagnostics.logs import open_log, read_log
+from fsai_vcu.diagnostics.logs import read_log
+from fsai_vcu.diagnostics.printing import Printer
+from fsai_vcu.diagnostics.sharing import PIECE_BYTES, pieces_of
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
 
 
@@ -54,11 +54,12 @@ def speed(log: Path, repeats: int = 3) -> Speed:
         theirs = [sys.executable, "-m", "cantools", "decode", "--single-line", str(one_dbc)]
         output = Path(folder) / "decoded.txt"
         _best(1, lambda: _command(ours, log, Path(os.devnull)))  # what is remembered between runs is there from now on
-        decoder = Decoder(load_databases())
+        databases = load_databases()
+        decoder = Decoder(databases)
         command_s = _best(repeats, lambda: _command(ours, log, Path(os.devnull)))
         command_json_s = _best(repeats, lambda: _command([*ours, "--json"], log, Path(os.devnull)))
         to_file_s = _best(repeats, lambda: _command(ours, log, output))
-        lines_s = _best(repeats, lambda: _lines(decoder, log))
+        lines_s = _best(repeats, lambda: _lines(databases, log))
         values_s = _best(repeats, lambda: decoder.tables(read_log(log)[0]))
         cantools_s = _best(repeats, lambda: _command(theirs, log, Path(os.devnull)))
     return Speed(
@@ -89,18 +90,12 @@ def _command(argv: Sequence[str], log: Path, output: Path) -> None:
         subprocess.run(argv, stdin=source, stdout=sink, check=True)
 
 
-def _lines(decoder: Decoder, log: Path) -> None:
-    """Every line that `decode` prints, without a process around it."""
-    writer = LineWriter(decoder)
-    with open_log(log) as opened, Path(os.devnull).open("wb") as sink:
-        waiting, count = [], 0
-        for frames in opened.chunks():
-            waiting.append(frames)
-            count += len(frames)
-            if count >= 60_000:
-                sink.write(writer.block(joined(waiting)))
-                waiting, count = [], 0
-        sink.write(writer.block(joined(waiting)))
+def _lines(databases: Databases, log: Path) -> None:
+    """Every line that `decode` prints, by one process, without its start."""
+    printer = Printer(databases)
+    with Path(os.devnull).open("wb") as sink:
+        for block in pieces_of(log, PIECE_BYTES):
+            sink.write(printer(block).text)
 
 
 def main() -> int:

@@ -28,6 +28,7 @@ from fsai_vcu.diagnostics.decode import Decoder, UndecodableError, values_of
 from fsai_vcu.diagnostics.errors import error_words
 from fsai_vcu.diagnostics.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, Words
 from fsai_vcu.diagnostics.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
+from fsai_vcu.diagnostics.quick_lines import one_line, unknown
 
 _EXTENDED_SHIFT: Final = EXTENDED_KEY.bit_length() - EXTENDED.bit_length()
 _TABLE_BITS: Final = 10  # a signal of up to so many bits has a table of its values' texts
@@ -114,7 +115,7 @@ class LineWriter:
             return
         ids, where = np.unique(frames.can_id[rows], return_inverse=True)
         texts = np.empty(len(ids), object)
-        texts[:] = [f" :: Unknown frame id {can_id} (0x{can_id:x})\n".encode() for can_id in ids.tolist()]
+        texts[:] = [unknown(can_id) for can_id in ids.tolist()]
         tails[rows] = texts[where]
 
     def _carefully(self, layout: MessageLayout, frames: Frames, rows: Ints, tails: npt.NDArray[np.object_]) -> None:
@@ -194,7 +195,7 @@ class _SignalWriter:
         self._layout = layout
         self._json = as_json
         self._choices = layout.choices if words else {}
-        unit = "" if as_json or not layout.unit else f" {_one_line(layout.unit)}"
+        unit = "" if as_json or not layout.unit else f" {one_line(layout.unit)}"
         # A word has no unit: where there can be words, the unit belongs to the single text.
         self.behind = "" if self._choices else unit
         self._unit = unit if self._choices else ""
@@ -232,11 +233,7 @@ class _SignalWriter:
         word = self._choices.get(int(raw)) if self._choices else None
         if self._json:
             return _json_value(value if word is None else word)
-        return f"{value}{self._unit}" if word is None else _one_line(word)
-
-
-def _one_line(text: str) -> str:
-    return text.replace("\0", "").replace("\n", " ")
+        return f"{value}{self._unit}" if word is None else one_line(word)
 
 
 def _bits(signal: SignalLayout, words: Words) -> Words:

@@ -6,12 +6,12 @@ log, with its place, and never an exception. Only a log that cannot be opened at
 
 from __future__ import annotations
 
+import gc
 import gzip
 import io
 import sys
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
@@ -20,6 +20,7 @@ import numpy as np
 
 from fsai_vcu.diagnostics.candump import MAX_SECONDS, parse_block
 from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log_files import Problems, is_gzip, kind_of, last_line
 
 if TYPE_CHECKING:
     import can
@@ -27,35 +28,10 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 19  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
-_KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
-_GZIP, _BLF, _MF4 = b"\x1f\x8b", b"LOGG", b"MDF "
-_ASC_STARTS = (b"date ", b"base hex", b"base dec", b"// version")
-_CLASSIC_HEX_DIGITS = 16
 
 
 class LogError(Exception):
     """A log that cannot be opened; the message is one clear line."""
-
-
-@dataclass
-class Problems:
-    """What could not be read in a log. `texts` are whole lines for people, each with its place; all are counted."""
-
-    count: int = 0
-    texts: list[str] = field(default_factory=list)
-
-    def add(self, text: str) -> None:
-        self.count += 1
-        if len(self.texts) < _KEPT_PROBLEMS:
-            self.texts.append(text)
-
-    def __bool__(self) -> bool:
-        return self.count > 0
-
-    def summary(self) -> str:
-        """One line."""
-        more = f" (and {self.count - 1} more like it or worse)" if self.count > 1 else ""
-        return self.texts[0] + more if self.count else ""
 
 
 class Log:
@@ -67,6 +43,7 @@ class Log:
         self._stream = stream
         self._path = path
         self._pipe = path is None
+        self._broken = False
         self._announced_bytes = 0
         self._channels: list[str] = []
         self.kind = kind_of(_head(stream))
@@ -99,7 +76,7 @@ class Log:
                 if not cut:
                     continue
                 block = block[:cut]
-            elif carried:
+            elif carried and not self._broken:  # else where it breaks off is said already
                 block, carried = self._last_line(carried, lines_before), b""
             else:
                 return
@@ -116,11 +93,12 @@ class Log:
         """As much as makes a block; from a pipe what there is, so that its reader need not wait."""
         parts: list[bytes] = []
         size = 0
-        while size < _BLOCK_BYTES and not (self._pipe and parts):
+        while size < _BLOCK_BYTES and not (self._pipe and parts) and not self._broken:
             try:
                 part = self._stream.read1(_BLOCK_BYTES - size)  # type: ignore[attr-defined]
             except (OSError, EOFError, zlib.error) as error:
                 self.problems.add(f"{self.name}: cannot be read to its end: {_why(error)}")
+                self._broken = True
                 break
             if not part:
                 break
@@ -165,14 +143,26 @@ class Log:
 
             text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
             return iter(ASCReader(text, relative_timestamp=False))
+        return self._mf4_reader()
+
+    def _mf4_reader(self) -> Iterator[can.Message]:
         try:
             import asammdf  # type: ignore[import-not-found]  # noqa: F401  found missing here, not as an error of the log
             from can.io.mf4 import MF4Reader
         except ImportError:
             raise LogError(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'") from None
-        if self._path is None:
-            raise LogError(f"{self.name}: MF4 cannot be read from a pipe")
-        return iter(MF4Reader(self._path))
+        is_file = self._path is not None and isinstance(self._stream, io.BufferedReader)
+        # What asammdf cannot read it also cannot close when it is thrown away, and would say so on stderr.
+        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+        try:
+            try:
+                return iter(MF4Reader(self._path if is_file else io.BytesIO(self._stream.read())))  # type: ignore[arg-type]
+            except Exception as error:  # the same as in _messages
+                why = _why(error)
+            gc.collect()
+        finally:
+            sys.unraisablehook = hook
+        raise LogError(f"{self.name}: not readable as MF4: {why}")
 
     def _is_cut_off(self) -> bool:
         """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""
@@ -214,7 +204,7 @@ def read_log(path: Path | str) -> tuple[Frames, Problems]:
 
 
 def _unpacked(name: str, stream: IO[bytes], path: Path | None) -> Log:
-    if _head(stream).startswith(_GZIP):
+    if is_gzip(_head(stream)):
         return Log(name, gzip.GzipFile(fileobj=stream), path)  # type: ignore[arg-type]
     return Log(name, stream, path)
 
@@ -225,30 +215,6 @@ def _head(stream: IO[bytes]) -> bytes:
         return stream.peek(16)[:16]  # type: ignore[attr-defined, no-any-return]
     except (OSError, EOFError, zlib.error):
         return b""  # what is wrong is told when the frames are asked for
-
-
-def last_line(line: bytes) -> tuple[bytes, str | None]:
-    """A line without a line end may be cut off; it counts only if its frame cannot be longer than it is.
-
-    Returns (the line as it may be read, what is wrong with it).
-    """
-    digits = line.partition(b"#")[2].strip()
-    if len(digits) == _CLASSIC_HEX_DIGITS or digits.endswith((b" R", b" T")) or not line.strip():
-        return line + b"\n", None
-    return b"", "cut off, without a line end; its frame is left out"
-
-
-def kind_of(head: bytes) -> str:
-    """The format of a log, from its first bytes; 'gzip' is still to be unpacked."""
-    if head.startswith(_GZIP):
-        return "gzip"
-    if head.startswith(_BLF):
-        return "BLF"
-    if head.startswith(_MF4):
-        return "MF4"
-    if head.lower().startswith(_ASC_STARTS):
-        return "ASC"
-    return "candump"
 
 
 def _frame_of(message: can.Message) -> LogFrame | None:

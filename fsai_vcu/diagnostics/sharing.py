@@ -7,33 +7,45 @@ comes round to it: nothing but the turn and, at the end, the problems pass betwe
 from __future__ import annotations
 
 import errno
+import json
 import os
-import pickle
 import sys
-import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
+from fsai_vcu.diagnostics.log_files import Problems, kind_of, last_line
+from fsai_vcu.diagnostics.printing import Printed
 
-from fsai_vcu.diagnostics.candump import parse_block
-from fsai_vcu.diagnostics.frames import Frames
-from fsai_vcu.diagnostics.logs import Problems, kind_of, last_line
-
-PIECE_BYTES: Final = 1 << 21  # some sixty thousand frames
-_WORTH_IT: Final = 2 * PIECE_BYTES
+PIECE_BYTES: Final = 1 << 18  # some seven thousand frames: their text still fits a processor's cache
+LARGE_PIECE_BYTES: Final = 1 << 21  # what is done for many frames at once is worth its while from here on
+_WORTH_IT: Final = 4 * PIECE_BYTES
 
 Pieces = Sequence[tuple[int, int]]
+Print = Callable[[bytes], Printed]
+Write = Callable[[bytes], object]
 
 
-@dataclass
 class _Found:
     """What a process found in its pieces: frames, and for each piece its lines and what was wrong in them."""
 
-    frames: int = 0
-    pieces: dict[int, tuple[int, list[tuple[int, str]]]] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.frames = 0
+        self.pieces: dict[int, tuple[int, list[tuple[int, str]]]] = {}
+
+    def written(self) -> bytes:
+        return json.dumps([self.frames, list(self.pieces.items())]).encode()
+
+    @classmethod
+    def read(cls, written: bytes) -> _Found:
+        """From what another process has written; nothing, if it could not."""
+        found = cls()
+        if written:
+            found.frames, pieces = json.loads(written)
+            found.pieces = {
+                index: (lines, [(line, words) for line, words in wrong]) for index, (lines, wrong) in pieces
+            }
+        return found
 
 
 class _TurnLost(Exception):
@@ -41,22 +53,31 @@ class _TurnLost(Exception):
 
 
 def processes_for(name: str) -> int:
-    """How many processes are worth their start for this log; 1 for what cannot be cut into pieces."""
+    """How many processes are worth their start for this log; 0 for what cannot be cut into pieces."""
     path = Path(name)
     try:
-        if not path.is_file() or path.stat().st_size < _WORTH_IT:
-            return 1
+        if not path.is_file():
+            return 0
         with path.open("rb") as file:
             head = file.read(16)
+        long = path.stat().st_size >= _WORTH_IT
     except OSError:
-        return 1
-    return len(os.sched_getaffinity(0)) if kind_of(head) == "candump" else 1
+        return 0
+    if kind_of(head) != "candump":
+        return 0
+    return len(os.sched_getaffinity(0)) if long else 1
+
+
+def pieces_of(path: Path, piece_bytes: int) -> Iterator[bytes]:
+    """The whole lines of the candump log at `path`, a few at a time: what must be known before it is shared out."""
+    for begin in range(0, path.stat().st_size, piece_bytes):
+        yield _piece(path, begin, begin + piece_bytes)[0]
 
 
 def write_lines(
-    path: Path, lines_of: Callable[[Frames], bytes], out: int, processes: int, piece_bytes: int = PIECE_BYTES
+    path: Path, print_block: Print, write: Write, processes: int, piece_bytes: int = PIECE_BYTES
 ) -> tuple[int, Problems]:
-    """Write the lines of all frames of the candump log at `path` to the file descriptor `out`.
+    """Write the lines of all frames of the candump log at `path`; in several processes `write` must not gather.
 
     Returns (frames, what could not be read). Raises OSError where reading or writing fails.
     """
@@ -71,17 +92,17 @@ def write_lines(
         child = os.fork()
         if child == 0:
             os.close(theirs)
-            _child(_Turn(number, turns), path, pieces, lines_of, out, ours)
+            _child(_Turn(number, turns), path, pieces, print_block, write, ours)
         os.close(ours)
         children.append((child, theirs))
     turn = _Turn(0, turns)
     found: list[_Found] = []
     try:
         turn.begin()
-        found.append(_work(turn, path, pieces, lines_of, out))
+        found.append(_work(turn, path, pieces, print_block, write))
         for _, theirs in children:
             with os.fdopen(theirs, "rb", closefd=False) as answer:
-                found.append(pickle.loads(answer.read() or pickle.dumps(_Found())))
+                found.append(_Found.read(answer.read()))
     except _TurnLost:
         found = []  # how the other one ended tells why
     finally:
@@ -94,6 +115,13 @@ def write_lines(
         failed = failed if failed > 0 else errno.EIO
         raise OSError(failed, os.strerror(failed))
     return _together(path, found, len(pieces))
+
+
+def write_all(out: int, text: bytes) -> None:
+    """To a file descriptor, at once."""
+    left = memoryview(text)
+    while left:
+        left = left[os.write(out, left) :]
 
 
 class _Turn:
@@ -134,13 +162,13 @@ class _Turn:
         os.close(self._writing)
 
 
-def _child(turn: _Turn, path: Path, pieces: Pieces, lines_of: Callable[[Frames], bytes], out: int, answer: int) -> None:
+def _child(turn: _Turn, path: Path, pieces: Pieces, print_block: Print, write: Write, answer: int) -> None:
     """Never returns: its exit status is the number of the error that ended it."""
     status = errno.EIO
     try:
-        found = _work(turn, path, pieces, lines_of, out)
+        found = _work(turn, path, pieces, print_block, write)
         with os.fdopen(answer, "wb") as file:
-            file.write(pickle.dumps(found))
+            file.write(found.written())
         status = 0
     except OSError as error:
         status = error.errno or status
@@ -149,27 +177,24 @@ def _child(turn: _Turn, path: Path, pieces: Pieces, lines_of: Callable[[Frames],
     except KeyboardInterrupt:
         pass  # the other one has heard it too
     except BaseException:
+        import traceback
+
         traceback.print_exc()
     finally:
         os._exit(status)
 
 
-def _work(turn: _Turn, path: Path, pieces: Pieces, lines_of: Callable[[Frames], bytes], out: int) -> _Found:
+def _work(turn: _Turn, path: Path, pieces: Pieces, print_block: Print, write: Write) -> _Found:
     """Decode and write every piece whose turn is that of this process."""
     found = _Found()
-    channels: list[str] = []
     for index in range(turn.number, len(pieces), turn.count):
         block, reason = _piece(path, *pieces[index])
-        frames, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
-        problems = [(line, words) for line, words in unreadable]
-        if reason is not None:
-            problems.append((lines, reason))
-        found.frames += len(frames)
-        found.pieces[index] = lines, problems
-        text = memoryview(lines_of(frames))
+        printed = print_block(block)
+        problems = printed.problems if reason is None else [*printed.problems, (printed.lines, reason)]
+        found.frames += printed.frames
+        found.pieces[index] = printed.lines, problems
         turn.await_it()
-        while text:
-            text = text[os.write(out, text) :]
+        write(printed.text)
         if index + 1 < len(pieces):
             turn.pass_on()
     return found

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import resource
 import subprocess
 import sys
 import threading
@@ -40,6 +42,12 @@ def test_numbers_stand_for_words_where_they_are_asked_for(tmp_path: Path, capsys
     assert json.loads(capsys.readouterr().out)["signals"]["AS_STATE"] == 3
 
 
+def test_filters_choose_frames_as_for_dump(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
+    assert main(["decode", f"{log},523:7FF"]) == 0
+    assert capsys.readouterr().out == LINE
+
+
 def test_the_other_revision_and_other_databases_are_used_when_named(
     tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -66,22 +74,22 @@ def test_a_broken_log_is_read_as_far_as_it_goes_and_ends_in_failure(
 
 
 @pytest.mark.parametrize(
-    ("argv", "words"),
+    ("argv", "words", "status"),
     [
-        (["gone.log"], "gone.log: No such file or directory"),
-        (["."], ".: Is a directory"),
-        (["nowhere0"], "no CAN interface 'nowhere0'"),
-        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory"),
-        (["LOG", "--revision", "2030"], "choose one of 2021, 2026"),
-        (["EMPTY"], "no frames in it"),
+        (["gone.log"], "gone.log: No such file or directory", 1),
+        (["."], ".: Is a directory", 1),
+        (["nowhere0"], "no CAN interface 'nowhere0'", 1),
+        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory", 1),
+        (["LOG", "--revision", "2030"], "choose one of 2021, 2026", 2),
+        (["EMPTY"], "no frames in it", 1),
     ],
 )
 def test_what_cannot_be_read_is_one_clear_line(
-    argv: list[str], words: str, log: Path, capsys: pytest.CaptureFixture[str]
+    argv: list[str], words: str, status: int, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty = log.with_name("empty.log")
     empty.touch()
-    assert main(["decode", *[{"LOG": str(log), "EMPTY": str(empty)}.get(word, word) for word in argv]]) == 1
+    assert main(["decode", *[{"LOG": str(log), "EMPTY": str(empty)}.get(word, word) for word in argv]]) == status
     said = capsys.readouterr()
     assert words in said.err
     assert said.err.count("\n") == 1
@@ -98,6 +106,23 @@ def test_a_full_disk_is_one_clear_line(log: Path) -> None:
             text=True,
         )
     assert done.stderr == "fsai-vcu decode: cannot write the output: No space left on device\n"
+    assert done.returncode == 1
+
+
+@pytest.mark.parametrize("verb", ["decode", "dump", "stats", "explain"])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered: str, log: Path) -> None:
+    log.write_text(GOOD * 20_000)
+    with log.with_name("out.txt").open("w") as out:
+        done = subprocess.run(
+            [sys.executable, "-m", "fsai_vcu.cli.main", verb, str(log)],
+            stdout=out,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)),
+        )
+    assert "cannot write the output: File too large" in done.stderr and done.stderr.count("\n") == 1
     assert done.returncode == 1
 
 

@@ -94,16 +94,18 @@ def test_colour_is_for_terminals_or_for_who_asks(log: str, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(
-    ("argv", "words"),
+    ("argv", "words", "status"),
     [
-        (["LOG", "-n", "0"], "-n is 0, but at least 1 frame can be shown"),
-        (["LOG", "-T", "nan"], "-T is nan, not a time"),
-        (["LOG,520"], "no filter: '520'; a filter is ID:MASK"),
-        (["LOG", "vcan0"], "logs and live interfaces cannot be read together"),
-        (["vcan77"], "no CAN interface 'vcan77'"),
+        (["LOG", "-n", "0"], "-n is 0, but at least 1 frame can be shown", 2),
+        (["LOG", "-T", "nan"], "-T is nan, not a time", 2),
+        (["LOG,520"], "no filter: '520'; a filter is ID:MASK", 2),
+        (["LOG", "vcan0"], "logs and live interfaces cannot be read together", 2),
+        (["vcan77"], "no CAN interface 'vcan77'", 1),
     ],
 )
-def test_wrong_use_is_one_clear_line(argv: list[str], words: str, log: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", *[word.replace("LOG", log) for word in argv]]) == 1
+def test_wrong_use_is_one_clear_line(
+    argv: list[str], words: str, status: int, log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["dump", *[word.replace("LOG", log) for word in argv]]) == status
     said = capsys.readouterr()
     assert words in said.err and said.err.count("\n") == 1 and said.out == ""

@@ -70,25 +70,25 @@ def test_a_broken_log_is_exported_as_far_as_it_goes_and_ends_in_failure(
 
 
 @pytest.mark.parametrize(
-    ("argv", "words"),
+    ("argv", "words", "status"),
     [
-        (["gone.log"], "gone.log: No such file or directory"),
-        (["nowhere0"], "nowhere0 is an interface; export reads logs"),
-        (["LOG", "--raster", "10ms"], "--raster goes with --wide"),
-        (["LOG", "--wide", "--raster", "10"], "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us"),
-        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory"),
-        (["EMPTY"], "no frames in it"),
-        (["LOG,nonsense"], "no filter: 'nonsense'"),
+        (["gone.log"], "gone.log: No such file or directory", 1),
+        (["nowhere0"], "nowhere0 is an interface; export reads logs", 2),
+        (["LOG", "--raster", "10ms"], "--raster goes with --wide", 2),
+        (["LOG", "--wide", "--raster", "10"], "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us", 2),
+        (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory", 1),
+        (["EMPTY"], "no frames in it", 1),
+        (["LOG,nonsense"], "no filter: 'nonsense'", 2),
     ],
 )
 def test_what_cannot_be_done_is_one_clear_line_and_writes_nothing(
-    argv: list[str], words: str, log: Path, capsys: pytest.CaptureFixture[str]
+    argv: list[str], words: str, status: int, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty = log.with_name("empty.log")
     empty.touch()
     out = log.with_name("tables")
     argv = [word.replace("LOG", str(log)).replace("EMPTY", str(empty)) for word in argv]
-    assert main(["export", *argv, "--to", "csv", "-o", str(out)]) == 1
+    assert main(["export", *argv, "--to", "csv", "-o", str(out)]) == status
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
     assert {path.name for path in log.parent.iterdir()} == {"run.log", "empty.log"}
@@ -157,5 +157,5 @@ def test_a_missing_extra_is_the_line_that_installs_it(
 
 
 def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(log), "--to", "mcap", "--words", "-o", str(log.with_name("out"))]) == 1
+    assert main(["export", str(log), "--to", "mcap", "--words", "-o", str(log.with_name("out"))]) == 2
     assert "--words does not go with mcap" in capsys.readouterr().err

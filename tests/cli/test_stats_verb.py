@@ -80,5 +80,5 @@ def test_an_empty_log_is_not_well(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_wrong_use_is_one_clear_line(
     options: list[str], words: str, well: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("stats", well, *options) == 1
+    assert run("stats", well, *options) == 2
     assert capsys.readouterr().err == f"fsai-vcu stats: {words}\n"

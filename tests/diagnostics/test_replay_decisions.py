@@ -8,68 +8,18 @@ steering, torque, motor speed limits, brake, laps and cones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from recorded_runs import MS, Recorded, record
 
-from fsai_hil.lockstep import Lockstep
 from fsai_hil.tracks import load_track
 from fsai_hil.world import WorldSetup
-from fsai_vcu.core.bridge import Bridge
-from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.diagnostics.logs import read_log
-from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import revision
-from fsai_vcu.runtime.recording import CandumpWriter
-from fsai_vcu.runtime.rerun import compare, rerun
-
-MS = 1_000_000
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """A run as it is on the disk, and the commands of it."""
-
-    frames: list[Frame]
-    commands: list[tuple[int, VehicleCommand]]
-    revision: str
-    end_ns: int
-
-    def again(self, config: BridgeConfig | None = None) -> list[Frame]:
-        chosen = revision(self.revision)
-        codec = Codec(chosen)
-        bridge = Bridge(codec, chosen, CARS[self.revision], config or BridgeConfig())
-        car = [frame for frame in self.frames if frame.can_id not in AI_IDS]
-        return rerun(bridge, codec, self.commands, car, 0, self.end_ns)
-
-
-def record(
-    path: Path, setup: WorldSetup, *, silent_from_ns: int | None = None, until_ns: int | None = None
-) -> Recorded:
-    """Drive and record, to the end or `until_ns`; from `silent_from_ns` on the controller's commands are lost."""
-    commands: list[tuple[int, VehicleCommand]] = []
-
-    def tap(command: VehicleCommand, now_ns: int) -> VehicleCommand | None:
-        if silent_from_ns is not None and now_ns >= silent_from_ns:
-            return None
-        commands.append((now_ns, command))
-        return command
-
-    with CandumpWriter(path, "vcan0") as writer:
-        lockstep = Lockstep(setup, on_frame=writer.write)
-        lockstep.computer.command_filter = tap
-        while not lockstep.world.done and (until_ns is None or lockstep.now_ns < until_ns):
-            lockstep.step()
-    frames, problems = read_log(path)
-    assert not problems
-    read = [Frame(frame.can_id, frame.data, frame.t_ns, frame.extended) for frame in frames]
-    return Recorded(read, commands, setup.revision, lockstep.now_ns)
+from fsai_vcu.runtime.rerun import compare
 
 
 @pytest.fixture(scope="module")

@@ -5,18 +5,26 @@ from __future__ import annotations
 import errno
 import os
 import random
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from fsai_vcu.diagnostics.candump import log_lines
+from fsai_vcu.diagnostics.candump import log_lines, parse_block
 from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of
 from fsai_vcu.diagnostics.logs import open_log
-from fsai_vcu.diagnostics.sharing import PIECE_BYTES, processes_for, write_lines
+from fsai_vcu.diagnostics.printing import Printed
+from fsai_vcu.diagnostics.sharing import PIECE_BYTES, processes_for, write_all, write_lines
 
 
 def lines_of(frames: Frames) -> bytes:
     return b"".join(line + b"\n" for line in log_lines(frames))
+
+
+def printed(block: bytes) -> Printed:
+    frames, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), [])
+    return Printed(lines_of(frames), len(frames), lines, [(line, words) for line, words in unreadable])
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +56,7 @@ def test_wherever_the_log_is_cut_nothing_is_lost_doubled_or_moved(
 ) -> None:
     out = tmp_path / "out.txt"
     with out.open("wb") as file:
-        frames, problems = write_lines(log, lines_of, file.fileno(), processes, piece_bytes)
+        frames, problems = write_lines(log, printed, partial(write_all, file.fileno()), processes, piece_bytes)
     text, count, texts = alone(log)
     assert out.read_bytes() == text
     assert frames == count
@@ -58,7 +66,7 @@ def test_wherever_the_log_is_cut_nothing_is_lost_doubled_or_moved(
 
 def test_a_disk_that_is_full_ends_all_processes_with_its_own_error(log: Path) -> None:
     with Path("/dev/full").open("wb") as full, pytest.raises(OSError) as refused:
-        write_lines(log, lines_of, full.fileno(), 2, 500)
+        write_lines(log, printed, partial(write_all, full.fileno()), 2, 500)
     assert refused.value.errno == errno.ENOSPC
 
 
@@ -67,7 +75,7 @@ def test_a_reader_that_has_gone_ends_all_processes_as_a_broken_pipe(log: Path) -
     os.close(reading)
     try:
         with pytest.raises(BrokenPipeError):
-            write_lines(log, lines_of, writing, 2, 500)
+            write_lines(log, printed, partial(write_all, writing), 2, 500)
     finally:
         os.close(writing)
 
@@ -79,20 +87,21 @@ def test_an_error_in_one_process_ends_the_others_too(log: Path, tmp_path: Path, 
         first = next(iter(opened.chunks()))
     limit = int(first.t_ns[len(first) // 2])
 
-    def failing(frames: Frames) -> bytes:
+    def failing(block: bytes) -> Printed:
+        frames = parse_block(np.frombuffer(block, np.uint8), [])[0]
         if len(frames) and bool(frames.t_ns[0] > limit) == bool(bad_piece):
             raise OSError(errno.EIO, "Input/output error")
-        return lines_of(frames)
+        return printed(block)
 
     with (tmp_path / "out.txt").open("wb") as file, pytest.raises(OSError) as refused:
-        write_lines(log, failing, file.fileno(), 2, log.stat().st_size // 2 + 100)
+        write_lines(log, failing, partial(write_all, file.fileno()), 2, log.stat().st_size // 2 + 100)
     assert refused.value.errno == errno.EIO
 
 
 def test_only_a_long_candump_log_is_shared_out(tmp_path: Path) -> None:
     short, long, packed = tmp_path / "short.log", tmp_path / "long.log", tmp_path / "packed.log"
     short.write_bytes(b"(1.000000) can0 520#01\n")
-    long.write_bytes(b"(1.000000) can0 520#01\n" * (2 * PIECE_BYTES // 23 + 1))
-    packed.write_bytes(b"\x1f\x8b" + bytes(2 * PIECE_BYTES))
-    assert [processes_for(str(path)) for path in (short, packed, tmp_path / "gone.log", tmp_path)] == [1, 1, 1, 1]
+    long.write_bytes(b"(1.000000) can0 520#01\n" * (4 * PIECE_BYTES // 23 + 1))
+    packed.write_bytes(b"\x1f\x8b" + bytes(4 * PIECE_BYTES))
+    assert [processes_for(str(path)) for path in (short, packed, tmp_path / "gone.log", tmp_path)] == [1, 0, 0, 0]
     assert processes_for(str(long)) == len(os.sched_getaffinity(0))

@@ -20,7 +20,7 @@ from typing import Any
 from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Scheduling, Wanted
 from fsai_vcu.diagnostics.frames import Frames
 from fsai_vcu.diagnostics.live import LiveSource
-from fsai_vcu.diagnostics.story.revision import guess_revision
+from fsai_vcu.diagnostics.revision import guess_revision
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import WheelCounts, WheelSpeeds

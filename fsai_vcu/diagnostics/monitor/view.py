@@ -13,13 +13,13 @@ from fsai_vcu.diagnostics.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.monitor.memory import LONG_NS, WINDOW_NS, Memory
 from fsai_vcu.diagnostics.monitor.picture import Actuator, Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.waiting import mode, why_not_driving
+from fsai_vcu.diagnostics.revision import guess_revision
 from fsai_vcu.diagnostics.statistics import BusStatistics, MessageStatistics, expected_period_ns, measure
 from fsai_vcu.diagnostics.story.emergencies import emergencies
 from fsai_vcu.diagnostics.story.evidence import intrusion_words
 from fsai_vcu.diagnostics.story.incident import Incident
 from fsai_vcu.diagnostics.story.link import ms
 from fsai_vcu.diagnostics.story.record import Record, Signal, record_of
-from fsai_vcu.diagnostics.story.revision import guess_revision
 from fsai_vcu.diagnostics.story.signals import (
     AMI,
     ANGLE,

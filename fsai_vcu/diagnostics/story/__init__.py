@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from fsai_vcu.diagnostics.databases import Databases
 from fsai_vcu.diagnostics.frames import Frames
+from fsai_vcu.diagnostics.revision import guess_revision
 from fsai_vcu.diagnostics.story.emergencies import emergencies
 from fsai_vcu.diagnostics.story.incident import Event, Incident, Kind, Story
 from fsai_vcu.diagnostics.story.record import Record, record_of
-from fsai_vcu.diagnostics.story.revision import guess_revision
 from fsai_vcu.diagnostics.story.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.story.starting import refusals
 from fsai_vcu.diagnostics.story.stops import early_stops

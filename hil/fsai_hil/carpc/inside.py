@@ -1,81 +1,157 @@
 """Runs as a service of the rehearsed car PC: waits, looks, breaks things, and measures how long it takes to be well.
 
-Nothing is touched by hand but what a person beside the car may touch; faults are what befalls a machine.
+Nothing is touched by hand but what a person beside the car may touch; faults are what befalls a machine. In the middle
+of the last drive the machine is rebooted, and this goes on after the next boot.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
+import shutil
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from fsai_hil.carpc import stated
+from fsai_hil.carpc.watching import (
+    HOUR_NS,
+    BusWatch,
+    Car,
+    Said,
+    brakes,
+    first_s,
+    in_state,
+    longest_gap_s,
+    standing,
+    torque_ends_s,
+    wants_emergency,
+)
+from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.images import AiStatus
+
 RESULTS = Path("/results")
+AGAIN = RESULTS / "again"  # there while the machine is to boot once more
+FIFO = Path("/run/rehearsal/car")
 NODES = ("fsai-detector", "fsai-planner", "fsai-controller")
+MISSION = "trackdrive"
+MISSIONS_S = 400.0
+POWER_UP_S = 60.0
+EBS_ARMED_S = 5.0  # in AS_READY, before the car takes Go
+GO_AGAIN_S = 1.5
+OFF_S = 1.2  # no 0x520 for 1 s is a power cycle (safety rule 6)
+DRIVES_RPM = 60.0  # 1.6 m/s: driving is driving
+AT_EASE_S = 1.5  # so long after everything is back, nothing may set off
+GOODBYE_CYCLES = 5  # safety.md, on stop
+FULL_S = 4.0
 _POLL_S = 0.1
 
 
 class Rehearsal:
-    def __init__(self, interface: str, missions: int) -> None:
+    def __init__(self, interface: str, missions: int, *, short: bool) -> None:
         self.interface = interface
         self.missions = missions
+        self.short = short
         self.bridge = f"fsai-bridge@{interface}"
         self.recorder = f"fsai-recorder@{interface}"
-        self.car = f"fsai-simulated-car@{interface}"
+        self.bench_car = f"fsai-simulated-car@{interface}"
+        self.car = Car("fsai-typed-car", FIFO)
         self.services = (*NODES, self.bridge, self.recorder)
-        self.steps: list[dict[str, object]] = []
+        report = RESULTS / "report.json"
+        self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
+        self.drives = 0
 
     def run(self) -> None:
-        self.step("all services are active after the boot", self.all_active, 120.0)
-        self.note("the bridge's start, from its process to READY", self.bridge_start_s())
-        self.step("fsai.target is reached", lambda: is_active("fsai.target"), 60.0)
+        """Until the machine is to be rebooted, or to the end."""
+        self.booted()
         self.doctor()
         exposure = output("systemd-analyze", "security", "--no-pager", f"{self.bridge}.service").strip().splitlines()
         self.note(exposure[-1].strip("→ ") if exposure else "no exposure", None)
-        systemctl("start", self.car)
+        systemctl("start", self.bench_car)
         self.driven()
-        for service in self.services:
-            self.killed(service)
-        self.hung()
-        self.unplugged()
-        self.step("at the end all services are active", self.all_active, 60.0)
+        if self.short:
+            self.restarted(signal.SIGKILL, "kill -9", stated.SERVICE_BACK_S)
+            self.restarted(signal.SIGSTOP, "it hung (watchdog)", stated.HUNG_BACK_S)
+            self.step("at the end all services are active", self.all_active, 60.0, stated.SERVICE_BACK_S)
+            return
+        self.car.start()
+        with self.drive("undisturbed") as watch:
+            self.clock_stepped(watch)
+            self.disk_filled(watch)
+            self.recorder_killed(watch)
+            self.struck(
+                watch,
+                "fsai-detector killed",
+                "fsai-detector",
+                signal.SIGKILL,
+                AsState.AS_FINISHED,
+                stated.TORQUE_WITHOUT_DATA_S,
+            )
+        for service, torque_s in (
+            ("fsai-planner", stated.TORQUE_WITHOUT_DATA_S),
+            ("fsai-controller", stated.TORQUE_WITHOUT_COMMANDS_S),
+        ):
+            with self.drive(service) as watch:
+                self.struck(watch, f"{service} killed", service, signal.SIGKILL, AsState.AS_FINISHED, torque_s)
+        for number, what in ((signal.SIGKILL, "killed"), (signal.SIGSTOP, "hung")):
+            with self.drive(f"bridge-{what}") as watch:
+                self.struck(
+                    watch,
+                    f"bridge {what}",
+                    self.bridge,
+                    number,
+                    AsState.EMERGENCY_BRAKE,
+                    stated.TORQUE_OF_A_DEAD_BRIDGE_S,
+                )
+        with self.drive("unplugged") as watch:
+            self.unplugged(watch)
+        with self.drive("rebooted") as watch:
+            self.rebooted(watch)
 
-    # ------------------------------------------------------------ steps
+    def go_on(self) -> None:
+        """After the reboot in mid-drive."""
+        self.booted()
+        watch = BusWatch(self.interface, Path("/run/rehearsal/after.log"))
+        self.car.start()
+        self.car.type("on")
+        if not watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S):
+            self.note("after the reboot the car powers up", None, passed=False)
+        since_ns = time.time_ns()
+        watch.wait(lambda: False, AT_EASE_S * 2)
+        still = watch.as_state is AsState.AS_OFF and torque_ends_s(watch.since(since_ns), since_ns) == 0
+        self.note("after the reboot nothing drives by itself", AT_EASE_S * 2, passed=still)
+        watch.close()
+        with self.drive("after-reboot"):
+            pass
+        self.step("at the end all services are active", self.all_active, 60.0, stated.SERVICE_BACK_S)
+
+    # ------------------------------------------------------------ before the faults
+
+    def booted(self) -> None:
+        self.await_that(self.all_active, 120.0)
+        active_s = max((started_s(service, "ActiveEnterTimestampMonotonic") for service in self.services), default=0.0)
+        self.note("boot to ready, from the kernel's start", active_s, stated.BOOT_S, passed=self.all_active())
+        begun_s = started_s(self.bridge, "ExecMainStartTimestampMonotonic")
+        ready_s = started_s(self.bridge, "ActiveEnterTimestampMonotonic")
+        self.note("the bridge at boot, from its process to READY", ready_s - begun_s)
+        self.step("fsai.target is reached", lambda: is_active("fsai.target"), 60.0, stated.BOOT_S)
 
     def driven(self) -> None:
         """The car's operator walks the switches, chooses each mission, gives Go; the judge decides."""
         began = time.monotonic()
-        while (verdict := self.verdict()) is None and time.monotonic() - began < 400.0:
+        while (verdict := self.verdict()) is None and time.monotonic() - began < MISSIONS_S:
             time.sleep(_POLL_S * 10)
         (RESULTS / "verdict.json").write_text(json.dumps(verdict))
         missions = verdict["missions"] if verdict is not None else []
         words = "; ".join(f"{each['mission']}: {each['result']} {each['reasons'] or ''}".strip() for each in missions)
         passed = len(missions) == self.missions and all(each["result"] == "pass" for each in missions)
-        what = f"{self.missions} missions driven, one after the other"
-        self.note(what, time.monotonic() - began, passed=passed, words=words)
-        (RESULTS / "journal.txt").write_text(output("journalctl", "-b", "--no-pager"))
-
-    def killed(self, service: str) -> None:
-        before = main_pid(service)
-        os.kill(before, signal.SIGKILL)
-        self.step(f"{service} is back after kill -9", lambda: self.anew(service, before), 60.0)
-
-    def hung(self) -> None:
-        before = main_pid(self.bridge)
-        os.kill(before, signal.SIGSTOP)
-        self.step(f"{self.bridge} is back after it hung (watchdog)", lambda: self.anew(self.bridge, before), 60.0)
-
-    def unplugged(self) -> None:
-        before = main_pid(self.bridge)
-        output("ip", "link", "del", self.interface)
-        self.step("without the interface the bridge is stopped", lambda: not is_active(self.bridge), 30.0)
-        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
-        self.step("plugged in again, the bridge comes back", lambda: self.anew(self.bridge, before), 60.0)
-        self.step("and the recorder", lambda: is_active(self.recorder), 60.0)
+        self.note(
+            f"missions driven, one after the other: {self.missions}", time.monotonic() - began, None, passed, words
+        )
 
     def doctor(self) -> None:
         done = subprocess.run(["fsai-vcu", "doctor", "--json"], capture_output=True, text=True, check=False)
@@ -88,9 +164,195 @@ class Rehearsal:
             return
         wrong = [f"{each['topic']}: {each['words']}" for each in findings if each["level"] == "wrong"]
         wrong = [words for words in wrong if not words.startswith("bus: ")]
-        self.note(
-            "doctor finds nothing wrong but a car that says nothing", None, passed=not wrong, words="; ".join(wrong)
+        self.note("doctor finds nothing wrong but a silent car", None, passed=not wrong, words="; ".join(wrong))
+
+    @contextmanager
+    def drive(self, name: str) -> Iterator[BusWatch]:
+        """A power cycle of the car, which clears whatever was latched; then AS_OFF, AS_READY, Go, and it drives."""
+        self.await_that(self.all_active, 60.0)
+        self.drives += 1
+        began = time.monotonic()
+        watch = BusWatch(self.interface, Path(f"/run/rehearsal/{name}.log"))
+        self.car.type("off", "ami not_selected")
+        drives = (
+            watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S)
+            and self._typed(watch, ["on"], AsState.AS_OFF)
+            and self._typed(watch, [f"ami {MISSION}"], AsState.AS_READY)
+            and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
         )
+        until = time.monotonic() + POWER_UP_S
+        while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
+            self.car.type("go")
+            watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
+        drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
+        drives = drives and watch.as_state is AsState.AS_DRIVING
+        words = "" if drives else f"last seen {watch.as_state and watch.as_state.label}, {watch.fastest_rpm:g} rpm"
+        what = "drives, after AS_OFF, AS_READY and Go anew"
+        self.note(f"{name}: {what}", time.monotonic() - began, passed=drives, words=words)
+        try:
+            if drives:
+                yield watch
+            else:
+                raise RuntimeError(f"{name}: {words}")
+        finally:
+            watch.close()
+            if not AGAIN.exists():  # else the machine goes down: it has been kept
+                shutil.copy(watch.path, RESULTS / f"bus-{name}.log")
+
+    def _typed(self, watch: BusWatch, lines: list[str], state: AsState) -> bool:
+        self.car.type(*lines)
+        return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
+
+    # ------------------------------------------------------------ what must not matter
+
+    def clock_stepped(self, watch: BusWatch) -> None:
+        passed = True
+        for step_s in (HOUR_NS / 1e9, -2 * HOUR_NS / 1e9, HOUR_NS / 1e9):
+            now_s = time.clock_gettime(time.CLOCK_REALTIME)
+            time.clock_settime(time.CLOCK_REALTIME, now_s + step_s)
+            # Longer than any deadline of the table.
+            passed = passed and not watch.wait(lambda: not self.undisturbed(watch), 1.0)
+        self.note("the clock stepped by an hour, both ways: drives on", 3.0, passed=passed)
+
+    def disk_filled(self, watch: BusWatch) -> None:
+        since = len(self.said_by(self.recorder))
+        fill = Path("/var/log/fill")
+        since_ns = time.time_ns()
+        subprocess.run(["nice", "-n", "19", "sh", "-c", f"cat /dev/zero > {fill}"], capture_output=True, check=False)
+        free_kib = shutil.disk_usage("/var/log").free >> 10
+        on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
+        gap_s = longest_gap_s(watch.since(since_ns))
+        fill.unlink()
+        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder says {told}"
+        self.note("the disk full: drives on", FULL_S, passed=on, words=words)
+        self.step(
+            "with room again the recorder writes again",
+            lambda: any("writing again" in line for line in self.said_by(self.recorder)[since:]),
+            30.0,
+            stated.RECORDS_AGAIN_S,
+        )
+        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        self.note("it has said so in one line", None, passed=len(told) == 1, words="; ".join(told))
+        self.note("and the car drives on", None, passed=self.undisturbed(watch))
+
+    def recorder_killed(self, watch: BusWatch) -> None:
+        before = main_pid(self.recorder)
+        os.kill(before, signal.SIGKILL)
+        self.step("the recorder killed: back", lambda: self.anew(self.recorder, before), 60.0, stated.SERVICE_BACK_S)
+        watch.read()
+        self.note("and the car drives on", None, passed=self.undisturbed(watch))
+
+    def undisturbed(self, watch: BusWatch) -> bool:
+        return watch.as_state is AsState.AS_DRIVING and watch.fastest_rpm > DRIVES_RPM / 2
+
+    # ------------------------------------------------------------ what ends the drive
+
+    def struck(
+        self, watch: BusWatch, what: str, service: str, number: signal.Signals, ends_in: AsState, torque_s: float
+    ) -> None:
+        """A service is killed or stopped in mid-drive."""
+        before = main_pid(service)
+        struck_ns = time.time_ns()
+        struck_s = time.monotonic()
+        os.kill(before, number)
+        back_s: float | None = None
+
+        def settled() -> bool:
+            nonlocal back_s
+            if back_s is None and self.anew(service, before):
+                back_s = time.monotonic() - struck_s
+            return back_s is not None and watch.at_rest_in(ends_in)
+
+        watch.wait(settled, 30.0)
+        within_s = stated.HUNG_BACK_S if number == signal.SIGSTOP else stated.SERVICE_BACK_S
+        self.note(f"{what}: back", back_s, within_s, passed=back_s is not None)
+        self.rested(watch, what, struck_ns, ends_in, torque_s)
+        if service == self.bridge:
+            self.first_frame(watch)
+
+    def rested(self, watch: BusWatch, what: str, struck_ns: int, ends_in: AsState, torque_s: float | None) -> None:
+        """The run has ended in this state, the car stands, and nothing sets off again."""
+        watch.wait(lambda: False, AT_EASE_S)
+        said = watch.since(struck_ns)
+        last_s = torque_ends_s(said, struck_ns)
+        if torque_s is not None:
+            self.note(f"{what}: the last torque", last_s, torque_s)
+        over_s = first_s(said, struck_ns, in_state(*(state for state in AsState if state is not AsState.AS_DRIVING)))
+        if ends_in is AsState.EMERGENCY_BRAKE and torque_s is not None:
+            self.note(f"{what}: the car stops itself", over_s, stated.CAR_STOPS_ITSELF_S, passed=over_s is not None)
+        self.note(f"{what}: at rest", _rest_s(said, struck_ns), stated.AT_REST_S, passed=standing_at_the_end(said))
+        stays = watch.as_state is ends_in and not any(
+            in_state(*(state for state in AsState if state not in (ends_in, AsState.AS_DRIVING)))(each.image)
+            for each in said
+        )
+        words = "" if watch.as_state is None else watch.as_state.label
+        self.note(f"{what}: ends in {ends_in.label} and does not drive on", None, passed=stays, words=words)
+
+    def first_frame(self, watch: BusWatch) -> None:
+        """From the start of the bridge's newest process to the first that it says."""
+        wall_ns = time.time_ns() - time.monotonic_ns()
+        began_ns = int(started_s(self.bridge, "ExecMainStartTimestampMonotonic") * 1e9) + wall_ns
+        watch.wait(lambda: any(isinstance(each.image, AiStatus) for each in watch.since(began_ns)), 5.0)
+        first = first_s(watch.since(began_ns), began_ns, lambda image: isinstance(image, AiStatus))
+        what = "the bridge, from its process to its first frame"
+        self.note(what, first, stated.START_TO_FIRST_FRAME_S, passed=first is not None)
+
+    def restarted(self, number: signal.Signals, what: str, within_s: float) -> None:
+        """The bridge, while the car stands."""
+        watch = BusWatch(self.interface, Path(f"/run/rehearsal/{number.name}.log"))
+        before = main_pid(self.bridge)
+        os.kill(before, number)
+        self.step(f"the bridge is back after {what}", lambda: self.anew(self.bridge, before), 60.0, within_s)
+        self.first_frame(watch)
+        watch.close()
+
+    def unplugged(self, watch: BusWatch) -> None:
+        before = main_pid(self.bridge)
+        output("ip", "link", "del", self.interface)
+        self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, stated.UNPLUGGED_S)
+        plugged_ns = time.time_ns()
+        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+        after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
+        self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, stated.SERVICE_BACK_S)
+        self.step("and the recorder", lambda: is_active(self.recorder), 60.0, stated.SERVICE_BACK_S)
+        after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
+        self.rested(after, "plugged in", plugged_ns, AsState.EMERGENCY_BRAKE, None)
+        self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
+        after.close()
+
+    def rebooted(self, watch: BusWatch) -> None:
+        """The bridge's goodbye during the shutdown brakes the car to rest; this waits for it before it ends itself."""
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        AGAIN.touch()
+        asked_ns = time.time_ns()
+        systemctl("--no-block", "reboot")
+        at_rest = watch.wait(lambda: watch.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
+        watch.wait(lambda: False, AT_EASE_S)
+        said = watch.since(asked_ns)
+        shutil.copy(watch.path, RESULTS / "bus-rebooted.log")
+        what = "reboot in mid-drive"
+        goodbye = [each.image for each in said if isinstance(each.image, AiStatus) and each.image.estop_request]
+        right = all(
+            image.direction is Direction.FORWARD and image.mission_status is MissionStatus.RUNNING for image in goodbye
+        )
+        asked_s = first_s(said, asked_ns, wants_emergency)
+        # When the services are stopped is systemd's to say, so this is no time of the bridge's.
+        self.note(f"{what}: ESTOP_REQUEST", asked_s, None, passed=asked_s is not None)
+        words = f"{len(goodbye)} cycles, {'FORWARD' if right else 'WRONG'}"
+        self.note(f"{what}: the goodbye", None, None, right and len(goodbye) == GOODBYE_CYCLES, words)
+        if asked_s is not None:
+            began_ns = asked_ns + int(asked_s * 1e9)
+            after = [each for each in said if each.t_ns >= began_ns]
+            self.note(
+                f"{what}: brake asked for, no torque",
+                first_s(after, began_ns, brakes),
+                0.1,
+                passed=(torque_ends_s(after, began_ns) == 0 and first_s(after, began_ns, brakes) is not None),
+            )
+            ai = [each.t_ns for each in after if isinstance(each.image, AiStatus)]
+            self.note(f"{what}: silence begins", (max(ai) - began_ns) / 1e9, 0.2)
+            self.note(f"{what}: at rest", _rest_s(after, began_ns), stated.SHUTDOWN_REST_S, passed=at_rest)
 
     # ------------------------------------------------------------ conditions
 
@@ -102,35 +364,47 @@ class Rehearsal:
 
     def verdict(self) -> dict[str, list[dict[str, object]]] | None:
         """The judge's, once the car has ended."""
-        for line in reversed(output("journalctl", "-b", "-o", "cat", "-u", self.car).splitlines()):
+        for line in reversed(self.said_by(self.bench_car)):
             if line.startswith("{"):
                 found: dict[str, list[dict[str, object]]] = json.loads(line)
                 return found
         return None
 
-    def bridge_start_s(self) -> float:
-        times = output(
-            "systemctl", "show", self.bridge, "-p", "ExecMainStartTimestampMonotonic,ActiveEnterTimestampMonotonic"
-        )
-        found = dict(line.split("=") for line in times.splitlines())
-        begun, ready = found["ExecMainStartTimestampMonotonic"], found["ActiveEnterTimestampMonotonic"]
-        return (int(ready) - int(begun)) / 1e6
+    def said_by(self, service: str) -> list[str]:
+        return output("journalctl", "-b", "-o", "cat", "-u", service).splitlines()
 
     # ------------------------------------------------------------ telling
 
-    def step(self, what: str, condition: Callable[[], bool], patience_s: float) -> None:
+    def await_that(self, condition: Callable[[], bool], patience_s: float) -> bool:
+        until = time.monotonic() + patience_s
+        while not (holds := condition()) and time.monotonic() < until:
+            time.sleep(_POLL_S)
+        return holds
+
+    def step(self, what: str, condition: Callable[[], bool], patience_s: float, within_s: float) -> None:
         """Await `condition`; how long it took is the step's time."""
         began = time.monotonic()
-        passed = False
-        while not passed and time.monotonic() - began < patience_s:
-            passed = condition()
-            if not passed:
-                time.sleep(_POLL_S)
-        self.note(what, time.monotonic() - began, passed=passed)
+        passed = self.await_that(condition, patience_s)
+        self.note(what, time.monotonic() - began, within_s, passed)
 
-    def note(self, what: str, seconds: float | None, *, passed: bool = True, words: str = "") -> None:
-        self.steps.append({"what": what, "seconds": seconds, "passed": passed, "words": words})
+    def note(
+        self, what: str, seconds: float | None, within_s: float | None = None, passed: bool = True, words: str = ""
+    ) -> None:
+        """within_s: the time that is stated for it."""
+        passed = passed and (within_s is None or (seconds is not None and seconds <= within_s))
+        self.steps.append({"what": what, "seconds": seconds, "within": within_s, "passed": passed, "words": words})
         (RESULTS / "report.json").write_text(json.dumps(self.steps, indent=1))
+
+
+def _rest_s(said: list[Said], since_ns: int) -> float | None:
+    """When the car stood for good."""
+    moving = [each.t_ns for each in said if hasattr(each.image, "fl_rpm") and not standing(each.image)]
+    return (max(moving) - since_ns) / 1e9 if moving else 0.0
+
+
+def standing_at_the_end(said: list[Said]) -> bool:
+    wheels = [each.image for each in said if hasattr(each.image, "fl_rpm")]
+    return bool(wheels) and standing(wheels[-1])
 
 
 def output(*argv: str) -> str:
@@ -149,16 +423,35 @@ def main_pid(service: str) -> int:
     return int(output("systemctl", "show", service, "-p", "MainPID", "--value").strip() or 0)
 
 
+def started_s(service: str, what: str) -> float:
+    """An instant of the monotonic clock that systemd noted."""
+    return int(output("systemctl", "show", service, "-p", what, "--value").strip() or 0) / 1e6
+
+
 def main() -> int:
-    rehearsal = Rehearsal(sys.argv[1], int(sys.argv[2]))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("interface")
+    parser.add_argument("missions", type=int)
+    parser.add_argument("--short", action="store_true")
+    args = parser.parse_args()
+    second = AGAIN.exists()
+    AGAIN.unlink(missing_ok=True)
+    rehearsal = Rehearsal(args.interface, args.missions, short=args.short)
     try:
-        rehearsal.run()
+        if second:
+            rehearsal.go_on()
+        else:
+            rehearsal.run()
     except Exception as error:
+        AGAIN.unlink(missing_ok=True)
         rehearsal.note(f"the rehearsal itself failed: {type(error).__name__}: {error}", None, passed=False)
         raise
     finally:
-        (RESULTS / "journal.txt").write_text(output("journalctl", "-b", "--no-pager"))
-        systemctl("poweroff", "--force")
+        journal = "journal-after-reboot.txt" if second else "journal.txt"
+        (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
+        if not AGAIN.exists():
+            (RESULTS / "done").touch()
+            systemctl("poweroff", "--force")
     return 0
 
 

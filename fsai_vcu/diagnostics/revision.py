@@ -1,0 +1,60 @@
+"""Which interface revision a log was written under, told from its frames, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Final
+
+from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
+from fsai_vcu.interface.revisions import REVISIONS, Revision
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.frames import Frames
+
+_STATUS: Final = (BY_NAME["VCU2AI_Status"].can_id, 8)
+_STEER: Final = (BY_NAME["VCU2AI_Steer"].can_id, 6)
+# Bits of 0x520 that only one revision names: OP_STATE, TS_STATE and EBS_STATE are four bits each (2026).
+_STATES_2026: Final = 0xF << 4 | 0xF << 28 | 0xF << 36
+_TENTHS: Final = 0.1  # interface specification v4.0: angles in 0x523 are tenths of a degree
+
+
+def guess_revision(frames: Frames) -> tuple[Revision, str]:
+    """The revision that fits the frames best, and the observation that says so; the latest where nothing does."""
+    latest = list(REVISIONS)[-1]
+    return told_revision(frames) or (REVISIONS[latest], f"nothing in the log tells: the latest, {latest}, is taken")
+
+
+def told_revision(frames: Frames) -> tuple[Revision, str] | None:
+    """The revision that the frames tell, and the observation; None if they are the same in all."""
+    import numpy as np
+
+    from fsai_vcu.diagnostics.frames import ERROR, EXTENDED, REMOTE
+
+    plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
+    found = {(can_id, 0, 0) for can_id in np.unique(frames.can_id[plain]).tolist()}
+    for can_id, length in (_STATUS, _STEER):
+        words = frames.word[plain & (frames.can_id == can_id) & (frames.length == length)]
+        found |= {(can_id, length, word) for word in np.unique(words).tolist()}
+    return revision_of(found)
+
+
+def revision_of(payloads: Collection[tuple[int, int, int]]) -> tuple[Revision, str] | None:
+    """As `told_revision`, of (identifier, bytes, payload as a little-endian number)."""
+    status = [word for can_id, length, word in payloads if (can_id, length) == _STATUS]
+    if any(word & _STATES_2026 for word in status):
+        return REVISIONS["2026"], "0x520 carries OP_STATE, TS_STATE or EBS_STATE"
+    present = {can_id for can_id, _, _ in payloads}
+    for name in REVISIONS:
+        only = sorted(i for i in present if i in BY_ID and set(BY_ID[i].period_ns) == {name})
+        if only:
+            return REVISIONS[name], f"{BY_ID[only[0]].name} (0x{only[0]:03X}) is only in {name}"
+    steer = [word >> 16 & 0xFFFF for can_id, length, word in payloads if (can_id, length) == _STEER]
+    if steer:
+        most = max(steer) * _TENTHS
+        if most > REVISIONS["2021"].steer_limit_deg:
+            return REVISIONS["2026"], f"ANGLE_MAX is {most:g} deg"
+        if most == REVISIONS["2021"].steer_limit_deg:
+            return REVISIONS["2021"], f"ANGLE_MAX is {most:g} deg"
+    if any(word >> 16 & 0xF == 0 for word in status):
+        return REVISIONS["2026"], "AS_STATE is 0 (AS_INIT) at times"
+    return None
