@@ -11,12 +11,16 @@ import os
 import time
 from pathlib import Path
 
+import pytest
+
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, Chain
 from fsai_hil.response import ResponseTimes
 from fsai_hil.soak import PARTS, Sampler, judge
 from fsai_hil.stack import NODES
 from fsai_hil.wire import WireChecker, read_candump
 from fsai_vcu.interface.enums import AsState
+
+pytestmark = pytest.mark.long  # with `fsai-vcu hil --all`: every run is to stay under a quarter of an hour
 
 LAP_S = 35.0  # from power-up to the end of a mission, at the least
 SHORT_PERIOD_S, LONG_PERIOD_S = 0.5, 5.0
