@@ -99,6 +99,9 @@ class Key:
         return None
 
 
+# For the node's parameters as well as for the file.
+BRAKE_RANGES_PCT: dict[str, tuple[float, float]] = {"holding_brake_pct": (0.0, 100.0), "stop_brake_pct": (10.0, 100.0)}
+
 KEYS: tuple[Key, ...] = (
     Key("can", "interface", "can0", "the bus of the car; a service is told its own, fsai-bridge@can0"),
     Key(
@@ -146,8 +149,7 @@ KEYS: tuple[Key, ...] = (
         _CONFIG.holding_brake_pct,
         "brake that holds the car at rest",
         (("vcu_bridge", "holding_brake_pct"),),
-        low=0.0,
-        high=100.0,
+        *BRAKE_RANGES_PCT["holding_brake_pct"],
     ),
     Key(
         "car",
@@ -155,8 +157,7 @@ KEYS: tuple[Key, ...] = (
         _CONFIG.stop_brake_pct,
         "brake of a service-brake stop",
         (("vcu_bridge", "stop_brake_pct"),),
-        low=10.0,
-        high=100.0,
+        *BRAKE_RANGES_PCT["stop_brake_pct"],
     ),
     Key("limits", "file", "", "operational limits, imposed by an official; empty: none but the car's own"),
     Key(

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
+from fsai_hil.as_machine import STANDING_RPM
 from fsai_hil.car import CarModel, CarTruth, Pose
 from fsai_hil.tracks import (
     ACCELERATION_STOP_M,
@@ -30,7 +31,6 @@ from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.immutable import Immutable
 
 NS_PER_S: Final = 1e9
-STANDING_RPM: Final = 10.0  # interface specification v4.0: under it a wheel stands
 STILL_M: Final = 0.10  # a car that must not move may settle by this much
 CONE_PENALTY_S: Final = 2.0
 LINE_HALF_WIDTH_M: Final = 4.0  # a line is crossed within so much of its middle

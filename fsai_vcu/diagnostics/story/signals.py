@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.readiness import FAULT_NAMES
 from fsai_vcu.diagnostics.story.record import Record, Series, Signal
 from fsai_vcu.interface import bus_table
@@ -24,7 +25,7 @@ from fsai_vcu.interface.enums import (
 
 MS: Final = bus_table.MS
 S: Final = 1000 * MS
-STANDING_RPM: Final = 10  # interface specification v4.0: under 10 rpm a wheel stands
+STANDING_RPM: Final = BridgeConfig().standstill_rpm
 DRIVING: Final = float(AsState.AS_DRIVING)
 OFF_LIKE: Final = (float(AsState.AS_INIT), float(AsState.AS_OFF))
 READY: Final = float(AsState.AS_READY)

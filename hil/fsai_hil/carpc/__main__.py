@@ -97,13 +97,14 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool) -> int
         old.unlink(missing_ok=True)
     installed = results / "root"
     install(installed)
-    udev = udev_files(results)
+    if not Path("/usr/lib/systemd/systemd-udevd").exists():
+        raise CarPcError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
         exchange = Path(folder).resolve()
         init = exchange / "init"
         clock = preloaded_clock(exchange)
         modules = uml.module_files(machine.modules, MODULES)
-        init.write_text(init_script(missions, installed, udev, results, modules, clock, short))
+        init.write_text(init_script(missions, installed, results, modules, clock, short))
         init.chmod(0o755)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
         with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, Telling(results):
@@ -182,23 +183,9 @@ def install(root: Path) -> None:
         raise CarPcError("scripts/install-car failed")
 
 
-def udev_files(results: Path) -> Path | None:
-    """A folder with udev, without which systemd sees no devices; None where this machine has it."""
-    if Path("/usr/lib/systemd/systemd-udevd").exists():
-        return None
-    folder = results / "udev"
-    if (
-        not (folder / "usr" / "lib" / "systemd" / "systemd-udevd").exists()
-        and not (folder / "usr/bin/udevadm").exists()
-    ):
-        raise CarPcError("udev is not installed: sudo apt-get install -y udev")
-    return folder
-
-
 def init_script(
     missions: str,
     installed: Path,
-    udev: Path | None,
     results: Path,
     modules: list[Path],
     clock: Mapping[str, str],
@@ -206,7 +193,6 @@ def init_script(
 ) -> str:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
-    lower = "/mnt/installed" + (":/mnt/udev" if udev is not None else "") + ":/"
     lines = [
         "#!/bin/sh",
         "export PATH=/usr/sbin:/usr/bin:/sbin:/bin",
@@ -215,11 +201,10 @@ def init_script(
         "mount -t proc proc /proc",
         *(f"insmod {q(str(path))}" for path in modules),
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
-        "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed /mnt/udev",
+        "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
         # A mount of its own for each: overlayfs wants its layers apart.
         f"mount -t hostfs none /mnt/installed -o {q(str(installed))}",
-        *([f"mount -t hostfs none /mnt/udev -o {q(str(udev))}"] if udev is not None else []),
-        f"mount -t overlay overlay -o lowerdir={lower},upperdir=/mnt/upper,workdir=/mnt/work /mnt/root",
+        "mount -t overlay overlay -o lowerdir=/mnt/installed:/,upperdir=/mnt/upper,workdir=/mnt/work /mnt/root",
         "cd /mnt/root",
         "mount -t proc proc proc",
         "mount -t sysfs sysfs sys",

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from fsai_hil.as_machine import STANDING_RPM
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
@@ -18,7 +19,6 @@ from fsai_vcu.interface.revisions import revision
 
 CODEC = Codec(revision("2026"))
 HOUR_NS = 3600 * 1_000_000_000
-STANDING_RPM = 10.0  # safety rule 3
 AI_STATUS = min(AI_IDS)
 _VCU_STATUS, _WHEELS = 0x520, 0x525
 _BUFFER_BYTES = 16 << 20

@@ -53,6 +53,7 @@ from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.revisions import REVISIONS, Revision
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.bus import BusError
+from fsai_vcu.runtime.configuration import BRAKE_RANGES_PCT
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.lock import AlreadyRunning
 from fsai_vcu.runtime.loop import BridgeLoop
@@ -117,8 +118,15 @@ SETTINGS = (
         "hydraulic request for an emergency.",
         choices=("hydraulic", "motor"),
     ),
-    Setting("holding_brake_pct", _CONFIG.holding_brake_pct, "Brake that holds the car at rest.", low=0.0, high=100.0),
-    Setting("stop_brake_pct", _CONFIG.stop_brake_pct, "Brake of a service-brake stop.", low=10.0, high=100.0),
+    Setting(
+        "holding_brake_pct",
+        _CONFIG.holding_brake_pct,
+        "Brake that holds the car at rest.",
+        *BRAKE_RANGES_PCT["holding_brake_pct"],
+    ),
+    Setting(
+        "stop_brake_pct", _CONFIG.stop_brake_pct, "Brake of a service-brake stop.", *BRAKE_RANGES_PCT["stop_brake_pct"]
+    ),
     *(
         Setting(f"{name}_ms", default_ns / 1e6, f"{words}, in ms.", low=10.0, high=2000.0)
         for name, default_ns, words in _TIMES
