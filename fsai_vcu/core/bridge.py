@@ -34,7 +34,7 @@ from fsai_vcu.core.supervision.plausibility import (
     forget_steering,
     forget_wheels,
 )
-from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
+from fsai_vcu.core.supervision.readiness import READY_WAIT_NS, Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Decision, Inputs, SupervisorState
 from fsai_vcu.core.vehicle.odometry import Odometry
@@ -116,7 +116,7 @@ class Bridge:
         self._details: dict[str, str] = {}
         self._problems: Counter[str] = Counter()
         self._rx: Counter[int] = Counter()
-        self._intruders: dict[int, str] = {}
+        self._intruders: dict[int, tuple[int, str]] = {}  # by id: when last heard, and with what
         self._cycles = 0
         self._incomplete = 0
         self._vcu_gaps = 0
@@ -196,7 +196,7 @@ class Bridge:
         if self._config.listen_only:
             return  # the frames of the bridge that drives
         detail = f"0x{frame.can_id:03X} [{frame.data.hex(' ').upper()}]"
-        self._intruders[frame.can_id] = detail
+        self._intruders[frame.can_id] = frame.t_ns, detail
         self._note(Reason.INTRUDER, detail)
         self._state = supervisor.strike(self._state, Reason.INTRUDER, detail, frame.t_ns)
 
@@ -422,12 +422,14 @@ class Bridge:
         config, state, vehicle = self._config, self._state, self.vehicle
         standing = supervisor.standing(config, state, now_ns)
         stop = state.stop
+        # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
+        intruders = tuple(words for t_ns, words in self._intruders.values() if now_ns - t_ns < READY_WAIT_NS)
         circumstances = Circumstances(
             self._decision.phase,
             self._listening(now_ns),
             self._bus_lost,
             self.stopped,
-            tuple(self._intruders.values()),
+            intruders,
         )
         return BridgeReport(
             t_ns=now_ns,

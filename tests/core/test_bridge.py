@@ -395,6 +395,15 @@ def test_an_intruder_outside_as_driving_is_named_and_latches_nothing() -> None:
     assert rig.report.emergency is None and rig.report.reason_details == {"intruder": "0x512 [00 00 00 00]"}
 
 
+def test_an_intruder_stands_between_now_and_driving_for_as_long_as_he_is_heard_and_5_s_after() -> None:
+    rig, words = Rig().ready(), "an intruder sends on our ids: 0x512 [00 00 00 00]"
+    heard_ns = rig.now_ns
+    rig.bridge.on_frame(Frame(0x512, bytes(4), heard_ns))
+    assert words in rig.bridge.report(heard_ns + 5 * S - 1).why_not_driving
+    assert words not in rig.bridge.report(heard_ns + 5 * S).why_not_driving
+    assert rig.bridge.report(heard_ns + 5 * S).reason_details == {"intruder": "0x512 [00 00 00 00]"}
+
+
 @pytest.mark.parametrize(
     "frame",
     [Frame(0x512, bytes(4), error=True), Frame(0x512, bytes(4), extended=True), Frame(0x501, bytes(6))],
