@@ -136,31 +136,54 @@ def test_speeds_that_stop_arriving_hold_for_half_a_second_and_then_mean_nothing(
     assert odometry.update(silent, GpsImu(), 1_501 * MS).speed_mps == 0.0
 
 
+BY_STEERING = 5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m  # rad/s at 5 m/s and 10 deg
+SOUND_DEGPS = 38.0  # of a sensor near that
+
+
+def turning(vehicle: VehicleState, sensed_degps: float, now_ns: int, age_ms: int = 0) -> float:
+    """The yaw rate in rad/s that follows from one look at a car and its sensor."""
+    gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=sensed_degps, t_rx_ns=now_ns - age_ms * MS))
+    return Odometry(CAR).update(vehicle, gps, now_ns).yaw_rate_radps
+
+
 def test_a_fresh_yaw_rate_sensor_is_believed_before_the_steering() -> None:
     odometry = Odometry(CAR)
     now = 10 * MS
-    sensed = GpsImu(rotation_b=RotationB(z_degps=40.0, t_rx_ns=now))
+    sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
     motion = odometry.update(state(5.0, 10.0, now), sensed, now)
-    assert motion.yaw_rate_radps == pytest.approx(math.radians(40.0))
+    assert motion.yaw_rate_radps == pytest.approx(math.radians(SOUND_DEGPS))
 
 
 def test_a_yaw_rate_that_is_older_than_100_ms_is_not_believed() -> None:
-    by_steering = 5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m
     for age_ms, believed in ((100, True), (101, False)):
-        odometry = Odometry(CAR)
-        now = 500 * MS
-        sensed = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=40.0, t_rx_ns=now - age_ms * MS))
-        motion = odometry.update(state(5.0, 10.0, now), sensed, now)
-        expected = math.radians(40.0) if believed else by_steering
-        assert motion.yaw_rate_radps == pytest.approx(expected, abs=0.01)
+        expected = math.radians(SOUND_DEGPS) if believed else BY_STEERING
+        found = turning(state(5.0, 10.0, 500 * MS), SOUND_DEGPS, 500 * MS, age_ms)
+        assert found == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -200.0])
 def test_a_yaw_rate_that_cannot_be_is_not_believed(value: float) -> None:
-    odometry = Odometry(CAR)
+    assert turning(state(5.0, 10.0, 10 * MS), value, 10 * MS) == pytest.approx(BY_STEERING, abs=0.01)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_yaw_rate_far_from_what_steering_and_wheels_say_is_not_believed(side: float) -> None:
+    """Beyond its margin and what rounded wheel speeds make of it."""
+    margin = OdometrySettings().yaw_rate_disagreement_radps
+    near, far = BY_STEERING + side * (margin - 0.03), BY_STEERING + side * (margin + 0.06)
     now = 10 * MS
-    motion = odometry.update(state(5.0, 10.0, now), GpsImu(rotation_b=RotationB(value, now)), now)
-    assert motion.yaw_rate_radps == pytest.approx(5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m, abs=0.01)
+    assert turning(state(5.0, 10.0, now), math.degrees(near), now) == pytest.approx(near)
+    assert turning(state(5.0, 10.0, now), math.degrees(far), now) == pytest.approx(BY_STEERING, abs=0.01)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_car_that_slides_straight_on_turns_as_sensor_and_wheels_say(share: float) -> None:
+    """Steered by 20 deg, its wheels roll as if it were steered by 5: anything between the two can be."""
+    now = 10 * MS
+    sliding = VehicleState(speeds=wheels(CAR, 8.0, 5.0, now), steer=VcuSteer(20.0, t_rx_ns=now))
+    by_wheels, by_steering = (8.0 * math.tan(math.radians(deg)) / CAR.wheelbase_m for deg in (5.0, 20.0))
+    real = by_wheels + share * 0.9 * (by_steering - by_wheels)
+    assert turning(sliding, math.degrees(real), now) == pytest.approx(real)
 
 
 def test_the_sensors_bias_is_learnt_at_rest_and_survives_a_reset() -> None:

@@ -28,7 +28,7 @@ class OdometrySettings(Immutable):
     resting_rpm: int = 12  # a reading may rest at 9 rpm after the car has stopped …
     resting_ns: int = 500_000_000  # … so without one wheel pulse for this long the car stands
     braking_pct: float = 1.0  # pressure from which on a wheel may turn slower than the road
-    yaw_rate_disagreement_radps: float = 0.9  # the sensor is not believed beyond this distance from the steering's
+    yaw_rate_disagreement_radps: float = 0.15  # five times what a sound sensor differs from steering and wheels
     bias_gain: float = 0.02  # of the yaw-rate sensor's bias, per reading at rest
     bias_max_radps: float = 0.05
 
@@ -103,6 +103,18 @@ def sensed_yaw_rate_radps(
     return car.yaw_rate_sign * math.radians(found[0]), found[1]
 
 
+def _yaw_rates_by_wheels(
+    car: VehicleParameters, settings: OdometrySettings, vehicle: VehicleState, curvature_1pm: float, now_ns: int
+) -> tuple[float, ...]:
+    """Yaw rates in rad/s by the left and right wheel of either axle; nothing while they are not fresh."""
+    speeds = vehicle.speeds
+    if speeds is None or not _fresh(speeds.t_rx_ns, now_ns, settings):
+        return ()
+    fl, fr, rl, rr = (car.speed_of_wheel_rpm(rpm) for rpm in speeds.all_rpm)
+    along = math.hypot(1.0, curvature_1pm * car.wheelbase_m)  # the front wheels roll where they are steered to
+    return (fr - fl) / car.track_m * along, (rr - rl) / car.track_m
+
+
 def advance(
     car: VehicleParameters,
     settings: OdometrySettings,
@@ -148,8 +160,13 @@ def advance(
         bias += settings.bias_gain * (sensed[0] - bias)
         bias = max(-settings.bias_max_radps, min(settings.bias_max_radps, bias))
     yaw_rate = kinematic
-    if speed > 0.0 and sensed is not None and abs(sensed[0] - bias - kinematic) <= settings.yaw_rate_disagreement_radps:
-        yaw_rate = sensed[0] - bias
+    if speed > 0.0 and sensed is not None:
+        # A sliding car turns otherwise than it is steered, and a spinning wheel otherwise than the car: what lies
+        # between them, or near, can be. A sensor that drifts is found out before the car has lost its way.
+        others = (kinematic, *_yaw_rates_by_wheels(car, settings, vehicle, curvature, now_ns))
+        margin = settings.yaw_rate_disagreement_radps
+        if min(others) - margin <= sensed[0] - bias <= max(others) + margin:
+            yaw_rate = sensed[0] - bias
 
     mean_speed = 0.5 * (speed + before.speed_mps)
     middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
