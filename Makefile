@@ -3,7 +3,8 @@ SHELL := /bin/bash
 BIN := .venv/bin
 LINTED := fsai_vcu hil nodes tests
 # Tests that live in real time get the machine to themselves; all others share its processors.
-REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py)
+REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py) \
+  $(addprefix tests/cli/test_,send_verb.py replay_verb.py)
 
 .PHONY: help setup demo test verify mutation campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help

@@ -7,7 +7,6 @@ plain (big-endian, multiplexed, longer than eight bytes, …) are decoded by can
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,14 +28,21 @@ class DatabasesError(ValueError):
     """A database that cannot be used; the message is one clear line."""
 
 
-@dataclass
 class Databases:
     """Messages by key (identifier, plus EXTENDED_KEY), from one or more files; of two for one key the first counts."""
 
-    layouts: Mapping[int, MessageLayout]
-    sources: tuple[str, ...] = ()
-    baudrate: int | None = None
-    _load: Callable[[], Mapping[int, Message]] = field(default=dict, repr=False)
+    def __init__(
+        self,
+        layouts: Mapping[int, MessageLayout],
+        sources: tuple[str, ...] = (),
+        baudrate: int | None = None,
+        load: Callable[[], Mapping[int, Message]] = dict,
+    ) -> None:
+        """`load` brings cantools' own messages, when one is needed."""
+        self.layouts = layouts
+        self.sources = sources
+        self.baudrate = baudrate
+        self._load = load
 
     def message(self, key: int) -> Message:
         """cantools' own message."""

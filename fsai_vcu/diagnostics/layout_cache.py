@@ -10,7 +10,6 @@ import json
 import os
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,7 +39,7 @@ def recall(key: str) -> tuple[list[MessageLayout], int | None] | None:
 def keep(key: str, layouts: Sequence[MessageLayout], baudrate: int | None) -> None:
     import tempfile  # here, and not for every command that finds what it needs
 
-    text = json.dumps({"layouts": [asdict(layout) for layout in layouts], "baudrate": baudrate})
+    text = json.dumps({"layouts": [_entry(layout) for layout in layouts], "baudrate": baudrate})
     with suppress(OSError, RuntimeError):  # no home, no room, no right: then the next run loads the files again
         file = _file(key)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -53,6 +52,10 @@ def keep(key: str, layouts: Sequence[MessageLayout], baudrate: int | None) -> No
 def _file(key: str) -> Path:
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "fsai-vcu" / f"layouts-{key[:32]}.json"
+
+
+def _entry(layout: MessageLayout) -> dict[str, Any]:
+    return {**layout._asdict(), "signals": [signal._asdict() for signal in layout.signals]}
 
 
 def _layout(entry: dict[str, Any]) -> MessageLayout:

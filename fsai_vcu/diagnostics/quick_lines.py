@@ -7,9 +7,9 @@ In a log the same payloads come again and again: what is printed beside one is w
 from __future__ import annotations
 
 import re
-import struct
 from binascii import unhexlify
 from collections.abc import Callable
+from struct import Struct
 from typing import Final
 
 from fsai_vcu.diagnostics.databases import Databases
@@ -25,7 +25,16 @@ _MAX_ID: Final = 0x1FFF_FFFF  # beyond it: error frames
 _HEADS: Final = 8  # more lengths of what stands before the identifier in one block, and it is left to lines.py
 _KEPT: Final = 200_000
 _TABLE_BITS: Final = 16  # values of signals up to this long are remembered
-_FLOATS: Final = {32: (struct.Struct("<I"), struct.Struct("<f")), 64: (struct.Struct("<Q"), struct.Struct("<d"))}
+_FLOATS: Final = {32: (Struct("<I"), Struct("<f")), 64: (Struct("<Q"), Struct("<d"))}
+# By (whether it is a float, bits); the lower-case letters are those of signed integers.
+_STRUCT_CODES: Final = {
+    (False, 8): "B",
+    (False, 16): "H",
+    (False, 32): "I",
+    (False, 64): "Q",
+    (True, 32): "f",
+    (True, 64): "d",
+}
 
 
 class _Unusual(Exception):
@@ -102,7 +111,7 @@ class _Tails(dict[bytes, bytes]):
         can_id, _, data = text.partition(b"#")
         message = self._messages.get(can_id)
         if message is not None and len(data) == message.digits and not data.strip(_DIGITS):
-            tail = message.tail(int.from_bytes(unhexlify(data), "little"))
+            tail = message.tail(unhexlify(data))
         elif not _FRAME.fullmatch(text):
             raise _Unusual
         elif self._describes(can_id):
@@ -124,18 +133,36 @@ class _Message:
     def __init__(self, layout: MessageLayout, words: bool) -> None:
         self.digits = 2 * layout.length
         self._signals: list[tuple[_Texts | range, int, int]] = []  # texts by bits, and where the bits are
-        shown = []
+        shown, every = [], []
         for signal in layout.signals:
             texts = _Texts(signal, words)
+            every.append(texts)
             everything = range(1 << signal.length)
             self._signals.append((everything if texts.are_bits else texts, signal.start, everything[-1]))
             shown.append(f"{_literally(signal.name)}: %s{_literally(texts.behind)}")
+        code = _struct_code(layout)
+        self._unpack = None if code is None or not all(texts.are_values for texts in every) else Struct(code).unpack
         self._template = f" :: {_literally(layout.name)}({', '.join(shown)})\n"
 
-    def tail(self, word: int) -> bytes:
+    def tail(self, data: bytes) -> bytes:
+        if self._unpack is not None:
+            return (self._template % self._unpack(data)).encode()
+        word = int.from_bytes(data, "little")
         return (
             self._template % tuple([texts[(word >> start) & mask] for texts, start, mask in self._signals])
         ).encode()
+
+
+def _struct_code(layout: MessageLayout) -> str | None:
+    """For struct, where the signals follow one another, fill the message, and are numbers that struct knows."""
+    code, end = "<", 0
+    for signal in layout.signals:
+        letter = _STRUCT_CODES.get((signal.is_float, signal.length))
+        if letter is None or signal.start != end:
+            return None
+        code += letter.lower() if signal.signed else letter
+        end += signal.length
+    return code if end == 8 * layout.length else None
 
 
 def _literally(text: str) -> str:
@@ -146,7 +173,8 @@ def _literally(text: str) -> str:
 class _Texts(dict[int, str]):
     """The value of a signal as it is printed, by its bits; cantools' arithmetic, which is Python's.
 
-    behind: what stands behind all its values. are_bits: they are its bits, as a number.
+    behind: what stands behind all its values. are_values: what is printed is the very number that its bits are;
+    are_bits: a number without a sign.
     """
 
     def __init__(self, signal: SignalLayout, words: bool) -> None:
@@ -163,7 +191,8 @@ class _Texts(dict[int, str]):
         self._float = _FLOATS[signal.length] if signal.is_float else None
         self._negative_from = 1 << (signal.length - 1) if signal.signed and not signal.is_float else 1 << signal.length
         self._all = 1 << signal.length
-        self.are_bits = not (signal.signed or signal.is_float or self._choices) and self._raw_is_value
+        self.are_values = self._raw_is_value and not self._choices
+        self.are_bits = self.are_values and not (signal.signed or signal.is_float)
 
     def __missing__(self, bits: int) -> str:
         raw: float = bits

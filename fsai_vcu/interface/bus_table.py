@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
+from typing import NamedTuple
 
 MS = 1_000_000
 """Nanoseconds in a millisecond."""
@@ -23,8 +23,7 @@ class Flow(Enum):
     OTHER = "between others"
 
 
-@dataclass(frozen=True, slots=True)
-class BusMessage:
+class BusMessage(NamedTuple):
     """One message of the bus. `period_ns` has an entry for each revision in which the message exists."""
 
     name: str

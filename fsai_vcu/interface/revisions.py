@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class Revision:
+class Revision(NamedTuple):
     """One revision of the car's CAN interface.
 
     `dbc_files` are names in the project's DBC folder; `steer_limit_deg` is the most that STEER_REQUEST may ask for,
