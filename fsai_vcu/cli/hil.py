@@ -60,15 +60,15 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 def run(args: argparse.Namespace) -> int:
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import UserError, WrongUse
 
     timeout_s = args.timeout
     if timeout_s is None:
         timeout_s = _TIMEOUT_ALL_S if args.all else _TIMEOUT_S + 60.0 * (args.soak or 0.0)
     if not 0.0 < timeout_s < math.inf:
-        raise UserError(f"--timeout is {timeout_s:g}, but must be a time in seconds")
+        raise WrongUse(f"--timeout is {timeout_s:g}, but must be a time in seconds")
     if args.soak is not None and not args.soak > 0.0:
-        raise UserError(f"--soak is {args.soak:g}, but must be a time in minutes")
+        raise WrongUse(f"--soak is {args.soak:g}, but must be a time in minutes")
     checkout = Path(__file__).resolve().parents[2]
     if not (checkout / _SUITE).is_dir():
         raise UserError(f"the suite is part of the source checkout, and {checkout} has no {_SUITE}")

@@ -81,18 +81,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.recorder.listening import Listener
     from fsai_vcu.diagnostics.recorder.places import Place, PlaceError
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.runtime.bus import BusError
 
     if args.seconds is not None and not 0.0 <= args.seconds < float("inf"):
-        raise UserError(f"--seconds is {args.seconds:g}, not a time")
+        raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
     if args.ros and not args.mcap:
-        raise UserError("--ros goes with --mcap: a candump log has no place for ROS messages")
+        raise WrongUse("--ros goes with --mcap: a candump log has no place for ROS messages")
     if args.topic and not args.ros:
-        raise UserError("--topic goes with --ros")
+        raise WrongUse("--topic goes with --ros")
     bus = args.interface.partition(":")[2] or args.interface
     about = _about(args)
     decoder = None
@@ -191,19 +191,19 @@ def _say(text: str) -> None:
 
 
 def _bounds(args: argparse.Namespace) -> Bounds:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.recorder.places import Bounds
 
     single = args.output.suffix != "" and not args.output.is_dir()
     if single:
         for option in _DEFAULTS:
             if getattr(args, option) is not None:
-                raise UserError(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
+                raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
         return Bounds(keep_free_bytes=_size(args.keep_free, "--keep-free"))
     given = {option: getattr(args, option) or default for option, default in _DEFAULTS.items()}
     total = _size(given["max_total"], "--max-total")
     if total < 1 << 20:
-        raise UserError(f"--max-total is {given['max_total']}, but less than 1M is no recording")
+        raise WrongUse(f"--max-total is {given['max_total']}, but less than 1M is no recording")
     return Bounds(
         segment_bytes=max(1, _size(given["segment_size"], "--segment-size")),
         segment_ns=_time_ns(given["segment_time"], "--segment-time"),
@@ -213,20 +213,20 @@ def _bounds(args: argparse.Namespace) -> Bounds:
 
 
 def _size(text: str, option: str) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import WrongUse
 
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
     if not found:
-        raise UserError(f"{option} is '{text}', not a size like 64M or 4G")
+        raise WrongUse(f"{option} is '{text}', not a size like 64M or 4G")
     return int(float(found[1]) * _SIZES[found[2].upper()])
 
 
 def _time_ns(text: str, option: str) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import WrongUse
 
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|min|h)", text.strip())
     if not found or float(found[1]) <= 0.0:
-        raise UserError(f"{option} is '{text}', not a time like 30s, 10min or 1h")
+        raise WrongUse(f"{option} is '{text}', not a time like 30s, 10min or 1h")
     return int(float(found[1]) * _TIMES_S[found[2]] * 1e9)
 
 

@@ -47,16 +47,16 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.scrutineering.report import failures, markdown, summary
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
     from fsai_vcu.cli.hil import environment
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import UserError, WrongUse
 
     seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
     if not 0.0 < seconds < math.inf:
-        raise UserError(f"--seconds is {seconds:g}, but must be a time in seconds")
+        raise WrongUse(f"--seconds is {seconds:g}, but must be a time in seconds")
     try:
         names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
         conditions = conditions_named(names)
     except ValueError as error:
-        raise UserError(str(error)) from error
+        raise WrongUse(str(error)) from error
     checkout = Path(__file__).resolve().parents[2]
     out: Path = args.out.resolve()
     result = out / "measured.json"

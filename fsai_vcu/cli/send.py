@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
     from fsai_vcu.diagnostics.sending import SendingError, outgoing
 
@@ -65,19 +65,19 @@ def run(args: argparse.Namespace) -> int:
         _show(args, frame)
         return 0
     if args.interface is None:
-        raise UserError("-i says on which CAN interface; --dry-run sends nothing")
+        raise WrongUse("-i says on which CAN interface; --dry-run sends nothing")
     return _send(args, frame)
 
 
 def _check(args: argparse.Namespace) -> None:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.cli.main import WrongUse
 
     if args.count < 0:
-        raise UserError(f"--count is {args.count}, but must be 0 or more")
+        raise WrongUse(f"--count is {args.count}, but must be 0 or more")
     if args.period is not None and not 1.0 <= args.period < math.inf:
-        raise UserError(f"--period is {args.period:g} ms, but must be 1 or more")
+        raise WrongUse(f"--period is {args.period:g} ms, but must be 1 or more")
     if not _LEAST_LISTEN_S <= args.listen < math.inf:
-        raise UserError(f"--listen is {args.listen:g} s, but must be {_LEAST_LISTEN_S:g} or more to hear a live bridge")
+        raise WrongUse(f"--listen is {args.listen:g} s, but must be {_LEAST_LISTEN_S:g} or more to hear a live bridge")
 
 
 def _show(args: argparse.Namespace, frame: Outgoing) -> None:

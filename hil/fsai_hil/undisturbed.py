@@ -10,34 +10,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from enum import Enum
 from typing import Protocol
 
 import pytest
 from _pytest.runner import runtestprotocol
 
-from fsai_hil.witness import SlowSpell, Stall, describe
+from fsai_hil.witness import RUNS, Outcome, SlowSpell, Stall, describe, judge_run
 
-RUNS = 3
+__all__ = ["RUNS", "Outcome", "Undisturbed", "judge_run"]
 
 
 class Watcher(Protocol):
     """What is asked of the witness."""
 
     def disturbances(self, since_ns: int) -> Sequence[Stall | SlowSpell]: ...
-
-
-class Outcome(Enum):
-    COUNTS = "the run counts, whichever way it ended"
-    AGAIN = "it failed on a disturbed machine: it is run again"
-    NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
-
-
-def judge_run(failed: bool, disturbances: Sequence[Stall | SlowSpell], run: int) -> Outcome:
-    """What the `run`th run of a test (1 is the first) is worth."""
-    if not failed or not disturbances:
-        return Outcome.COUNTS
-    return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
 
 
 class Undisturbed:

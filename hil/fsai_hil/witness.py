@@ -27,6 +27,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
@@ -42,6 +43,7 @@ SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of 
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
 _STALL, _SLOW = "stall", "slow"
 _START_S = 20.0
+RUNS = 3  # of what failed on a disturbed machine
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 
 
@@ -78,6 +80,19 @@ def describe(disturbances: Sequence[Stall | SlowSpell]) -> str:
         lasted_s = sum(spell.until_ns - spell.due_ns for spell in spells) / 1e9
         words.append(f"ran at {100 * min(spell.speed for spell in spells):.0f} % of its speed for {lasted_s:.1f} s")
     return " and ".join(words)
+
+
+class Outcome(Enum):
+    COUNTS = "the run counts, whichever way it ended"
+    AGAIN = "it failed on a disturbed machine: it is run again"
+    NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
+
+
+def judge_run(failed: bool, disturbances: Sequence[Stall | SlowSpell], run: int) -> Outcome:
+    """What the `run`th run of a test (1 is the first) is worth."""
+    if not failed or not disturbances:
+        return Outcome.COUNTS
+    return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
 
 
 Noted = TypeVar("Noted", Stall, SlowSpell)

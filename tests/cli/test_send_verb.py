@@ -74,8 +74,8 @@ def dry(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
     return capsys.readouterr().out.strip()
 
 
-def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
-    assert main(["send", *argv]) == 1
+def refused(capsys: pytest.CaptureFixture[str], *argv: str, status: int = 1) -> str:
+    assert main(["send", *argv]) == status
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1
     return said.err.removeprefix("fsai-vcu send: ").strip()
@@ -149,10 +149,6 @@ def test_json_says_what_the_wire_carries_and_what_was_not_named(bench: str, caps
         (["BenchFromVcu"], "BenchFromVcu (0x1A6) is the VCU's, as its database says"),
         (["BenchWideReserved"], "BenchWideReserved (0x624) is reserved for the car: it must never be sent from here"),
         (["BenchLong"], "BenchLong has 12 bytes, and a classic CAN frame at most 8"),
-        (["BenchLamp", "--count", "-1"], "--count is -1"),
-        (["BenchLamp", "--period", "0"], "--period is 0 ms"),
-        (["BenchLamp", "--listen", "0"], "--listen is 0 s"),
-        (["BenchLamp"], "-i says on which CAN interface; --dry-run sends nothing"),
         (["BenchLamp", "-i", "nowhere0"], "no CAN interface 'nowhere0'"),
     ],
 )
@@ -160,6 +156,21 @@ def test_what_cannot_or_must_not_be_sent_is_one_clear_line(
     argv: list[str], words: str, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert refused(capsys, *argv, "--dbc", bench).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["--count", "-1"], "--count is -1"),
+        (["--period", "0"], "--period is 0 ms"),
+        (["--listen", "0"], "--listen is 0 s"),
+        ([], "-i says on which CAN interface; --dry-run sends nothing"),
+    ],
+)
+def test_options_that_make_no_sense_are_wrong_use(
+    argv: list[str], words: str, bench: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refused(capsys, "BenchLamp", *argv, "--dbc", bench, status=2).startswith(words)
 
 
 def test_a_signal_without_an_initial_value_for_which_0_is_out_of_range_must_be_named(

@@ -72,18 +72,18 @@ def test_only_what_was_asked_for_is_measured(place: FakePlace, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("argv", "words"),
+    ("status", "argv", "words"),
     [
-        (["--seconds", "0"], "--seconds is 0, but must be a time in seconds"),
-        (["--seconds", "nan"], "--seconds is nan"),
-        (["--conditions", "asleep"], "no condition 'asleep': choose from idle"),
-        (["-o", "/proc/absent"], "/proc/absent: No such file or directory"),
+        (2, ["--seconds", "0"], "--seconds is 0, but must be a time in seconds"),
+        (2, ["--seconds", "nan"], "--seconds is nan"),
+        (2, ["--conditions", "asleep"], "no condition 'asleep': choose from idle"),
+        (1, ["-o", "/proc/absent"], "/proc/absent: No such file or directory"),
     ],
 )
 def test_bad_input_gets_one_clear_line(
-    place: FakePlace, argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    place: FakePlace, status: int, argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["scrutineering", *argv]) == 1
+    assert main(["scrutineering", *argv]) == status
     error = capsys.readouterr().err
     assert error.startswith("fsai-vcu scrutineering: ") and words in error and error.count("\n") == 1
     assert place.argv == []

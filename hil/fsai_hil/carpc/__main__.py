@@ -1,6 +1,6 @@
 """`python -m fsai_hil.carpc`: boot a car PC in User-Mode Linux, and see that everything starts and recovers by itself.
 
-The machine's root is this machine's, seen through an overlay: what `make install` would install lies on top of it, and
+The machine's root is this machine's, seen through an overlay: the unpacked Debian package lies on top of it, and
 whatever is written inside stays in memory. Nothing of this machine is changed.
 """
 
@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shlex
-import shutil
-import subprocess
 import sys
 import tempfile
 import threading
@@ -19,16 +16,17 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from fsai_hil.carpc import package
+from fsai_hil.carpc.package import CHECKOUT
 from fsai_hil.carpc.watching import CODEC, HOUR_NS
 from fsai_hil.vcan import VcanError, uml
 from fsai_hil.vcan.clock import preloaded_clock
 from fsai_hil.wire import checker_for, read_candump
+from fsai_hil.witness import RUNS
 
-CHECKOUT = Path(__file__).resolve().parents[3]
-MODULES = ("can", "can-raw", "vcan", "overlay")
+MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
-SHORT = "static_inspection_a"
 INTERFACE = "vcan0"
 # Of this machine's services none is wanted inside; and what systemd would look for there is not.
 MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
@@ -74,13 +72,13 @@ def main() -> int:
     parser.add_argument(
         "--short",
         action="store_true",
-        help=f"only the boot, {SHORT}, and the bridge killed and hung while the car stands",
+        help="only the package, the boot, the sandbox, and one drive in the middle of which the bridge is killed",
     )
     parser.add_argument("--results", type=Path, default=CHECKOUT / "out" / "carpc", metavar="DIR")
     parser.add_argument("--timeout", type=float, default=BOOT_TO_END_S, metavar="S", help="(%(default)g)")
     args = parser.parse_args()
     try:
-        return rehearse(SHORT if args.short else args.missions, args.results.resolve(), args.timeout, args.short)
+        return rehearse(args.missions, args.results.resolve(), args.timeout, args.short)
     except (CarPcError, VcanError) as error:
         print(f"fsai_hil.carpc: {error}", file=sys.stderr)
         return 1
@@ -96,7 +94,7 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool) -> int
     for old in (*results.glob("*.json"), *results.glob("*.txt"), *results.glob("*.log"), results / "again"):
         old.unlink(missing_ok=True)
     installed = results / "root"
-    install(installed)
+    package.unpack(package.make(results), installed)
     if not Path("/usr/lib/systemd/systemd-udevd").exists():
         raise CarPcError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
@@ -109,8 +107,9 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool) -> int
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
         with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, Telling(results):
             in_time = uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
-            if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
-                in_time = uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
+            for _ in range(RUNS):
+                if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
+                    in_time = uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
     if not in_time:
         raise CarPcError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
     report = results / "report.json"
@@ -119,8 +118,13 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool) -> int
     if (results / "again").exists():
         raise CarPcError(f"the machine did not come back from its reboot: {results / 'console.log'}")
     kept = [rules_kept(log) for log in sorted(results.glob("bus-*.log"))]
-    steps = json.loads(report.read_text())
-    return 0 if steps and all(step["passed"] for step in steps) and all(kept) else 1
+    return 0 if all_well(json.loads(report.read_text())) and all(kept) else 1
+
+
+def all_well(steps: list[dict[str, object]]) -> bool:
+    """What a disturbed machine made fail, and what was played again for that, does not count."""
+    counting = [step for step in steps if step["counts"]]
+    return bool(counting) and all(step["passed"] for step in counting)
 
 
 def rules_kept(log: Path) -> bool:
@@ -172,17 +176,6 @@ class Telling:
         self._told = len(steps)
 
 
-def install(root: Path) -> None:
-    """What `make install` installs, below `root`; what is up to date there is left alone."""
-    # A configuration of an earlier rehearsal is not kept.
-    shutil.rmtree(root / "etc", ignore_errors=True)
-    done = subprocess.run(
-        [CHECKOUT / "scripts" / "install-car", "install"], env={**os.environ, "DESTDIR": str(root)}, check=False
-    )
-    if done.returncode != 0:
-        raise CarPcError("scripts/install-car failed")
-
-
 def init_script(
     missions: str,
     installed: Path,
@@ -193,6 +186,7 @@ def init_script(
 ) -> str:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
+    options = " --short" if short else ""
     lines = [
         "#!/bin/sh",
         "export PATH=/usr/sbin:/usr/bin:/sbin:/bin",
@@ -216,6 +210,7 @@ def init_script(
         ": > etc/fstab",
         "echo car-pc > etc/hostname",
         *(f"ln -sf /dev/null etc/systemd/system/{unit}" for unit in MASKED),
+        f"chroot . dpkg --configure {package.NAME}",
         # The bench: vcan0, the simulated car and what it is seen with.
         "cp -r usr/share/fsai/bench/fsai-* etc/systemd/system/",
         "cp usr/share/fsai/bench/70-* etc/systemd/network/",
@@ -226,7 +221,7 @@ def init_script(
         *unit("fsai-typed-car.service", TYPED_CAR),
         # A car is never late: what the bench's own has beyond the sandbox.
         "cp -r etc/systemd/system/fsai-simulated-car@.service.d etc/systemd/system/fsai-typed-car.service.d",
-        *unit("rehearsal.service", f"{REHEARSAL} {INTERFACE} {len(missions.split(','))}{' --short' if short else ''}"),
+        *unit("rehearsal.service", f"{REHEARSAL} {INTERFACE} {len(missions.split(','))}{options}"),
         f"chroot . /usr/lib/fsai/settle {INTERFACE}",
         "chroot . systemctl enable systemd-networkd.service fsai-simulated-sensors.service",
         "mkdir -p etc/systemd/system/basic.target.wants",

@@ -20,6 +20,7 @@ START_TO_FIRST_FRAME_S = 6.0  # of the bridge, with the 200 ms that it listens f
 SERVICE_BACK_S = 20.0  # while the others drive on and take most of that processor; by itself a third of it
 HUNG_BACK_S = SERVICE_BACK_S + 3.0  # its watchdog
 UNPLUGGED_S = 3.0
+PURGED_S = 90.0  # some ten thousand files
 RECORDS_AGAIN_S = 10.0
 AT_REST_S = 8.0
 SHUTDOWN_REST_S = 8.0
