@@ -21,6 +21,8 @@ from types import TracebackType
 from typing import Any, Final
 
 from fsai_hil.response import ResponseTimes
+from fsai_hil.wire import WireChecker, read_candump
+from fsai_vcu.interface.codec import Codec
 
 NOISE_KIB: Final = 1024
 GROWTH_KIB_PER_HOUR: Final = 4096
@@ -126,6 +128,16 @@ class Flatness:
         verdict = "FLAT" if self.flat else "NOT FLAT: " + "; ".join(self.reasons)
         lines.append(f"{verdict} over {self.minutes:.1f} min after the warm-up")
         return "\n".join(lines)
+
+
+def response_parts(log: Path, codec: Codec, since_ns: int) -> list[ResponseTimes]:
+    """How long each toggle of the handshake waited for its echo, on the bus, in each part of the time."""
+    frames = [frame for frame in read_candump(log) if frame.t_ns >= since_ns]
+    checkers = [WireChecker(codec) for _ in range(PARTS)]
+    for frame in frames:
+        share = (frame.t_ns - since_ns) / (frames[-1].t_ns + 1 - since_ns)
+        checkers[int(PARTS * share)].on_frame(frame)
+    return [checker.responses for checker in checkers]
 
 
 def judge(

@@ -10,13 +10,17 @@ import json
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, START_S, STOP_S, Chain
+from fsai_hil.soak import Sampler, judge, response_parts
 from fsai_hil.stack import NODES
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+
+SAMPLED_S = 0.5
 
 
 def test_every_node_topic_and_service_has_the_name_that_people_expect(chain: Chain) -> None:
@@ -58,32 +62,6 @@ def test_the_operators_commands_reach_the_bridge_and_say_what_it_says(
     assert refused.returncode == 1 and "autonomous" in refused.stderr and "manual" in refused.stderr
 
 
-def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
-    with chain.car("lap") as run:
-        chain.autonomous()
-        result = chain.operator.run_mission("autocross", "end", POWER_UP_S + DRIVE_S, None, *NODES)
-        status = run.vcu.wait(STOP_S)
-    verdict = run.verdict()
-    assert verdict["result"] == "pass", verdict["reasons"]
-    assert status == 0
-    assert result.success and result.as_state == "AS_FINISHED", result.message
-    assert (verdict["laps"], verdict["off_course"]) == (1, 0)
-    assert chain.wire is not None and chain.wire.ok, chain.wire
-    states = [name for _, name in chain.wire.as_states]
-    assert states[-4:] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
-
-
-def test_the_log_of_the_lap_holds_no_reserved_id_and_every_handshake_was_answered(chain: Chain) -> None:
-    logs = Path(os.environ["FSAI_HIL_RESULTS"]).glob("chain*/lap/bus.log")
-    frames = _frames(max(logs, key=lambda path: path.stat().st_mtime_ns))
-    ids = {frame_id for frame_id, _ in frames}
-    from_the_car = {message.frame_id for message in CODEC.database.messages if "AI" not in message.senders}
-    assert not (ids - from_the_car) & RESERVED_IDS
-    assert ids - from_the_car == set(AI_IDS)
-    toggles = [data[0] & 1 for frame_id, data in frames if frame_id == 0x520]
-    assert sum(a != b for a, b in itertools.pairwise(toggles)) > 1000, "the handshake stood still"
-
-
 def test_manual_while_driving_is_a_controlled_stop_that_ends_finished(chain: Chain) -> None:
     with chain.car("manual") as run:
         chain.autonomous()
@@ -95,6 +73,39 @@ def test_manual_while_driving_is_a_controlled_stop_that_ends_finished(chain: Cha
         assert state.mode == "manual"
     assert run.verdict()["shutdown_cause"] in (None, "NO_SHUTDOWN")
     assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
+    pids = {name: chain.stack.processes[name].popen.pid for name in NODES}
+    with chain.car("lap") as run:
+        chain.autonomous()
+        chain.operator.await_state(lambda s: s.as_state == AsState.AS_DRIVING, POWER_UP_S, "AS_DRIVING")
+        began_ns = time.time_ns()
+        with Sampler(pids, SAMPLED_S) as sampler:
+            result = chain.operator.run_mission("autocross", "end", DRIVE_S, None, *NODES)
+        status = run.vcu.wait(STOP_S)
+    verdict = run.verdict()
+    assert verdict["result"] == "pass", verdict["reasons"]
+    assert status == 0
+    assert result.success and result.as_state == "AS_FINISHED", result.message
+    assert (verdict["laps"], verdict["off_course"]) == (1, 0)
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+    states = [name for _, name in chain.wire.as_states]
+    assert states[-4:] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
+    # The short form of `fsai-vcu hil --soak`; it counts from the drive on, for nodes that have driven before.
+    flatness = judge(sampler.samples, response_parts(run.log_path, CODEC, began_ns))
+    assert flatness.flat, str(flatness)
+
+
+def test_the_log_of_the_lap_holds_no_reserved_id_and_every_handshake_was_answered(chain: Chain) -> None:
+    logs = Path(os.environ["FSAI_HIL_RESULTS"]).glob("chain*/lap/bus.log")
+    frames = _frames(max(logs, key=lambda path: path.stat().st_mtime_ns))
+    ids = {frame_id for frame_id, _ in frames}
+    from_the_car = {message.frame_id for message in CODEC.database.messages if "AI" not in message.senders}
+    assert not (ids - from_the_car) & RESERVED_IDS
+    assert ids - from_the_car == set(AI_IDS)
+    toggles = [data[0] & 1 for frame_id, data in frames if frame_id == 0x520]
+    assert sum(a != b for a, b in itertools.pairwise(toggles)) > 1000, "the handshake stood still"
 
 
 def test_a_killed_planner_brings_the_car_to_rest_by_the_service_brake(chain: Chain) -> None:
