@@ -83,6 +83,7 @@ class TruthSender:
 
     def __init__(self, port: int = DEFAULT_PORT) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((HOST, 0))  # else an answer would be taken from any network
         self._socket.setblocking(False)
         self._address = (HOST, port)
 

@@ -91,6 +91,7 @@ def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen(
         "clock",
         "disk",
         "permissions",
+        "system",
     } == {finding.topic for finding in findings}
 
 
@@ -115,7 +116,7 @@ def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen(
         (replace(WELL, ros=Ros()), "ROS 2", "rclpy is not in this"),
         (replace(WELL, ros=replace(WELL.ros, distribution="humble")), "ROS 2", "humble"),
         (replace(WELL, ros=replace(WELL.ros, messages=False)), "ROS 2", "fsai_msgs not installed"),
-        (replace(WELL, dds_listening=("0.0.0.0",)), "DDS", "listens on 0.0.0.0"),
+        (replace(WELL, listening=("0.0.0.0",)), "DDS", "listens on 0.0.0.0"),
         (replace(WELL, wanted=replace(WANTED, discovery="subnet")), "DDS", "anybody there can drive the car"),
         (replace(WELL, services={"fsai-planner.service": "failed"}), "services", "planner is failed"),
         (replace(WELL, scheduling=Scheduling("SCHED_OTHER", 0, True)), "scheduling", "SCHED_OTHER"),

@@ -17,7 +17,7 @@ pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this enviro
 
 from fsai_nodes.configured import Configured, ros_arguments
 from fsai_nodes.parameters import NodeError
-from fsai_vcu.diagnostics.doctor.collect import udp_addresses
+from fsai_vcu.diagnostics.doctor.collect import listening_addresses
 
 LONG_S = 60.0
 
@@ -70,7 +70,7 @@ class Watched:
 
     def addresses(self) -> set[str]:
         proc = Path("/proc")
-        found = udp_addresses(proc / str(self.process.pid), proc)
+        found = listening_addresses(proc / str(self.process.pid), proc)
         return {str(address) for address in found if not (address.is_loopback or address.is_multicast)}
 
 

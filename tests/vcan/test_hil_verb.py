@@ -77,7 +77,7 @@ def test_a_soak_runs_its_own_test_for_so_many_minutes_and_its_time_limit_is_on_t
 def test_a_soak_of_no_time_is_refused_with_one_line(
     place: FakePlace, tmp_path: Path, minutes: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["hil", "--soak", minutes, "--results", str(tmp_path)]) == 1
+    assert main(["hil", "--soak", minutes, "--results", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert place.argv == []
 

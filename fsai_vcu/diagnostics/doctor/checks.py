@@ -12,6 +12,7 @@ Level = Literal["right", "wrong", "note"]
 
 _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
+_IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
 _NO_CONFIGURATION = "needs the configuration"
 
 
@@ -36,7 +37,16 @@ def configuration(machine: Machine) -> Iterator[Finding]:
         for problem in machine.configuration_problems or ("no configuration was read",):
             yield _wrong("configuration", problem, "put it right; fsai-vcu config check says when it is")
         return
-    yield _right("configuration", f"{wanted.path}: revision {wanted.revision}, {wanted.interface}")
+    if wanted.path in machine.changed_since_start:
+        yield _changed("configuration", wanted)
+    else:
+        yield _right("configuration", f"{wanted.path}: revision {wanted.revision}, {wanted.interface}")
+
+
+def _changed(topic: str, wanted: Wanted) -> Finding:
+    file = wanted.path if topic == "configuration" else wanted.limits_path
+    words = f"{file} was changed after the bridge had started, which drives with what stood there before"
+    return _wrong(topic, words, "sudo systemctl restart fsai.target 'fsai-*.service', with the car at rest")
 
 
 def limits(machine: Machine) -> Iterator[Finding]:
@@ -45,6 +55,8 @@ def limits(machine: Machine) -> Iterator[Finding]:
         yield _note("limits", _NO_CONFIGURATION)
     elif not wanted.limits_path:
         yield _note("limits", "none but the car's own: [limits] file is empty")
+    elif wanted.limits_path in machine.changed_since_start:
+        yield _changed("limits", wanted)
     else:
         yield _right("limits", f"{wanted.limits_path}: {', '.join(wanted.limits)}")
 
@@ -188,6 +200,8 @@ def ros(machine: Machine) -> Iterator[Finding]:
         yield _right("ROS 2", f"{distribution}, {here.rclpy}")
         if here.distribution and here.distribution != "jazzy":
             yield _wrong("ROS 2", f"the distribution is {here.distribution}", "this is made for jazzy")
+        if here.unused:
+            yield _note("ROS 2", f"{here.unused} is there too, and not used (sudo make install takes it from now on)")
         if not here.messages or not here.nodes:
             missing = " and ".join(
                 name for name, there in (("fsai_msgs", here.messages), ("fsai_nodes", here.nodes)) if not there
@@ -201,11 +215,17 @@ def dds(machine: Machine) -> Iterator[Finding]:
         yield _note("DDS", _NO_CONFIGURATION)
         return
     domain = f"domain {wanted.environment.get('ROS_DOMAIN_ID', '0')}"
+    if machine.ros.implementation not in ("", _IMPLEMENTATION):
+        yield _wrong(
+            "DDS",
+            f"the bridge runs on {machine.ros.implementation}, for which none of these settings holds",
+            f"start it without RMW_IMPLEMENTATION, or with {_IMPLEMENTATION}",
+        )
     if wanted.discovery == "localhost":
-        if machine.dds_listening:
+        if machine.listening:
             yield _wrong(
                 "DDS",
-                f"a node listens on {', '.join(machine.dds_listening)}, though it is to stay on this machine",
+                f"a node listens on {', '.join(machine.listening)}, though it is to stay on this machine",
                 "start it by its service, or with --config: then it is bound to 127.0.0.1",
             )
         else:
@@ -293,6 +313,8 @@ def disk(machine: Machine) -> Iterator[Finding]:
 
 
 def permissions(machine: Machine) -> Iterator[Finding]:
+    for file, problem in machine.file_problems:
+        yield _wrong("permissions", f"{file} {problem}", f"sudo chown root:fsai {file}; sudo chmod 640 {file}")
     if machine.user == "root" or "fsai" in machine.groups or machine.user == "fsai":
         yield _right("permissions", f"{machine.user} may read configuration and logs")
     else:
@@ -301,6 +323,10 @@ def permissions(machine: Machine) -> Iterator[Finding]:
             f"{machine.user} is not in the group fsai: configuration and logs may be closed to you "
             f"(sudo usermod -aG fsai {machine.user})",
         )
+
+
+def system(machine: Machine) -> Iterator[Finding]:
+    yield _note("system", f"{machine.system}, Linux {machine.kernel}")
 
 
 CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
@@ -315,6 +341,7 @@ CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
     clock,
     disk,
     permissions,
+    system,
 )
 
 

@@ -36,8 +36,12 @@ _ENABLED = Path("/etc/systemd/system")
 _POLICIES = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 _BRIDGE_MODULE = b"fsai_nodes.vcu_bridge"
 _NODE_MODULES = b"fsai_nodes."
+_GROUP = "fsai"  # of the services' user
+_DISTRIBUTIONS = Path("/opt/ros")
+_TCP_LISTEN, _UDP_OPEN = "0A", "07"  # linux/net/tcp_states.h; a UDP socket that is bound and not connected
 
 Four = tuple[int, int, int, int]
+Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
 def collect(
@@ -48,6 +52,7 @@ def collect(
     heard = None
     if wanted is not None and codec is not None:
         heard = listen(wanted.interface, codec, seconds)
+    files = [Path(name) for name in (wanted.path, wanted.limits_path) if name] if wanted is not None else []
     folder = Path(wanted.recording_folder) if wanted is not None else None
     here = folder is not None and folder.is_dir()
     return Machine(
@@ -56,7 +61,7 @@ def collect(
         interfaces=tuple(sorted(path.name for path in _NET.glob("*") if _read(path / "type") == _ARPHRD_CAN)),
         link=link,
         bus=heard,
-        ros=_ros(),
+        ros=_ros(proc),
         services=services(_ENABLED),
         scheduling=_scheduling(proc),
         rt_runtime_us=_number(proc / "sys/kernel/sched_rt_runtime_us"),
@@ -64,9 +69,11 @@ def collect(
         clock_year=time.gmtime().tm_year,
         disk_free_mib=shutil.disk_usage(folder).free >> 20 if folder is not None and here else None,
         folder_problem="" if folder is None or not here else _folder_problem(folder),
+        file_problems=file_problems(files),
+        changed_since_start=tuple(str(path) for path in files if _newer(path, _bridge_started_s(proc))),
         user=_user(),
         groups=_groups(),
-        dds_listening=listening_on_networks(proc),
+        listening=listening_on_networks(proc),
         kernel=platform.release(),
         system=_system(),
     )
@@ -182,15 +189,80 @@ def _four(values: Iterator[int] | list[int]) -> Four:
 # ---------------------------------------------------------------- processes, services, the rest
 
 
-def _ros() -> Ros:
+def _ros(proc: Path) -> Ros:
     rclpy = importlib.util.find_spec("rclpy")
     where = "" if rclpy is None or rclpy.origin is None else str(Path(rclpy.origin).parent)
+    distribution, unused = distribution_of(where, os.environ.get("ROS_DISTRO", ""), _DISTRIBUTIONS)
     return Ros(
         rclpy=where,
-        distribution=os.environ.get("ROS_DISTRO", ""),
+        distribution=distribution,
         messages=importlib.util.find_spec("fsai_msgs") is not None,
         nodes=importlib.util.find_spec("fsai_nodes") is not None,
+        unused=unused,
+        implementation=_environment_of_bridge(proc).get("RMW_IMPLEMENTATION", ""),
     )
+
+
+def distribution_of(rclpy: str, named: str, folder: Path) -> tuple[str, str]:
+    """Whose rclpy it is: a distribution's name, '' for the package index; and an installed one that is not used.
+
+    rclpy: the folder it is imported from. named: ROS_DISTRO. folder: where distributions are, /opt/ros.
+    """
+    there = sorted(path.parent for path in folder.glob("*/setup.bash"))
+    of_rclpy = [path.name for path in there if Path(rclpy).is_relative_to(path)] if rclpy else []
+    if of_rclpy:
+        return of_rclpy[0], ""
+    ours = folder / "jazzy"
+    return named, str(ours) if rclpy and not named and ours in there else ""
+
+
+def _environment_of_bridge(proc: Path) -> dict[str, str]:
+    """That of the running bridge, where it may be read; else this process's own."""
+    for folder in _processes(proc, _BRIDGE_MODULE):
+        try:
+            words = (folder / "environ").read_bytes().decode(errors="replace").split("\0")
+        except OSError:
+            continue
+        return {name: value for name, equals, value in (word.partition("=") for word in words) if equals}
+    return dict(os.environ)
+
+
+def _bridge_started_s(proc: Path) -> float | None:
+    """When the running bridge was started, by the wall clock; None if none runs (proc(5))."""
+    booted = [line.split()[1] for line in _read(proc / "stat").splitlines() if line.startswith("btime ")]
+    for folder in _processes(proc, _BRIDGE_MODULE):
+        fields = _read(folder / "stat").rpartition(")")[2].split()
+        if booted and len(fields) > 19:
+            return int(booted[0]) + int(fields[19]) / os.sysconf("SC_CLK_TCK")
+    return None
+
+
+def _newer(path: Path, started_s: float | None) -> bool:
+    try:
+        # A boot's time is known to a second.
+        return started_s is not None and path.stat().st_mtime > started_s + 1.0
+    except OSError:
+        return False
+
+
+def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
+    """Which of the files the services' user cannot read, or could change; nothing where there is no such user."""
+    try:
+        group = grp.getgrnam(_GROUP).gr_gid
+    except KeyError:
+        return ()
+    found = []
+    for path in files:
+        try:
+            status = path.stat()
+        except OSError:
+            continue
+        of_group = status.st_gid == group
+        if not (status.st_mode & 0o004 or (of_group and status.st_mode & 0o040)):
+            found.append((str(path), "cannot be read by the services, which run as fsai"))
+        elif status.st_mode & 0o002 or (of_group and status.st_mode & 0o020):
+            found.append((str(path), "may be changed by others than root, the services among them"))
+    return tuple(found)
 
 
 def services(enabled: Path) -> dict[str, str]:
@@ -222,19 +294,19 @@ def _scheduling(proc: Path) -> Scheduling | None:
 
 
 def listening_on_networks(proc: Path) -> tuple[str, ...]:
-    """Addresses, other than the loopback's and multicast ones, on which a node of ours takes UDP."""
+    """Where, other than on the loopback and at multicast addresses, a node of ours takes UDP or TCP."""
     found = {
         str(address)
         for folder in _processes(proc, _NODE_MODULES)
-        for address in udp_addresses(folder, proc)
+        for address in listening_addresses(folder, proc)
         if not (address.is_loopback or address.is_multicast)
     }
     return tuple(sorted(found))
 
 
-def udp_addresses(folder: Path, proc: Path) -> list[ipaddress.IPv4Address]:
-    """The local addresses of the UDP sockets of the process whose folder in /proc is `folder`."""
-    sockets = _udp_sockets(proc)
+def listening_addresses(folder: Path, proc: Path) -> list[Address]:
+    """The local addresses on which the process whose folder in /proc is `folder` takes UDP or TCP."""
+    sockets = _listening_sockets(proc)
     found = []
     for entry in _entries(folder / "fd"):
         try:
@@ -247,13 +319,24 @@ def udp_addresses(folder: Path, proc: Path) -> list[ipaddress.IPv4Address]:
     return found
 
 
-def _udp_sockets(proc: Path) -> dict[str, ipaddress.IPv4Address]:
-    """The local address of every UDP socket, by its inode (proc(5), /proc/net/udp)."""
-    found = {}
-    for line in _read(proc / "net" / "udp").splitlines()[1:]:
-        fields = line.split()
-        found[fields[9]] = ipaddress.IPv4Address(int.from_bytes(bytes.fromhex(fields[1].split(":")[0]), "little"))
+def _listening_sockets(proc: Path) -> dict[str, Address]:
+    """The local address of every socket that takes what comes, by its inode (proc(5), /proc/net)."""
+    found: dict[str, Address] = {}
+    for name, state in (("udp", _UDP_OPEN), ("udp6", _UDP_OPEN), ("tcp", _TCP_LISTEN), ("tcp6", _TCP_LISTEN)):
+        for line in _read(proc / "net" / name).splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == state:
+                found[fields[9]] = _address(fields[1].partition(":")[0])
     return found
+
+
+def _address(text: str) -> Address:
+    """An address as /proc/net spells it: words of 32 bits, each in the machine's byte order."""
+    data = b"".join(bytes.fromhex(text[start : start + 8])[::-1] for start in range(0, len(text), 8))
+    if len(data) == 4:
+        return ipaddress.IPv4Address(data)
+    address = ipaddress.IPv6Address(data)
+    return address.ipv4_mapped or address
 
 
 def _processes(proc: Path, module: bytes) -> Iterator[Path]:

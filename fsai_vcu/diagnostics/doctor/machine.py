@@ -60,12 +60,14 @@ class BusHeard:
 
 @dataclass(frozen=True, slots=True)
 class Ros:
-    """ROS 2 in this Python environment."""
+    """ROS 2 in this Python environment. `implementation`: RMW_IMPLEMENTATION as the bridge has it; empty: the usual."""
 
     rclpy: str = ""  # where it comes from; empty: not there
     distribution: str = ""
     messages: bool = False
     nodes: bool = False
+    unused: str = ""  # a distribution that is on this machine, while rclpy comes from elsewhere
+    implementation: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +96,10 @@ class Machine:
     clock_year: int = 0
     disk_free_mib: int | None = None  # where bus logs go
     folder_problem: str = ""  # why the log folder cannot be used
+    file_problems: tuple[tuple[str, str], ...] = ()  # configuration and limits: whom they are closed or open to
+    changed_since_start: tuple[str, ...] = ()  # files that are newer than the running bridge, which has read them once
     user: str = ""
     groups: tuple[str, ...] = ()
-    dds_listening: tuple[str, ...] = ()  # addresses of this machine's networks on which a process of ours listens
+    listening: tuple[str, ...] = ()  # where a process of ours takes anything from this machine's networks
     kernel: str = ""
     system: str = ""
