@@ -52,11 +52,12 @@ from fsai_vcu.interface.images import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.revisions import Revision, told_by_status
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "official_simulator"]
 
 STATUS_ID = 0x520  # VCU2AI_Status
+_BELIEVED_FROM = 10  # frames in a row: interface specification v4.0 counts a loss in tens as well
 
 _AGES = ("status", "drive_front", "drive_rear", "steer", "brake", "speeds", "counts", "log_dynamics", "log_status")
 
@@ -117,6 +118,8 @@ class Bridge:
         self._problems: Counter[str] = Counter()
         self._rx: Counter[int] = Counter()
         self._intruders: dict[int, tuple[int, str]] = {}  # by id: when last heard, and with what
+        self._otherwise = 0  # frames in a row that tell of another revision
+        self._other_revision = ""
         self._cycles = 0
         self._incomplete = 0
         self._vcu_gaps = 0
@@ -168,6 +171,7 @@ class Bridge:
         if image is None:
             return
         if type(image) is VcuStatus:
+            self._on_revision(frame)
             self._on_status(image)
         elif type(image) is WheelSpeeds:
             self._state = supervisor.on_speeds(self._config, self._state, image)
@@ -191,6 +195,20 @@ class Bridge:
         if state.run_id != before.run_id:
             self._odometry.reset(status.t_rx_ns)
             self._motion = self._odometry.motion
+
+    def _on_revision(self, frame: Frame) -> None:
+        """Another revision than the one this bridge is set to is believed when it is heard again and again."""
+        told = told_by_status(int.from_bytes(frame.data, "little"))
+        ours = self._codec.revision.name
+        if told is None:
+            return
+        if told[0] == ours:
+            self._otherwise = 0
+            return
+        self._otherwise += 1
+        if self._otherwise == _BELIEVED_FROM:
+            self._other_revision = f"the car speaks interface revision {told[0]} ({told[1]}), this bridge {ours}"
+            self._count_problem(self._other_revision)
 
     def _on_intruder(self, frame: Frame) -> None:
         if self._config.listen_only:
@@ -397,6 +415,18 @@ class Bridge:
         self._counts[reason.slug] += 1
         self._details[reason.slug] = detail
 
+    def _heard_wrongly(self, now_ns: int) -> tuple[str, ...]:
+        """What should not be on the bus, in words."""
+        # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
+        heard = [
+            f"an intruder sends on our ids: {words}"
+            for t_ns, words in self._intruders.values()
+            if now_ns - t_ns < READY_WAIT_NS
+        ]
+        if self._otherwise >= _BELIEVED_FROM:
+            heard.append(self._other_revision)
+        return tuple(heard)
+
     def _activate(self, reasons: frozenset[Reason]) -> None:
         """The reasons active in this cycle; each is counted when it comes up, not for as long as it lasts."""
         if reasons != self._active:
@@ -422,14 +452,12 @@ class Bridge:
         config, state, vehicle = self._config, self._state, self.vehicle
         standing = supervisor.standing(config, state, now_ns)
         stop = state.stop
-        # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
-        intruders = tuple(words for t_ns, words in self._intruders.values() if now_ns - t_ns < READY_WAIT_NS)
         circumstances = Circumstances(
             self._decision.phase,
             self._listening(now_ns),
             self._bus_lost,
             self.stopped,
-            intruders,
+            self._heard_wrongly(now_ns),
         )
         return BridgeReport(
             t_ns=now_ns,

@@ -6,15 +6,13 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
-from fsai_vcu.interface.revisions import REVISIONS, Revision
+from fsai_vcu.interface.revisions import REVISIONS, Revision, told_by_status
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.frames import Frames
 
 _STATUS: Final = (BY_NAME["VCU2AI_Status"].can_id, 8)
 _STEER: Final = (BY_NAME["VCU2AI_Steer"].can_id, 6)
-# Bits of 0x520 that only one revision names: OP_STATE, TS_STATE and EBS_STATE are four bits each (2026).
-_STATES_2026: Final = 0xF << 4 | 0xF << 28 | 0xF << 36
 _TENTHS: Final = 0.1  # interface specification v4.0: angles in 0x523 are tenths of a degree
 
 
@@ -41,8 +39,10 @@ def told_revision(frames: Frames) -> tuple[Revision, str] | None:
 def revision_of(payloads: Collection[tuple[int, int, int]]) -> tuple[Revision, str] | None:
     """As `told_revision`, of (identifier, bytes, payload as a little-endian number)."""
     status = [word for can_id, length, word in payloads if (can_id, length) == _STATUS]
-    if any(word & _STATES_2026 for word in status):
-        return REVISIONS["2026"], "0x520 carries OP_STATE, TS_STATE or EBS_STATE"
+    told = {found for word in status if (found := told_by_status(word)) is not None}
+    if told:  # in one that has the states they are not there all the time
+        name, observation = max(told)
+        return REVISIONS[name], observation
     present = {can_id for can_id, _, _ in payloads}
     for name in REVISIONS:
         only = sorted(i for i in present if i in BY_ID and set(BY_ID[i].period_ns) == {name})

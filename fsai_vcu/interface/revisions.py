@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 
 class Revision(NamedTuple):
@@ -38,6 +38,24 @@ def revision(name: str) -> Revision:
         return REVISIONS[name]
     except KeyError:
         raise ValueError(f"unknown interface revision {name!r}: choose one of {', '.join(REVISIONS)}") from None
+
+
+# Bits of 0x520 that only one revision names: OP_STATE, TS_STATE and EBS_STATE are four bits each (2026).
+_STATES_2026: Final = 0xF << 4 | 0xF << 28 | 0xF << 36
+_AS_STATE_BIT: Final = 16
+_READY_OR_DRIVING: Final = (2, 3)  # AS_STATE; the tractive system runs, and EBS is armed
+
+
+def told_by_status(word: int) -> tuple[str, str] | None:
+    """The revision that a payload of 0x520 (eight bytes, as a little-endian number) tells, and the observation.
+
+    None where it may be of either.
+    """
+    if word & _STATES_2026:
+        return "2026", "0x520 carries OP_STATE, TS_STATE or EBS_STATE"
+    if word >> _AS_STATE_BIT & 0xF in _READY_OR_DRIVING:
+        return "2021", "0x520 carries no OP_STATE, TS_STATE or EBS_STATE in AS_READY or AS_DRIVING"
+    return None
 
 
 def dbc_dir() -> Path:

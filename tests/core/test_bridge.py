@@ -16,7 +16,7 @@ from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiCommand,
@@ -29,6 +29,7 @@ from fsai_vcu.interface.images import (
 from fsai_vcu.interface.revisions import revision
 
 DRIVING = AsState.AS_DRIVING
+READY = AsState.AS_READY
 
 
 def brake_to_rest(rig: Rig) -> None:
@@ -402,6 +403,40 @@ def test_an_intruder_stands_between_now_and_driving_for_as_long_as_he_is_heard_a
     assert words in rig.bridge.report(heard_ns + 5 * S - 1).why_not_driving
     assert words not in rig.bridge.report(heard_ns + 5 * S).why_not_driving
     assert rig.bridge.report(heard_ns + 5 * S).reason_details == {"intruder": "0x512 [00 00 00 00]"}
+
+
+def bridge_of(ours: str) -> Bridge:
+    return Bridge(codec_of(ours), revision(ours), ADS_DV_2026)
+
+
+def status_of(theirs: str, as_state: AsState, t_ns: int) -> Frame:
+    """As a car of a revision says it, with a tractive system that runs where the revision has a word for that."""
+    states = {"ts_state": TsState.TS_RUNNING, "ebs_state": EbsState.EBS_ARMED} if theirs == "2026" else {}
+    return codec_of(theirs).encode(VcuStatus(as_state=as_state, **states, t_rx_ns=t_ns))
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
+def test_a_car_of_another_revision_is_named_from_its_tenth_frame_until_it_speaks_ours(ours: str, theirs: str) -> None:
+    bridge, words = bridge_of(ours), f"the car speaks interface revision {theirs}"
+
+    def said(t_ns: int) -> bool:
+        return any(each.startswith(words) for each in bridge.report(t_ns).why_not_driving)
+
+    for frame in range(1, 11):
+        assert not said(frame * CYCLE)
+        bridge.on_frame(status_of(theirs, READY, frame * CYCLE))
+    assert said(10 * CYCLE) and f"this bridge {ours}" in " ".join(bridge.report(10 * CYCLE).problem_counts)
+    bridge.on_frame(status_of(ours, READY, 11 * CYCLE))
+    assert not said(11 * CYCLE)
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
+def test_nine_frames_of_another_revision_between_frames_of_ours_name_no_other(ours: str, theirs: str) -> None:
+    bridge = bridge_of(ours)
+    for frame in range(1, 100):
+        bridge.on_frame(status_of(ours if frame % 10 == 0 else theirs, READY, frame * CYCLE))
+        bridge.on_frame(status_of("2021", AsState.AS_OFF, frame * CYCLE + 1))  # either may say that
+    assert not bridge.report(100 * CYCLE).problem_counts
 
 
 @pytest.mark.parametrize(

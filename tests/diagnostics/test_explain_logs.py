@@ -319,6 +319,8 @@ def test_the_revision_is_told_from_the_frames_with_the_reason(rev: str) -> None:
     [
         ("2026", 0x520, "0000010030000000", "0x520 carries"),
         ("2026", 0x520, "1000010000000000", "0x520 carries"),
+        ("2021", 0x520, "0000020000000000", "0x520 carries no OP_STATE"),
+        ("2021", 0x520, "0000030000000000", "0x520 carries no OP_STATE"),
         ("2021", 0x120, "0000000000000000", "VCU_STATUS (0x120) is only in 2021"),
         ("2026", 0x181, "0000000000000000", "RES_TPDO (0x181) is only in 2026"),
         ("2026", 0x523, "00002c010000", "ANGLE_MAX is 30 deg"),
