@@ -31,7 +31,7 @@ verify: setup  ## search every reachable state of supervisor and gate for a brok
 	$(BIN)/python -m fsai_hil.evidence --seeded
 
 mutation: setup  ## every small mistake in supervisor and gate, and whether a test notices it; takes minutes
-	$(BIN)/python -m fsai_hil.evidence.mutation
+	$(BIN)/python -m fsai_hil.evidence.mutation --document
 
 FUZZ_MINUTES ?= 10
 campaign: setup  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped

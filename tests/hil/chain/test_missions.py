@@ -21,6 +21,7 @@ from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 
 SAMPLED_S = 0.5
+OTHER_REVISION = "2021"
 
 
 def test_every_node_topic_and_service_has_the_name_that_people_expect(chain: Chain) -> None:
@@ -163,6 +164,25 @@ def test_the_remote_emergency_stop_ends_a_run_whose_switches_a_person_works(chai
         state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
         assert state.as_state == AsState.EMERGENCY_BRAKE
         chain.operator.await_state(lambda s: s.standing, STOP_S, "the car stands")
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def test_a_car_of_another_revision_is_named_and_the_rules_are_kept_if_it_drives_all_the_same(chain: Chain) -> None:
+    with chain.car("other_revision", "--revision", OTHER_REVISION, auto=False) as run:
+        run.type("on")
+        chain.autonomous()
+        chain.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+        run.type("ami autocross")
+        words = f"the car speaks interface revision {OTHER_REVISION}"
+        chain.operator.await_state(
+            lambda s: any(each.startswith(words) for each in s.why_not_driving), POWER_UP_S, "the revision is named"
+        )
+        chain.operator.await_state(lambda s: "waiting for Go" in s.why_not_driving, POWER_UP_S, "ready for Go")
+        run.type("go")
+        chain.driving(run, cruise_mps=1.5)
+        run.type("estop")
+        state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
+        assert state.as_state == AsState.EMERGENCY_BRAKE
     assert chain.wire is not None and chain.wire.ok, chain.wire
 
 
