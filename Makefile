@@ -36,7 +36,7 @@ mutation: setup  ## every small mistake in supervisor and gate, and whether a te
 FUZZ_MINUTES ?= 10
 campaign: setup  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
-	$(BIN)/fsai-vcu campaign --resume
+	$(BIN)/fsai-vcu campaign --resume --renew
 
 SOAK_MINUTES ?= 30
 soak: setup  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?

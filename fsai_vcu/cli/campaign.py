@@ -33,7 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world-seeds", type=int, metavar="N", help="different worlds that are driven in (default: 3)")
     parser.add_argument("--window", type=float, metavar="S", help="length of a run from a snapshot (default: 10 s)")
     parser.add_argument("--out", type=Path, default=Path("out/campaign"), metavar="DIR", help="default: out/campaign")
-    parser.add_argument("--resume", action="store_true", help="go on with the record in DIR")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with the record in DIR (else it is kept there by another name)"
+    )
+    parser.add_argument(
+        "--renew", action="store_true", help="with --resume: begin anew where the record is of other sources"
+    )
     parser.add_argument("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
     parser.add_argument("--list", action="store_true", help="list the kinds of fault")
     parser.add_argument("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")
@@ -83,15 +88,24 @@ def _table(record: Path, output: Path | None) -> int:
 
 
 def _campaign(args: argparse.Namespace) -> int:
-    from fsai_hil.campaign.record import NAME, Writer
+    from fsai_hil.campaign.record import NAME, Writer, of_other_sources, put_aside
     from fsai_hil.campaign.runner import campaign
     from fsai_hil.campaign.table import failures
+    from fsai_vcu.cli.main import WrongUse
 
+    if args.renew and not args.resume:
+        raise WrongUse("--renew goes with --resume: without it a campaign begins anew anyway")
     plan = _plan(args)
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
         raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
-    with Writer(args.out / NAME, plan.header(), resume=args.resume) as writer:
+    path, header = args.out / NAME, plan.header()
+    if not args.resume or (args.renew and of_other_sources(path, header)):
+        kept_as = put_aside(path)
+        if kept_as is not None:
+            why = "it is of other sources" if args.resume else "without --resume a campaign begins anew"
+            print(f"{path} is now {kept_as.name}: {why}", file=sys.stderr)
+    with Writer(path, header, resume=args.resume) as writer:
         kept = len(writer.runs)
         if kept:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)

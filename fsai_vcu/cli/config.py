@@ -12,7 +12,12 @@ EXAMPLE = "fsai-vcu config check /etc/fsai/fsai.toml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", choices=("check", "show"), help="check: is it right? show: every setting in force")
+    parser.add_argument(
+        "what",
+        choices=("check", "show", "environment"),
+        help="check: is it right? show: every setting in force; environment: what a ROS program of one's own needs to "
+        "hear the nodes, as for systemd's EnvironmentFile=",
+    )
     parser.add_argument("file", nargs="?", type=Path, help="the configuration (default: /etc/fsai/fsai.toml)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -31,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
         return 1
     if args.json:
         print(json.dumps({"file": str(path), "right": True, "problems": [], **_as_dict(configuration)}))
+    elif args.what == "environment":
+        print("\n".join(f"{name}={value}" for name, value in configuration.environment().items()))
     elif args.what == "show":
         print("\n".join(configuration.described()))
         for node, parameters in configuration.parameters().items():

@@ -14,7 +14,7 @@ from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.driving import ConeObservation
-from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.report import BridgeReport
@@ -104,7 +104,17 @@ class Lockstep:
             Controller(car, settings, missions),
             self._now_ns,
         )
-        self.wire = WireChecker(self.world.codec)
+        # Nothing is in flight in lockstep: what the car has said, the bridge has heard before it speaks.
+        self.wire = WireChecker(
+            self.world.codec,
+            in_flight_ns=STEP_NS,
+            handshake_in_flight_ns=STEP_NS,
+            clock_slack_ns=0,
+            car=car,
+            limits=limits or UNLIMITED,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+        )
         self.on_frame = on_frame
         self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames
         self._next_cones_ns = self._now_ns
@@ -132,6 +142,7 @@ class Lockstep:
     def start_bridge(self) -> None:
         """The bridge's process is started anew: it knows nothing, and is in manual mode."""
         self.computer.start_bridge(self._new_bridge(), self._now_ns)
+        self.wire.restarted()
 
     def start_planner(self) -> None:
         """The planner's process is started anew."""

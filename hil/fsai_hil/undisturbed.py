@@ -9,21 +9,14 @@ deadline is loosened by any of this.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable
 
 import pytest
 from _pytest.runner import runtestprotocol
 
-from fsai_hil.witness import RUNS, Outcome, SlowSpell, Stall, describe, judge_run
+from fsai_hil.witness import RUNS, Outcome, Watcher, describe, judge_run
 
-__all__ = ["RUNS", "Outcome", "Undisturbed", "judge_run"]
-
-
-class Watcher(Protocol):
-    """What is asked of the witness."""
-
-    def disturbances(self, since_ns: int) -> Sequence[Stall | SlowSpell]: ...
+__all__ = ["RUNS", "Outcome", "Undisturbed", "Watcher", "judge_run"]
 
 
 class Undisturbed:

@@ -15,7 +15,7 @@ Which safety rule is checked how, by frames alone:
    The mode and the command behind it are not on the wire: see `evidence/wire_rules.py`.
 3. NEUTRAL and FINISHED in AS_DRIVING against the wheel speeds seen.
 4. steering against the revision's limit, ANGLE_MAX and the operational limit, and its change against the car's steering
-   rate; torque against 195 Nm, TRQ_MAX, the constant-power schedule and the operational limit, and none on an axle
+   rate; torque against 195 Nm, a live TRQ_MAX, the constant-power schedule and the operational limit, none on an axle
    without a motor; motor speed limit against the operational speed limit.
 5. MISSION_STATUS, direction, steering and torque in AS_INIT, AS_OFF and AS_READY. What SELECTED needs besides is not on
    the wire.
@@ -42,6 +42,20 @@ from enum import Enum, auto
 from pathlib import Path
 from typing import IO, Generic, TypeVar
 
+from fsai_hil.evidence.rule_numbers import (
+    CAR_PATIENCE_NS,
+    CYCLE_GAP_NS,
+    FEEDBACK_STALE_NS,
+    LAUNCH_NS,
+    MOST_MOTOR_RPM,
+    MOST_TORQUE_NM,
+    POWER_CYCLE_NS,
+    SPEEDS_FRESH_NS,
+    STATUS_FRESH_NS,
+    STILL_NS,
+    STILL_RPM,
+    constant_power_nm,
+)
 from fsai_hil.response import ResponseTimes
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -67,22 +81,9 @@ from fsai_vcu.interface.reserved import AI_IDS
 MS = 1_000_000
 SECOND = 1_000_000_000
 
-MAX_TORQUE_NM = 195.0  # interface specification v4.0: axle torque request 0-195 Nm
-STANDSTILL_RPM = 10  # safety rule 3: under 10 rpm is at rest
-STANDSTILL_NS = 500 * MS
-START_WAIT_NS = 3 * SECOND  # safety rule 2
-STATUS_AGE_NS = 50 * MS  # safety rule 2: AS_DRIVING in a 0x520 not older than this
-SPEEDS_AGE_NS = 100 * MS
-CYCLE_GAP_NS = 8 * MS  # two sends are never closer
-CAR_PATIENCE_NS = 100 * MS  # interface specification v4.0: without a matching echo for so long, AI_COMMS_LOST
 RESTART_GAP_NS = 150 * MS  # a process that starts listens for 200 ms before its first frame
-POWER_CYCLE_NS = SECOND  # safety rule 6: without 0x520 for so long the car was switched off
-MAX_MOTOR_RPM = 4000.0  # interface specification v4.0: MOTOR_SPEED_MAX 0-4000 rpm
 STATUS_ID = 0x520
 RESOLUTION = 0.051  # half a raw step of torque and steering, and a float's rounding
-
-# Protection against an over-current trip: the most torque above a speed of the axle's fastest wheel.
-CONSTANT_POWER = ((700, 50.0), (600, 85.0), (500, 100.0), (400, 120.0), (300, 150.0))
 
 OFF = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE = (*OFF, AsState.AS_READY)
@@ -224,12 +225,12 @@ class WireChecker:
         self._driven = (True, True) if car is None else (car.driven_front, car.driven_rear)
         self._steer_rate_degps = math.inf if car is None else math.degrees(car.steer_rate_radps)
         self._steer_limit_deg = min(codec.revision.steer_limit_deg, limits.max_steer_deg)
-        self._torque_limit_nm = min(MAX_TORQUE_NM, limits.max_axle_torque_nm)
-        self._motor_limit_rpm = MAX_MOTOR_RPM
+        self._torque_limit_nm = min(MOST_TORQUE_NM, limits.max_axle_torque_nm)
+        self._motor_limit_rpm = MOST_MOTOR_RPM
         if car is not None:
             self._torque_limit_nm = min(self._torque_limit_nm, car.axle_torque_max_nm)
             wheel_rpm = car.wheel_rpm_of_speed(min(limits.max_speed_mps, 1000.0))
-            self._motor_limit_rpm = min(MAX_MOTOR_RPM, wheel_rpm * car.gear_ratio)
+            self._motor_limit_rpm = min(MOST_MOTOR_RPM, wheel_rpm * car.gear_ratio)
 
         self._start_ns: int | None = None
         self._now_ns = 0
@@ -409,10 +410,10 @@ class WireChecker:
 
     def _on_speeds(self, t_ns: int, speeds: WheelSpeeds) -> None:
         self._speeds.add(t_ns, speeds)
-        if self._speeds_ns is not None and t_ns - self._speeds_ns > SPEEDS_AGE_NS + self._slack_ns:
+        if self._speeds_ns is not None and t_ns - self._speeds_ns > SPEEDS_FRESH_NS + self._slack_ns:
             self._slow_since_ns = None
         self._speeds_ns = t_ns
-        if max(speeds.all_rpm) < STANDSTILL_RPM:
+        if max(speeds.all_rpm) < STILL_RPM:
             if self._slow_since_ns is None:
                 self._slow_since_ns = t_ns
         else:
@@ -535,6 +536,14 @@ class WireChecker:
         self._cycle.ids.append(frame.can_id)
         self._check_both()
         self._rule("rule 4", f"{name} torque", *self._over_torque(t_ns, axle, torque_nm))
+        limits = self._front.at(t_ns) if axle == 0 else self._rear.at(t_ns)
+        limit_age_ns = t_ns - limits[-1].t_rx_ns if limits else 0
+        self._rule(
+            "rule 4",
+            f"{name} limit age",
+            torque_nm > 0 and limit_age_ns >= FEEDBACK_STALE_NS + self._in_flight_ns,
+            f"{name} torque {torque_nm:.1f} Nm by a live limit {limit_age_ns / MS:.0f} ms old",
+        )
         self._rule(
             "rule 4",
             f"{name} speed",
@@ -565,7 +574,7 @@ class WireChecker:
         statuses = self._status.at(t_ns)
         if not statuses:
             if (
-                self._from_start or t_ns - (self._start_ns or 0) >= STATUS_AGE_NS
+                self._from_start or t_ns - (self._start_ns or 0) >= STATUS_FRESH_NS
             ):  # a log may begin in the middle of a drive
                 self._rule("rule 2", f"{name} state", True, f"{name} torque before any 0x520")
             return
@@ -582,7 +591,7 @@ class WireChecker:
         self._rule(
             "rule 2",
             f"{name} age",
-            age_ns >= STATUS_AGE_NS + self._in_flight_ns,  # stale after 50 ms is stale at 50 ms
+            age_ns >= STATUS_FRESH_NS + self._in_flight_ns,  # stale after 50 ms is stale at 50 ms
             f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old",
         )
         self._rule(
@@ -596,7 +605,7 @@ class WireChecker:
             self._rule(
                 "rule 2",
                 f"{name} wait",
-                waited_ns < START_WAIT_NS - self._slack_ns and not brakes,
+                waited_ns < LAUNCH_NS - self._slack_ns and not brakes,
                 f"{name} torque {waited_ns / SECOND:.3f} s after AS_DRIVING began",
             )
         ai = self._ai
@@ -619,7 +628,7 @@ class WireChecker:
         speeds = self._speeds.at(t_ns)
         if speeds:
             fastest = min(max(one.all_rpm[2 * axle : 2 * axle + 2]) for one in speeds)
-            limits += [most_nm for above_rpm, most_nm in CONSTANT_POWER if fastest > above_rpm]
+            limits.append(constant_power_nm(fastest))
         limit = min(limits)
         name = ("front", "rear")[axle]
         return torque_nm > limit + RESOLUTION, f"{name} torque {torque_nm:.1f} Nm above its limit {limit:.1f}"
@@ -632,13 +641,14 @@ class WireChecker:
             out_of_place = steer_deg != 0 and AsState.AS_DRIVING not in states
             rule = "rule 5" if states[-1] in IDLE else "rule 4"
             self._rule(rule, "steering", out_of_place, f"steering {steer_deg:.1f} deg in {where}")
-        limit = self._steer_limit_deg
+        limit = lowest = self._steer_limit_deg
         live = self._steer.at(frame.t_ns)
         if live:
             limit = min(limit, max(0.0, *(one.angle_max_deg for one in live)))
+            lowest = min(limit, *(one.angle_max_deg for one in live))  # a limit that was lowered may have been seen
         elif self._from_start:
-            limit = 0.0
-        self._check_steering_rate(frame.t_ns, steer_deg, limit, states)
+            limit = lowest = 0.0
+        self._check_steering_rate(frame.t_ns, steer_deg, lowest, states)
         self._rule(
             "rule 4",
             "steering limit",
@@ -703,17 +713,17 @@ class WireChecker:
 
     def _standing(self, t_ns: int) -> bool:
         """Safety rule 3: fresh wheel speeds, all under 10 rpm for half a second."""
-        if self._speeds_ns is None or t_ns - self._speeds_ns > SPEEDS_AGE_NS + self._slack_ns:
+        if self._speeds_ns is None or t_ns - self._speeds_ns > SPEEDS_FRESH_NS + self._slack_ns:
             return False
         since_ns = self._slow_since_ns
         if since_ns is None and self._slow_until is not None and t_ns - self._slow_until[0] < self._in_flight_ns:
             since_ns = self._slow_until[1]
-        return since_ns is not None and t_ns - since_ns >= STANDSTILL_NS - self._slack_ns
+        return since_ns is not None and t_ns - since_ns >= STILL_NS - self._slack_ns
 
     def _stood_before(self, t_ns: int) -> bool:
         """Whether a log that began less than half a second ago may have begun with a standing car."""
         turning = self._slow_until is not None or (self._speeds_ns is not None and self._slow_since_ns is None)
-        return not self._from_start and not turning and t_ns - (self._start_ns or 0) < STANDSTILL_NS
+        return not self._from_start and not turning and t_ns - (self._start_ns or 0) < STILL_NS
 
     def _strange(self, frame: Frame) -> None:
         """Safety rule 8: a log does not name senders, so: what nobody on this bus should send."""

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
 NOTED_NS = 20_000_000  # woken later than this: noted
@@ -82,14 +82,20 @@ def describe(disturbances: Sequence[Stall | SlowSpell]) -> str:
     return " and ".join(words)
 
 
+class Watcher(Protocol):
+    """What is asked of the witness."""
+
+    def disturbances(self, since_ns: int) -> Sequence[Stall | SlowSpell]: ...
+
+
 class Outcome(Enum):
     COUNTS = "the run counts, whichever way it ended"
     AGAIN = "it failed on a disturbed machine: it is run again"
     NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
 
 
-def judge_run(failed: bool, disturbances: Sequence[Stall | SlowSpell], run: int) -> Outcome:
-    """What the `run`th run of a test (1 is the first) is worth."""
+def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> Outcome:
+    """What the `run`th run of a test (1 is the first) is worth; `disturbances` is empty if nothing befell it."""
     if not failed or not disturbances:
         return Outcome.COUNTS
     return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED

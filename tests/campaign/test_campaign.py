@@ -17,22 +17,27 @@ from typing import Any
 
 import pytest
 
+from fsai_hil.campaign import runner
 from fsai_hil.campaign.cases import Case, case_from_spec
 from fsai_hil.campaign.catalogue import ROWS
 from fsai_hil.campaign.cluster import ClusterError, on_cluster
 from fsai_hil.campaign.record import read
 from fsai_hil.campaign.runner import Plan, batches, drive_batch
 from fsai_hil.campaign.scenario import Snapshots, run_case
+from fsai_hil.campaign.sources import digest
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS
 from fsai_vcu.cli.main import main
+from fsai_vcu.core import bridge
+from fsai_vcu.core.planning.planner import Planner
+from fsai_vcu.core.supervision import gate as gating
 from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence, Step
+from fsai_vcu.core.supervision.supervisor import REACTIONS, Asked, Consequence, Step
 from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
-SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--window", "4"]
+SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--window", "2"]
 ONE_CAR = [*SHORT, "--revisions", "2026"]
 
 
@@ -40,7 +45,8 @@ def test_every_kind_of_fault_once_ends_as_the_safety_rules_demand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The short form of the campaign; the long one is a command of its own."""
-    arguments = ["campaign", "--runs", str(len(ROWS)), "--jobs", "2", "--out", str(tmp_path), *SHORT]
+    short = [*SHORT, "--missions", "acceleration,autonomous_demo"]  # some kinds apply to one of them only
+    arguments = ["campaign", "--runs", str(len(ROWS)), "--jobs", "2", "--out", str(tmp_path), *short]
     status = main(arguments)
     told = capsys.readouterr().out
     assert status == 0, told
@@ -52,6 +58,7 @@ def test_every_kind_of_fault_once_ends_as_the_safety_rules_demand(
     text = table.read_text()
     assert all(f"| `{kind.name}` |" in text for kind in ROWS)
     assert f"Worse than the rules allow: 0 of {len(ROWS)} runs" in text
+    assert f"signal databases): `{digest()}`." in text
 
 
 # ---------------------------------------------------------------- it can fail
@@ -59,6 +66,47 @@ def test_every_kind_of_fault_once_ends_as_the_safety_rules_demand(
 
 def _old_confirm(state: Any, role: str, run_id: int) -> Any:
     return replace(state, confirmed=state.confirmed | {role}) if run_id == state.run_id else state
+
+
+def _limited(**changes: object) -> Callable[..., Any]:
+    """Wraps what takes a configuration first: some of it is another."""
+
+    def wrap(original: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda config, *rest: original(replace(config, **changes), *rest)
+
+    return wrap
+
+
+def _fails_on_nothing(original: Callable[..., Any]) -> Callable[..., Any]:
+    def on_cones(planner: Any, seen: Any, motion: Any) -> Any:
+        if not len(seen.xy_m):
+            raise ValueError("nothing to plan with")
+        return original(planner, seen, motion)
+
+    return on_cones
+
+
+def _fails(*_: object) -> Any:
+    raise ZeroDivisionError("of the wheel speeds")
+
+
+def _only_the_clock(config: Any, state: Any, stop: Any, now_ns: int) -> Any:
+    return state, now_ns - stop.since_ns >= config.stop_timeout_ns and state.fastest_rpm >= config.standstill_rpm
+
+
+def _stops_for_anything_else(original: Callable[..., Any]) -> Callable[..., Any]:
+    def begin_stop(state: Any, cause: object, *rest: Any) -> Any:
+        return state if cause is Asked.MISSION_DONE else original(state, cause, *rest)
+
+    return begin_stop
+
+
+def _limit_for_ever(original: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda config, axle, left, right, now_ns: original(config, axle, left, right, axle.t_rx_ns)
+
+
+def _patches_of(name: str) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+    return next(seed.patches for seed in SEEDS if seed.name == name)
 
 
 LATE_STOP = (Step("command_stale_ns", Consequence.HOLD), Step("implausible_lost_ns", Consequence.STOP_MANUAL))
@@ -93,6 +141,41 @@ SEEDED: dict[str, tuple[str, Callable[[], tuple[tuple[Any, str, object], ...]]]]
         "emergency_asked",
         lambda: ((supervisor, "ask_emergency", lambda state, *rest: state),),
     ),
+    "an intruder is only reported, and the car stops itself for what it hears": (
+        "intruder:message=0x510,frames=20,period=1,payload=zeros",
+        _patches_of("an intruder is only reported"),
+    ),
+    "the planner's process ends where there is nothing to see": (
+        "detector_blind:duration=1500",
+        lambda: ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
+    ),
+    "the bridge's process ends at wheel speeds": (
+        "remote_estop",
+        lambda: ((supervisor, "on_speeds", _fails),),
+    ),
+    "a deceleration is not looked for": (
+        "brakes_failing",
+        lambda: ((supervisor, "_stop_ineffective", _only_the_clock),),
+    ),
+    "the end of the mission is overheard": (
+        "planner_finishes_early",
+        lambda: ((supervisor, "_begin_stop", _stops_for_anything_else(supervisor._begin_stop)),),
+    ),
+    "a torque limit holds for ever": (
+        "rear_limit_lost:duration=1500",
+        lambda: ((gating, "_axle_limit_nm", _limit_for_ever(gating._axle_limit_nm)),),
+    ),
+    "steering turns as fast as it is asked to": (
+        "controller_swinging:duration=1500,period=300",
+        lambda: ((gating, "_steering", _limited(steer_rate_degps=1e6)(gating._steering)),),
+    ),
+    "0x520 lasts 70 ms": (
+        "status_lost:duration=84",
+        lambda: (
+            (bridge, "gate", _limited(vcu_stale_ns=70_000_000)(gating.gate)),
+            (supervisor, "supervise", _limited(vcu_stale_ns=70_000_000)(supervisor.supervise)),
+        ),
+    ),
     "an unnecessary stop": (
         "status_lost:duration=70",
         lambda: (
@@ -115,7 +198,7 @@ def _case(spec: str) -> Case:
 
 
 def test_all_seeded_defects_were_found_by_name() -> None:
-    assert len(SEEDED) == 15
+    assert len(SEEDED) == 23
 
 
 @pytest.mark.parametrize("name", SEEDED)
@@ -174,6 +257,28 @@ def test_a_campaign_that_is_ended_in_the_middle_goes_on_where_it_was(number: sig
     assert sorted(run["index"] for run in read(record)[1]) == list(range(12))
 
 
+def test_a_record_of_other_sources_is_neither_continued_nor_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = ["campaign", "--runs", "1", "--jobs", "1", "--faults", "remote_estop", *ONE_CAR, "--out", str(tmp_path)]
+    assert main(chosen) == 0
+    before = (tmp_path / "record.jsonl").read_text()
+    monkeypatch.setattr(runner, "digest", lambda: "other")
+    capsys.readouterr()
+    assert main([*chosen, "--resume"]) == 1
+    said = capsys.readouterr().err
+    assert f"is of other sources ({digest()}, these are other): without --resume" in said and said.count("\n") == 1
+    assert (tmp_path / "record.jsonl").read_text() == before
+    assert main([*chosen, "--resume", "--renew"]) == 0
+    assert "is now record-before-1.jsonl: it is of other sources" in capsys.readouterr().err
+    assert (tmp_path / "record-before-1.jsonl").read_text() == before
+    assert read(tmp_path / "record.jsonl")[0].sources == "other"
+    assert main([*chosen, "--resume", "--renew"]) == 0, "the same sources go on"
+    assert not (tmp_path / "record-before-2.jsonl").exists()
+    assert main(chosen) == 0
+    assert "is now record-before-2.jsonl: without --resume a campaign begins anew" in capsys.readouterr().err
+
+
 # ---------------------------------------------------------------- on a cluster
 
 
@@ -206,6 +311,13 @@ def test_without_dask_there_is_one_line_that_says_what_to_install(
     assert main(["campaign", "--runs", "1", "--full", "0", "--dask", "tcp://127.0.0.1:1", "--out", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert "pip install 'fsai-vcu[dask]'" in error and error.count("\n") == 1
+
+
+def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = Plan(1, 1)
+    monkeypatch.setattr(runner, "digest", lambda: "other")
+    with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
+        next(on_cluster(cluster, plan, batches(plan, plan.tasks())))
 
 
 def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from fsai_hil.campaign.cases import LEGS_MS, Selection, Since, case_from_spec, case_of, drawn
 from fsai_hil.campaign.catalogue import KINDS, ROWS, FaultKind
-from fsai_hil.campaign.demands import Demand, End
+from fsai_hil.campaign.demands import MAY_STOP_ITSELF, NOTHING, Demand, End
+from fsai_hil.campaign.injections import no_number
+from fsai_hil.faults import Delay, Drop, FlipBits, Freeze, Repeat, WrongLength
+from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.interface.enums import Ami
 
 every_kind = pytest.mark.parametrize("kind", ROWS, ids=lambda kind: kind.name)
@@ -30,7 +37,7 @@ def test_a_demand_follows_from_whatever_is_drawn(kind: FaultKind) -> None:
     rng = random.Random(5)
     for _ in range(50):
         demand = kind.demand(drawn(kind, rng))
-        assert isinstance(demand, Demand) and demand.ends and End.UNDECIDED not in demand.ends
+        assert isinstance(demand, Demand) and demand.ends and End.UNSAFE not in demand.ends
 
 
 @every_kind
@@ -68,6 +75,70 @@ def test_full_length_cases_begin_their_faults_in_every_phase() -> None:
     cases = [case_of(1, index, Selection(), full=True) for index in range(400)]
     assert {case.since for case in cases} == set(Since)
     assert any(case.since is Since.DRIVING and case.after_ms < 3000 for case in cases)
+
+
+class Wire:
+    """Where a fault between car and AI computer is put."""
+
+    def __init__(self) -> None:
+        self.faults: list[Any] = []
+
+    def add(self, fault: Any) -> None:
+        self.faults.append(fault)
+
+
+def on_the_wire(kind: FaultKind) -> list[tuple[type, frozenset[int], bool]]:
+    """What a kind does to messages: how, which, and whether as the car hears them."""
+    said, heard = Wire(), Wire()
+    vcu = SimpleNamespace(outgoing=said, incoming=heard)
+    try:
+        kind.begin(SimpleNamespace(world=SimpleNamespace(vcu=vcu)), drawn(kind, random.Random(1)), 0)  # type: ignore[arg-type]
+    except AttributeError:
+        return []  # it is done to something else than messages
+    faults = [(fault, wire is heard) for wire in (said, heard) for fault in wire.faults]
+    return [(type(fault), fault.window.ids, car) for fault, car in faults if hasattr(fault, "window")]
+
+
+@pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x520, 0x527)], ids=hex)
+def test_every_message_is_lost_late_frozen_duplicated_corrupted_and_cut(can_id: int) -> None:
+    done = {
+        how
+        for kind in ROWS
+        for how, ids, heard_by_car in on_the_wire(kind)
+        if ids == frozenset({can_id}) and heard_by_car is (can_id < 0x520)
+    }
+    assert {Drop, Delay, Freeze, Repeat, FlipBits, WrongLength} <= done
+
+
+@pytest.mark.parametrize(("prefix", "may_meet"), [("ai_status", False), ("ai_steer", False), ("ai_front", True)])
+def test_where_the_car_misses_our_frames_for_less_than_100_ms_the_words_are_the_demand(
+    prefix: str, may_meet: bool
+) -> None:
+    for name in ("lost", "wrong_length"):
+        kind = KINDS[f"{prefix}_{name}"]
+        assert kind.demand({"duration": 50}) == (MAY_STOP_ITSELF if may_meet else NOTHING)
+        assert kind.demanded.startswith("under 100 ms it drives on, or" if may_meet else "under 100 ms nothing")
+
+
+def test_numbers_out_of_range_of_either_sign_are_drawn_and_are_out_of_range_for_every_car() -> None:
+    kind = KINDS["controller_nan"]
+    rng = random.Random(3)
+    seen = {(values["field"], values["value"]) for values in (drawn(kind, rng) for _ in range(300))}
+    assert seen == set(product(("steering_rad", "throttle", "brake"), ("nan", "inf", "beyond", "negative")))
+    command = VehicleCommand(0, 1, 0.1, 0.2)
+    for field, value in seen:
+        assert no_number(command, {"field": field, "value": value}, rng, 0).problems(math.radians(30.0)), (field, value)
+
+
+def test_each_step_of_the_clock_that_is_drawn_changes_stamps_of_data_that_is_50_ms_old() -> None:
+    kind = KINDS["clock_stepped"]
+    rng = random.Random(3)
+    for _ in range(50):
+        values = drawn(kind, rng)
+        computer = SimpleNamespace(command_filter=None)
+        kind.begin(SimpleNamespace(computer=computer), values, 0)  # type: ignore[arg-type]
+        command = VehicleCommand(0, 1)
+        assert computer.command_filter(command, 50_000_000).t_sensor_ns == abs(values["step"]) * 1_000_000 > 0
 
 
 def test_a_selection_narrows_faults_missions_and_revisions() -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from fsai_hil.campaign.cases import Selection
-from fsai_hil.campaign.record import RecordError, Writer, read
+from fsai_hil.campaign.record import RecordError, Writer, of_other_sources, put_aside, read
 from fsai_hil.campaign.runner import Plan, batches
+from fsai_hil.campaign.sources import digest, digest_of, files
 
 
 def plan(seed: int = 1) -> Plan:
@@ -54,6 +57,54 @@ def test_another_campaigns_record_is_not_continued(tmp_path: Path) -> None:
     Writer(path, plan(1).header(), resume=False).close()
     with pytest.raises(RecordError, match="another campaign"):
         Writer(path, plan(2).header(), resume=True)
+
+
+def test_a_record_of_other_sources_is_not_continued_and_the_line_says_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    header = plan().header()
+    for before in (replace(header, sources="0123456789ab"), replace(header, sources="")):
+        path.unlink(missing_ok=True)
+        Writer(path, before, resume=False).close()
+        assert of_other_sources(path, header) and not of_other_sources(path, before)
+        with pytest.raises(RecordError, match=r"is of other sources .* without --resume"):
+            Writer(path, header, resume=True)
+
+
+def test_a_record_that_is_put_aside_keeps_a_name_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    assert put_aside(path) is None
+    for number in (1, 2):
+        path.write_text(f"{number}\n")
+        assert put_aside(path) == tmp_path / f"record-before-{number}.jsonl"
+    assert (tmp_path / "record-before-1.jsonl").read_text() == "1\n"
+
+
+def test_the_digest_is_of_all_code_that_decides_a_run_and_of_nothing_else() -> None:
+    names = set(files())
+    assert {
+        "fsai_vcu.core.supervision.gate",
+        "fsai_vcu.core.planning.lane",
+        "fsai_vcu.interface.codec",
+        "fsai_vcu.runtime.engine",
+        "fsai_hil.lockstep",
+        "fsai_hil.tracks",
+        "fsai_hil.campaign.catalogue",
+        "fsai_hil.campaign.verdict",
+        "fsai_hil.campaign",
+        "ads_dv_2026.dbc",
+    } <= names
+    others = ("carpc", "vcan", "scrutineering", "mutation", "fuzz", "cli", "fsai_nodes", "runner")
+    assert not [name for name in names if any(part in name.split(".") for part in others)]
+    modules = [import_module(name) for name in names if not name.endswith(".dbc")]
+    used = {str(getattr(value, "__module__", "")) for module in modules for value in vars(module).values()}
+    assert {name for name in used if name.partition(".")[0] in ("fsai_vcu", "fsai_hil")} <= names
+
+
+def test_another_byte_of_any_file_is_another_digest() -> None:
+    contents = {name: path.read_bytes() for name, path in files().items()}
+    assert digest_of(contents) == digest()
+    changed = [digest_of({**contents, name: data + b"\n"}) for name, data in contents.items()]
+    assert len({digest(), *changed}) == 1 + len(contents)
 
 
 def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from fsai_hil.campaign.cases import Case, Since
@@ -107,6 +109,8 @@ def test_a_car_that_drives_again_by_itself_is_worse_than_allowed() -> None:
 def test_a_car_that_never_comes_to_rest_is_worse_than_allowed() -> None:
     changed = {**STOPPED, "rest_from_ms": None}
     verdict = judge(SILENT, observed(**changed, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
+    assert "moves where it must stand" in verdict.faults[0]
+    verdict = judge(SILENT, observed(**changed, finished_from_ms=2090), FAULT_NS, ())  # type: ignore[arg-type]
     assert "a safe state never came" in verdict.faults[0]
 
 
@@ -144,6 +148,101 @@ def test_a_car_that_moves_before_it_may_is_worse_than_allowed() -> None:
     assert any("before it may" in fault for fault in verdict.faults)
 
 
+@pytest.mark.parametrize("supervised", [True, False])
+def test_a_car_that_still_moves_where_it_must_stand_is_unsafe_whatever_the_rules_demand(supervised: bool) -> None:
+    one = case("status_corrupted", duration=100, bits=3) if supervised else replace(SILENT, since=Since.START)
+    standing, moving = (
+        observed(rest_from_ms=rest_ms, **FINISHED)  # type: ignore[arg-type]
+        for rest_ms in (1500, None)
+    )
+    assert judge(one, standing, FAULT_NS, ()).ok
+    verdict = judge(one, moving, FAULT_NS, ())
+    assert verdict.end is End.UNSAFE and "moves where it must stand" in verdict.faults[-1]
+
+
+NEVER_ENDS = {
+    "it rolls on and nobody drives it": (observed(torque_until_ms=1000), False, True),
+    "it is driven by command": (observed(), False, False),
+    "it stands, and nobody says that it must drive": (observed(torque_until_ms=1000, rest_from_ms=3000), False, False),
+    "it stands, the mission is over, and FINISHED never comes": (
+        observed(torque_until_ms=1000, rest_from_ms=3000),
+        True,
+        True,
+    ),
+    "the emergency brake never brings it to rest": (observed(then=(3000, AsState.EMERGENCY_BRAKE)), False, True),
+}
+
+
+@pytest.mark.parametrize("ran_out", [True, False])
+@pytest.mark.parametrize("name", NEVER_ENDS)
+def test_a_run_that_has_not_ended_after_the_longest_time_is_unsafe(name: str, ran_out: bool) -> None:
+    made, over, unsafe = NEVER_ENDS[name]
+    seen = replace(made, ran_out=ran_out, mission_over_ns=FAULT_NS + 2500 * MS if over else None)
+    verdict = judge(case("speeds_frozen", duration=100), seen, FAULT_NS, ())
+    assert (verdict.end is End.UNSAFE) is (ran_out and unsafe)
+    assert verdict.ok is not (ran_out and unsafe)
+
+
+def test_a_moment_that_never_came_does_not_excuse_a_car_that_still_moves() -> None:
+    verdict = judge(SILENT, observed(then=(100, AsState.AS_OFF)), None, ())
+    assert not verdict.ok and verdict.end is End.UNSAFE
+
+
+@pytest.mark.parametrize(("fault", "worse"), [("pulses_wrong", True), ("detector_blind", False)])
+def test_a_car_that_leaves_the_course_is_worse_than_allowed_where_nothing_may_change(fault: str, worse: bool) -> None:
+    seen = observed()
+    seen.left_course = 1
+    verdict = judge(case(fault, way="stuck", duration=500), seen, FAULT_NS, ())
+    assert verdict.ok is not worse
+    assert not worse or "left the course" in verdict.faults[0]
+
+
+def test_a_process_of_ours_that_ends_by_an_exception_is_worse_than_allowed_whatever_the_end() -> None:
+    seen = observed(torque_until_ms=10, then=(12, AsState.EMERGENCY_BRAKE))
+    assert judge(case("go_off"), seen, FAULT_NS, ()).ok
+    verdict = judge(case("go_off"), seen, FAULT_NS, (), ["the bridge's process ended: KeyError: 5"])
+    assert verdict.faults == ("the bridge's process ended: KeyError: 5",)
+
+
+INTRUDER = case("intruder", message="0x510", frames=5, period=1, payload="zeros")
+
+
+@pytest.mark.parametrize("emergency_ms", [0, 4])
+@pytest.mark.parametrize(("estop_ms", "ok"), [(10, True), (20, True), (40, False), (None, False)])
+def test_an_intruder_asks_for_estop_request_also_where_the_car_stops_itself(
+    estop_ms: int | None, ok: bool, emergency_ms: int
+) -> None:
+    seen = observed(torque_until_ms=5, estop_from_ms=estop_ms, then=(emergency_ms, AsState.EMERGENCY_BRAKE))
+    verdict = judge(INTRUDER, seen, FAULT_NS, ())
+    assert verdict.end is End.SELF
+    assert verdict.ok is ok, verdict.faults
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_a_planner_that_says_it_is_over_must_be_stopped_for_and_its_word_is_not_enough(brakes: bool) -> None:
+    seen = observed(**STOPPED, **FINISHED) if brakes else observed(torque_until_ms=100, rest_from_ms=1500)  # type: ignore[arg-type]
+    for cycle in seen.cycles_after(FAULT_NS + 60 * MS):
+        cycle.torque_nm = 0.0
+        cycle.brake_pct = 80.0 if brakes else 0.0
+    seen.mission_over_ns = FAULT_NS + 40 * MS
+    verdict = judge(case("planner_finishes_early"), seen, FAULT_NS, ())
+    assert verdict.ok is brakes, verdict.faults
+
+
+def test_brakes_that_do_nothing_are_noticed_by_the_missing_deceleration() -> None:
+    for estop_ms, ok in ((519, True), (700, False), (3010, False)):
+        seen = observed(
+            torque_until_ms=10, brake_from_ms=20, estop_from_ms=estop_ms, then=(estop_ms + 4, AsState.EMERGENCY_BRAKE)
+        )
+        assert judge(case("brakes_failing"), seen, FAULT_NS, ()).ok is ok
+
+
+def test_a_steering_limit_that_the_car_lowers_is_no_reason_to_stop() -> None:
+    derated = case("steering_derated", limit="steer_limit_deg", value=5.0)
+    assert judge(derated, observed(), FAULT_NS, ()).ok
+    assert not judge(derated, observed(**STOPPED, **FINISHED), FAULT_NS, ()).ok  # type: ignore[arg-type]
+
+
 def steered(off_for_ms: int, **reacts: int) -> Observation:
     seen = observed(**reacts)  # type: ignore[arg-type]
     for t_ms in range(-100, 3000, 10):
@@ -168,6 +267,7 @@ def test_a_steering_that_is_surely_off_must_stop_the_car_in_its_times(
 ) -> None:
     seen = steered(off_for_ms, **reacts)
     if reacts:
+        seen.moving = [(t_ns, moves and t_ns < FAULT_NS + 2000 * MS) for t_ns, moves in seen.moving]
         seen.states.append((FAULT_NS + 2100 * MS, AsState.AS_FINISHED))
         for cycle in seen.cycles_after(FAULT_NS + 2100 * MS):
             cycle.finished = True

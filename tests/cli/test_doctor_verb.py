@@ -47,6 +47,7 @@ WELL = Machine(
         2.0,
         frames=3000,
         from_car=True,
+        from_others=True,
         revision="2026",
         revision_why="0x520 carries OP_STATE",
         speeds_heard=True,
@@ -125,6 +126,15 @@ def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen(
         (replace(WELL, clock_year=1970), "clock", "the year 1970"),
         (replace(WELL, disk_free_mib=3), "disk", "3 MiB free"),
         (replace(WELL, folder_problem="x belongs to root"), "disk", "belongs to root"),
+        (
+            replace(WELL, bus=replace(BUS, from_car=False, from_ai=True, from_others=False)),
+            "bus",
+            "only this computer's",
+        ),
+        (replace(WELL, changed_since_start=(WANTED.path,)), "configuration", "changed after the bridge had started"),
+        (replace(WELL, changed_since_start=(WANTED.limits_path,)), "limits", "changed after the bridge had started"),
+        (replace(WELL, ros=replace(WELL.ros, implementation="rmw_cyclonedds_cpp")), "DDS", "runs on rmw_cyclonedds"),
+        (replace(WELL, file_problems=((WANTED.path, "cannot be read"),)), "permissions", "cannot be read"),
     ],
 )
 def test_what_is_wrong_is_said_under_its_topic_with_what_to_do(machine: Machine, topic: str, words: str) -> None:
@@ -145,6 +155,13 @@ def test_a_bench_without_hardware_or_services_is_nothing_wrong() -> None:
         disk_free_mib=None,
     )
     assert wrong(bench) == []
+
+
+def test_a_distribution_that_is_installed_and_not_used_is_mentioned() -> None:
+    wheels = replace(WELL, ros=Ros("/opt/fsai/lib/rclpy", "", True, True, unused="/opt/ros/jazzy"))
+    assert wrong(wheels) == []
+    said = [finding.words for finding in examine(wheels) if finding.topic == "ROS 2"]
+    assert said[0] == "from the package index, /opt/fsai/lib/rclpy" and "/opt/ros/jazzy is there too" in said[1]
 
 
 def test_wheels_that_turn_are_shown_with_their_pulses() -> None:

@@ -187,6 +187,10 @@ HANDFUL = (
     "FORWARD in AS_READY",
     "an intruder is only reported",
     "rest is proven after 400 ms",
+    "a process that only listens sends",
+    "the fifth frame has an id that is not ours",
+    "a stop by the holding brake",
+    "ESTOP_REQUEST without the brake",
 )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from fsai_hil.wire import LogError, WireChecker, WireReport, check_candump, read_candump
+from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
@@ -290,7 +291,7 @@ def test_torque_with_a_stale_0x520_breaks_rule_2() -> None:
     bus = until_driving()
     bus.car_speaks = False
     assert bus.run(0.05).check().ok
-    assert rules(bus.run(0.1).check()) == ["rule 2"]
+    assert rules(bus.run(0.06).check()) == ["rule 2"]
 
 
 def test_torque_after_a_restart_in_the_middle_of_a_drive_breaks_rule_10() -> None:
@@ -371,6 +372,28 @@ def test_torque_beyond_the_live_limit_breaks_rule_4() -> None:
     bus.torque_max_nm = 100.0
     assert bus.run(0.1).check().ok
     assert rules(bus.says(rear_torque_nm=100.1).run(0.05).check()) == ["rule 4"]
+
+
+@pytest.mark.parametrize(("silent_s", "broken"), [(0.11, []), (0.14, ["rule 4"])])
+def test_torque_by_a_limit_that_stopped_coming_100_ms_ago_breaks_rule_4(silent_s: float, broken: list[str]) -> None:
+    bus = until_driving()
+    last_ns = bus.t_ns - 10 * MS
+    bus.run(silent_s)
+    bus.frames = [frame for frame in bus.frames if frame.can_id != 0x522 or frame.t_ns <= last_ns]
+    assert rules(bus.check()) == broken
+
+
+def test_a_steering_limit_that_was_lowered_is_obeyed_at_once_and_is_no_turn_that_is_too_fast() -> None:
+    for lowered_to_deg, too_fast in ((4.0, False), (30.0, True)):
+        bus = until_driving()
+        for step in range(41):
+            bus.says(steer_deg=0.5 * step).run(0.02)
+        bus.angle_max_deg = lowered_to_deg
+        bus.says(steer_deg=4.0).run(0.05)
+        checker = WireChecker(CODEC, in_flight_ns=2 * MS, car=CARS["2026"])
+        for frame in bus.frames:
+            checker.on_frame(frame)
+        assert any("turned by 16.0 deg" in violation for violation in checker.violations) is too_fast
 
 
 def test_a_limit_younger_than_20_ms_may_be_unseen() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,18 @@ def test_what_is_asked_wrongly_is_told_in_one_line() -> None:
     done = install_car("instal")
     assert done.returncode == 1
     assert done.stderr == "install-car: say install, uninstall or deb\n"
+
+
+def test_an_environment_that_cannot_be_copied_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    root, other = tmp_path / "root", tmp_path / "other"
+    done = install_car("install", destination=root, PYTHON=sys.executable, ENVIRONMENT=str(other))
+    assert done.returncode == 1 and f"{other} is no virtual environment" in done.stderr
+    (other / "bin").mkdir(parents=True)
+    (other / "bin" / "python").write_text("#!/bin/sh\necho 3.9\n")
+    (other / "bin" / "python").chmod(0o755)
+    done = install_car("install", destination=root, PYTHON=sys.executable, ENVIRONMENT=str(other))
+    assert done.returncode == 1 and f"{other} is for Python 3.9, and {sys.executable} is " in done.stderr
+    assert contents(root) == {}
 
 
 def test_no_installed_file_names_the_place_it_was_installed_from(root: Path) -> None:

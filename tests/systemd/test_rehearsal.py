@@ -8,17 +8,43 @@ from pathlib import Path
 import pytest
 
 from fsai_hil.carpc import __main__ as rehearsal
-from fsai_hil.carpc import inside
-from fsai_hil.carpc.watching import Said, longest_gap_s, standing, torque_ends_s
-from fsai_vcu.interface.images import AiDriveFront, AiDriveRear, AiStatus, WheelSpeeds
+from fsai_hil.carpc import inside, probe, wifi
+from fsai_hil.carpc.watching import CODEC, Said, car_was_deaf, longest_gap_s, standing, torque_ends_s
+from fsai_hil.witness import RUNS, Stall
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import (
+    AiBrake,
+    AiDriveFront,
+    AiDriveRear,
+    AiStatus,
+    AiSteer,
+    Faults,
+    VcuStatus,
+    WheelSpeeds,
+)
 
 MS = 1_000_000
+
+
+class Remembers:
+    """A witness to a machine of which each run of a scene was disturbed or not, as told."""
+
+    def __init__(self, *disturbed: bool) -> None:
+        self._disturbed = list(disturbed)
+
+    def disturbances(self, since_ns: int) -> list[Stall]:
+        return [Stall(since_ns, 80 * MS)] if self._disturbed.pop(0) else []
+
+
+def rehearsed(*disturbed: bool) -> inside.Rehearsal:
+    return inside.Rehearsal("vcan0", 1, Remembers(*disturbed))
 
 
 @pytest.fixture
 def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> inside.Rehearsal:
     monkeypatch.setattr(inside, "RESULTS", tmp_path)
-    return inside.Rehearsal("vcan0", 1, short=True)
+    return rehearsed()
 
 
 @pytest.mark.parametrize(("seconds", "passed"), [(10.0, True), (10.1, False), (None, False)])
@@ -32,7 +58,7 @@ def test_a_step_that_takes_longer_than_is_stated_or_never_ends_is_wrong(
 
 def test_after_the_reboot_the_report_goes_on_where_it_was(machine: inside.Rehearsal) -> None:
     machine.note("before", 1.0)
-    again = inside.Rehearsal("vcan0", 1, short=False)
+    again = rehearsed()
     again.note("after", 1.0)
     assert [step["what"] for step in again.steps] == ["before", "after"]
 
@@ -63,3 +89,141 @@ def test_a_bus_log_that_breaks_a_rule_is_wrong(tmp_path: Path, capsys: pytest.Ca
     log.write_text("(1000.000000) vcan0 7FF#00\n")
     assert not rehearsal.rules_kept(log)
     assert capsys.readouterr().out.startswith("WRONG")
+
+
+class Scene:
+    """One that notes a failure, or breaks off, in its first runs."""
+
+    def __init__(self, machine: inside.Rehearsal, failures: int, *, breaks_off: bool = False) -> None:
+        self.runs = 0
+        self._machine, self._failures, self._breaks_off = machine, failures, breaks_off
+
+    def __call__(self) -> None:
+        self.runs += 1
+        fails = self.runs <= self._failures
+        self._machine.note(f"run {self.runs}", None, passed=not fails or self._breaks_off)
+        if fails and self._breaks_off:
+            raise inside.CannotGoOn
+
+
+@pytest.mark.usefixtures("machine")
+@pytest.mark.parametrize("breaks_off", [False, True])
+def test_a_scene_that_failed_on_a_disturbed_machine_is_played_again_and_only_the_last_run_counts(
+    breaks_off: bool,
+) -> None:
+    rehearsal_of_it = rehearsed(True, True)
+    scene = Scene(rehearsal_of_it, failures=2, breaks_off=breaks_off)
+    rehearsal_of_it.scene("a scene", scene)
+    assert scene.runs == 3
+    assert rehearsal.all_well(rehearsal_of_it.steps)
+    counting = [step["what"] for step in rehearsal_of_it.steps if step["counts"]]
+    assert "run 3" in counting and "run 1" not in counting
+    assert any("the machine stood still for 80 ms" in str(step["what"]) for step in rehearsal_of_it.steps)
+
+
+@pytest.mark.usefixtures("machine")
+def test_a_scene_that_failed_on_an_undisturbed_machine_has_failed_at_once() -> None:
+    rehearsal_of_it = rehearsed(False)
+    scene = Scene(rehearsal_of_it, failures=1)
+    rehearsal_of_it.scene("a scene", scene)
+    assert scene.runs == 1 and not rehearsal.all_well(rehearsal_of_it.steps)
+
+
+@pytest.mark.usefixtures("machine")
+def test_a_scene_that_was_never_undisturbed_has_failed_and_says_why() -> None:
+    rehearsal_of_it = rehearsed(*[True] * RUNS)
+    scene = Scene(rehearsal_of_it, failures=RUNS)
+    rehearsal_of_it.scene("a scene", scene)
+    assert scene.runs == RUNS and not rehearsal.all_well(rehearsal_of_it.steps)
+    assert rehearsal_of_it.steps[-1]["what"] == "a scene: never undisturbed"
+
+
+@pytest.mark.usefixtures("machine")
+def test_a_scene_that_passed_is_not_asked_how_the_machine_was() -> None:
+    rehearsal_of_it = rehearsed()  # would fail, being asked
+    scene = Scene(rehearsal_of_it, failures=0)
+    rehearsal_of_it.scene("a scene", scene)
+    assert scene.runs == 1 and rehearsal.all_well(rehearsal_of_it.steps)
+
+
+def test_a_rehearsal_of_which_nothing_counts_is_not_well() -> None:
+    assert not rehearsal.all_well([])
+    assert not rehearsal.all_well([{"passed": True, "counts": False}])
+
+
+def test_whoever_listens_beyond_the_loopback_is_named() -> None:
+    listing = """udp   UNCONN 0 0        127.0.0.1:7410  0.0.0.0:* users:(("python",pid=9,fd=4))
+udp   UNCONN 0 0       127.0.0.53%lo:53  0.0.0.0:*
+tcp   LISTEN 0 128         [::1]:631      [::]:*
+udp   UNCONN 0 0          0.0.0.0:7400  0.0.0.0:* users:(("python",pid=7,fd=3))
+udp   UNCONN 0 0      239.255.0.1:7400  0.0.0.0:*
+tcp   LISTEN 0 128             *:8080         *:*
+tcp   LISTEN 0 128         [::]:22        [::]:*
+"""
+    assert wifi.listeners_in(listing) == [
+        'udp 0.0.0.0:7400 users:(("python",pid=7,fd=3))',
+        "udp 239.255.0.1:7400",
+        "tcp *:8080",
+        "tcp [::]:22",
+    ]
+    assert wifi.listeners_in("") == []
+
+
+def test_the_probe_runs_with_all_that_restricts_the_bridge_and_with_nothing_that_restarts_it() -> None:
+    unit = (Path(__file__).parents[2] / "systemd/units/fsai-bridge@.service").read_text()
+    text = inside.in_its_place(unit, "/opt/fsai/bin/python probe", Path("/run/printed"))
+    lines = text.splitlines()
+    assert "ExecStart=/opt/fsai/bin/python probe" in lines and "Type=oneshot" in lines
+    kept = [line for line in unit.splitlines() if line.startswith(("RestrictAddressFamilies", "UMask", "Limit", "CPU"))]
+    assert kept and set(kept) <= set(lines)
+    assert not any(line.startswith(("Restart=", "WatchdogSec=", "WantedBy=", "NotifyAccess=")) for line in lines)
+
+
+def test_the_probe_tells_what_was_refused_from_what_was_allowed(tmp_path: Path) -> None:
+    assert probe.ended(probe.writing_to(tmp_path)) == ""
+    assert not list(tmp_path.iterdir()), "it leaves nothing behind"
+    assert probe.ended(probe.writing_to(tmp_path / "absent")) == "ENOENT"
+    assert probe.ended((tmp_path / "absent").read_bytes) == "ENOENT"
+    assert probe.ended(lambda: probe.hear(0, 0.01)) == "timed out"
+
+
+def bus_of(silent_ms: int = 0, *, echoes: bool = True, lost: bool = True) -> list[Frame]:
+    """Half a second of the bus, at whose end the VCU says AI_COMMS_LOST; the AI computer falls silent before it."""
+    frames = []
+    for cycle in range(50):
+        t_ns, bit = cycle * 10 * MS, bool(cycle // 2 % 2)
+        over = lost and cycle == 49
+        state = AsState.EMERGENCY_BRAKE if over else AsState.AS_DRIVING
+        images: list[object] = [VcuStatus(as_state=state, handshake=bit, faults=Faults(ai_comms_lost=over))]
+        if cycle * 10 < 490 - silent_ms:
+            images += [AiStatus(handshake=bit is echoes), AiDriveFront(), AiDriveRear(), AiSteer(), AiBrake()]
+        for number, image in enumerate(images):
+            frame = CODEC.encode(image)  # type: ignore[arg-type]
+            frames.append(Frame(frame.can_id, frame.data, t_ns + number * MS // 10))
+    return frames
+
+
+def test_a_vcu_that_missed_what_was_on_the_bus_is_told_from_an_ai_computer_that_was_silent_or_did_not_echo() -> None:
+    assert car_was_deaf(bus_of())
+    assert not car_was_deaf(bus_of(silent_ms=100))
+    assert not car_was_deaf(bus_of(silent_ms=60))
+    assert not car_was_deaf(bus_of(echoes=False))
+    assert not car_was_deaf(bus_of(lost=False))
+    assert not car_was_deaf([])
+
+
+@pytest.mark.usefixtures("machine")
+def test_a_drive_in_which_the_simulated_vcu_was_deaf_is_driven_again() -> None:
+    rehearsal_of_it = rehearsed(False, False)
+    scene = Scene(rehearsal_of_it, failures=1)
+
+    class Watched:
+        frames = bus_of()
+
+    def play() -> None:
+        rehearsal_of_it.watched = Watched()  # type: ignore[assignment]
+        scene()
+
+    rehearsal_of_it.scene("a drive", play)
+    assert scene.runs == 2 and rehearsal.all_well(rehearsal_of_it.steps)
+    assert any("did not take in what was on the bus" in str(step["what"]) for step in rehearsal_of_it.steps)

@@ -123,10 +123,11 @@ def bus(machine: Machine) -> Iterator[Finding]:
     if heard.problem:
         yield _wrong("bus", heard.problem, "first put the interface right")
         return
-    if not heard.frames:
+    if not heard.frames or (heard.from_ai and not heard.from_others):
+        words = f"silent for {heard.seconds:g} s"
         yield _wrong(
             "bus",
-            f"silent for {heard.seconds:g} s",
+            f"the VCU is {words}: only this computer's own frames are there" if heard.frames else words,
             "switch the car's low voltage on; check plug, wiring (CAN high and low) and the two terminations",
         )
         return

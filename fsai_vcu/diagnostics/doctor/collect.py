@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import getpass
 import grp
 import importlib.util
@@ -11,6 +12,7 @@ import json
 import os
 import platform
 import shutil
+import struct
 import subprocess
 import time
 from collections.abc import Iterator
@@ -39,6 +41,9 @@ _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
 _TCP_LISTEN, _UDP_OPEN = "0A", "07"  # linux/net/tcp_states.h; a UDP socket that is bound and not connected
+
+# linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Where nobody keeps the clock, maxerror is 16 s.
+_TIMEX_BYTES, _MAX_ERROR_AT, _UNSYNCHRONISED_US = 512, struct.calcsize("@Ill0l"), 16_000_000
 
 Four = tuple[int, int, int, int]
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -152,6 +157,7 @@ def heard_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusHeard:
         error_frames=sum(int((frames.flags & 0x04 != 0).sum()) for frames in chunks),
         from_car=_STATUS_ID in ids,
         from_ai=not ids.isdisjoint(AI_IDS),
+        from_others=not ids <= set(AI_IDS),
         revision=revision,
         revision_why=why,
         speeds_heard=bool(speeds),
@@ -271,7 +277,14 @@ def services(enabled: Path) -> dict[str, str]:
         return {}
     names = sorted({link.name for link in enabled.glob("*.wants/fsai-*.service")})
     links = {name.replace("bridge", "link") for name in names if name.startswith("fsai-bridge@")}
-    return {name: _output("systemctl", "is-active", name).strip() or "unknown" for name in [*names, *sorted(links)]}
+    wanted = [*names, *sorted(links)]
+    return states_in(_output("systemctl", "is-active", *wanted), wanted) if wanted else {}
+
+
+def states_in(answer: str, names: list[str]) -> dict[str, str]:
+    """What `systemctl is-active` says of each of them, a line each in their order."""
+    lines = answer.split()
+    return dict(zip(names, lines if len(lines) == len(names) else ["unknown"] * len(names), strict=True))
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
@@ -350,8 +363,14 @@ def _processes(proc: Path, module: bytes) -> Iterator[Path]:
 
 
 def _synchronised() -> bool | None:
-    answer = _output("timedatectl", "show", "--property=NTPSynchronized", "--value").strip()
-    return {"yes": True, "no": False}.get(answer)
+    """Whether something keeps the kernel's clock right, as timedatectl judges it; None where that cannot be asked."""
+    answer = ctypes.create_string_buffer(_TIMEX_BYTES)  # `modes` is zero: nothing is set
+    try:
+        state = ctypes.CDLL(None, use_errno=True).adjtimex(answer)
+    except (OSError, AttributeError):
+        return None
+    (most_wrong_us,) = struct.unpack_from("@l", answer, _MAX_ERROR_AT)
+    return None if state == -1 else bool(most_wrong_us < _UNSYNCHRONISED_US)
 
 
 def _folder_problem(folder: Path) -> str:

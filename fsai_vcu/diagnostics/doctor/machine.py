@@ -50,6 +50,7 @@ class BusHeard:
     error_frames: int = 0
     from_car: bool = False  # 0x520 was among them
     from_ai: bool = False  # somebody sends commands
+    from_others: bool = False  # somebody else than the AI computer says something
     revision: str = ""
     revision_why: str = ""
     speeds_heard: bool = False

@@ -1,6 +1,6 @@
 """The same campaign on a Dask cluster: every worker of it drives cases, and keeps its own snapshots.
 
-The workers need this package in the same version; nothing else is sent to them than numbers.
+The workers need this package in the same version, and are asked for it; nothing else is sent to them than numbers.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from fsai_hil.campaign.runner import AHEAD, Plan, Task, drive_batch
+from fsai_hil.campaign.sources import digest
 
 CONNECT_TIMEOUT_S = 15.0
 
@@ -21,7 +22,7 @@ class ClusterError(Exception):
 def on_cluster(address: str, plan: Plan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
     """Drive batches on the Dask cluster at `address` (of its scheduler); yields their lines as they come.
 
-    Raises ClusterError where there is no Dask, or no cluster.
+    Raises ClusterError where there is no Dask, or no cluster, or one of other sources.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -36,6 +37,10 @@ def on_cluster(address: str, plan: Plan, work: Sequence[Sequence[Task]]) -> Iter
         threads = sum(client.nthreads().values())
         if not threads:
             raise ClusterError(f"the Dask scheduler at {address} has no workers")
+        here = plan.header().sources
+        for worker, there in client.run(digest).items():
+            if there != here:
+                raise ClusterError(f"the Dask worker {worker} has other sources ({there}, here are {here})")
         waiting = list(reversed(work))
         # pure=False: a batch that fails on one worker must not be taken from a cache
         first = [

@@ -16,13 +16,11 @@ COMMAND_LOST_MS: Final = 300
 SENSOR_STALE_MS: Final = 500
 BOTH_PEDALS_MS: Final = 100
 VCU_STALE_MS: Final = 50
-VCU_LOST_MS: Final = 100
 FEEDBACK_STALE_MS: Final = 100
 FEEDBACK_LOST_MS: Final = 300
 IMPLAUSIBLE_MS: Final = 300
 IMPLAUSIBLE_LOST_MS: Final = 600
-LOOP_LATE_MS: Final = 50
-SEND_LOST_MS: Final = 50
+DECELERATION_MS: Final = 500  # of a service-brake stop: so long without a deceleration, and it is an emergency
 STOP_MS: Final = 3000  # a service-brake stop that lasts longer becomes an emergency
 CAR_PATIENCE_MS: Final = 100  # interface specification v4.0: AI_COMMS_LOST after 100 ms
 
@@ -42,7 +40,7 @@ class End(Enum):
     SELF = "the car stops itself"
     OFF = "falls back to AS_OFF"
     NOT_STARTED = "does not start to drive"
-    UNDECIDED = "neither drives nor stops"
+    UNSAFE = "does not end: moves where it must stand, or never says FINISHED"
 
     @property
     def words(self) -> str:
@@ -62,8 +60,9 @@ class Demand:
     """What must follow. A time of None is not limited by the rules.
 
     `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (for good where the run must
-    end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so.
-    `safe_ms`: the car stands, or its EBS acts.
+    end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so;
+    ESTOP_REQUEST also where the car stops itself meanwhile. `safe_ms`: the car stands, or its EBS acts.
+    `own_word`: that the controller says the mission is over is no fault, and ends the run as it should.
     """
 
     ends: frozenset[End]
@@ -72,6 +71,7 @@ class Demand:
     estop_ms: float | None = None
     safe_ms: float | None = None
     onset: Onset = Onset.FAULT
+    own_word: bool = True
 
     @property
     def words(self) -> str:
@@ -83,7 +83,7 @@ def ends(*allowed: End, **limits: float) -> Demand:
     return Demand(frozenset(allowed), **limits)  # type: ignore[arg-type]
 
 
-SAFE_ENDS: Final = frozenset(End) - {End.UNDECIDED}
+SAFE_ENDS: Final = frozenset(End) - {End.UNSAFE}
 
 NOTHING: Final = ends(End.ON)
 ANY: Final = Demand(SAFE_ENDS)

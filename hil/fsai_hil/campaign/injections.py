@@ -747,6 +747,7 @@ def busy_queue(rig: Lockstep, p: Params, now_ns: int) -> Injected:
 def lost_bus(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
     rig.computer.lose_bus(p["why"], now_ns)
+    rig.wire.on_bus_lost()
     found = False
     try_ns, pause_ns = now_ns + 10 * MS, 10 * MS
 
@@ -794,7 +795,7 @@ def no_command(command: VehicleCommand, p: Params, rng: random.Random, t_ns: int
 
 
 def no_number(command: VehicleCommand, p: Params, rng: random.Random, t_ns: int) -> VehicleCommand:
-    bad = {"nan": math.nan, "inf": math.inf, "beyond": 5.0, "negative": -0.5}[p["value"]]
+    bad = {"nan": math.nan, "inf": math.inf, "beyond": 5.0, "negative": -0.9}[p["value"]]
     return replace(command, **{p["field"]: bad})  # type: ignore[arg-type]
 
 

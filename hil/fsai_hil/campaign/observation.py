@@ -52,6 +52,8 @@ class Observation:
     states: list[tuple[int, AsState]] = field(default_factory=list)  # true AS states and when they began
     speed_mps: float = 0.0  # at the fault
     mission_over_ns: int | None = None  # the controller said so by itself
+    left_course: int = 0  # times since the fault
+    ran_out: bool = False  # the run lasted for as long as any may
     ended_ns: int = 0
 
     def state_at(self, t_ns: int) -> AsState:

@@ -23,7 +23,7 @@ class RecordError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What decides every case of a campaign: two records with the same header hold the same cases."""
+    """What decides every case of a campaign, and its verdict: records with the same header hold the same runs."""
 
     seed: int
     faults: tuple[str, ...]
@@ -32,6 +32,7 @@ class Header:
     world_seeds: int
     window_ms: int
     catalogue: int  # how many kinds there were
+    sources: str  # the digest of the code; empty: a record that does not say
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -43,6 +44,7 @@ class Header:
             "world_seeds": self.world_seeds,
             "window_ms": self.window_ms,
             "catalogue": self.catalogue,
+            "sources": self.sources,
         }
 
 
@@ -60,6 +62,7 @@ def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
         first["world_seeds"],
         first["window_ms"],
         first["catalogue"],
+        first.get("sources", ""),
     )
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
@@ -77,11 +80,26 @@ def _lines(path: Path) -> Iterator[dict[str, Any]]:
                 raise RecordError(f"{path}:{number}: not a line of a fault campaign's record") from None
 
 
+def put_aside(path: Path) -> Path | None:
+    """Give the record at `path` a name by which it is kept; None: there is none. Raises OSError."""
+    if not path.exists() or not path.stat().st_size:
+        return None
+    number = 1
+    while (kept := path.with_name(f"{path.stem}-before-{number}{path.suffix}")).exists():
+        number += 1
+    return path.rename(kept)
+
+
+def of_other_sources(path: Path, header: Header) -> bool:
+    """Whether the record at `path` was driven by other code than `header` names. Raises RecordError, OSError."""
+    return path.exists() and path.stat().st_size > 0 and read(path)[0].sources != header.sources
+
+
 class Writer:
     """Appends to a record. `done` are the (full, index) pairs that it holds already."""
 
     def __init__(self, path: Path, header: Header, *, resume: bool) -> None:
-        """Raises RecordError when there is a record already (unless resumed), or another campaign's."""
+        """Raises RecordError when there is a record already (unless resumed), or another campaign's or other code's."""
         self.path = path
         self.runs: list[dict[str, Any]] = []
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,6 +107,11 @@ class Writer:
             if not resume:
                 raise RecordError(f"{path} exists: --resume goes on with it, --out DIR begins another")
             before, self.runs = read(path)
+            if before.sources != header.sources:
+                raise RecordError(
+                    f"{path} is of other sources ({before.sources or 'unknown'}, these are {header.sources}):"
+                    " without --resume, or with a new --out DIR, the campaign begins anew"
+                )
             if before != header:
                 raise RecordError(
                     f"{path} is the record of another campaign (seed {before.seed}): --out DIR begins one"

@@ -18,6 +18,7 @@ from typing import Any, Final
 from fsai_hil.campaign.cases import Selection, case_of
 from fsai_hil.campaign.record import Header, Writer
 from fsai_hil.campaign.scenario import WINDOW_MS, Snapshots, run_case
+from fsai_hil.campaign.sources import digest
 
 BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended
 AHEAD: Final = 3  # batches waiting per worker
@@ -53,6 +54,7 @@ class Plan:
             selection.world_seeds,
             self.window_ms,
             len(kinds),
+            digest(),
         )
 
 

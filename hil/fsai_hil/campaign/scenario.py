@@ -24,6 +24,7 @@ DRIVING_MS: Final = 1_500  # a car that has torque so long after a fault is over
 DRIVING_ALONG_MS: Final = 3_000  # the same for a fault that lasts
 SETTLED_MS: Final = 1_500  # so long after a run's end it is clear that nothing moves again
 LONGEST_MS: Final = 120_000
+LONGEST_TRACKDRIVE_MS: Final = 600_000  # ten laps
 ENDED: Final = frozenset({AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE})
 SNAPSHOTS_KEPT: Final = 200
 
@@ -104,6 +105,8 @@ class Scenario:
         self.fault_ns: int | None = None
         self.fault_over_ns: int | None = None
         self._duration_ms: int | None = case.params.get("duration")
+        self._longest_ms = LONGEST_TRACKDRIVE_MS if case.mission is Ami.TRACKDRIVE else LONGEST_MS
+        self._left_course = 0  # before the fault
 
     @property
     def seen(self) -> Observation:
@@ -118,6 +121,7 @@ class Scenario:
             if since_ns is not None and now_ns - since_ns >= case.after_ms * MS:
                 self.fault_ns = now_ns
                 self.seen.speed_mps = round(rig.world.car.speed_mps, 2)
+                self._left_course = rig.world.judge.verdict().off_course
                 self._begun = case.kind.begin(rig, case.params, now_ns)
         if self._begun is not None and self.fault_ns is not None:
             if self._begun.tick is not None:
@@ -133,10 +137,11 @@ class Scenario:
     def over(self) -> bool:
         now_ns = self.rig.now_ns
         lasted_ms = (now_ns - self._began_ns) / MS
-        if lasted_ms >= LONGEST_MS:
+        if lasted_ms >= self._longest_ms:
             return True
         since_ns, state = self.rig.world.vcu.history[-1]
-        ended = state in ENDED and self.rig.world.car.standing
+        stands = self.rig.world.car.standing
+        ended = state in ENDED and stands
         if self.fault_ns is None:
             # the mission was over first, unless that is what the fault waits for
             waits = self.case.since is Since.FINISHED and not self.rig.world.vcu.shut_down
@@ -148,6 +153,8 @@ class Scenario:
             return True
         if ended:
             return now_ns >= max(since_ns, end_ns) + SETTLED_MS * MS
+        if state in ENDED:
+            return False  # until it stands
         if self.case.full:
             return False
         if now_ns < self._began_ns + self._window_ms * MS:
@@ -158,7 +165,11 @@ class Scenario:
         return now_ns >= end_ns + clear_ms * MS and bool(self.seen.cycles) and self.seen.cycles[-1].torque_nm > 0.0
 
     def verdict(self) -> Verdict:
-        return judge(self.case, self.seen, self.fault_ns, self.rig.wire.violations)
+        rig, seen = self.rig, self.seen
+        seen.ran_out = rig.now_ns - self._began_ns >= self._longest_ms * MS
+        seen.left_course = max(0, rig.world.judge.verdict().off_course - self._left_course)
+        crashes = [f"the {process}'s process ended: {what}" for _, process, what in rig.computer.failures]
+        return judge(self.case, seen, self.fault_ns, rig.wire.violations, crashes)
 
 
 def run_case(case: Case, snapshots: Snapshots, window_ms: int = WINDOW_MS) -> dict[str, Any]:
@@ -171,8 +182,6 @@ def run_case(case: Case, snapshots: Snapshots, window_ms: int = WINDOW_MS) -> di
     extra: dict[str, Any] = {
         "speed_mps": scenario.seen.speed_mps,
         "sim_s": round((rig.now_ns - scenario._began_ns) / 1e9, 2),
-        "off_course": rig.world.judge.verdict().off_course,
+        "off_course": scenario.seen.left_course,
     }
-    if rig.computer.failures:
-        extra["failures"] = [f"{process}: {what}" for _, process, what in rig.computer.failures]
     return as_record(case, verdict, extra)

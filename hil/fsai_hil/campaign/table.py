@@ -18,7 +18,7 @@ from fsai_hil.campaign.scenario import WINDOW_MS
 Run = Mapping[str, Any]
 HEAD: Final = (
     "| fault | what it is | reaction demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
-    " median | worst | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|"
+    " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
 )
 TOLD: Final = 40  # failures listed
 
@@ -64,14 +64,19 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         " moment; every frame of it is checked against the safety rules by a checker that does not know the bridge,"
         " and its end against the reaction which the rules demand.",
         "",
+        f"Sources (a digest of all code that a run uses, and of the signal databases):"
+        f" {f'`{header.sources}`' if header.sources else 'unknown'}.",
+        "",
         f"**Worse than the rules allow: {len(worse)} of {len(runs)} runs.**",
         "",
         "- *To the reaction*: from the fault (for what must first become implausible: from the moment at which it"
         " surely was) to the reaction on the bus: torque 0, the service brake, ESTOP_REQUEST, or the car's own"
         " emergency brake.",
         "- *To a safe state*: until the car truly stands or its EBS acts; where it drives on, until torque was 0.",
-        "- Times in milliseconds. *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus,"
-        " and a car that stops although the rules let it drive on.",
+        "- Times in milliseconds. *Left the course* counts runs in which all four wheels did after the fault: no rule"
+        " on the bus forbids it, and where the fault must change nothing it is worse than allowed.",
+        "- *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus, a process of ours that"
+        " ended by an exception, and a car that stops although the rules let it drive on.",
         "- Runs in which the mission was over before a reaction could be demanded are counted, and judged by the rules"
         " on the bus only.",
         "",
@@ -88,15 +93,15 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
             "",
             "From power-up to the end of the mission, the fault at any phase. Outside AS_DRIVING, and in its first"
             " three seconds, no reaction is demanded: the rules on the bus hold, the car does not move before it may,"
-            " and the run ends safely.",
+            " and it comes to rest, wherever it is not in AS_DRIVING; a mission that is over is FINISHED.",
             "",
-            "| fault begins | runs | ends seen | worse than allowed |",
-            "|---|---:|---|---:|",
+            "| fault begins | runs | ends seen | left the course | worse than allowed |",
+            "|---|---:|---|---:|---:|",
         ]
         for phase in ("power-up", "AS_READY", "first 3 s of AS_DRIVING", "AS_DRIVING", "after the end"):
             mine = [run for run in full if _phase(run) == phase]
             if mine:
-                lines.append(f"| {phase} | {len(mine)} | {_ends(mine)} | {len(failures(mine))} |")
+                lines.append(f"| {phase} | {len(mine)} | {_ends(mine)} | {_left(mine)} | {len(failures(mine))} |")
     if worse:
         lines += ["", "## Worse than allowed", ""]
         lines += [f"- `{run['replay']}`: {'; '.join(run['reasons'][:2])}" for run in worse[:TOLD]]
@@ -121,10 +126,15 @@ def _row(name: str, runs: Sequence[Run]) -> str:
     safe = [run["safe_ms"] for run in applied if run["safe_ms"] is not None]
     parameters = "; ".join(str(draw) for draw in kind.draws)
     what = kind.what + (f" ({parameters})" if parameters else "")
+    slowest = f"{_ms(max(reactions, default=None))} | {_ms(statistics.median(safe) if safe else None)}"
     return (
-        f"| `{name}` | {what} | {kind.demanded} | {_seen(runs)} | {len(runs)} | {_ms(max(reactions, default=None))} |"
-        f" {_ms(statistics.median(safe) if safe else None)} | {_ms(max(safe, default=None))} | {len(failures(runs))} |"
+        f"| `{name}` | {what} | {kind.demanded} | {_seen(runs)} | {len(runs)} | {slowest} |"
+        f" {_ms(max(safe, default=None))} | {_left(runs)} | {len(failures(runs))} |"
     )
+
+
+def _left(runs: Sequence[Run]) -> int:
+    return sum(run["off_course"] > 0 for run in runs)
 
 
 def _seen(runs: Sequence[Run]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from fsai_hil.campaign.cases import Case, Since
-from fsai_hil.campaign.demands import ANY, IMPLAUSIBLE_LOST_MS, IMPLAUSIBLE_MS, Demand, End, Onset
+from fsai_hil.campaign.demands import ANY, IMPLAUSIBLE_LOST_MS, IMPLAUSIBLE_MS, NOTHING, Demand, End, Onset
 from fsai_hil.campaign.observation import Observation
 from fsai_hil.campaign.onsets import Streak, steering_streaks, wheel_streaks
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -57,23 +57,37 @@ class _Seen:
     torque_off_ns: int | None  # since when there has been no torque, to the end
 
 
-def judge(case: Case, seen: Observation, fault_ns: int | None, violations: Sequence[str]) -> Verdict:
-    """Judge a run in which the fault began at `fault_ns` (None: its moment never came)."""
+def judge(
+    case: Case, seen: Observation, fault_ns: int | None, violations: Sequence[str], crashes: Sequence[str] = ()
+) -> Verdict:
+    """Judge a run in which the fault began at `fault_ns` (None: its moment never came).
+
+    `crashes` are processes of ours that ended by an exception: no fault may do that to them, whatever the car makes of
+    the silence. What a fault kills on purpose raises nothing.
+    """
     demand = demand_of(case)
     wrong = [f"on the wire: {violation}" for violation in violations]
+    wrong += crashes
     wrong += _moved_too_early(seen)
     if fault_ns is None:
-        return Verdict(_end(seen, _since(seen, 0), 0), "the moment never came", None, None, demand, False, tuple(wrong))
+        end = _end(seen, _since(seen, 0), 0, seen.mission_over_ns)
+        wrong += [end.words] if end is End.UNSAFE else []
+        return Verdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
     found = _since(seen, fault_ns)
-    end = _end(seen, found, fault_ns)
+    over_ns = seen.mission_over_ns
+    if not demand.own_word and over_ns is not None and over_ns > fault_ns:
+        over_ns = None  # that is what the fault makes it say
+    end = _end(seen, found, fault_ns, over_ns)
     if end is End.ON and found.finished_ns is not None and End.ON not in demand.ends and End.STOP in demand.ends:
         end = End.STOP  # the mission ended while it was stopping anyway
-    parked_ns = seen.entered(AsState.AS_FINISHED, fault_ns)
+    parked_ns = seen.entered(AsState.AS_FINISHED, fault_ns - 1)
     allowed = demand.ends
     if parked_ns is not None and demand.estop_ms is not None and parked_ns <= fault_ns + demand.estop_ms * MS:
         allowed = allowed | {End.STOP}  # it stood: the stop was over before the emergency brake was due
     safe_ns = _safe_ns(end, found)
-    applies = _supervised(case) and seen.state_at(fault_ns) is AsState.AS_DRIVING and not _over(seen, demand, fault_ns)
+    # A frame of an intruder may end the drive at the very instant of the fault.
+    driving = _supervised(case) and seen.state_at(fault_ns - 1) is AsState.AS_DRIVING
+    applies = driving and not _over(over_ns, demand, fault_ns)
     onset_ns: int | None = fault_ns
     reaction_ns = _reaction_ns(end, found)
     reaction = end.words
@@ -90,8 +104,10 @@ def judge(case: Case, seen: Observation, fault_ns: int | None, violations: Seque
             streaks = _streaks(case, seen, demand.onset, fault_ns)
             onset_ns = _onset_ns(streaks, reaction_ns)
             wrong += _implausible_too_long(seen, found, demand, streaks)
-    elif end not in demand.ends and demand is ANY:
+    elif end is End.UNSAFE:
         wrong.append(end.words)
+    if applies and demand is NOTHING and seen.left_course:
+        wrong.append("the car left the course, where the rules demand that nothing changes")
     return Verdict(
         end,
         reaction,
@@ -118,7 +134,7 @@ def _ms(t_ns: int | None, onset_ns: int | None) -> float | None:
 def _since(seen: Observation, fault_ns: int) -> _Seen:
     after = seen.cycles_after(fault_ns)
     estop_ns = next((cycle.t_ns for cycle in after if cycle.estop), None)
-    emergency_ns = seen.entered(AsState.EMERGENCY_BRAKE, fault_ns)
+    emergency_ns = seen.entered(AsState.EMERGENCY_BRAKE, fault_ns - 1)
     finished_ns = next((cycle.t_ns for cycle in after if cycle.finished), None)
     until_ns = min((t_ns for t_ns in (emergency_ns, finished_ns) if t_ns is not None), default=seen.ended_ns)
     braking_ns = None
@@ -142,9 +158,12 @@ def _since(seen: Observation, fault_ns: int) -> _Seen:
     )
 
 
-def _end(seen: Observation, found: _Seen, fault_ns: int) -> End:
+def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) -> End:
+    """How the run ended; `over_ns`: when the controller said by itself that the mission is over."""
     last = seen.states[-1][1]
-    over_ns = seen.mission_over_ns
+    idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
+    if _unsafe(seen, last, idle, over_ns):
+        return End.UNSAFE
     if found.emergency_ns is not None:
         by_us = found.estop_ns is not None and found.estop_ns <= found.emergency_ns
         if by_us and over_ns is not None and found.estop_ns is not None and over_ns <= found.estop_ns:
@@ -155,7 +174,6 @@ def _end(seen: Observation, found: _Seen, fault_ns: int) -> End:
     if last is AsState.AS_DRIVING:
         if over_ns is not None and found.finished_ns is None and found.estop_ns is None:
             return End.ON  # it stands because the mission is done, and has yet to say FINISHED
-        idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
         drove = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
         return End.HELD if drove and idle and found.rest_ns is not None else End.ON
     if last in PARKED:
@@ -163,9 +181,18 @@ def _end(seen: Observation, found: _Seen, fault_ns: int) -> End:
         return End.OFF if drove else End.NOT_STARTED
     if last is AsState.AS_FINISHED:
         return End.ON if over_ns is not None else End.STOP
-    if last is AsState.EMERGENCY_BRAKE:
-        return End.ON if over_ns is not None else End.SELF
-    return End.UNDECIDED
+    return End.ON if over_ns is not None else End.SELF  # in EMERGENCY_BRAKE since before the fault
+
+
+def _unsafe(seen: Observation, last: AsState, idle: bool, over_ns: int | None) -> bool:
+    """A car that moves where it must stand; or a run that has not ended after the longest time, and is not driven.
+
+    A car in AS_DRIVING that still drives by command then is slow, or lost its way: no rule of the bridge forbids that.
+    """
+    moves = bool(seen.moving) and seen.moving[-1][1]
+    if last is not AsState.AS_DRIVING:
+        return moves and (seen.ran_out or last is not AsState.EMERGENCY_BRAKE)
+    return seen.ran_out and ((moves and idle) or over_ns is not None)
 
 
 def _safe_ns(end: End, found: _Seen) -> int | None:
@@ -194,14 +221,14 @@ def _torque_gap_ns(seen: Observation, fault_ns: int) -> int | None:
     return next((cycle.t_ns for cycle in seen.cycles_after(fault_ns) if cycle.torque_nm <= 0.0), None)
 
 
-def _over(seen: Observation, demand: Demand, fault_ns: int) -> bool:
+def _over(over_ns: int | None, demand: Demand, fault_ns: int) -> bool:
     """The mission ended by itself before a reaction could be demanded."""
-    if seen.mission_over_ns is None:
+    if over_ns is None:
         return False
     limits = (demand.no_torque_ms, demand.brake_ms, demand.estop_ms)
     allowed_ms = max((limit for limit in limits if limit is not None), default=0.0)
-    return seen.mission_over_ns <= fault_ns + round(allowed_ms * MS) and (
-        End.ON not in demand.ends or demand.no_torque_ms is not None or seen.mission_over_ns <= fault_ns
+    return over_ns <= fault_ns + round(allowed_ms * MS) and (
+        End.ON not in demand.ends or demand.no_torque_ms is not None or over_ns <= fault_ns
     )
 
 
@@ -224,7 +251,7 @@ def _too_late(
     limits: list[tuple[str, float | None, int | None]] = []
     if end is End.STOP:
         limits.append(("the service brake", demand.brake_ms, found.braking_ns))
-    if end is End.ESTOP:
+    if end in (End.ESTOP, End.SELF):
         limits.append(("ESTOP_REQUEST", demand.estop_ms, found.estop_ns))
     if end not in (End.ON, End.HELD):
         limits.append(("a safe state", demand.safe_ms, safe_ns))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +21,7 @@ CODEC = Codec(revision("2026"))
 HOUR_NS = 3600 * 1_000_000_000
 AI_STATUS = min(AI_IDS)
 _VCU_STATUS, _WHEELS = 0x520, 0x525
+_COMMS_LOST_NS = 100_000_000  # interface specification v4.0: AI_COMMS_LOST
 _BUFFER_BYTES = 16 << 20
 _POLL_S = 0.05
 
@@ -157,3 +158,36 @@ def longest_gap_s(said: list[Said]) -> float:
     """Between two frames with the AI computer's status."""
     times = [each.t_ns for each in said if isinstance(each.image, AiStatus)]
     return max((later - earlier for earlier, later in pairwise(times)), default=0) / 1e9
+
+
+def car_was_deaf(frames: Sequence[Frame]) -> bool:
+    """The simulated VCU raised AI_COMMS_LOST although every message of the AI computer, and its echo, was on the bus.
+
+    It was too busy to take them in: such a run shows nothing, neither for nor against the AI computer.
+    """
+    lost = next((frame for frame in frames if frame.can_id == _VCU_STATUS and _comms_lost(frame)), None)
+    if lost is None:
+        return False
+    since_ns = lost.t_ns - _COMMS_LOST_NS
+    before = [frame for frame in frames if since_ns <= frame.t_ns < lost.t_ns]
+    for can_id in AI_IDS:
+        times = [since_ns, *(frame.t_ns for frame in before if frame.can_id == can_id), lost.t_ns]
+        if max(later - earlier for earlier, later in pairwise(times)) >= _COMMS_LOST_NS // 2:
+            return False
+    return _echoed([CODEC.decode(frame).image for frame in before])
+
+
+def _echoed(images: list[object]) -> bool:
+    """At least one status of the AI computer has the handshake bit that the VCU had sent before it."""
+    bit: bool | None = None
+    for image in images:
+        if isinstance(image, VcuStatus):
+            bit = image.handshake
+        elif isinstance(image, AiStatus) and image.handshake is bit:
+            return True
+    return False
+
+
+def _comms_lost(frame: Frame) -> bool:
+    status = CODEC.decode(frame).image
+    return isinstance(status, VcuStatus) and status.faults.ai_comms_lost is True

@@ -16,8 +16,9 @@ from functools import cache
 from typing import Any, Final
 
 from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, Setup
+from fsai_hil.evidence.rule_numbers import DEADLINE_MISS_NS, FUTURE_NS, MS, STOP_TIMEOUT_NS
 from fsai_hil.evidence.search import Problem
-from fsai_hil.evidence.wire_rules import STOP_TIMEOUT_NS, Terms, WireOracle
+from fsai_hil.evidence.wire_rules import Terms, WireOracle
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -45,14 +46,11 @@ from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.bus import BusLost
 from fsai_vcu.runtime.engine import Engine
 
-MS: Final = 1_000_000
 PERIOD_NS: Final = 10 * MS
-DEADLINE_MISS_NS: Final = 50 * MS  # safety: a deadline missed by 50 ms is a fault of the loop
 REOPEN_FIRST_NS: Final = 10 * MS  # the loop's first pause before it tries a lost bus again
 RESTART_NS: Final = 500 * MS  # a process needs at least so long to start
 START_NS: Final = 1_000 * MS
 MAX_CYCLES: Final = 1_500  # of one case: longer ones say no more
-IDS: Final = (0x520, 0x521, 0x522, 0x523, 0x524, 0x525, 0x526)
 
 
 @cache
@@ -87,6 +85,7 @@ class Played:
             config.motor_brakes,
             # A car that brakes by its motors alone is given longer; the table's 3 s are everybody else's.
             config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS,
+            config.stop_brake_pct,
         )
         self.oracle = WireOracle(self.codec, terms)
         self._first_run_id = 1
@@ -405,7 +404,7 @@ class Played:
             and 0.0 <= command.throttle <= 1.0
             and 0.0 <= command.brake <= 1.0
             and command.speed_limit_mps >= 0.0
-            and command.t_sensor_ns - self.now_ns <= 20 * MS
+            and command.t_sensor_ns - self.now_ns <= FUTURE_NS
         )
 
     # ------------------------------------------------------------ the loop
@@ -465,6 +464,7 @@ class Played:
             self._lose(str(lost), back_ns)
             return
         self.oracle.after_cycle(self._made, now_ns)
+        self.oracle.on_mode_shown(self.bridge._state.mode.value)
         if self.say is not None:
             self._tell()
         self.cycles += 1

@@ -29,7 +29,21 @@ from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.as_machine import Situation, Table, taken, transition_table
-from fsai_hil.evidence.invariants import COMMAND_FRESH_NS, LAUNCH_NS, Limits, Witness
+from fsai_hil.evidence.invariants import Limits, Order, Witness
+from fsai_hil.evidence.rule_numbers import (
+    CAR_PATIENCE_NS,
+    COMMAND_FRESH_NS,
+    CYCLE_NS,
+    DATA_FRESH_NS,
+    FUTURE_NS,
+    LAUNCH_NS,
+    LISTEN_FIRST_NS,
+    MOST_MOTOR_RPM,
+    MOST_TORQUE_NM,
+    MS,
+    SPEEDS_FRESH_NS,
+    S,
+)
 from fsai_hil.evidence.search import Move, Problem
 from fsai_hil.profiles import SPECIFICATION, Profile
 from fsai_vcu.core.bridge import Bridge, BridgeConfig
@@ -40,7 +54,7 @@ from fsai_vcu.core.supervision import gate as gate_module
 from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.gate import GateState
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
-from fsai_vcu.core.supervision.supervisor import Asked, Decision, Latch, Mode, SupervisorState
+from fsai_vcu.core.supervision.supervisor import Asked, Decision, Latch, SupervisorState
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, Decoded, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
@@ -58,9 +72,6 @@ from fsai_vcu.interface.images import (
 )
 from fsai_vcu.interface.revisions import revision
 
-MS: Final = 1_000_000
-S: Final = 1_000_000_000
-CYCLE_NS: Final = 10 * MS
 NOW: Final = 1_000 * S  # every state is looked at as if it were now
 NEVER: Final = -1
 
@@ -71,6 +82,8 @@ CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
 # ---------------------------------------------------------------- what the environment may choose
 
 _NO_COMMAND = "none"
+NOBODY: Final[frozenset[str]] = frozenset()
+BOTH: Final = frozenset(("planner", "controller"))
 _THIS_RUN, _OTHER_RUN = 0, -1
 
 
@@ -122,6 +135,7 @@ class Choice:
     rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
     go: bool = False
     asms: bool = True
+    tsms: bool = True
     sdc_open: bool = False
     ami: Ami = Ami.TRACKDRIVE
     car_off: bool = False
@@ -130,7 +144,7 @@ class Choice:
     angle_max_deg: float = 30.0
     torque_max_nm: float = 195.0
     request: str | None = None
-    confirm: bool = True
+    confirm: frozenset[str] = BOTH  # who says that he has reset himself
     frames: int = 5  # how many of the cycle's five frames go out
     event: str | None = None
     steer_odd: bool = False
@@ -153,6 +167,8 @@ class Choice:
             parts.append("Go on" if self.go else "Go off")
             if not self.asms:
                 parts.append("ASMS off")
+            if not self.tsms:
+                parts.append("TSMS off")
             if self.sdc_open:
                 parts.append("the shutdown circuit opens")
             if self.fault:
@@ -175,8 +191,9 @@ class Choice:
             parts.append(self.event)
         if self.request is not None:
             parts.append(f"asked for: {self.request}")
-        if not self.confirm:
-            parts.append("resets not confirmed")
+        if self.confirm != BOTH:
+            missing = " and ".join(sorted(BOTH - self.confirm))
+            parts.append(f"reset not confirmed by {missing}")
         parts.append("no command" if self.command == _NO_COMMAND else f"command: {COMMANDS[self.command].words}")
         if self.frames < 5:
             parts.append("no frame goes out" if not self.frames else f"only {self.frames} of 5 frames go out")
@@ -203,7 +220,8 @@ _CLOCKS: Final = (
     "listening", "reopened", "complete", "steer odd", "wheel odd",
     "said status", "said speeds", "said steer", "said axles",
     "VCU state", "VCU hears", "VCU echo",
-    "witness driving", "witness still", "witness command", "witness heard", "witness pedals",
+    "witness driving", "witness still", "witness command", "witness heard", "witness pedals", "witness listening",
+    "witness complete",
 )  # fmt: skip
 
 
@@ -221,7 +239,7 @@ def _edges(c: BridgeConfig) -> tuple[tuple[int, ...], ...]:
         (), command, (c.listen_first_ns,), (c.vcu_lost_ns,), (c.send_lost_ns,), odd, odd,
         vcu, speeds, steer, (c.feedback_stale_ns,),
         (5 * S, 15 * S), (100 * MS,), (100 * MS,),
-        launch, (c.standstill_ns,), command, heard, (c.both_pedals_ns,),
+        launch, (c.standstill_ns,), command, heard, (c.both_pedals_ns,), (c.listen_first_ns,), (c.send_lost_ns,),
     )  # fmt: skip
 
 
@@ -309,6 +327,9 @@ class SearchedBridge(Bridge):
 
     steer_odd = False
     wheel_odd = False
+
+    def _on_revision(self, frame: Frame) -> None:
+        """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""
 
     def _check(self, asked: AiCommand, vehicle: VehicleState, now_ns: int) -> None:
         steer, wheels = self._steering.implausible_since_ns, self._wheels.implausible_since_ns
@@ -420,12 +441,17 @@ class Scope:
     setting: Setting = field(default_factory=Setting)
     endings: Mapping[str, Choice] = field(default_factory=dict)
     bounds_ns: Mapping[str, int] = field(default_factory=dict)
+    endless: str = ""  # why no ending can be asked for, in words
 
 
 class Composition:
-    """Bridge, VCU and witness under one scope's environment: a model for `search.explore`."""
+    """Bridge, VCU and witness under one scope's environment: a model for `search.explore`.
 
-    def __init__(self, scope: Scope) -> None:
+    With `only_rule` the problems of all other rules are passed over: can this rule alone find it?
+    """
+
+    def __init__(self, scope: Scope, only_rule: str | None = None) -> None:
+        self._only_rule = only_rule
         setting = scope.setting
         self.scope = scope
         self.config = setting.config
@@ -445,16 +471,25 @@ class Composition:
         assert rate is not None, "the search sets the rate: a cycle must be enough for the steering"
         self.limits = Limits(
             steer_deg=min(entry.steer_limit_deg, setting.limits.max_steer_deg),
-            steer_step_deg=rate * CYCLE_NS / 1e9,
-            torque_nm=min(195.0, setting.limits.max_axle_torque_nm),
-            motor_rpm=int(min(4000.0, setting.limits.max_speed_mps * rpm_per_mps)),
+            steer_rate_degps=rate,
+            torque_nm=min(MOST_TORQUE_NM, setting.limits.max_axle_torque_nm),
+            motor_rpm=int(min(MOST_MOTOR_RPM, setting.limits.max_speed_mps * rpm_per_mps)),
             front_driven=setting.car.driven_front,
             rear_driven=setting.car.driven_rear,
             brakes_by_motor=setting.config.service_brake == "motor",
+            service_brake_pct=setting.config.stop_brake_pct,
             may_send=not setting.config.listen_only,
+            autonomous_at_power_up=setting.config.autonomous_at_power_up and not setting.config.listen_only,
+            stop_cycles=setting.config.stop_cycles,
         )
         self._sends_fail = any(choice.frames < 5 for choice in scope.choices)
         self._leaves_emergency = any(not choice.asms or choice.car_off for choice in scope.choices)
+        # A command whose data alone is that old is lost at once: then it matters how long commands have been awaited.
+        self._data_may_be_lost = any(
+            COMMANDS[choice.command].data_age_ns >= setting.config.sensor_stale_ns
+            for choice in scope.choices
+            if choice.command != _NO_COMMAND
+        )
         self._table_runs = all(choice.says is None for choice in scope.choices)
         self._table: Table = transition_table(setting.profile)
         self._vcu = _Vcu(setting.first_state)
@@ -534,7 +569,8 @@ class Composition:
                     command.estop_request,
                 )  # fmt: skip
         driving_age = age(s.driving_since_ns)
-        if driving_age >= c.launch_wait_ns and (stop is not None or 0 <= command_age < CYCLE_NS):
+        in_time = 0 <= command_age < CYCLE_NS and not self._data_may_be_lost
+        if driving_age >= c.launch_wait_ns and (stop is not None or in_time):
             driving_age = c.launch_wait_ns  # how long supervision has run counts only while no command ever came
         images = b._images
         brake, status, speeds = images.get("brake"), images.get("status"), images.get("speeds")
@@ -546,12 +582,19 @@ class Composition:
         table = self._table_runs  # else the VCU is whatever the environment says
 
         w_driving = w.as_state is AsState.AS_DRIVING
-        w_command_age, w_pushes = NEVER, False
-        if w_driving and w.command_ns is not None and not w.no_more_torque and not w.latched:
-            w_command_age = max(age(w.command_ns), age(w.data_ns) - 400 * MS)
-            w_pushes = w.pushes and w_command_age < COMMAND_FRESH_NS
+        w_command_age, w_order = NEVER, None
+        if w_driving and w.command_ns is not None and not w.latched and w.autonomous:
+            w_command_age = max(age(w.command_ns), age(w.data_ns) - (DATA_FRESH_NS - COMMAND_FRESH_NS))
+            if w_command_age < COMMAND_FRESH_NS:
+                w_order = w.order
+            elif w.no_more_torque:
+                w_command_age = NEVER  # no command counts any more
+            if w_order is not None and w.no_more_torque:
+                # Of a command only the steering counts, where the planner may still speak.
+                w_order = Order(w_order.steer_deg, 0.0, 0.0, False, False) if steers else None
+                w_command_age = w_command_age if steers else NEVER
         w_driving_age = age(w.driving_ns)
-        if w_driving_age >= LAUNCH_NS and 0 <= w_command_age < CYCLE_NS:
+        if w_driving_age >= LAUNCH_NS and 0 <= w_command_age < CYCLE_NS and not self._data_may_be_lost:
             w_driving_age = LAUNCH_NS
         in_hand = w_driving and 0 <= w_command_age < COMMAND_FRESH_NS
         disc = (
@@ -571,16 +614,17 @@ class Composition:
             (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
              v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake),
             # witness
-            (w.silence, w.path, w.handshake != silent_bit, w.autonomous, w.latched, w_pushes, w.alarm,
+            (w.silence, w.path, w.handshake != silent_bit, w.autonomous, w.latched, w_order, w.alarm,
              w.no_more_torque, w.restarted, w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed and w.zeros == 1,
-             w.torque_runs, w.steer_deg, w.mission, w.confirmed),
+             w.torque_runs, w.steer_deg, w.mission, w.confirmed, w.power_up and c.autonomous_at_power_up,
+             w.reopening, w.ended, w.brake_pct if w_driving else 0.0),
         )  # fmt: skip
         vcu_age = NEVER
         if v.state is AsState.AS_READY:
             vcu_age = min(age(v.since_ns), _READY_NS)
         elif v.state is AsState.EMERGENCY_BRAKE:
             vcu_age = age(v.since_ns) if self._leaves_emergency else 0
-        w_speeds_fresh = w.speeds_ns is not None and now - w.speeds_ns < 100 * MS
+        w_speeds_fresh = w.speeds_ns is not None and now - w.speeds_ns < SPEEDS_FRESH_NS
         raw = [
             age(s.status_ns),
             age(s.heard_ns),
@@ -608,7 +652,9 @@ class Composition:
             w.speeds_ns - w.still_ns if w_speeds_fresh and w.still_ns is not None else NEVER,  # type: ignore[operator]
             w_command_age,
             age(w.heard_ns),
-            age(w.pedals_ns) if in_hand else NEVER,
+            age(w.pedals_ns) if in_hand and not w.no_more_torque else NEVER,
+            NEVER if w.began_ns is None else min(age(w.began_ns), LISTEN_FIRST_NS),
+            NEVER if w.complete_ns is None else age(w.complete_ns) if driving and self._sends_fail else 0,
         ]
         return disc, raw
 
@@ -701,9 +747,9 @@ class Composition:
         v.since_ns = NOW if t[19] is None else t[19]
         v.ai_ns, v.echo_ns = t[20], t[21]
 
-        (w.silence, w.path, w.handshake, w.autonomous, w.latched, w.pushes, w.alarm, w.no_more_torque, w.restarted,
+        (w.silence, w.path, w.handshake, w.autonomous, w.latched, w.order, w.alarm, w.no_more_torque, w.restarted,
          w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed, w.torque_runs, w.steer_deg, w.mission,
-         w.confirmed) = wit  # fmt: skip
+         w.confirmed, w.power_up, w.reopening, w.ended, w.brake_pct) = wit  # fmt: skip
         w.as_state = None if status is None else status[0]
         w.go = False if status is None else status[1]
         w.status_ns = t[15]
@@ -715,13 +761,23 @@ class Composition:
         w.command_ns, w.data_ns = t[24], t[24] or 0
         w.heard_ns = t[25]
         w.pedals_ns = t[26]
+        w.began_ns, w.complete_ns = t[27], t[28]
+        w.cycle_ns = t[8]  # when the last cycle was made is no judgement of the bridge's
         w.steer_odd_ns, w.wheel_odd_ns = t[13], t[14]
 
     # ------------------------------------------------------------ moves
 
     def safe(self, state: State) -> bool:
-        """The car is out of AS_DRIVING: finished, off, or braking by itself. There the VCU ignores torque requests."""
-        return cast(Any, state[0][4])[0] is not AsState.AS_DRIVING
+        """The car is out of AS_DRIVING: finished, off, or braking by itself. There the VCU ignores torque requests.
+
+        Where the VCU says whatever the environment wants, all that the AI side can do counts: the VCU has been told
+        ESTOP_REQUEST, or FINISHED (which rule 3 allows at rest only), and holds no torque request.
+        """
+        as_state, _, _, _, estop, status, _, front, rear, *_ = cast(Any, state[0][4])
+        if as_state is not AsState.AS_DRIVING:
+            return True
+        told_to_stop = estop or status is MissionStatus.FINISHED
+        return not self._table_runs and told_to_stop and not (front or rear)
 
     def moves(self, state: State) -> Iterable[Move[State]]:
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
@@ -795,29 +851,30 @@ class Composition:
         if choice.request is not None:
             self._requested(choice.request, now, problems)
         if choice.confirm:
-            w.confirmed = True
-            for role in supervisor.ROLES:
-                if role not in b._state.confirmed:
-                    b.on_reset_confirmed(role, b._state.run_id)
+            w.confirmed |= choice.confirm
+            for role in choice.confirm - b._state.confirmed:
+                b.on_reset_confirmed(role, b._state.run_id)
         if choice.command != _NO_COMMAND:
             self._commanded(COMMANDS[choice.command], now, problems)
         asked = b.cycle(now)
-        if b._config.autonomous_at_power_up and b._state.mode is Mode.AUTONOMOUS:
-            w.autonomous = True  # what the configuration allows nobody has to ask for
+        if w.speaks(self.limits):
+            problems += w.before_cycle(b._state.mode.value, self.limits, now)
         if asked is not None:
             self._count(asked, choice)
             problems += w.on_cycle(asked, self.limits, now)
             problems += self._frames(asked)
             problems += self._sent(choice, asked, now)
         w.steer_odd_ns, w.wheel_odd_ns = b._steering.implausible_since_ns, b._wheels.implausible_since_ns
+        if problems and self._only_rule is not None:
+            problems = [problem for problem in problems if problem.rule == self._only_rule]
         return self._save(now), tuple(problems), asked
 
     def _count(self, asked: AiCommand, choice: Choice) -> None:
         """Each rule is counted in the cycles in which it has something to say."""
         w, checks = self._witness, self.checks
         driving = w.as_state is AsState.AS_DRIVING
-        checks["8"] += 1
-        checks["9"] += 1
+        for rule in ("8", "9", "output table", "modes"):
+            checks[rule] += 1
         if asked.torque_requested or asked.brake_requested:
             checks["1"] += 1
         if asked.torque_requested:
@@ -847,11 +904,11 @@ class Composition:
             return
         s = self._situation
         lost = v.heard and (
-            (v.ai_ns is not None and now - v.ai_ns >= 100 * MS)
-            or (v.echo_ns is not None and now - v.echo_ns >= 100 * MS)
+            (v.ai_ns is not None and now - v.ai_ns >= CAR_PATIENCE_NS)
+            or (v.echo_ns is not None and now - v.echo_ns >= CAR_PATIENCE_NS)
         )
         up = v.heard and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
-        s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, True, choice.go, choice.ami, choice.sdc_open
+        s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, choice.tsms, choice.go, choice.ami, choice.sdc_open
         s.go_rising = choice.go and not v.go_before
         v.go_before = choice.go
         s.ebs_armed = s.tractive_system_running = up
@@ -918,14 +975,15 @@ class Composition:
                 w.alarm = w.alarm or driving
             case "the bus is lost":
                 b.bus_lost("the interface is gone", now)
-                w.bus_gone = True
-                w.no_more_torque = w.no_more_torque or driving
-                w.path = 0
+                if not w.bus_gone:
+                    w.on_bus_gone(now)
             case "the bus is back":
                 b.bus_back(now)
-                w.bus_gone = False
+                if w.bus_gone:
+                    w.on_bus_back(now)
             case "the software is stopped":
                 b.begin_stop(now)
+                w.on_end()
 
     def _requested(self, request: str, now: int, problems: list[Problem]) -> None:
         b, w = self._bridge, self._witness
@@ -951,7 +1009,7 @@ class Composition:
                     AsState.AS_READY,
                 ):
                     problems.append(Problem("2", "autonomous accepted where the car could launch at once"))
-                w.autonomous = mode == "autonomous"
+                w.autonomous, w.power_up = mode == "autonomous", False
                 if mode == "manual" and w.as_state is AsState.AS_DRIVING:
                     w.no_more_torque = True
 
@@ -977,15 +1035,14 @@ class Composition:
             and 0.0 <= ask.throttle <= 1.0
             and 0.0 <= ask.brake <= 1.0
             and abs(ask.steering_rad) <= math.radians(30.0)
-            and ask.data_age_ns >= -20 * MS
+            and ask.data_age_ns >= -FUTURE_NS
             and ask.run == _THIS_RUN
         )
         if absurd:
             problems.append(Problem("7", f"taken, though out of order: {ask.words}"))
             return
-        w.on_command(
-            ask.throttle > 0.0 and ask.brake == 0.0, ask.throttle > 0.0 and ask.brake > 0.0, now - ask.data_age_ns, now
-        )
+        order = Order(math.degrees(ask.steering_rad), ask.throttle, ask.brake, ask.finished, ask.estop)
+        w.on_command(order, now - ask.data_age_ns, now)
 
     # ------------------------------------------------------------ the wire
 
@@ -1034,24 +1091,29 @@ class Composition:
                     self._look(choice, now)
         complete = choice.frames == 5
         b.on_sent(complete, now)
-        self._witness.on_sent(asked, complete)
+        self._witness.on_sent(asked, complete, now)
         return problems
 
     # ------------------------------------------------------------ words
 
     def told(self, trace: Sequence[Move[State]]) -> list[str]:
-        """A trace in words, one line per move; moves alike are told once."""
+        """A trace in words, one line per move; moves alike are told once, with the time of the last of them."""
         lines: list[str] = []
+        before = ""
         time_ns = 0
         for move in trace:
             time_ns += move.duration_ns
             state = cast(Any, move.target[0])
             said = state[3][0]
             heard = "no AS state seen" if said is None else f"{said[0].label} seen"
-            lines.append(
-                f"{time_ns / 1e9:8.3f} s  {self.choices[move.label].words}\n"
+            words = (
+                f"{self.choices[move.label].words}\n"
                 f"            -> {heard}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
             )
+            if words == before:
+                lines.pop()
+            lines.append(f"{time_ns / 1e9:8.3f} s  {words}")
+            before = words
         return lines
 
 

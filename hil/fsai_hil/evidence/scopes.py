@@ -7,19 +7,29 @@ state visited is one that the car can be brought into.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Final
 
-from fsai_hil.evidence.model import BRAKE, CAR_MESSAGES, COMMANDS, SPEEDS, STATUS, Choice, Scope, Setting
+from fsai_hil.evidence.model import (
+    BOTH,
+    BRAKE,
+    CAR_MESSAGES,
+    COMMANDS,
+    NOBODY,
+    SPEEDS,
+    STATUS,
+    Choice,
+    Scope,
+    Setting,
+)
+from fsai_hil.evidence.rule_numbers import S
 from fsai_hil.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import BridgeConfig, official_simulator
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
-
-S: Final = 1_000_000_000
 
 STANDING: Final = (0, 0, 0, 0)
 ROLLING: Final = (100, 100, 100, 100)
@@ -52,6 +62,17 @@ BOUNDS_NS: Final = {
     # 0x520 stale for 100 ms, the cycles between, and a process that still listens its 200 ms
     _DEAF: 500_000_000,
 }
+_TWO_ENDINGS: Final = {name: ENDINGS[name] for name in (_SILENCE_AND_STANDS, _SILENCE_AND_MOVES)}
+
+# A VCU that says whatever the environment wants cannot be brought out of AS_DRIVING. There the end is that it has been
+# told to stop: ESTOP_REQUEST, or FINISHED at rest, and no torque.
+_INSISTS_STANDING: Final = "a silent planner and a car that says AS_DRIVING for ever and comes to rest"
+_INSISTS_MOVING: Final = "a silent planner and a car that says AS_DRIVING for ever and never brakes"
+_INSISTING: Final = {
+    _INSISTS_STANDING: replace(GO, says=AsState.AS_DRIVING, command="none"),
+    _INSISTS_MOVING: replace(GO, says=AsState.AS_DRIVING, command="none", rpm=MOVING),
+}
+_INSISTING_NS: Final = {_INSISTS_STANDING: 5 * S, _INSISTS_MOVING: 5 * S}
 
 
 def _scope(
@@ -61,17 +82,17 @@ def _scope(
     driving: Iterable[Choice] = (),
     *,
     setting: Setting | None = None,
-    endings: Iterable[str] = (_SILENCE_AND_STANDS, _SILENCE_AND_MOVES),
-    bounds: bool = True,
+    endings: Mapping[str, Choice] = _TWO_ENDINGS,
+    bounds_ns: Mapping[str, int] = BOUNDS_NS,
     from_start: bool = False,
+    endless: str = "",
 ) -> Scope:
-    """A scope: the path into AS_DRIVING and `everywhere` in every state, `driving` only in AS_DRIVING.
+    """A scope: the path into AS_DRIVING, the endings and `everywhere` in every state, `driving` only in AS_DRIVING.
 
-    While the first 200 ms are listened to, only the path, unless `from_start`.
+    While the first 200 ms are listened to, only path and endings, unless `from_start`.
     """
-    ways = {name: ENDINGS[name] for name in endings}
-    path = () if from_start else (*PATH, *ways.values())
-    first = tuple(dict.fromkeys((*path, *everywhere)))
+    path = () if from_start else (*PATH, *endings.values())
+    first = tuple(dict.fromkeys((*path, *everywhere, *endings.values())))
     rest = tuple(choice for choice in dict.fromkeys(driving) if choice not in first)
     return Scope(
         name,
@@ -80,8 +101,9 @@ def _scope(
         len(first),
         len(path),
         setting or Setting(),
-        ways,
-        BOUNDS_NS if bounds else {},
+        endings,
+        bounds_ns,
+        endless,
     )
 
 
@@ -95,26 +117,41 @@ _PEOPLE: Final[tuple[dict[str, object], ...]] = (
     {"request": "the emergency brake"},
     {"request": "reset"},
     {"asms": False},
+    {"tsms": False},
     {"fault": True},
     {"sdc_open": True},
     {"ami": Ami.ACCELERATION},
     {"ami": Ami.NOT_SELECTED},
-    {"confirm": False},
+    {"confirm": NOBODY},
     {"go": False},
     {"command": "finished"},
     {"command": "none"},
 )
 
 
-def _run(name: str = "run", setting: Setting | None = None, *, bounds: bool = True) -> Scope:
+def _run(name: str = "run", setting: Setting | None = None, *, bounds_ns: Mapping[str, int] = BOUNDS_NS) -> Scope:
     return _scope(
         name,
-        "people: mode requests, emergency brake, reset, Go, ASMS, E-stop, faults, AMI, resets not confirmed; wheels "
-        "standing, moving; planner driving, finished, silent",
+        "people: mode requests, emergency brake, reset, Go, ASMS, TSMS, E-stop, faults, AMI, resets not confirmed; "
+        "wheels standing, moving; planner driving, finished, silent",
         _each(GO, *_PEOPLE),
         (replace(GO, rpm=MOVING), *_each(replace(GO, rpm=MOVING), *_PEOPLE)),
         setting=setting,
-        bounds=bounds,
+        bounds_ns=bounds_ns,
+    )
+
+
+def _confirmations() -> Scope:
+    planner = frozenset(("planner",))
+    kinds = [
+        {"ami": ami, "confirm": who}
+        for ami, who in product((Ami.TRACKDRIVE, Ami.ACCELERATION), (BOTH, planner, BOTH - planner, NOBODY))
+    ]
+    return _scope(
+        "confirmations",
+        "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none",
+        [*_each(_WELL, *kinds), *_each(GO, *kinds), replace(GO, asms=False)],
+        (replace(GO, rpm=MOVING), replace(GO, rpm=MOVING, ami=Ami.ACCELERATION, confirm=NOBODY)),
     )
 
 
@@ -215,7 +252,8 @@ def _any_car() -> Scope:
             *_each(replace(driving, says=AsState.AS_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
             replace(GO, says=AsState.AS_READY, request="autonomous"),
         ],
-        endings=(),
+        endings=_INSISTING,
+        bounds_ns=_INSISTING_NS,
         from_start=True,
     )
 
@@ -230,7 +268,8 @@ def _restarts_any_car() -> Scope:
             *(replace(GO, says=state, event=_RESTART) for state in states),
             *(replace(GO, says=state, request="autonomous") for state in states),
         ],
-        endings=(),
+        endings=_INSISTING,
+        bounds_ns=_INSISTING_NS,
         from_start=True,
     )
 
@@ -285,6 +324,22 @@ def _power_up() -> Scope:
     )
 
 
+def _power_up_any_car() -> Scope:
+    setting = Setting(config=BridgeConfig(steer_rate_degps=1500.0, autonomous_at_power_up=True))
+    states = (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)
+    return _scope(
+        "power-up, any car",
+        "the same beside a VCU that says any of its states from the start, wheels standing and turning",
+        [
+            *(replace(GO, says=state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
+        ],
+        setting=setting,
+        endings=_INSISTING,
+        bounds_ns=_INSISTING_NS,
+        from_start=True,
+    )
+
+
 def _official() -> Scope:
     return _run(
         "official simulator",
@@ -295,7 +350,8 @@ def _official() -> Scope:
             first_state=AsState.AS_OFF,
             limits=OperationalLimits(),
         ),
-        bounds=False,
+        # Its motors brake more weakly: a deceleration has 2 s to show, not 0.5 s.
+        bounds_ns={**BOUNDS_NS, _SILENCE_AND_MOVES: BOUNDS_NS[_SILENCE_AND_MOVES] + 3 * S // 2},
     )
 
 
@@ -315,8 +371,10 @@ def _listening() -> Scope:
             replace(GO, says=AsState.AS_OFF, request="autonomous"),
         ],
         setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, listen_only=True)),
-        endings=(),
+        endings={},
+        bounds_ns={},
         from_start=True,
+        endless="a process that never sends brings no car to any end",
     )
 
 
@@ -324,6 +382,7 @@ def all_scopes() -> tuple[Scope, ...]:
     """Every scope of the full search."""
     return (
         _run(),
+        _confirmations(),
         _commands(),
         _messages(),
         _sends(),
@@ -335,6 +394,7 @@ def all_scopes() -> tuple[Scope, ...]:
         _plausibility(),
         _limits(),
         _power_up(),
+        _power_up_any_car(),
         _official(),
         _listening(),
     )

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, Final
 
 from fsai_hil.evidence.model import Composition, Scope, State, patched, swift_copies
+from fsai_hil.evidence.rule_numbers import MS
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_vcu.core import bridge
@@ -31,10 +32,9 @@ from fsai_vcu.core.supervision.supervisor import (
     Step,
     SupervisorState,
 )
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import VcuSteer
-
-MS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +46,16 @@ class Seed:
     scope: str
     patches: Callable[[], tuple[tuple[Any, str, object], ...]] = tuple
     config: Mapping[str, object] = field(default_factory=dict)
+    shows_in_fuzz: bool = True
 
 
 def _reaction(reason: Reason, *steps: Step) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
     return lambda: ((supervisor, "REACTIONS", {**REACTIONS, reason: steps}),)
+
+
+def _reactions(changed: Mapping[Reason, tuple[Step, ...]]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+    """Several changes that make one mistake only together: one guard stands behind the other."""
+    return lambda: ((supervisor, "REACTIONS", {**REACTIONS, **changed}),)
 
 
 def _output(phase: Phase, **changes: object) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
@@ -64,6 +70,20 @@ def _follows(before: Sequence, now: AsState, then: Sequence) -> Callable[[], tup
 def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
     """`owner.name` is called through `change(original, *arguments)`."""
     return lambda: ((owner, name, partial(change, getattr(owner, name))),)
+
+
+def _method(owner: Any, name: str, change: Callable[..., Any]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+    """The same for a method: what takes its place is bound to the instance as it was."""
+
+    def patches() -> tuple[tuple[Any, str, object], ...]:
+        original = getattr(owner, name)
+
+        def changed(instance: Any, *arguments: Any, **named: Any) -> Any:
+            return change(original, instance, *arguments, **named)
+
+        return ((owner, name, changed),)
+
+    return patches
 
 
 def _always(owner: Any, name: str, value: object) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
@@ -99,10 +119,44 @@ def _forgets_the_live_limit(original: Callable[..., Any], config: Any, axle: Any
     return original(config, None if axle is None else replace(axle, torque_max_nm=195.0), *rest)
 
 
+def _believes_old_limits(original: Callable[..., Any], config: Any, axle: Any, left_rpm: int, right_rpm: int,
+                         now_ns: int) -> Any:  # fmt: skip
+    return original(config, axle, left_rpm, right_rpm, now_ns if axle is None else axle.t_rx_ns)
+
+
 def _gate_may_move(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
     return original(config, state, replace(decision, may_move=True), *rest)
 
 
+def _powers_up_in(where: frozenset[AsState], moving: bool, original: Callable[..., Any], config: Any, state: Any,
+                  inputs: Any) -> Any:  # fmt: skip
+    stands = moving or supervisor.standing(config, state, inputs.now_ns)
+    may = config.autonomous_at_power_up and not config.listen_only
+    if may and state.power_up and state.as_state in where and stands:
+        state = replace(state, mode=supervisor.Mode.AUTONOMOUS, power_up=False)
+    return original(config, state, inputs)
+
+
+def _sends_all_the_same(original: Callable[..., Any], instance: Any, now_ns: int) -> Any:
+    config = instance._config
+    instance._config = replace(config, listen_only=False)
+    try:
+        return original(instance, now_ns)
+    finally:
+        instance._config = config
+
+
+def _loses_nothing(original: Callable[..., Any], instance: Any, why: str, now_ns: int) -> None:
+    original(instance, why, now_ns)
+    instance._bus_lost = None
+
+
+def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, command: Any, t_ns: int = 0) -> Any:
+    *frames, last = original(instance, command, t_ns)
+    return (*frames, replace(last, can_id=last.can_id + 1))
+
+
+_REPORTED: Final = (Step(None, Consequence.REPORT),)
 _FULL_ANGLE: Final = VcuSteer(0.0, 30.0, 0.0)
 
 SEEDS: Final[tuple[Seed, ...]] = (
@@ -170,6 +224,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
     # ---- limits
     Seed("ANGLE_MAX is not looked at", "4", "limits", _wrapped(gating, "_steering", _unlimited_steering)),
     Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
+    Seed("TRQ_MAX is believed for ever", "4", "messages", _wrapped(gating, "_axle_limit_nm", _believes_old_limits)),
     Seed("no constant-power steps", "4", "limits", _always(gating, "constant_power_nm", 195.0)),
     Seed("the operational speed limit is forgotten", "4", "run", _always(gating, "motor_rpm", 4000)),
     # ---- before AS_DRIVING
@@ -194,6 +249,26 @@ SEEDS: Final[tuple[Seed, ...]] = (
     Seed("no command is out of order", "7", "commands", _always(VehicleCommand, "problems", ())),
     Seed("data from the future is taken", "7", "commands", config={"sensor_future_ns": 50 * MS}),
     # ---- the wire
+    Seed(
+        "a process that only listens sends",
+        "8",
+        "listen only",
+        _method(bridge.Bridge, "cycle", _sends_all_the_same),
+    ),
+    Seed(
+        "the fifth frame has an id that is not ours",
+        "8",
+        "run",
+        _method(Codec, "encode_command", _last_frame_by_another_name),
+    ),
+    Seed("a process listens for 190 ms only", "8", "run", config={"listen_first_ns": 190 * MS}),
+    Seed(
+        "what is lost is sent to all the same",
+        "8",
+        "trouble",
+        _method(bridge.Bridge, "bus_lost", _loses_nothing),
+        shows_in_fuzz=False,  # its loop sends nothing to a bus that is lost, whatever the bridge says
+    ),
     Seed("the echo follows believed frames only", "9", "messages", _wrapped(bridge, "gate", _believed_bit)),
     # ---- restarts
     Seed(
@@ -251,12 +326,108 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "trouble",
         _reaction(Reason.LOOP_FAULT, Step(None, Consequence.STOP)),
     ),
+    Seed(
+        "a stale command asks for the emergency at once",
+        "reactions",
+        "commands",
+        _reaction(
+            Reason.COMMAND_STALE, Step("command_stale_ns", Consequence.ESTOP), REACTIONS[Reason.COMMAND_STALE][1]
+        ),
+        shows_in_fuzz=False,  # who looks at frames alone takes any ESTOP_REQUEST
+    ),
     Seed("Go off is only reported", "reactions", "any car", _reaction(Reason.GO_OFF, Step(None, Consequence.REPORT))),
     Seed(
         "odd wheels never ask for the emergency",
         "reactions",
         "plausibility",
         _reaction(Reason.WHEEL_IMPLAUSIBLE, REACTIONS[Reason.WHEEL_IMPLAUSIBLE][0]),
+        shows_in_fuzz=False,  # a wheel that is odd beyond all doubt for 600 ms is too rare for its chance
+    ),
+    Seed(
+        "a lost bus and a broken sequence are only reported",
+        "reactions",
+        "trouble",
+        _reactions({Reason.BUS_LOST: _REPORTED, Reason.NOT_SEEN: _REPORTED}),
+    ),
+    Seed("resets that nobody confirmed are no matter", "reactions", "confirmations", _reaction(Reason.NOT_CONFIRMED)),
+    # ---- the output table
+    Seed("a stop without the brake", "output table", "run", _output(Phase.STOPPING, brake=Brake.ZERO)),
+    Seed(
+        "a stop by the motors without the motors",
+        "output table",
+        "official simulator",
+        _output(Phase.STOPPING, brake=Brake.ZERO),
+    ),
+    Seed("a stop by the holding brake", "output table", "run", _output(Phase.STOPPING, brake=Brake.HOLDING)),
+    Seed("ESTOP_REQUEST without the brake", "output table", "run", _output(Phase.ESTOP_ASKED, brake=Brake.ZERO)),
+    Seed("AS_READY without the holding brake", "output table", "run", _output(Phase.READY, brake=Brake.ZERO)),
+    Seed("the first 3 s without the brake", "output table", "run", _output(Phase.LAUNCH_WAIT, brake=Brake.ZERO)),
+    Seed("a stop that is over lets the brake go", "output table", "run", _output(Phase.STOPPED, brake=Brake.ZERO)),
+    Seed("AS_FINISHED lets the brake go", "output table", "run", _output(Phase.FINISHED, brake=Brake.ZERO)),
+    Seed(
+        "NEUTRAL in EMERGENCY_BRAKE while wheels turn",
+        "output table",
+        "run",
+        _output(Phase.EMERGENCY_MOVING, direction=Direction.NEUTRAL),
+    ),
+    Seed(
+        "FORWARD in EMERGENCY_BRAKE for ever",
+        "output table",
+        "run",
+        _output(Phase.EMERGENCY_STANDING, direction=Direction.FORWARD),
+    ),
+    Seed("a brake in EMERGENCY_BRAKE", "output table", "run", _output(Phase.EMERGENCY_MOVING, brake=Brake.SERVICE)),
+    Seed(
+        "a stale command turns the steering to zero",
+        "output table",
+        "commands",
+        _output(Phase.HOLDING, steer=Steer.ZERO),
+    ),
+    Seed("a stale command lets the brake go", "output table", "commands", _output(Phase.HOLDING, brake=Brake.ZERO)),
+    Seed(
+        "the command does not steer",
+        "output table",
+        "commands",
+        _output(Phase.DRIVING, steer=Steer.HELD),
+        shows_in_fuzz=False,  # who looks at frames alone does not ask that steering moves
+    ),
+    Seed(
+        "ESTOP_REQUEST and not RUNNING",
+        "output table",
+        "run",
+        _output(Phase.ESTOP_ASKED, mission_status=MissionStatus.SELECTED),
+    ),
+    Seed("steering in the first 3 s", "output table", "run", _output(Phase.LAUNCH_WAIT, steer=Steer.COMMAND)),
+    Seed(
+        "manual, and the planner still steers",
+        "output table",
+        "run",
+        _output(Phase.STOPPING, steer=Steer.COMMAND),
+    ),
+    Seed(
+        "a stop that is over is never FINISHED",
+        "output table",
+        "run",
+        _output(Phase.STOPPED, mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD),
+    ),
+    # ---- modes
+    Seed(
+        "a lost command leaves the mode autonomous",
+        "modes",
+        "commands",
+        _reaction(Reason.COMMAND_STALE, REACTIONS[Reason.COMMAND_STALE][0], Step("command_lost_ns", Consequence.STOP)),
+    ),
+    Seed(
+        "autonomous at power-up in every AS state",
+        "modes",
+        "power-up, any car",
+        _wrapped(supervisor, "supervise", partial(_powers_up_in, frozenset(AsState), False)),
+    ),
+    Seed(
+        "autonomous at power-up while wheels turn",
+        "modes",
+        "power-up",
+        _wrapped(supervisor, "supervise", partial(_powers_up_in, supervisor.OFF_LIKE, True)),
     ),
     # ---- the safe end
     Seed(
@@ -283,8 +454,8 @@ def sown(seed: Seed) -> Iterator[Scope]:
 
 
 def search_seed(seed: Seed) -> tuple[Search[State], list[str]]:
-    """Search the seed's scope: what was found, and its trace in words."""
+    """Search the seed's scope for its rule alone: what was found, and its trace in words."""
     with swift_copies(), sown(seed) as searched:
-        model = Composition(searched)
+        model = Composition(searched, seed.rule)
         found = explore(model, bounds_ns=searched.bounds_ns)
         return found, model.told(found.trace)

@@ -8,9 +8,12 @@ own times.
 
 What is added to each rule:
 
-2.  torque needs autonomous accepted and manual not asked for since, and a command that was in order, of the run in
-    hand, younger than 100 ms on data younger than 500 ms, that pushes and does not brake; never more than its share.
-4.  steering moves only towards such a command, or back behind a limit that was lowered; it is zero in the first 3 s.
+2.  torque needs autonomous accepted (or entered by itself at power-up: in AS_INIT and AS_OFF, at proven rest), neither
+    manual asked for since nor a command lost for 300 ms, which turns the mode to manual; and a command that was in
+    order, of the run in hand, younger than 100 ms on data younger than 500 ms, that pushes and does not brake; never
+    more than its share. The mode that the process shows is held against the same.
+4.  steering moves only towards such a command and never in manual, or back behind a limit that was lowered; it is zero
+    in the first 3 s.
 5.  SELECTED needs a mission on the AMI, both resets confirmed since it was chosen, and outside AS_READY autonomous and
     no emergency latched.
 6.  from a granted emergency brake on, and from the first ESTOP_REQUEST seen, every 0x510 asks for it, until a granted
@@ -32,19 +35,26 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from fsai_hil.evidence.invariants import (
+from fsai_hil.evidence.rule_numbers import (
     COMMAND_FRESH_NS,
     COMMAND_LOST_NS,
     DATA_FRESH_NS,
     FEEDBACK_LOST_NS,
     FEEDBACK_STALE_NS,
     LAUNCH_NS,
+    LISTEN_FIRST_NS,
+    MOST_TORQUE_NM,
+    MS,
     ODD_LOST_NS,
     PEDALS_NS,
     POWER_CYCLE_NS,
+    SEND_LOST_NS,
     STATUS_LOST_NS,
     STILL_NS,
     STILL_RPM,
+    STOP_CYCLES,
+    STOP_TIMEOUT_NS,
+    S,
 )
 from fsai_hil.evidence.search import Problem
 from fsai_hil.wire import WireChecker
@@ -68,16 +78,9 @@ from fsai_vcu.interface.images import (
 )
 from fsai_vcu.interface.reserved import AI_IDS
 
-MS: Final = 1_000_000
-S: Final = 1_000_000_000
 OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
 STATUS_ID: Final = 0x520
-LISTEN_FIRST_NS: Final = 200 * MS  # safety: on start a process listens for 200 ms, then sends
-STOP_CYCLES: Final = 5  # safety: what is sent at the orderly end, then silence
-STOP_TIMEOUT_NS: Final = 3 * S  # graded reactions: still moving 3 s after the stop began
-SEND_LOST_NS: Final = 50 * MS  # graded reactions: so long without one complete cycle counts as bus loss
-FUTURE_NS: Final = 20 * MS  # a stamp further ahead than clocks and rounding explain hides how old the data is
 ROLES: Final = ("planner", "controller")
 STEER_STEP_DEG: Final = 0.1  # the signal's resolution
 ODD_WHEEL_RPM: Final = 400  # of a wheel without a motor, all others nearly standing: no slip explains that
@@ -94,6 +97,7 @@ class Terms:
     autonomous_at_power_up: bool = False
     motor_brakes: bool = False
     stop_timeout_ns: int = STOP_TIMEOUT_NS
+    service_brake_pct: float = 80.0  # what a stop is made with
 
 
 class WireOracle:
@@ -115,7 +119,7 @@ class WireOracle:
             motor_brakes=terms.motor_brakes,
         )
         self._steer_limit_deg = min(codec.revision.steer_limit_deg, terms.limits.max_steer_deg)
-        self._torque_limit_nm = min(195.0, terms.car.axle_torque_max_nm, terms.limits.max_axle_torque_nm)
+        self._torque_limit_nm = min(MOST_TORQUE_NM, terms.car.axle_torque_max_nm, terms.limits.max_axle_torque_nm)
         self._well_formed: set[tuple[int, bytes]] = set()
         self._reported = 0
         self._know_nothing()
@@ -139,7 +143,7 @@ class WireOracle:
         self._steer_ns: int | None = None
         # what it was told
         self._autonomous = False
-        self._powered_up = self._terms.autonomous_at_power_up  # may have chosen autonomous by itself
+        self._power_up = self._terms.autonomous_at_power_up  # may choose autonomous by itself yet
         self._confirmed: set[str] = set()
         self._latched = False
         self._alarm: str | None = None
@@ -159,8 +163,10 @@ class WireOracle:
         self._asked_deg: tuple[float, int] = (0.0, 0)  # and since when it has been the same
         self._whole_cycles_due = 0  # whole cycles in a row in which a brake was due
         self._brake_due: str | None = None
+        self._service_due = False  # and a holding brake is not enough
         self._cycle: list[int] = []
         self._whole_ns: int | None = None
+        self._whole_in_a_row = 0
         self._odd_wheel_ns: int | None = None
         self._odd_steer_ns: int | None = None
 
@@ -200,7 +206,7 @@ class WireOracle:
             self._confirmed.clear()
             self._command_current = False
         if self._was_off:
-            self._powered_up = self._terms.autonomous_at_power_up
+            self._power_up = self._terms.autonomous_at_power_up
             if state in OFF:
                 self._latched = False
         if state is not before or self._was_off:
@@ -240,16 +246,21 @@ class WireOracle:
         if mode == "manual":
             if not done:
                 self._wrong("modes", f"manual was refused: {words}")
-            self._autonomous = self._powered_up = False
+            self._autonomous = self._power_up = False
             if self._as_state is AsState.AS_DRIVING:
                 self._stop("manual was asked for", now_ns)
         elif mode == "autonomous":
             if done and (not known or self._as_state not in IDLE or self._terms.listen_only):
                 self._wrong("modes", f"autonomous was accepted in {self._where}")
             self._autonomous = self._autonomous or done
-            self._powered_up = self._powered_up and not done
+            self._power_up = self._power_up and not done
         elif done or "manual" not in words or "autonomous" not in words:
             self._wrong("modes", f"mode {mode!r} was answered with {done}, {words!r}")
+
+    def on_mode_shown(self, mode: str) -> None:
+        """What the process says of its mode after a cycle."""
+        if mode == "autonomous" and not self._autonomous:
+            self._wrong("modes", f"the mode is autonomous in {self._where}, and nothing made it so")
 
     def on_emergency(self, answer: tuple[bool, str]) -> None:
         """The operator asked for the emergency brake."""
@@ -312,6 +323,8 @@ class WireOracle:
         if self._first_poll_ns is None:
             self._first_poll_ns = now_ns
         self._cycle = []
+        if self._power_up and not self._terms.listen_only and self._as_state in OFF and self._surely_stands(now_ns):
+            self._autonomous, self._power_up = True, False
         self._age(now_ns)
 
     def sent(self, frame: Frame) -> AiImage | None:
@@ -335,7 +348,7 @@ class WireOracle:
         elif isinstance(image, AiSteer):
             self._on_steer(image.steer_deg, now_ns)
         elif isinstance(image, AiBrake):
-            self._on_brake(image)
+            self._on_brake(image, now_ns)
         else:
             return None
         return image
@@ -343,6 +356,7 @@ class WireOracle:
     def after_cycle(self, made: bool, now_ns: int) -> None:
         """All of the cycle's frames that were taken have gone out; `made`: it was to be sent at all."""
         whole = tuple(self._cycle) == AI_IDS
+        self._whole_in_a_row = self._whole_in_a_row + 1 if whole else 0
         if whole:
             self._whole_cycles_due = self._whole_cycles_due + 1 if self._brake_due else 0
             self._whole_ns = now_ns
@@ -364,7 +378,7 @@ class WireOracle:
 
     def _age(self, now_ns: int) -> None:
         """Let the clock say what is over and what is due, as the safety rules have it, before a cycle is decided."""
-        self._brake_due = None
+        self._brake_due, self._service_due = None, False
         state = self._as_state
         if state in (AsState.AS_READY, AsState.AS_FINISHED):
             self._brake_due = self._where
@@ -393,7 +407,9 @@ class WireOracle:
             # A stop began no later than it is known here, but what began it may have been seen a cycle before.
             if now_ns - self._stopped[0] >= self._terms.stop_timeout_ns + 100 * MS and not slow:
                 self._alarm = self._alarm or "the car still moves long after the stop began"
-        if self._latched or self._alarm:
+        emergency = self._latched or self._alarm is not None
+        self._service_due = emergency or (self._stopped is not None and not self._surely_stands(now_ns))
+        if emergency:
             self._brake_due = self._alarm or "an emergency is latched"
         if now_ns - self._driving_ns < LAUNCH_NS:
             self._brake_due = "the first 3 s of AS_DRIVING"
@@ -410,9 +426,11 @@ class WireOracle:
             old_data_ns = now_ns - self._command.t_sensor_ns - (DATA_FRESH_NS - COMMAND_FRESH_NS)
             quiet_ns = min(quiet_ns, max(now_ns - self._command_ns, old_data_ns))
         if quiet_ns >= COMMAND_LOST_NS:
+            if self._surely_runs:
+                self._autonomous = False
             self._stop("no valid command for 300 ms", now_ns)
         obeyed = self._valid(now_ns)
-        if obeyed is not None and self._stopped is None and (self._autonomous or self._powered_up):
+        if obeyed is not None and self._stopped is None and self._autonomous:
             if obeyed.mission_finished:
                 self._stop("the mission is done", now_ns)
             if obeyed.estop_request:
@@ -528,7 +546,7 @@ class WireOracle:
         if len(self._confirmed) < len(ROLES):
             self._wrong("5", "SELECTED before planner and controller have confirmed their reset")
         if state is not AsState.AS_READY:
-            if not (self._autonomous or self._powered_up):
+            if not self._autonomous:
                 self._wrong("5", "SELECTED though autonomous was not chosen")
             if self._latched:
                 self._wrong("5", "SELECTED with an emergency latched")
@@ -540,7 +558,7 @@ class WireOracle:
         if self._terms.motor_brakes and axle.motor_speed_max_rpm == 0:
             return  # this brakes
         name = "front" if isinstance(axle, AiDriveFront) else "rear"
-        if not (self._autonomous or self._powered_up):
+        if not self._autonomous:
             self._wrong("2", f"{name} torque though autonomous was not chosen")
         if self._latched:
             self._wrong("2", f"{name} torque with an emergency latched")
@@ -580,22 +598,38 @@ class WireOracle:
         if command is None:
             self._wrong("4", f"steering moves from {before} to {steer_deg} deg without a valid command")
             return
+        if not self._autonomous:
+            self._wrong("modes", f"steering moves from {before} to {steer_deg} deg, and the mode is manual")
+            return
         target_deg = max(-limit_deg, min(limit_deg, math.degrees(command.steering_rad)))
         low, high = min(before, target_deg) - STEER_STEP_DEG, max(before, target_deg) + STEER_STEP_DEG
         if not low - 1e-6 <= steer_deg <= high + 1e-6:
             self._wrong("4", f"steering moves from {before} to {steer_deg} deg, the command says {target_deg:.2f}")
 
-    def _on_brake(self, brake: AiBrake) -> None:
-        braked = brake.front_pct > 0.0 or brake.rear_pct > 0.0
+    def _on_brake(self, brake: AiBrake, now_ns: int) -> None:
+        let_go = self._brake_sent > 0.0 and brake.front_pct == 0.0 and self._whole_in_a_row > 0
         self._brake_sent = brake.front_pct
-        if self._brake_due is not None and not braked and self._whole_cycles_due >= 2 and not self._terms.motor_brakes:
+        drives = self._as_state is AsState.AS_DRIVING and now_ns >= self._supervised_ns and self._end_cycles is None
+        if let_go and drives and self._valid(now_ns) is None:
+            self._wrong("output table", "the brake is let go, and no command counts")
+        if self._brake_due is None or self._whole_cycles_due < 2 or self._terms.motor_brakes:
+            return
+        if brake.front_pct <= 0.0 and brake.rear_pct <= 0.0:
             self._wrong("output table", f"no brake: {self._brake_due}")
+        elif self._service_due and min(brake.front_pct, brake.rear_pct) < self._terms.service_brake_pct:
+            self._wrong("output table", f"brake {brake.front_pct} %, not the service brake: {self._brake_due}")
 
     # ------------------------------------------------------------ bookkeeping
 
     @property
     def _where(self) -> str:
         return "no AS state yet" if self._as_state is None else self._as_state.label
+
+    @property
+    def _surely_runs(self) -> bool:
+        """No stop or emergency has begun, for a reason seen here or not: there would be a brake."""
+        unbraked = self._whole_in_a_row > 2 and self._brake_sent == 0.0 and not self._terms.motor_brakes
+        return unbraked and self._stopped is None and not self._latched and self._alarm is None
 
     def _surely_stands(self, now_ns: int) -> bool:
         return (

@@ -1,0 +1,58 @@
+"""The configuration as a person asks for it: is it right, what does it come to, what does another program need."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "limits.toml").write_text("max_speed_mps = 3.5\n")
+    path = tmp_path / "fsai.toml"
+    path.write_text(f'[can]\nrevision = "2021"\n[limits]\nfile = "{tmp_path}/limits.toml"\n[ros]\ndomain_id = 7\n')
+    return path
+
+
+def test_a_right_file_is_called_right_and_its_limits_are_confirmed(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["config", "check", str(file)]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[:2] == [f"{file}: right", "operational limits: max_speed_mps = 3.5"]
+
+
+def test_every_problem_of_a_wrong_file_is_one_line_with_its_place(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file.write_text('[can]\nrevison = "2021"\n[ros]\ndomain_id = 400\n')
+    assert main(["config", "check", str(file)]) == 1
+    said = capsys.readouterr()
+    assert [line.partition(":")[0] for line in said.err.splitlines()] == [f"{file}, line 2", f"{file}, line 4"]
+    assert said.out == ""
+    assert main(["config", "check", str(file), "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["right"] is False and len(answer["problems"]) == 2
+
+
+def test_what_it_comes_to_is_shown_with_the_defaults_and_the_nodes_parameters(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["config", "show", str(file)]) == 0
+    shown = capsys.readouterr().out
+    assert '[can] revision = "2021"' in shown and '[can] interface = "' in shown
+    assert "parameters of vcu_bridge:" in shown and '  revision: "2021"' in shown
+
+
+def test_a_program_of_ones_own_gets_what_it_needs_to_hear_the_nodes_as_systemd_reads_it(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["config", "environment", str(file)]) == 0
+    lines = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
+    assert lines["ROS_DOMAIN_ID"] == "7"
+    assert Path(lines["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file(), "the loopback alone"
+    assert not any(" " in value or '"' in value for value in lines.values())

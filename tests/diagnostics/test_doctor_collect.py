@@ -1,0 +1,257 @@
+"""What the doctor sees of a machine, on machines made of files: /proc, /sys/class/net, what `ip` and systemctl say."""
+
+from __future__ import annotations
+
+import ctypes
+import grp
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.diagnostics.doctor import collect
+from fsai_vcu.diagnostics.doctor.collect import (
+    distribution_of,
+    file_problems,
+    link_of,
+    listening_addresses,
+    listening_on_networks,
+    states_in,
+)
+from fsai_vcu.diagnostics.doctor.machine import Scheduling
+
+# As `ip -details -json link show dev can0` of iproute2 6.1 prints it.
+CAN0 = (
+    '[{"ifname":"can0","link_type":"can","linkinfo":{"info_kind":"can","info_data":{"state":"ERROR-PASSIVE",'
+    '"restart_ms":100,"bittiming":{"bitrate":500000}}}}]'
+)
+UDP = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
+
+
+def adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, details: str) -> None:
+    """can0 of this machine."""
+    device = tmp_path / "net" / "can0"
+    (device / "device").mkdir(parents=True)
+    for name, content in (("type", "280"), ("flags", "0x40081"), ("tx_queue_len", "10")):
+        (device / name).write_text(content + "\n")
+    (tmp_path / "drivers" / "gs_usb").mkdir(parents=True)
+    (device / "device" / "driver").symlink_to(tmp_path / "drivers" / "gs_usb")
+    monkeypatch.setattr(collect, "_NET", tmp_path / "net")
+    tool = tmp_path / "bin" / "ip"
+    tool.parent.mkdir()
+    tool.write_text(f"#!/bin/sh\ncat <<'OUT'\n{details}\nOUT\n")
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tool.parent}:{os.environ['PATH']}")
+
+
+def test_an_adapter_is_seen_with_bitrate_queue_driver_state_and_restart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adapter(tmp_path, monkeypatch, CAN0)
+    link = link_of("can0")
+    assert link is not None
+    assert (link.kind, link.up, link.bitrate, link.queue_frames) == ("can", True, 500_000, 10)
+    assert (link.driver, link.state, link.restart_ms) == ("gs_usb", "ERROR-PASSIVE", 100)
+    assert link_of("can1") is None
+
+
+def test_an_ip_tool_that_says_nothing_usable_leaves_what_the_kernels_files_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adapter(tmp_path, monkeypatch, "Object can0 is unknown")
+    link = link_of("can0")
+    assert link is not None and link.kind == "can" and link.bitrate is None and link.queue_frames == 10
+
+
+class Proc:
+    """A /proc with one process of ours."""
+
+    def __init__(self, folder: Path, module: str = "fsai_nodes.vcu_bridge") -> None:
+        self.folder = folder
+        self.process = folder / "77"
+        (self.process / "fd").mkdir(parents=True)
+        (self.process / "cmdline").write_bytes(b"python\0-m\0" + module.encode() + b"\0")
+        (folder / "net").mkdir()
+
+    def socket(self, table: str, local: str, state: str, inode: int) -> None:
+        file = self.folder / "net" / table
+        before = file.read_text() if file.exists() else UDP
+        file.write_text(f"{before}   1: {local} 00000000:0000 {state} 00000000:00000000 00:00000000 0 0 0 {inode} 2\n")
+        (self.process / "fd" / str(inode)).symlink_to(f"socket:[{inode}]")
+
+
+@pytest.mark.parametrize(
+    ("table", "local", "state", "seen"),
+    [
+        ("udp", "0100007F:1CF2", "07", ()),
+        ("udp", "00000000:1CF2", "07", ("0.0.0.0",)),
+        ("udp", "0102A8C0:1CF2", "07", ("192.168.2.1",)),
+        ("udp", "0102A8C0:1CF2", "01", ()),  # connected: takes nothing from others
+        ("tcp", "00000000:1F90", "0A", ("0.0.0.0",)),
+        ("tcp", "00000000:1F90", "01", ()),
+        ("tcp6", "00000000000000000000000000000000:1F90", "0A", ("::",)),
+        ("tcp6", "00000000000000000000000001000000:1F90", "0A", ()),  # ::1
+        ("udp6", "0000000000000000FFFF00000102A8C0:1F90", "07", ("192.168.2.1",)),
+    ],
+)
+def test_a_node_that_takes_anything_from_a_network_is_seen_by_the_address(
+    tmp_path: Path, table: str, local: str, state: str, seen: tuple[str, ...]
+) -> None:
+    proc = Proc(tmp_path)
+    proc.socket(table, local, state, 4711)
+    assert listening_on_networks(tmp_path) == seen
+
+
+def test_what_others_listen_on_is_not_ours_to_complain_of(tmp_path: Path) -> None:
+    proc = Proc(tmp_path, module="somebody.else")
+    proc.socket("tcp", "00000000:1F90", "0A", 4711)
+    assert listening_on_networks(tmp_path) == ()
+
+
+def test_the_kernels_own_tables_are_understood() -> None:
+    with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        tcp.listen()
+        udp.bind(("127.0.0.1", 0))
+        proc = Path("/proc")
+        found = [str(address) for address in listening_addresses(proc / str(os.getpid()), proc)]
+    assert found.count("127.0.0.1") >= 2
+
+
+@pytest.mark.parametrize(
+    ("rclpy", "named", "found"),
+    [
+        ("{ros}/jazzy/lib/python3.12/site-packages/rclpy", "jazzy", ("jazzy", "")),
+        ("{ros}/jazzy/lib/python3.12/site-packages/rclpy", "", ("jazzy", "")),
+        ("{ros}/humble/lib/python3.10/site-packages/rclpy", "humble", ("humble", "")),
+        ("/opt/fsai/lib/python3.12/site-packages/rclpy", "", ("", "{ros}/jazzy")),
+        ("/home/team/ros2_ws/install/rclpy", "jazzy", ("jazzy", "")),
+        ("", "", ("", "")),
+    ],
+)
+def test_whose_ros_it_is_is_told_by_where_it_is_imported_from(
+    tmp_path: Path, rclpy: str, named: str, found: tuple[str, str]
+) -> None:
+    for name in ("jazzy", "humble"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "setup.bash").touch()
+    distribution, unused = found
+    assert distribution_of(rclpy.format(ros=tmp_path), named, tmp_path) == (distribution, unused.format(ros=tmp_path))
+
+
+def test_each_service_has_the_state_that_systemd_says_of_it_in_its_order() -> None:
+    names = ["fsai-bridge@can0.service", "fsai-planner.service"]
+    assert states_in("active\nfailed\n", names) == dict(zip(names, ("active", "failed"), strict=True))
+    assert states_in("", names) == dict.fromkeys(names, "unknown")
+
+
+@pytest.mark.parametrize(("most_wrong_us", "kept"), [(0, True), (15_999_999, True), (16_000_000, False)])
+def test_a_clock_is_kept_right_where_the_kernel_says_that_its_error_is_bounded(
+    monkeypatch: pytest.MonkeyPatch, most_wrong_us: int, kept: bool
+) -> None:
+    class Kernel:
+        @staticmethod
+        def adjtimex(answer: ctypes.Array[ctypes.c_char]) -> int:
+            assert answer.raw[:4] == bytes(4), "nothing is set"
+            # modes, offset, freq, maxerror of a 64-bit kernel
+            ctypes.memmove(ctypes.addressof(answer) + 24, most_wrong_us.to_bytes(8, "little"), 8)
+            return 0
+
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Kernel)
+    assert collect._synchronised() is kept
+
+
+def test_this_machines_kernel_answers_whether_its_clock_is_kept_right() -> None:
+    assert collect._synchronised() in (True, False)
+
+
+@pytest.fixture
+def own_group(monkeypatch: pytest.MonkeyPatch) -> int:
+    """The services' group is one that this user may give files to."""
+    number = os.getegid()
+    monkeypatch.setattr(collect, "_GROUP", grp.getgrgid(number).gr_name)
+    return number
+
+
+@pytest.mark.usefixtures("own_group")
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        (0o640, ""),
+        (0o600, "cannot be read by the services"),
+        (0o660, "may be changed by others than root"),
+        (0o646, "may be changed by others than root"),
+    ],
+)
+def test_a_configuration_that_the_services_cannot_read_or_could_change_is_named(
+    tmp_path: Path, mode: int, words: str
+) -> None:
+    file = tmp_path / "fsai.toml"
+    file.touch()
+    file.chmod(mode)
+    problems = file_problems([file, tmp_path / "absent.toml"])
+    assert [name for name, _ in problems] == ([str(file)] if words else [])
+    assert all(words in problem for _, problem in problems)
+
+
+def test_where_nothing_is_installed_files_are_nobodys_business(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collect, "_GROUP", "no-such-group")
+    (tmp_path / "fsai.toml").touch(mode=0o600)
+    assert file_problems([tmp_path / "fsai.toml"]) == ()
+
+
+def test_limits_that_were_written_after_the_bridge_had_started_are_not_the_ones_in_force(tmp_path: Path) -> None:
+    proc = Proc(tmp_path / "proc")
+    ticks = os.sysconf("SC_CLK_TCK")
+    (proc.folder / "stat").write_text("cpu 1 2 3\nbtime 1000000\n")
+    fields = ["S", *["0"] * 18, str(50 * ticks), "0"]
+    (proc.process / "stat").write_text(f"77 (a (strange) name) {' '.join(fields)}\n")
+    assert collect._bridge_started_s(proc.folder) == pytest.approx(1_000_050.0)
+    limits = tmp_path / "limits.toml"
+    limits.touch()
+    os.utime(limits, (1_000_049, 1_000_049))
+    assert not collect._newer(limits, 1_000_050.0)
+    os.utime(limits, (1_000_052, 1_000_052))
+    assert collect._newer(limits, 1_000_050.0)
+    assert not collect._newer(limits, None), "no bridge runs: the next one reads them"
+    assert not collect._newer(tmp_path / "absent", 1_000_050.0)
+
+
+def test_the_bridges_own_environment_goes_before_the_one_the_doctor_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_of_the_shell")
+    proc = Proc(tmp_path)
+    (proc.process / "environ").write_bytes(b"RMW_IMPLEMENTATION=rmw_cyclonedds_cpp\0HOME=/tmp\0")
+    assert collect._environment_of_bridge(tmp_path)["RMW_IMPLEMENTATION"] == "rmw_cyclonedds_cpp"
+    (proc.process / "environ").unlink()
+    assert collect._environment_of_bridge(tmp_path)["RMW_IMPLEMENTATION"] == "rmw_of_the_shell"
+
+
+@pytest.mark.parametrize(("locked_kib", "locked"), [(0, False), (81920, True)])
+def test_the_bridges_most_urgent_thread_is_the_one_that_counts_and_its_memory_is_locked_or_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locked_kib: int, locked: bool
+) -> None:
+    proc = Proc(tmp_path)
+    priorities = {78: 0, 79: 45}  # a thread of DDS's, and the loop
+    for thread in priorities:
+        (proc.process / "task" / str(thread)).mkdir(parents=True)
+    (proc.process / "status").write_text(f"Name:\tpython\nVmLck:\t   {locked_kib} kB\n")
+    monkeypatch.setattr(os, "sched_getparam", lambda thread: os.sched_param(priorities[thread]))
+    monkeypatch.setattr(
+        os, "sched_getscheduler", lambda thread: os.SCHED_FIFO if priorities[thread] else os.SCHED_OTHER
+    )
+    assert collect._scheduling(tmp_path) == Scheduling("SCHED_FIFO", 45, locked)
+
+
+def test_where_no_bridge_runs_its_scheduling_is_not_made_up(tmp_path: Path) -> None:
+    assert collect._scheduling(tmp_path) is None
+
+
+def test_a_log_folder_of_another_group_is_named_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collect, "_user", lambda: "somebody")
+    owner = grp.getgrgid(tmp_path.stat().st_gid).gr_name
+    assert collect._folder_problem(tmp_path) == f"{tmp_path} belongs to the group {owner}, not to fsai"
+    monkeypatch.setattr(collect, "_user", lambda: owner)
+    assert collect._folder_problem(tmp_path) == ""

@@ -1,0 +1,157 @@
+"""The Debian package, put by dpkg into an image of a machine: installed, upgraded, removed, purged; this machine is
+touched by none of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+from install_rig import install_car
+
+from fsai_hil.carpc import package as rehearsed
+from fsai_hil.vcan import VcanError
+
+TOOLS = ("dpkg", "dpkg-deb", "systemctl", "systemd-sysusers", "systemd-tmpfiles")
+HAVE = {"systemd": "252.1", "iproute2": "6.1", "python3.11": "3.11.2", "python3.12": "3.12.3"}
+TARGET = "etc/systemd/system/multi-user.target.wants/fsai.target"
+BRIDGE = "etc/systemd/system/fsai.target.wants/fsai-bridge@{}.service"
+
+
+@pytest.fixture(scope="module")
+def deb(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package without its Python environment, which takes minutes and is what the rehearsal installs."""
+    missing = [tool for tool in TOOLS if shutil.which(tool, path=f"{os.environ['PATH']}:/usr/sbin:/sbin") is None]
+    if missing or os.geteuid() != 0:
+        pytest.skip(f"dpkg fills an image as root only, with {', '.join(TOOLS)}")
+    folder = tmp_path_factory.mktemp("deb")
+    done = install_car("deb", str(folder))
+    assert done.returncode == 0, done.stderr
+    return next(folder.glob("*.deb"))
+
+
+class Image:
+    """A folder that dpkg takes for a machine."""
+
+    def __init__(self, root: Path, have: dict[str, str]) -> None:
+        self.root = root
+        for folder in ("info", "updates"):
+            (root / "var/lib/dpkg" / folder).mkdir(parents=True)
+        status = "".join(
+            f"Package: {name}\nStatus: install ok installed\nVersion: {version}\nArchitecture: all\n"
+            "Maintainer: nobody\nDescription: stands in\n\n"
+            for name, version in have.items()
+        )
+        (root / "var/lib/dpkg/status").write_text(status)
+        # Units are enabled by name; systemd wants to see that there is a machine.
+        (root / "etc").mkdir()
+
+    def dpkg(self, *words: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            ["dpkg", f"--root={self.root}", "--force-script-chrootless", "--force-unsafe-io", *map(str, words)],
+            env={**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    def has(self, name: str) -> bool:
+        return os.path.lexists(self.root / name)
+
+
+@pytest.fixture
+def image(deb: Path, tmp_path: Path) -> Image:
+    found = Image(tmp_path, HAVE)
+    done = found.dpkg("-i", deb)
+    assert done.returncode == 0, done.stderr
+    return found
+
+
+def test_installed_it_starts_with_the_machine_under_a_user_of_its_own(image: Image) -> None:
+    assert image.has(TARGET) and image.has(BRIDGE.format("can0"))
+    users = (image.root / "etc/passwd").read_text()
+    (line,) = [line for line in users.splitlines() if line.startswith("fsai:")]
+    group = int(line.split(":")[3])
+    assert line.endswith("nologin"), "nobody can log in as the services' user"
+    for name in ("fsai.toml", "limits.toml"):
+        status = (image.root / "etc/fsai" / name).stat()
+        assert (status.st_uid, status.st_gid, stat.S_IMODE(status.st_mode)) == (0, group, 0o640)
+    logs = (image.root / "var/log/fsai").stat()
+    assert (logs.st_gid, stat.S_IMODE(logs.st_mode)) == (group, 0o750)
+    held = (image.root / "etc/systemd/system/fsai.target.d/10-interface.conf").read_text()
+    assert held == "[Unit]\nUpholds=fsai-bridge@can0.service fsai-recorder@can0.service\n"
+
+
+def test_without_what_it_depends_on_it_is_not_configured(deb: Path, tmp_path: Path) -> None:
+    bare = Image(tmp_path, {name: version for name, version in HAVE.items() if name != "iproute2"})
+    done = bare.dpkg("-i", deb)
+    assert done.returncode != 0 and "iproute2" in done.stderr
+    assert not bare.has(TARGET)
+
+
+def test_an_upgrade_keeps_the_configuration_and_what_the_team_has_switched_off(image: Image, deb: Path) -> None:
+    toml = image.root / "etc/fsai/fsai.toml"
+    toml.write_text("# ours\n")
+    detector = image.root / "etc/systemd/system/fsai.target.wants/fsai-detector.service"
+    detector.unlink()
+    done = image.dpkg("-i", deb)
+    assert done.returncode == 0, done.stderr
+    assert toml.read_text() == "# ours\n"
+    assert not image.has(str(detector.relative_to(image.root)))
+    assert image.has(TARGET) and image.has(BRIDGE.format("can0"))
+
+
+def test_another_bus_that_is_named_takes_the_place_of_the_first(image: Image) -> None:
+    settle = image.root / "usr/lib/fsai/settle"
+    environment = {**os.environ, "DPKG_ROOT": str(image.root)}
+    subprocess.run([settle, "vcan0"], env=environment, check=True)
+    assert image.has(BRIDGE.format("vcan0")) and not image.has(BRIDGE.format("can0"))
+    subprocess.run([settle], env=environment, check=True)
+    assert image.has(BRIDGE.format("vcan0")), "settled again, as an upgrade does, nothing is decided anew"
+
+
+def test_removed_it_no_longer_starts_and_purged_nothing_is_left_but_the_logs(image: Image, deb: Path) -> None:
+    log = image.root / "var/log/fsai/run.log"
+    log.touch()
+    stray = image.root / "opt/fsai/lib/stray.pyc"
+    stray.parent.mkdir(parents=True)
+    stray.touch()
+    assert image.dpkg("-r", "fsai-vcu").returncode == 0
+    assert not image.has(TARGET) and not image.has(BRIDGE.format("can0")) and not image.has("opt/fsai")
+    assert image.has("etc/fsai/fsai.toml"), "a removed package leaves the configuration"
+    assert image.dpkg("-i", deb).returncode == 0
+    assert image.has(TARGET), "installed anew it starts again"
+    assert image.dpkg("--purge", "fsai-vcu").returncode == 0
+    ours = [path for path in image.root.rglob("*fsai*") if "var/lib/dpkg" not in str(path)]
+    assert {str(path.relative_to(image.root)) for path in ours} == {"var/log/fsai"}
+    assert log.exists()
+
+
+def test_the_rehearsal_unpacks_it_beside_what_this_machine_has_and_only_when_it_is_another(
+    deb: Path, tmp_path: Path
+) -> None:
+    Image(tmp_path / "machine", HAVE)
+    root = tmp_path / "root"
+    rehearsed.unpack(deb, root, tmp_path / "machine/var/lib/dpkg")
+    status = (root / "var/lib/dpkg/status").read_text()
+    assert "Package: iproute2" in status and "install ok unpacked" in status
+    assert (root / "usr/lib/fsai/settle").exists()
+    (root / "mark").touch()
+    rehearsed.unpack(deb, root, tmp_path / "machine/var/lib/dpkg")
+    assert (root / "mark").exists()
+    os.utime(deb)
+    rehearsed.unpack(deb, root, tmp_path / "machine/var/lib/dpkg")
+    assert not (root / "mark").exists()
+
+
+def test_a_package_that_dpkg_does_not_take_is_told_in_one_line(deb: Path, tmp_path: Path) -> None:
+    Image(tmp_path / "machine", HAVE)
+    broken = tmp_path / "fsai-vcu_1_all.deb"
+    broken.write_text("no package\n")
+    with pytest.raises(VcanError, match=r"dpkg does not unpack fsai-vcu_1_all\.deb"):
+        rehearsed.unpack(broken, tmp_path / "root", tmp_path / "machine/var/lib/dpkg")
+    assert deb.exists()
