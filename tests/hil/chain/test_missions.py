@@ -177,7 +177,11 @@ def test_a_car_of_another_revision_is_named_and_the_rules_are_kept_if_it_drives_
         chain.operator.await_state(
             lambda s: any(each.startswith(words) for each in s.why_not_driving), POWER_UP_S, "the revision is named"
         )
-        chain.operator.await_state(lambda s: "waiting for Go" in s.why_not_driving, POWER_UP_S, "ready for Go")
+        chain.operator.await_state(
+            lambda s: s.as_state == AsState.AS_READY and not any("of 5 s left" in each for each in s.why_not_driving),
+            POWER_UP_S,
+            "ready for Go",
+        )
         run.type("go")
         chain.driving(run, cruise_mps=1.5)
         run.type("estop")
