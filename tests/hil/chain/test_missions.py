@@ -17,8 +17,11 @@ from pathlib import Path
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, START_S, STOP_S, Chain
 from fsai_hil.soak import Sampler, judge, response_parts
 from fsai_hil.stack import NODES
+from fsai_hil.wire import check_candump
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.interface.revisions import revision
 
 SAMPLED_S = 0.5
 OTHER_REVISION = "2021"
@@ -187,7 +190,8 @@ def test_a_car_of_another_revision_is_named_and_the_rules_are_kept_if_it_drives_
         run.type("estop")
         state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
         assert state.as_state == AsState.EMERGENCY_BRAKE
-    assert chain.wire is not None and chain.wire.ok, chain.wire
+    report = check_candump(run.log_path, Codec(revision(OTHER_REVISION)), busy_machine=True)
+    assert report.ok, report
 
 
 def _frames(path: Path) -> list[tuple[int, bytes]]:
