@@ -22,10 +22,11 @@ setup-for-tests:
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.demo
 
-test: setup-for-tests lint  ## everything: lint, types, tests, and the HIL suite on a real vcan0
+test: setup-for-tests lint  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	$(BIN)/pytest -q -n auto --dist worksteal --ignore=tests/hil $(REAL_TIME:%=--ignore=%)
 	$(BIN)/pytest -q $(REAL_TIME)
 	$(BIN)/fsai-vcu hil
+	$(BIN)/python -m fsai_hil.carpc --short
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
