@@ -42,7 +42,7 @@ def test_nothing_is_said_of_the_latest_or_of_one_that_is_named(
     for argv in (
         [written(tmp_path / "new.log", STATUS, OF_2026)],
         [written(tmp_path / "old.log", STATUS, OF_2021), "--revision", "2026"],
-        [written(tmp_path / "dumb.log", STATUS.replace("01", "02"))],
+        [written(tmp_path / "dumb.log", STATUS.replace("01", "04"))],
     ):
         assert main([verb, *argv]) == 0
         said = capsys.readouterr()
