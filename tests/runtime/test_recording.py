@@ -50,7 +50,7 @@ def test_a_time_to_record_that_is_none_is_refused_in_one_line(
     seconds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "run.log"
-    assert main(["record", "-i", "loopback:record", "-o", str(log), "--seconds", seconds]) == 1
+    assert main(["record", "-i", "loopback:record", "-o", str(log), "--seconds", seconds]) == 2
     assert capsys.readouterr().err == f"fsai-vcu record: --seconds is {float(seconds):g}, not a time\n"
     assert not log.exists()
 
@@ -185,20 +185,21 @@ def test_the_operational_limits_and_the_revision_are_kept_beside_the_log(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("status", "arguments", "words"),
     [
-        (["-o", "run.log", "--max-total", "1G"], "--max-total goes with a folder, and run.log is to be a file"),
-        (["-o", "run", "--max-total", "much"], "--max-total is 'much', not a size like 64M or 4G"),
-        (["-o", "run", "--max-total", "10K"], "--max-total is 10K, but less than 1M is no recording"),
-        (["-o", "run", "--segment-time", "5"], "--segment-time is '5', not a time like 30s, 10min or 1h"),
-        (["-o", "run", "--ros"], "--ros goes with --mcap"),
-        (["-o", "run", "--topic", "/x"], "--topic goes with --ros"),
-        (["-o", "run.log", "--limits", "gone.toml"], "cannot read the operational limits gone.toml: No such file"),
-        (["-o", "run.log", "--revision", "1999"], "choose one of 2021, 2026"),
-        (["-o", "here.log"], "here.log is there already; name another file, or a folder to go on in"),
+        (2, ["-o", "run.log", "--max-total", "1G"], "--max-total goes with a folder, and run.log is to be a file"),
+        (2, ["-o", "run", "--max-total", "much"], "--max-total is 'much', not a size like 64M or 4G"),
+        (2, ["-o", "run", "--max-total", "10K"], "--max-total is 10K, but less than 1M is no recording"),
+        (2, ["-o", "run", "--segment-time", "5"], "--segment-time is '5', not a time like 30s, 10min or 1h"),
+        (2, ["-o", "run", "--ros"], "--ros goes with --mcap"),
+        (2, ["-o", "run", "--topic", "/x"], "--topic goes with --ros"),
+        (1, ["-o", "run.log", "--limits", "gone.toml"], "cannot read the operational limits gone.toml: No such file"),
+        (1, ["-o", "run.log", "--revision", "1999"], "choose one of 2021, 2026"),
+        (1, ["-o", "here.log"], "here.log is there already; name another file, or a folder to go on in"),
     ],
 )
 def test_what_cannot_be_recorded_is_one_clear_line(
+    status: int,
     arguments: list[str],
     words: str,
     tmp_path: Path,
@@ -207,7 +208,7 @@ def test_what_cannot_be_recorded_is_one_clear_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("here.log").write_text("precious")
-    assert main(["record", "-i", f"loopback:{BUS}", *arguments]) == 1
+    assert main(["record", "-i", f"loopback:{BUS}", *arguments]) == status
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
     assert Path("here.log").read_text() == "precious"
