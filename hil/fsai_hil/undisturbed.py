@@ -16,8 +16,6 @@ from _pytest.runner import runtestprotocol
 
 from fsai_hil.witness import RUNS, Outcome, Watcher, describe, judge_run
 
-__all__ = ["RUNS", "Outcome", "Undisturbed", "Watcher", "judge_run"]
-
 
 class Undisturbed:
     """Runs each test of the session, again if need be. `clock` is the witness's."""

@@ -13,8 +13,7 @@ import pytest
 import fsai_hil.witness
 from fsai_hil.demo import rehearse
 from fsai_hil.stack import StackError
-from fsai_hil.undisturbed import RUNS, Outcome, judge_run
-from fsai_hil.witness import SPELL, STOOD_STILL_NS, SlowSpell, Stall, Witness, describe, watch
+from fsai_hil.witness import RUNS, SPELL, STOOD_STILL_NS, Outcome, SlowSpell, Stall, Witness, describe, judge_run, watch
 
 pytest_plugins = ["pytester"]
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from fsai_hil.carpc import wifi
 
-SECRETS = (Path("/home/team/secret"), Path("/root/secret"))
+SECRETS = tuple(Path("/", *home, "secret") for home in (("home", "team"), ("root",)))
 PORT = 47001
 CAN = "a CAN socket"  # the one thing that is the bridge's to do
 _LISTENS_S = 1.0
