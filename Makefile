@@ -6,7 +6,7 @@ LINTED := fsai_vcu hil nodes tests
 REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py) \
   $(addprefix tests/cli/test_,send_verb.py replay_verb.py)
 
-.PHONY: help setup demo test verify mutation campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo test verify mutation fuzz campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -35,6 +35,10 @@ mutation: setup  ## every small mistake in supervisor and gate, and whether a te
 	$(BIN)/python -m fsai_hil.evidence.mutation --document
 
 FUZZ_MINUTES ?= 10
+fuzz: setup  ## strange frames, commands and calls for minutes; then every fault put in on purpose is sought like that
+	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
+	$(BIN)/python -m fsai_hil.evidence.fuzz --seeded
+
 campaign: setup  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/fsai-vcu campaign --resume --renew

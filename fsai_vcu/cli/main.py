@@ -134,7 +134,8 @@ def _run(arguments: list[str]) -> int:
         return 2
     module = module_of(verb)
     parser = parser_of(verb)
-    parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
+    # intermixed: an option may stand before, between and after what is given by its place
+    parse = getattr(module, "parse", argparse.ArgumentParser.parse_intermixed_args)
     args = parse(parser, arguments[1:])
     try:
         return int(module.run(args))

@@ -34,9 +34,10 @@ def test_every_problem_of_a_wrong_file_is_one_line_with_its_place(
     said = capsys.readouterr()
     assert [line.partition(":")[0] for line in said.err.splitlines()] == [f"{file}, line 2", f"{file}, line 4"]
     assert said.out == ""
-    assert main(["config", "check", str(file), "--json"]) == 1
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["right"] is False and len(answer["problems"]) == 2
+    for arguments in ([str(file), "--json"], ["--json", str(file)]):
+        assert main(["config", "check", *arguments]) == 1
+        answer = json.loads(capsys.readouterr().out)
+        assert answer["right"] is False and len(answer["problems"]) == 2
 
 
 def test_what_it_comes_to_is_shown_with_the_defaults_and_the_nodes_parameters(
