@@ -6,14 +6,13 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
-from fsai_vcu.interface.revisions import REVISIONS, Revision, told_by_status
+from fsai_vcu.interface.revisions import REVISIONS, Revision, told_by_init, told_by_status, told_by_steer
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.frames import Frames
 
 _STATUS: Final = (BY_NAME["VCU2AI_Status"].can_id, 8)
 _STEER: Final = (BY_NAME["VCU2AI_Steer"].can_id, 6)
-_TENTHS: Final = 0.1  # interface specification v4.0: angles in 0x523 are tenths of a degree
 
 
 def guess_revision(frames: Frames) -> tuple[Revision, str]:
@@ -48,13 +47,6 @@ def revision_of(payloads: Collection[tuple[int, int, int]]) -> tuple[Revision, s
         only = sorted(i for i in present if i in BY_ID and set(BY_ID[i].period_ns) == {name})
         if only:
             return REVISIONS[name], f"{BY_ID[only[0]].name} (0x{only[0]:03X}) is only in {name}"
-    steer = [word >> 16 & 0xFFFF for can_id, length, word in payloads if (can_id, length) == _STEER]
-    if steer:
-        most = max(steer) * _TENTHS
-        if most > REVISIONS["2021"].steer_limit_deg:
-            return REVISIONS["2026"], f"ANGLE_MAX is {most:g} deg"
-        if most == REVISIONS["2021"].steer_limit_deg:
-            return REVISIONS["2021"], f"ANGLE_MAX is {most:g} deg"
-    if any(word >> 16 & 0xF == 0 for word in status):
-        return REVISIONS["2026"], "AS_STATE is 0 (AS_INIT) at times"
-    return None
+    steer = [word for can_id, length, word in payloads if (can_id, length) == _STEER]
+    last = told_by_steer(steer) or told_by_init(status)
+    return None if last is None else (REVISIONS[last[0]], last[1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -55,6 +55,27 @@ def told_by_status(word: int) -> tuple[str, str] | None:
         return "2026", "0x520 carries OP_STATE, TS_STATE or EBS_STATE"
     if word >> _AS_STATE_BIT & 0xF in _READY_OR_DRIVING:
         return "2021", "0x520 carries no OP_STATE, TS_STATE or EBS_STATE in AS_READY or AS_DRIVING"
+    return None
+
+
+# ANGLE_MAX: the second word of 0x523, in tenths of a degree (interface specification v4.0).
+_ANGLE_MAX_BIT: Final = 16
+_ANGLE_MAX_DEG: Final = 0.1
+
+
+def told_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
+    """As `told_by_status`, of all payloads of 0x523 (six bytes): the steering goes further in one than in the other."""
+    most_deg = max((word >> _ANGLE_MAX_BIT & 0xFFFF for word in words), default=0) * _ANGLE_MAX_DEG
+    if most_deg < REVISIONS["2021"].steer_limit_deg:
+        return None
+    name = "2026" if most_deg > REVISIONS["2021"].steer_limit_deg else "2021"
+    return name, f"ANGLE_MAX is {most_deg:g} deg"
+
+
+def told_by_init(words: Iterable[int]) -> tuple[str, str] | None:
+    """As `told_by_status`, of all payloads of 0x520: AS_INIT is a state of the later revision alone."""
+    if any(word >> _AS_STATE_BIT & 0xF == 0 for word in words):
+        return "2026", "AS_STATE is 0 (AS_INIT) at times"
     return None
 
 

@@ -666,6 +666,8 @@ class WireChecker:
             return
         if steer_deg == 0.0 and self._ai is not None and self._ai.direction is Direction.NEUTRAL:
             return
+        if steer_deg == 0.0 and self._driving_since_ns is not None and before[0] < self._driving_since_ns:
+            return  # AS_DRIVING began between the two: before it, zero was due at once
         step_ns = t_ns - before[0] + self._in_flight_ns
         most_deg = self._steer_rate_degps * step_ns / SECOND + 0.1  # the signal's resolution
         turned_deg = abs(steer_deg - before[1])

@@ -158,6 +158,7 @@ class WireOracle:
         self._end_cycles: int | None = None
         # what went out
         self._steer_sent = 0.0
+        self._steer_sent_ns = 0
         self._brake_sent = 0.0
         self._steer_known = True  # the last cycle's 0x513 went out
         self._asked_deg: tuple[float, int] = (0.0, 0)  # and since when it has been the same
@@ -577,8 +578,8 @@ class WireOracle:
             self._wrong("reactions", f"{name} torque in a run that is over: {self._stopped[1]}")
 
     def _on_steer(self, steer_deg: float, now_ns: int) -> None:
-        before, known = self._steer_sent, self._steer_known
-        self._steer_sent = steer_deg
+        before, before_ns, known = self._steer_sent, self._steer_sent_ns, self._steer_known
+        self._steer_sent, self._steer_sent_ns = steer_deg, now_ns
         if steer_deg != self._asked_deg[0]:
             self._asked_deg = (steer_deg, now_ns)
         if self._as_state is not AsState.AS_DRIVING or self._driving_ns is None:
@@ -589,6 +590,8 @@ class WireOracle:
         moved = abs(steer_deg - before) > STEER_STEP_DEG + 1e-6
         if not moved or not known:
             return
+        if steer_deg == 0.0 and before_ns < self._driving_ns:
+            return  # AS_DRIVING began between the two: before it, zero was due at once
         limit_deg = min(self._steer_limit_deg, self._angle_max_deg)
         if abs(before) > limit_deg + STEER_STEP_DEG / 2 and abs(steer_deg) <= abs(before):
             return  # back behind a limit that was lowered
