@@ -63,15 +63,60 @@ class Image:
         return os.path.lexists(self.root / name)
 
 
+    def settle(self, *words: str) -> subprocess.CompletedProcess[str]:
+        command = [self.root / "usr/lib/fsai/settle", *words]
+        environment = {**os.environ, "DPKG_ROOT": str(self.root)}
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+    @property
+    def starts(self) -> set[str]:
+        """What is started with the machine, or with an adapter."""
+        return {path.name for path in self.root.glob("etc/systemd/system/*.wants/fsai*")}
+
+
 @pytest.fixture
-def image(deb: Path, tmp_path: Path) -> Image:
+def fresh(deb: Path, tmp_path: Path) -> Image:
     found = Image(tmp_path, HAVE)
     done = found.dpkg("-i", deb)
     assert done.returncode == 0, done.stderr
     return found
 
 
-def test_installed_it_starts_with_the_machine_under_a_user_of_its_own(image: Image) -> None:
+@pytest.fixture
+def image(fresh: Image) -> Image:
+    assert fresh.settle("can0").returncode == 0
+    return fresh
+
+
+def test_installed_nothing_starts_by_itself_before_a_bus_is_named(fresh: Image, deb: Path) -> None:
+    # Somebody turns the car's wheels by hand meanwhile: no adapter that is plugged in may wake the bridge.
+    assert fresh.starts == set()
+    assert fresh.dpkg("-i", deb).returncode == 0
+    assert fresh.starts == set(), "nor after an upgrade"
+
+
+def test_switched_off_nothing_sends_until_a_bus_is_named_again(image: Image, deb: Path) -> None:
+    (image.root / "etc/systemd/system/fsai.target.wants/fsai-detector.service").unlink()
+    before = image.starts
+    assert "fsai.target" in before
+    assert image.settle("--off").returncode == 0
+    assert image.dpkg("-i", deb).returncode == 0
+    left = image.starts
+    assert not image.has(TARGET) and not any("@" in unit for unit in left)
+    assert not image.has("etc/systemd/system/fsai.target.d")
+    assert image.settle("can0").returncode == 0
+    assert image.starts == before, "which nodes start is remembered"
+
+
+@pytest.mark.parametrize("name", ["can 0", "../can0", "--of", "can0;"])
+def test_what_cannot_be_a_bus_changes_nothing(image: Image, name: str) -> None:
+    before = image.starts
+    done = image.settle(name)
+    assert done.returncode == 2 and name in done.stderr
+    assert image.starts == before
+
+
+def test_with_a_bus_named_it_starts_with_the_machine_under_a_user_of_its_own(image: Image) -> None:
     assert image.has(TARGET) and image.has(BRIDGE.format("can0"))
     users = (image.root / "etc/passwd").read_text()
     (line,) = [line for line in users.splitlines() if line.startswith("fsai:")]
@@ -98,19 +143,19 @@ def test_an_upgrade_keeps_the_configuration_and_what_the_team_has_switched_off(i
     toml.write_text("# ours\n")
     detector = image.root / "etc/systemd/system/fsai.target.wants/fsai-detector.service"
     detector.unlink()
+    assert image.settle("vcan0").returncode == 0
+    (image.root / TARGET).unlink()
+    before = image.starts
     done = image.dpkg("-i", deb)
     assert done.returncode == 0, done.stderr
     assert toml.read_text() == "# ours\n"
-    assert not image.has(str(detector.relative_to(image.root)))
-    assert image.has(TARGET) and image.has(BRIDGE.format("can0"))
+    assert image.starts == before and "fsai-detector.service" not in before and "fsai-bridge@vcan0.service" in before
 
 
 def test_another_bus_that_is_named_takes_the_place_of_the_first(image: Image) -> None:
-    settle = image.root / "usr/lib/fsai/settle"
-    environment = {**os.environ, "DPKG_ROOT": str(image.root)}
-    subprocess.run([settle, "vcan0"], env=environment, check=True)
+    assert image.settle("vcan0").returncode == 0
     assert image.has(BRIDGE.format("vcan0")) and not image.has(BRIDGE.format("can0"))
-    subprocess.run([settle], env=environment, check=True)
+    assert image.settle().returncode == 0
     assert image.has(BRIDGE.format("vcan0")), "settled again, as an upgrade does, nothing is decided anew"
 
 
@@ -124,7 +169,8 @@ def test_removed_it_no_longer_starts_and_purged_nothing_is_left_but_the_logs(ima
     assert not image.has(TARGET) and not image.has(BRIDGE.format("can0")) and not image.has("opt/fsai")
     assert image.has("etc/fsai/fsai.toml"), "a removed package leaves the configuration"
     assert image.dpkg("-i", deb).returncode == 0
-    assert image.has(TARGET), "installed anew it starts again"
+    assert image.starts == set(), "installed anew it waits for a bus to be named"
+    assert image.settle("can0").returncode == 0 and image.has(TARGET)
     assert image.dpkg("--purge", "fsai-vcu").returncode == 0
     ours = [path for path in image.root.rglob("*fsai*") if "var/lib/dpkg" not in str(path)]
     assert {str(path.relative_to(image.root)) for path in ours} == {"var/log/fsai"}

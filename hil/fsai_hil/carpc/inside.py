@@ -53,6 +53,7 @@ AT_EASE_S = 1.5  # so long after everything is back, nothing may set off
 GOODBYE_CYCLES = 5  # safety.md, on stop
 FULL_S = 4.0
 STRANGER_S = 6.0  # so long somebody looks around; the bridge is found in less
+_SETTLE = Path("/usr/lib/fsai/settle")
 _POLL_S = 0.1
 _BOOT_POLL_S = 0.5  # each look takes from the one processor what the services start with
 
@@ -117,6 +118,7 @@ class Rehearsal:
             self.rebooted(reboot)
             return
         self.step("at the end all services are active", self.all_active, 60.0, stated.SERVICE_BACK_S)
+        self.switched_off()
         self.upgraded()
         self.purged()
 
@@ -494,6 +496,21 @@ class Rehearsal:
             ai = [each.t_ns for each in after if isinstance(each.image, AiStatus)]
             self.note(f"{what}: silence begins", (max(ai) - began_ns) / 1e9, 0.2)
             self.note(f"{what}: at rest", _rest_s(after, began_ns), stated.SHUTDOWN_REST_S, passed=at_rest)
+
+    def switched_off(self) -> None:
+        """Switched off by hand, nobody sends, not even when an adapter is plugged in; the bus named, all are back."""
+        subprocess.run([_SETTLE, "--off"], check=True)
+        output("ip", "link", "del", self.interface)
+        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+
+        def woken() -> set[str]:
+            return set(output("systemctl", "is-active", *self.services).split()) - {"inactive", "failed"}
+
+        passed = not self.await_that(lambda: bool(woken()), stated.UNPLUGGED_S, _BOOT_POLL_S)
+        self.note("switched off, then plugged in: nobody starts", None, passed=passed)
+        subprocess.run([_SETTLE, self.interface], check=True)
+        systemctl("start", "fsai.target")
+        self.step("the bus named again: all services are active", self.all_active, 60.0, stated.BOOT_S)
 
     def upgraded(self) -> None:
         """What dpkg does before and after it puts a newer package's files over these."""
