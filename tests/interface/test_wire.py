@@ -383,6 +383,22 @@ def test_torque_by_a_limit_that_stopped_coming_100_ms_ago_breaks_rule_4(silent_s
     assert rules(bus.check()) == broken
 
 
+@pytest.mark.parametrize("drives_anew", [True, False])
+def test_steering_may_be_zero_at_once_where_a_drive_began_between_two_cycles(drives_anew: bool) -> None:
+    bus = Bus().off().ready().driving()
+    bus.says(steer_deg=16.0).run(0.5)
+    spoken, bus.command = bus.command, None
+    for state in (AsState.AS_OFF, AsState.AS_READY) if drives_anew else ():
+        bus.car(as_state=state).run(0.01)
+    bus.car(as_state=AsState.AS_DRIVING).run(0.05)
+    bus.command = spoken
+    bus.says(steer_deg=0.0).run(0.1)
+    checker = WireChecker(CODEC, in_flight_ns=2 * MS, car=CARS["2026"])
+    for frame in bus.frames:
+        checker.on_frame(frame)
+    assert any("turned by 16.0 deg" in violation for violation in checker.violations) is not drives_anew
+
+
 def test_a_steering_limit_that_was_lowered_is_obeyed_at_once_and_is_no_turn_that_is_too_fast() -> None:
     for lowered_to_deg, too_fast in ((4.0, False), (30.0, True)):
         bus = until_driving()
