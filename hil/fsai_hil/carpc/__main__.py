@@ -28,7 +28,6 @@ MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
 INTERFACE = "vcan0"
-HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the witness
 # Of this machine's services none is wanted inside; and what systemd would look for there is not.
 MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
 # What one processor of User-Mode Linux has time for, as in the suite on vcan0.
@@ -199,10 +198,7 @@ def init_script(
         "set -ex",
         "mount -t proc proc /proc",
         *(f"insmod {q(str(path))}" for path in modules),
-        # What an adapter's interrupt does on a PC, this thread of the kernel's does for vcan: it hands received frames
-        # over. On the only processor it would wait for services that start, and bridge and car would hear nothing for
-        # tens of milliseconds, which the witness does not see.
-        f"chrt --fifo --pid {HANDS_OVER_PRIORITY} $(pgrep -x ksoftirqd/0)",
+        uml.hands_over(),
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
         # A mount of its own for each: overlayfs wants its layers apart.
