@@ -73,18 +73,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _wanted(configuration: Configuration, interface: str | None) -> Wanted:
-    from fsai_vcu.core.vehicle.parameters import CARS
     from fsai_vcu.diagnostics.doctor.machine import Wanted
     from fsai_vcu.runtime.configuration import BITRATE, QUEUE_FRAMES
 
     return Wanted(
         path=str(configuration.path),
         interface=interface or configuration.interface,
+        configured_interface=configuration.interface,
         revision=configuration.revision,
         bitrate=BITRATE,
         queue_frames=QUEUE_FRAMES,
         wheel_mapping=str(configuration.wheel_mapping),
-        wheel_pulses_per_rev=CARS[configuration.car].wheel_pulses_per_rev,
         limits=configuration.limits_described(),
         limits_path=str(configuration.limits_path or ""),
         environment=configuration.environment(),

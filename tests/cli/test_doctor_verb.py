@@ -26,11 +26,11 @@ from fsai_vcu.runtime.bus import open_bus
 WANTED = Wanted(
     path="/etc/fsai/fsai.toml",
     interface="can0",
+    configured_interface="can0",
     revision="2026",
     bitrate=500_000,
     queue_frames=10,
     wheel_mapping="fl=fl,fr=fr,rl=rl,rr=rr",
-    wheel_pulses_per_rev=20,
     limits=("max_speed_mps = 5",),
     limits_path="/etc/fsai/limits.toml",
     environment={"ROS_DOMAIN_ID": "7"},
@@ -39,22 +39,25 @@ WANTED = Wanted(
     recording_folder="/var/log/fsai",
     leave_free_mib=2000,
 )
+LINK = Link("can0", "can", True, 10, 500_000, 100, "ERROR-ACTIVE", "peak_usb")
+BUS = BusHeard(
+    2.0,
+    frames=3000,
+    from_car=True,
+    from_others=True,
+    revision="2026",
+    revision_why="0x520 carries OP_STATE",
+    speeds_heard=True,
+    pulses_heard=True,
+)
 WELL = Machine(
     wanted=WANTED,
     interfaces=("can0",),
-    link=Link("can0", "can", True, 10, 500_000, 100, "ERROR-ACTIVE", "peak_usb"),
-    bus=BusHeard(
-        2.0,
-        frames=3000,
-        from_car=True,
-        from_others=True,
-        revision="2026",
-        revision_why="0x520 carries OP_STATE",
-        speeds_heard=True,
-        pulses_heard=True,
-    ),
+    link=LINK,
+    bus=BUS,
     ros=Ros("/opt/ros/jazzy/lib/rclpy", "jazzy", True, True),
     services={"fsai-bridge@can0.service": "active", "fsai-link@can0.service": "active"},
+    starts_at_boot=True,
     scheduling=Scheduling("SCHED_FIFO", 45, True),
     rt_runtime_us=-1,
     clock_synchronised=True,
@@ -62,8 +65,8 @@ WELL = Machine(
     disk_free_mib=50_000,
     user="root",
 )
-LINK, BUS = WELL.link, WELL.bus
-assert LINK is not None and BUS is not None
+BRIDGE = {"fsai-bridge@can0.service": "active"}
+CAN1 = replace(WANTED, interface="can1", configured_interface="can1")
 
 
 def wrong(machine: Machine) -> list[Finding]:
@@ -106,7 +109,8 @@ def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen(
         (replace(WELL, link=replace(LINK, kind="ether")), "interface", "no CAN interface but ether"),
         (replace(WELL, link=replace(LINK, bitrate=250_000)), "bitrate", "250000 bit/s instead of 500000"),
         (replace(WELL, link=replace(LINK, queue_frames=1000)), "queue", "1000 frames may wait"),
-        (replace(WELL, link=replace(LINK, restart_ms=0), services={}), "driver", "nobody does it for it"),
+        (replace(WELL, link=replace(LINK, restart_ms=0), services=BRIDGE), "driver", "nobody does it for it"),
+        (replace(WELL, link=replace(LINK, driver="gs_usb"), services=BRIDGE), "driver", "gs_usb does not start again"),
         (replace(WELL, bus=replace(BUS, frames=0)), "bus", "silent for 2 s"),
         (replace(WELL, bus=replace(BUS, from_car=False)), "bus", "none of the VCU's status"),
         (replace(WELL, bus=replace(BUS, error_frames=4)), "bus", "4 error frames"),
@@ -119,7 +123,11 @@ def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen(
         (replace(WELL, ros=replace(WELL.ros, messages=False)), "ROS 2", "fsai_msgs not installed"),
         (replace(WELL, listening=("0.0.0.0",)), "DDS", "listens on 0.0.0.0"),
         (replace(WELL, wanted=replace(WANTED, discovery="subnet")), "DDS", "anybody there can drive the car"),
-        (replace(WELL, services={"fsai-planner.service": "failed"}), "services", "planner is failed"),
+        (replace(WELL, services={**BRIDGE, "fsai-planner.service": "failed"}), "services", "planner is failed"),
+        (replace(WELL, wanted=CAN1, link=replace(LINK, name="can1")), "services", "bridge@can0 is enabled, while"),
+        (replace(WELL, services={"fsai-planner.service": "active"}), "services", "no bridge is enabled, while"),
+        (replace(WELL, services={}), "services", "no bridge is enabled, while"),
+        (replace(WELL, starts_at_boot=False, services={}), "services", "nothing of ours starts at boot"),
         (replace(WELL, scheduling=Scheduling("SCHED_OTHER", 0, True)), "scheduling", "SCHED_OTHER"),
         (replace(WELL, scheduling=Scheduling("SCHED_FIFO", 45, False)), "memory", "not locked"),
         (replace(WELL, rt_runtime_us=0), "scheduling", "no time at all"),
@@ -150,11 +158,54 @@ def test_a_bench_without_hardware_or_services_is_nothing_wrong() -> None:
         wanted=replace(WANTED, interface="vcan0", limits_path=""),
         link=Link("vcan0", "vcan", True, 10),
         services={},
+        starts_at_boot=None,
         scheduling=None,
         clock_synchronised=None,
         disk_free_mib=None,
     )
     assert wrong(bench) == []
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [
+        replace(WELL, link=None),
+        replace(WELL, link=replace(LINK, kind="ether")),
+        replace(WELL, wanted=CAN1, link=replace(LINK, name="can1")),
+        replace(WELL, starts_at_boot=False),
+        replace(WELL, starts_at_boot=False, wanted=None),
+    ],
+)
+def test_whoever_is_to_take_another_bus_is_told_the_command_that_moves_the_services(machine: Machine) -> None:
+    assert any("sudo /usr/lib/fsai/settle " in finding.todo for finding in wrong(machine))
+
+
+def test_a_configuration_for_a_stand_in_bus_says_nothing_of_which_bus_the_services_are_on() -> None:
+    name = "loopback:rehearsal"
+    assert wrong(replace(WELL, wanted=replace(WANTED, interface=name, configured_interface=name), link=None)) == []
+
+
+def test_another_bus_that_is_only_asked_about_is_none_that_the_services_should_be_on() -> None:
+    asked = replace(WELL, wanted=replace(WANTED, interface="can1"), link=replace(LINK, name="can1"))
+    assert wrong(asked) == []
+
+
+def test_a_driver_that_never_restarts_is_not_believed_for_its_restart_ms_but_for_who_restarts_it() -> None:
+    (said,) = [f for f in examine(replace(WELL, link=replace(LINK, driver="gs_usb"))) if f.topic == "driver"]
+    assert said.level == "right" and said.words == "gs_usb; after bus-off fsai-link@can0 starts it again"
+
+
+def test_a_controller_whom_nobody_answers_is_not_called_right() -> None:
+    (said,) = [f for f in examine(replace(WELL, link=replace(LINK, state="ERROR-PASSIVE"))) if f.topic == "interface"]
+    assert said.level == "note" and "nobody acknowledges" in said.words
+
+
+@pytest.mark.parametrize(
+    "machine", [replace(WELL, listening=None), replace(WELL, ros=replace(WELL.ros, implementation=None))]
+)
+def test_what_could_not_be_looked_at_is_not_called_right(machine: Machine) -> None:
+    (said,) = [finding for finding in examine(machine) if finding.topic == "DDS"]
+    assert said.level == "note" and "not looked at: run with sudo" in said.words
 
 
 def test_a_distribution_that_is_installed_and_not_used_is_mentioned() -> None:
@@ -292,7 +343,12 @@ def test_the_verb_asks_for_each_wheel_and_tells_a_wiring_that_is_not_the_configu
     hand = threading.Thread(target=lambda: turn_what_is_asked(car[0], signal_of, ended), daemon=True)
     seen: list[WheelCheck] = []
     original: Callable[[WheelCheck], None] = WheelCheck.__init__
-    monkeypatch.setattr(WheelCheck, "__init__", lambda self: (original(self), seen.append(self))[0])
+
+    def noted(self: WheelCheck) -> None:
+        original(self)
+        seen.append(self)
+
+    monkeypatch.setattr(WheelCheck, "__init__", noted)
 
     def turn_what_is_asked(speaking: SpeakingCar, signals: dict[str, int], done: threading.Event) -> None:
         before: str | None = None

@@ -103,6 +103,36 @@ def test_a_node_that_takes_anything_from_a_network_is_seen_by_the_address(
     assert listening_on_networks(tmp_path) == seen
 
 
+def test_a_node_that_this_user_may_not_look_into_is_not_said_to_listen_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    proc = Proc(tmp_path)
+    proc.socket("udp", "00000000:1CF2", "07", 4711)
+    (proc.process / "environ").touch()
+
+    def refused(path: Path) -> None:
+        raise PermissionError(path)
+
+    with monkeypatch.context() as closed:
+        closed.setattr(Path, "iterdir", refused)
+        closed.setattr(Path, "readlink", refused)
+        assert listening_on_networks(tmp_path) is None
+    with monkeypatch.context() as closed:
+        closed.setattr(Path, "readlink", refused)
+        assert listening_on_networks(tmp_path) is None
+
+    # The names of processes are open to everybody.
+    read = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: refused(path) if path.name == "environ" else read(path))
+    assert collect._implementation(tmp_path) is None
+
+
+def test_a_node_that_ends_while_it_is_looked_at_hides_nothing(tmp_path: Path) -> None:
+    proc = Proc(tmp_path)
+    (proc.process / "fd").rmdir()
+    assert listening_on_networks(tmp_path) == ()
+
+
 def test_what_others_listen_on_is_not_ours_to_complain_of(tmp_path: Path) -> None:
     proc = Proc(tmp_path, module="somebody.else")
     proc.socket("tcp", "00000000:1F90", "0A", 4711)
@@ -144,6 +174,51 @@ def test_each_service_has_the_state_that_systemd_says_of_it_in_its_order() -> No
     names = ["fsai-bridge@can0.service", "fsai-planner.service"]
     assert states_in("active\nfailed\n", names) == dict(zip(names, ("active", "failed"), strict=True))
     assert states_in("", names) == dict.fromkeys(names, "unknown")
+
+
+@pytest.fixture
+def booted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine on which systemd runs and we are installed. What is returned is its /etc/systemd/system."""
+    enabled, units = tmp_path / "etc", tmp_path / "lib"
+    (enabled / "multi-user.target.wants").mkdir(parents=True)
+    units.mkdir()
+    (units / "fsai.target").touch()
+    monkeypatch.setattr(collect, "_SYSTEMD", tmp_path)
+    monkeypatch.setattr(collect, "_ENABLED", enabled)
+    monkeypatch.setattr(collect, "_UNITS", units)
+    return enabled
+
+
+def test_what_starts_at_boot_is_what_the_machines_own_target_wants(
+    booted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert collect.starts_at_boot() is False
+    (booted / "multi-user.target.wants" / "fsai.target").symlink_to("/usr/lib/systemd/system/fsai.target")
+    assert collect.starts_at_boot() is True
+    (tmp_path / "lib" / "fsai.target").unlink()
+    assert collect.starts_at_boot() is None, "not installed"
+    (tmp_path / "lib" / "fsai.target").touch()
+    monkeypatch.setattr(collect, "_SYSTEMD", tmp_path / "absent")
+    assert collect.starts_at_boot() is None, "systemd does not run"
+
+
+def test_the_services_are_those_that_are_enabled_and_the_links_that_somebody_runs(
+    booted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    running = {"fsai-bridge@can0.service": "failed", "fsai-link@can1.service": "active"}
+
+    def is_active(*words: str) -> str:
+        assert not {"fsai-link@.service", "fsai-link@loopback:x.service"} & set(words), "no unit's name"
+        return "\n".join(running.get(name, "inactive") for name in words[2:])
+
+    monkeypatch.setattr(collect, "_output", is_active)
+    assert [collect.services(interface) for interface in ("can0", "", "loopback:x")] == [{}, {}, {}]
+    assert collect.services("can1") == {"fsai-link@can1.service": "active"}
+    (booted / "fsai.target.wants").mkdir()
+    (booted / "fsai.target.wants" / "fsai-bridge@can0.service").touch()
+    of_can0 = {"fsai-bridge@can0.service": "failed", "fsai-link@can0.service": "inactive"}
+    assert collect.services("can0") == of_can0
+    assert collect.services("can1") == {**of_can0, "fsai-link@can1.service": "active"}
 
 
 @pytest.mark.parametrize(("most_wrong_us", "kept"), [(0, True), (15_999_999, True), (16_000_000, False)])
@@ -224,9 +299,11 @@ def test_the_bridges_own_environment_goes_before_the_one_the_doctor_has(
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_of_the_shell")
     proc = Proc(tmp_path)
     (proc.process / "environ").write_bytes(b"RMW_IMPLEMENTATION=rmw_cyclonedds_cpp\0HOME=/tmp\0")
-    assert collect._environment_of_bridge(tmp_path)["RMW_IMPLEMENTATION"] == "rmw_cyclonedds_cpp"
+    assert collect._implementation(tmp_path) == "rmw_cyclonedds_cpp"
+    (proc.process / "environ").write_bytes(b"HOME=/tmp\0")
+    assert collect._implementation(tmp_path) == ""
     (proc.process / "environ").unlink()
-    assert collect._environment_of_bridge(tmp_path)["RMW_IMPLEMENTATION"] == "rmw_of_the_shell"
+    assert collect._implementation(tmp_path) == "rmw_of_the_shell"
 
 
 @pytest.mark.parametrize(("locked_kib", "locked"), [(0, False), (81920, True)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
@@ -13,13 +12,13 @@ from install_rig import CHECKOUT
 LINK = CHECKOUT / "systemd" / "link"
 
 # An adapter as a folder: `state` is what `ip -details link show` says; `refuses` is there for one without restart-ms.
+# Nothing here tells of a change by itself, as gs_usb does not.
 FAKE_IP = """#!/bin/sh
 here=${0%/*}
 echo "$*" >> $here/calls
 case "$*" in
   "-details link show"*) cat $here/state ;;
   "link show dev can0 up") grep -q "<.*UP" $here/state && cat $here/state; true ;;
-  "-o monitor"*) cat $here/monitor ;;
   *restart-ms*) if [ -e $here/refuses ]; then echo "RTNETLINK answers: Operation not supported" >&2; exit 2; fi
     sed -i "s/bitrate [0-9]*/bitrate 500000/; s/restart-ms [0-9]*/restart-ms 100/" $here/state ;;
   *"type can bitrate"*) sed -i "s/bitrate [0-9]*/bitrate 500000/" $here/state ;;
@@ -27,17 +26,28 @@ case "$*" in
   *" down") sed -i "s/<NOARP,UP>/<NOARP>/" $here/state ;;
 esac
 """
+# Whatever is waited for, a look later the adapter is in the state of the next file `then.*`; after the last it is gone.
+FAKE_SLEEP = """#!/bin/sh
+here=${0%/*}
+echo "sleep $*" >> $here/calls
+for next in $here/then.*; do
+  if [ -e "$next" ]; then exec mv $next $here/state; fi
+done
+rm -f $here/state
+"""
 DOWN = "3: can0: <NOARP> mtu 16\n    can state STOPPED restart-ms 0 \n\tbitrate 250000 sample-point 0.875\n"
 RIGHT = "3: can0: <NOARP,UP> mtu 16\n    can state ERROR-ACTIVE restart-ms 100 \n\tbitrate 500000 sample-point 0.875\n"
-BUS_OFF = "3: can0: <NOARP,UP> mtu 16\n    can state BUS-OFF restart-ms 0 \n\tbitrate 500000 sample-point 0.875\n"
+BUS_OFF = RIGHT.replace("ERROR-ACTIVE", "BUS-OFF")
+VIRTUAL = "3: vcan0: <NOARP,UP> mtu 72\n    vcan \n"
+RESTART = ["link set dev can0 down", "link set dev can0 up"]
 
 
 @pytest.fixture
 def adapter(tmp_path: Path) -> Path:
-    (tmp_path / "ip").write_text(FAKE_IP)
-    (tmp_path / "ip").chmod(0o755)
-    (tmp_path / "systemctl").write_text("#!/bin/sh\nexit 3\n")  # networkd does not run
-    (tmp_path / "systemctl").chmod(0o755)
+    no_networkd = "#!/bin/sh\nexit 3\n"
+    for tool, script in (("ip", FAKE_IP), ("sleep", FAKE_SLEEP), ("systemctl", no_networkd)):
+        (tmp_path / tool).write_text(script)
+        (tmp_path / tool).chmod(0o755)
     return tmp_path
 
 
@@ -80,27 +90,39 @@ def test_a_link_that_is_right_already_is_not_taken_down(adapter: Path) -> None:
     assert "link set dev can0 txqueuelen 10" in calls(adapter)
 
 
-def test_an_adapter_that_does_not_restart_itself_is_restarted_after_bus_off(adapter: Path) -> None:
-    (adapter / "state").write_text(BUS_OFF)
-    (adapter / "monitor").write_text("3: can0: <NO-CARRIER,NOARP,UP>\n")
-    assert link(adapter, "watch", "can0").returncode == 0
-    assert "ERROR-ACTIVE" in (adapter / "state").read_text()
-    assert calls(adapter)[-2:] == ["link set dev can0 down", "link set dev can0 up"]
+def watched(adapter: Path, *states: str) -> list[str]:
+    """What is done to an adapter that is in these states, look by look, and then unplugged."""
+    (adapter / "state").write_text(RIGHT)
+    for number, state in enumerate(states):
+        (adapter / f"then.{number}").write_text(state)
+    done = link(adapter, "watch", "can0")
+    assert done.returncode == 0, "it ends with the interface"
+    found = [call for call in calls(adapter) if " set " in call]
+    assert done.stdout.count("bus-off") == len(found) / len(RESTART), "each restart is told"
+    return found
+
+
+@pytest.mark.parametrize("restart_ms", [0, 100])
+def test_an_adapter_that_stays_off_the_bus_is_restarted_unasked_and_whatever_it_says_of_restart_ms(
+    adapter: Path, restart_ms: int
+) -> None:
+    off = BUS_OFF.replace("restart-ms 100", f"restart-ms {restart_ms}")
+    assert watched(adapter, RIGHT, off, off, RIGHT, RIGHT) == RESTART
+    assert set(calls(adapter)) >= {"sleep 1"}, "it looks once a second"
+
+
+def test_an_adapter_that_goes_off_the_bus_again_and_again_is_restarted_each_time(adapter: Path) -> None:
+    assert watched(adapter, *[BUS_OFF] * 4) == RESTART * 2
 
 
 def test_an_adapter_that_restarts_itself_is_left_alone(adapter: Path) -> None:
-    (adapter / "state").write_text(RIGHT)
-    process = subprocess.Popen(
-        [LINK, "watch", "can0"], env={"PATH": os.environ["PATH"], "FSAI_LINK_PATH": str(adapter)}
-    )
-    try:
-        until = time.monotonic() + 10.0
-        while "sleep" not in Path(f"/proc/{process.pid}/cmdline").read_text():
-            assert time.monotonic() < until, "it does not rest"
-        assert not any("set" in call for call in calls(adapter))
-    finally:
-        process.kill()
-        process.wait()
+    assert watched(adapter, BUS_OFF, RIGHT, BUS_OFF, RIGHT) == []
+
+
+def test_a_virtual_interface_is_not_looked_at_again(adapter: Path) -> None:
+    (adapter / "state").write_text(VIRTUAL)
+    assert link(adapter, "watch", "vcan0").returncode == 0
+    assert calls(adapter) == ["-details link show dev vcan0", "sleep infinity"]
 
 
 def test_wrong_use_is_told(adapter: Path) -> None:

@@ -62,7 +62,6 @@ class Image:
     def has(self, name: str) -> bool:
         return os.path.lexists(self.root / name)
 
-
     def settle(self, *words: str) -> subprocess.CompletedProcess[str]:
         command = [self.root / "usr/lib/fsai/settle", *words]
         environment = {**os.environ, "DPKG_ROOT": str(self.root)}

@@ -14,6 +14,10 @@ _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 _IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
 _NO_CONFIGURATION = "needs the configuration"
+_SETTLE = "sudo /usr/lib/fsai/settle"  # says which bus the services are for
+_ANOTHER = f"name another in [can] interface and to the services: {_SETTLE} NAME"
+# No do_set_mode in drivers/net/can/usb/gs_usb.c: some kernels refuse restart-ms, others accept it and never restart.
+_NEVER_RESTART = ("gs_usb",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +44,7 @@ def configuration(machine: Machine) -> Iterator[Finding]:
     if wanted.path in machine.changed_since_start:
         yield _changed("configuration", wanted)
     else:
-        yield _right("configuration", f"{wanted.path}: revision {wanted.revision}, {wanted.interface}")
+        yield _right("configuration", f"{wanted.path}: revision {wanted.revision}, {wanted.configured_interface}")
 
 
 def _changed(topic: str, wanted: Wanted) -> Finding:
@@ -75,17 +79,19 @@ def interface(machine: Machine) -> Iterator[Finding]:
         yield _wrong(
             "interface",
             f"no interface {name} ({there})",
-            "plug the adapter in, look for it in `journalctl -k`, or name another in [can] interface",
+            f"plug the adapter in, look for it in `journalctl -k`, or {_ANOTHER}",
         )
         return
     if link.kind not in ("can", "vcan"):
-        yield _wrong("interface", f"{name} is no CAN interface but {link.kind}", "name the adapter in [can] interface")
+        yield _wrong("interface", f"{name} is no CAN interface but {link.kind}", _ANOTHER)
         return
     bring_up = f"sudo systemctl restart fsai-link@{name}, and look into its journal"
     if link.state == "BUS-OFF":
         yield _wrong("interface", f"{name} is off the bus (BUS-OFF)", "check wiring, termination and bitrate")
     elif not link.up:
         yield _wrong("interface", f"{name} is down", bring_up)
+    elif link.state == "ERROR-PASSIVE":
+        yield _note("interface", f"{name} is up, ERROR-PASSIVE: nobody acknowledges what is sent, or the wiring is bad")
     else:
         yield _right("interface", f"{name} is up" + (f", {link.state}" if link.state else ""))
     if link.kind == "vcan":
@@ -103,7 +109,7 @@ def interface(machine: Machine) -> Iterator[Finding]:
     else:
         yield _right("queue", f"{link.queue_frames} frames")
     if link.kind == "can":
-        if link.restart_ms:
+        if link.restart_ms and link.driver not in _NEVER_RESTART:
             yield _right("driver", f"{link.driver or 'unknown'}, starts again {link.restart_ms} ms after bus-off")
         elif machine.services.get(f"fsai-link@{name}.service") == "active":
             yield _right("driver", f"{link.driver or 'unknown'}; after bus-off fsai-link@{name} starts it again")
@@ -216,7 +222,10 @@ def dds(machine: Machine) -> Iterator[Finding]:
         yield _note("DDS", _NO_CONFIGURATION)
         return
     domain = f"domain {wanted.environment.get('ROS_DOMAIN_ID', '0')}"
-    if machine.ros.implementation not in ("", _IMPLEMENTATION):
+    unseen = machine.listening is None or machine.ros.implementation is None
+    if unseen:
+        yield _note("DDS", f"{domain}; what the running nodes listen on was not looked at: run with sudo")
+    if machine.ros.implementation not in ("", None, _IMPLEMENTATION):
         yield _wrong(
             "DDS",
             f"the bridge runs on {machine.ros.implementation}, for which none of these settings holds",
@@ -229,7 +238,7 @@ def dds(machine: Machine) -> Iterator[Finding]:
                 f"a node listens on {', '.join(machine.listening)}, though it is to stay on this machine",
                 "start it by its service, or with --config: then it is bound to 127.0.0.1",
             )
-        else:
+        elif not unseen:
             yield _right("DDS", f"{domain}, on the loopback alone")
     elif not wanted.keystore:
         yield _wrong(
@@ -242,16 +251,27 @@ def dds(machine: Machine) -> Iterator[Finding]:
 
 
 def services(machine: Machine) -> Iterator[Finding]:
-    if not machine.services:
+    wanted = machine.wanted
+    configured = wanted.configured_interface if wanted is not None and ":" not in wanted.configured_interface else ""
+    settle = f"{_SETTLE} {configured or 'INTERFACE'}"
+    if machine.starts_at_boot is False:
+        words = "nothing of ours starts at boot: fsai.target is not enabled"
+        yield _wrong("services", words, f"{settle}, when all else is right: from then on this computer sends")
+        return
+    if not machine.services and machine.starts_at_boot is None:
         yield _note("services", "systemd does not run here, or nothing of ours is installed")
         return
+    bridges = [name for name in machine.services if name.startswith("fsai-bridge@")]
+    if configured and bridges != [f"fsai-bridge@{configured}.service"]:
+        words = ", ".join(_short(name) for name in bridges) or "no bridge"
+        yield _wrong("services", f"{words} is enabled, while the configuration says {configured}", settle)
     bad = {name: state for name, state in machine.services.items() if state != "active"}
-    if not bad:
+    if bad:
+        words = ", ".join(f"{_short(name)} is {state}" for name, state in bad.items())
+        first = next(iter(bad))
+        yield _wrong("services", words, f"sudo systemctl start fsai.target; journalctl -b -u {first}")
+    elif machine.services:
         yield _right("services", f"{len(machine.services)} active: {', '.join(_short(n) for n in machine.services)}")
-        return
-    words = ", ".join(f"{_short(name)} is {state}" for name, state in bad.items())
-    first = next(iter(bad))
-    yield _wrong("services", words, f"sudo systemctl start fsai.target; journalctl -b -u {first}")
 
 
 def scheduling(machine: Machine) -> Iterator[Finding]:

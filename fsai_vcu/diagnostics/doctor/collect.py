@@ -34,7 +34,8 @@ _ARPHRD_CAN = "280"  # linux/if_arp.h
 _STATUS_ID = 0x520
 _ANSWER_S = 10.0
 _PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
-_ENABLED = Path("/etc/systemd/system")
+_ENABLED, _UNITS = Path("/etc/systemd/system"), Path("/usr/lib/systemd/system")
+_SYSTEMD = Path("/run/systemd/system")  # there while it runs (sd_booted(3))
 _POLICIES = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 _BRIDGE_MODULE = b"fsai_nodes.vcu_bridge"
 _NODE_MODULES = b"fsai_nodes."
@@ -67,7 +68,8 @@ def collect(
         link=link,
         bus=heard,
         ros=_ros(proc),
-        services=services(_ENABLED),
+        services=services(wanted.interface if wanted is not None else ""),
+        starts_at_boot=starts_at_boot(),
         scheduling=_scheduling(proc),
         rt_runtime_us=_number(proc / "sys/kernel/sched_rt_runtime_us"),
         clock_synchronised=_synchronised(),
@@ -205,7 +207,7 @@ def _ros(proc: Path) -> Ros:
         messages=importlib.util.find_spec("fsai_msgs") is not None,
         nodes=importlib.util.find_spec("fsai_nodes") is not None,
         unused=unused,
-        implementation=_environment_of_bridge(proc).get("RMW_IMPLEMENTATION", ""),
+        implementation=_implementation(proc),
     )
 
 
@@ -222,15 +224,17 @@ def distribution_of(rclpy: str, named: str, folder: Path) -> tuple[str, str]:
     return named, str(ours) if rclpy and not named and ours in there else ""
 
 
-def _environment_of_bridge(proc: Path) -> dict[str, str]:
-    """That of the running bridge, where it may be read; else this process's own."""
+def _implementation(proc: Path) -> str | None:
+    """RMW_IMPLEMENTATION of the running bridge, None where it may not be read; where none runs, that of this shell."""
     for folder in _processes(proc, _BRIDGE_MODULE):
         try:
             words = (folder / "environ").read_bytes().decode(errors="replace").split("\0")
-        except OSError:
+        except PermissionError:
+            return None
+        except OSError:  # it has just ended
             continue
-        return {name: value for name, equals, value in (word.partition("=") for word in words) if equals}
-    return dict(os.environ)
+        return dict(word.split("=", 1) for word in words if "=" in word).get("RMW_IMPLEMENTATION", "")
+    return os.environ.get("RMW_IMPLEMENTATION", "")
 
 
 def _bridge_started_s(proc: Path) -> float | None:
@@ -271,14 +275,23 @@ def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def services(enabled: Path) -> dict[str, str]:
-    """The state of each service of ours that starts with the machine, by its name."""
-    if not Path("/run/systemd/system").is_dir():
+def services(interface: str) -> dict[str, str]:
+    """The state of each service of ours that is enabled, by its name; of the interface's link, if somebody runs it."""
+    if not _SYSTEMD.is_dir():
         return {}
-    names = sorted({link.name for link in enabled.glob("*.wants/fsai-*.service")})
-    links = {name.replace("bridge", "link") for name in names if name.startswith("fsai-bridge@")}
-    wanted = [*names, *sorted(links)]
-    return states_in(_output("systemctl", "is-active", *wanted), wanted) if wanted else {}
+    names = sorted({link.name for link in _ENABLED.glob("*.wants/fsai-*.service")})
+    wanted = [*names, *(name.replace("bridge", "link") for name in names if name.startswith("fsai-bridge@"))]
+    links = [f"fsai-link@{interface}.service"] if interface and ":" not in interface else []
+    asked = list(dict.fromkeys([*wanted, *links]))
+    states = states_in(_output("systemctl", "is-active", *asked), asked) if asked else {}
+    return {name: state for name, state in states.items() if name in wanted or state == "active"}
+
+
+def starts_at_boot() -> bool | None:
+    """Whether what is installed here starts with the machine; None where nothing is, or systemd does not run."""
+    if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
+        return None
+    return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()
 
 
 def states_in(answer: str, names: list[str]) -> dict[str, str]:
@@ -306,25 +319,34 @@ def _scheduling(proc: Path) -> Scheduling | None:
     return None
 
 
-def listening_on_networks(proc: Path) -> tuple[str, ...]:
-    """Where, other than on the loopback and at multicast addresses, a node of ours takes UDP or TCP."""
-    found = {
-        str(address)
-        for folder in _processes(proc, _NODE_MODULES)
-        for address in listening_addresses(folder, proc)
-        if not (address.is_loopback or address.is_multicast)
-    }
-    return tuple(sorted(found))
+def listening_on_networks(proc: Path) -> tuple[str, ...] | None:
+    """Where, other than on the loopback and at multicast addresses, a node of ours takes UDP or TCP.
+
+    None where nothing was found, and this user may not look at all of them.
+    """
+    found: set[str] = set()
+    closed = False
+    for folder in _processes(proc, _NODE_MODULES):
+        try:
+            addresses = listening_addresses(folder, proc)
+        except PermissionError:
+            closed = True
+            continue
+        found |= {str(address) for address in addresses if not (address.is_loopback or address.is_multicast)}
+    return None if closed and not found else tuple(sorted(found))
 
 
 def listening_addresses(folder: Path, proc: Path) -> list[Address]:
-    """The local addresses on which the process whose folder in /proc is `folder` takes UDP or TCP."""
+    """The local addresses on which the process whose folder in /proc is `folder` takes UDP or TCP.
+
+    Raises PermissionError where this user may not see its sockets.
+    """
     sockets = _listening_sockets(proc)
     found = []
     for entry in _entries(folder / "fd"):
         try:
             target = str(entry.readlink())
-        except OSError:
+        except (FileNotFoundError, ProcessLookupError):
             continue
         address = sockets.get(target.removeprefix("socket:[").removesuffix("]"))
         if address is not None:
@@ -427,9 +449,10 @@ def _output(*argv: str) -> str:
 
 
 def _entries(folder: Path) -> list[Path]:
+    """Of a folder of /proc, which is gone as soon as its process has ended."""
     try:
         return list(folder.iterdir())
-    except OSError:
+    except (FileNotFoundError, ProcessLookupError):
         return []
 
 

@@ -11,12 +11,12 @@ class Wanted:
     """What the configuration asks for."""
 
     path: str
-    interface: str
+    interface: str  # that is looked at
+    configured_interface: str  # the file's own; the doctor may have been asked for another
     revision: str
     bitrate: int
     queue_frames: int
     wheel_mapping: str  # fl=fl,fr=fr,…
-    wheel_pulses_per_rev: int
     limits: tuple[str, ...]  # in words
     limits_path: str
     environment: Mapping[str, str]  # for ROS 2
@@ -61,14 +61,17 @@ class BusHeard:
 
 @dataclass(frozen=True, slots=True)
 class Ros:
-    """ROS 2 in this Python environment. `implementation`: RMW_IMPLEMENTATION as the bridge has it; empty: the usual."""
+    """ROS 2 in this Python environment.
+
+    implementation: RMW_IMPLEMENTATION as the bridge has it; empty: the usual; None: the bridge may not be looked into.
+    """
 
     rclpy: str = ""  # where it comes from; empty: not there
     distribution: str = ""
     messages: bool = False
     nodes: bool = False
     unused: str = ""  # a distribution that is on this machine, while rclpy comes from elsewhere
-    implementation: str = ""
+    implementation: str | None = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,7 @@ class Scheduling:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """All of it. `services`: the state of each unit of ours by name; empty where systemd does not run."""
+    """All of it. `services`: the state of each unit of ours that is enabled, by name; empty where there is none."""
 
     wanted: Wanted | None = None
     configuration_problems: tuple[str, ...] = ()
@@ -91,6 +94,7 @@ class Machine:
     bus: BusHeard | None = None
     ros: Ros = Ros()
     services: Mapping[str, str] = field(default_factory=dict)
+    starts_at_boot: bool | None = None  # whether fsai.target is enabled; None: not installed, or no systemd
     scheduling: Scheduling | None = None
     rt_runtime_us: int | None = None  # how much of a second real-time threads may have, of 1 000 000; -1: all
     clock_synchronised: bool | None = None
@@ -101,6 +105,6 @@ class Machine:
     changed_since_start: tuple[str, ...] = ()  # files that are newer than the running bridge, which has read them once
     user: str = ""
     groups: tuple[str, ...] = ()
-    listening: tuple[str, ...] = ()  # where a process of ours takes anything from this machine's networks
+    listening: tuple[str, ...] | None = ()  # where a process of ours takes anything from this machine's networks
     kernel: str = ""
     system: str = ""
