@@ -50,7 +50,7 @@ soak: setup  ## drive mission after mission on a real vcan0: do memory, files an
 scrutineering: setup  ## the handshake's response time on a real vcan0, idle and under load, as a report
 	$(BIN)/fsai-vcu scrutineering
 
-bench: setup  ## speed, as ratios to cantools and python-can
+bench: setup  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks
 	$(BIN)/python -m fsai_hil.bench
 
 rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one

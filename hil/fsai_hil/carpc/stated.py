@@ -16,7 +16,7 @@ _VCU_PATIENCE_NS = 100_000_000  # interface specification v4.0: AI_COMMS_LOST
 _CYCLE_S = (FALLBACK_AFTER_NS + STOOD_STILL_NS) / 1e9
 
 BOOT_S = 45.0  # from the kernel's start until all services are active
-START_TO_FIRST_FRAME_S = 6.0  # of the bridge, with the 200 ms that it listens first; on a normal machine 1 s
+START_TO_FIRST_FRAME_S = 6.0  # of the bridge, which listens for 200 ms first; on a normal machine 1 s (`make bench`)
 SERVICE_BACK_S = 20.0  # while the others drive on and take most of that processor; by itself a third of it
 HUNG_BACK_S = SERVICE_BACK_S + 3.0  # its watchdog
 UNPLUGGED_S = 3.0
