@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
 _INSTALLED_POLICY = Path("/usr/share/fsai/security/policy.xml")
 _CHECKOUT_POLICY = Path(__file__).resolve().parents[2] / "systemd" / "security" / "policy.xml"
+_DISTRIBUTION = Path("/opt/ros/jazzy")
+# What the distribution's setup file is to say anew: our own ROS 2 may be another one, from the package index.
+_OUR_OWN = {"LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,37 +29,71 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError
+    from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
 
     policy = args.policy or next((path for path in (_INSTALLED_POLICY, _CHECKOUT_POLICY) if path.is_file()), None)
     if policy is None or not policy.is_file():
         raise UserError(f"no policy {policy or _INSTALLED_POLICY}")
-    ros2 = shutil.which("ros2")
-    if ros2 is None or not _offers_security(ros2):
+    tool = _find_tool()
+    if tool is None:
         raise UserError(
             "no `ros2 security` here: it is part of the distribution (sudo apt install ros-jazzy-sros2) and not on the "
-            "package index; source /opt/ros/jazzy/setup.bash first"
+            f"package index; neither on the PATH nor in {_DISTRIBUTION}"
         )
-    if not args.keystore.is_dir():
-        _call(ros2, "create_keystore", str(args.keystore))
-    _call(ros2, "generate_artifacts", "-k", str(args.keystore), "-p", str(policy))
-    # Keys are for the services' user alone.
-    for path in (args.keystore, *args.keystore.rglob("*")):
+    keystore = args.keystore.absolute()
+    new = not (keystore / "enclaves").is_dir()
+    try:
+        keystore.mkdir(mode=0o700, parents=True, exist_ok=True)  # a configuration that names it is right from here on
+        # What the keys permit, they permit in one domain only.
+        domain = {**usual_environment(), **os.environ}.get("ROS_DOMAIN_ID", "0")
+    except ConfigurationError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"{keystore} cannot be made: {error.strerror}") from error
+    if new:
+        _call(tool, domain, "create_keystore", str(keystore))
+    _call(tool, domain, "generate_artifacts", "-k", str(keystore), "-p", str(policy))
+    # Keys are for the services' user alone, and the key that signs them, and with it what they permit, for root's.
+    private = keystore / "private"
+    for path in (keystore, *keystore.rglob("*")):
         if not path.is_symlink():
-            path.chmod(0o750 if path.is_dir() else 0o640)
-    print(f"keys are in {args.keystore}; now: sudo chgrp -R fsai {args.keystore}, and in /etc/fsai/fsai.toml")
-    print(f'[ros]\nkeystore = "{args.keystore}"')
+            mode = 0o700 if path.is_relative_to(private) else 0o750
+            path.chmod(mode if path.is_dir() else mode & 0o640)
+    print(f"keys for ROS domain {domain} are in {keystore}; now:")
+    print(f"sudo chgrp fsai {keystore} && sudo chgrp -R fsai {keystore}/enclaves {keystore}/public")
+    print(f'and in /etc/fsai/fsai.toml\n[ros]\nkeystore = "{keystore}"')
     return 0
 
 
-def _offers_security(ros2: str) -> bool:
-    done = subprocess.run([ros2, "security", "--help"], capture_output=True, stdin=subprocess.DEVNULL, check=False)
-    return done.returncode == 0
+@dataclass(frozen=True, slots=True)
+class _Tool:
+    """`ros2 security`, with the environment that its own setup file makes."""
+
+    command: tuple[str, ...]
+    environ: Mapping[str, str]
 
 
-def _call(ros2: str, *words: str) -> None:
+def _find_tool() -> _Tool | None:
+    """None where there is no `ros2 security`. sudo has a PATH of its own, so the usual place is looked at, too."""
+    ros2 = shutil.which("ros2") or shutil.which("ros2", path=_DISTRIBUTION / "bin")
+    if ros2 is None:
+        return None
+    tool = _Tool((ros2, "security"), os.environ)
+    setup = Path(ros2).parents[1] / "setup.bash"
+    if setup.is_file():
+        clean = {name: value for name, value in os.environ.items() if name not in _OUR_OWN}
+        tool = _Tool(("bash", "-c", '. "$0" && exec ros2 security "$@"', str(setup)), clean)
+    offers = subprocess.run(
+        [*tool.command, "--help"], env=tool.environ, capture_output=True, stdin=subprocess.DEVNULL, check=False
+    )
+    return tool if offers.returncode == 0 else None
+
+
+def _call(tool: _Tool, domain: str, *words: str) -> None:
     from fsai_vcu.cli.main import UserError
 
     print(f"ros2 security {' '.join(words)}", file=sys.stderr, flush=True)
-    done = subprocess.run([ros2, "security", *words], stdin=subprocess.DEVNULL, check=False)
+    environ = {**tool.environ, "ROS_DOMAIN_ID": domain}
+    done = subprocess.run([*tool.command, *words], env=environ, stdin=subprocess.DEVNULL, check=False, umask=0o077)
     if done.returncode != 0:
         raise UserError(f"ros2 security {words[0]} failed (exit status {done.returncode})")

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from fsai_vcu.cli.main import UserError
-from fsai_vcu.runtime.configuration import usual_environment
+from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
 
 WAIT_S = 10.0
 ASK_AGAIN_S = 1.0
@@ -23,9 +23,12 @@ _NO_ROS = (
 def operator_node() -> Iterator[Any]:
     """A short-lived node, where the car's configuration says that its nodes are to be found.
 
-    Raises UserError where ROS 2 or the project's messages are missing.
+    Raises UserError where the configuration may not be read, or ROS 2 or the project's messages are missing.
     """
-    os.environ.update(usual_environment())
+    try:
+        os.environ.update(usual_environment())
+    except ConfigurationError as error:
+        raise UserError(str(error)) from error
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
         import rclpy

@@ -10,8 +10,9 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +31,11 @@ USUAL_PATH = Path("/etc/fsai/fsai.toml")
 SAME_AS_REVISION = "same_as_revision"
 BITRATE = 500_000  # interface specification v4.0: 500 kbit/s
 QUEUE_FRAMES = 10  # two cycles of commands; more would be stale before they left
+
+# What a text must look like, and how that is said. Services run in /, so a path that is not whole leads nowhere there.
+_BUS = (r"[\w.-]{1,15}|[\w-]+:\S+", "a CAN interface such as can0, or KIND:CHANNEL")  # linux/if.h: IFNAMSIZ
+_PATH = (r"/[^\0]*", "a whole path, from / on")
+_PATH_OR_EMPTY = (rf"({_PATH[0]})?", _PATH[1])
 
 Plain = bool | int | float | str
 
@@ -60,6 +66,7 @@ class Key:
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
+    shape: tuple[str, str] | None = None
 
     @property
     def spelt(self) -> str:
@@ -71,8 +78,8 @@ class Key:
             return _mapping_problem(value)
         if isinstance(self.default, tuple):
             if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-                return f'must be a list of texts, such as ["car.dbc"], not {_shown(value)}'
-            return None
+                return f'must be a list of texts, such as ["/etc/fsai/car.dbc"], not {_shown(value)}'
+            return next((problem for each in value if (problem := self._shape_problem(each))), None)
         if isinstance(self.default, bool):
             return None if isinstance(value, bool) else f"must be true or false, not {_shown(value)}"
         if isinstance(self.default, str):
@@ -85,7 +92,12 @@ class Key:
             return f'must be a text in quotes, such as "{example}", not {_shown(value)}'
         if self.choices and value not in self.choices:
             return f"must be one of {', '.join(self.choices)}, not {_shown(value)}{_nearest(value, self.choices)}"
-        return None
+        return self._shape_problem(value)
+
+    def _shape_problem(self, value: str) -> str | None:
+        if self.shape is None or re.fullmatch(self.shape[0], value, re.ASCII):
+            return None
+        return f"must be {self.shape[1]}, not {_shown(value)}"
 
     def _number_problem(self, value: object) -> str | None:
         whole = isinstance(self.default, int)
@@ -103,7 +115,7 @@ class Key:
 BRAKE_RANGES_PCT: dict[str, tuple[float, float]] = {"holding_brake_pct": (0.0, 100.0), "stop_brake_pct": (10.0, 100.0)}
 
 KEYS: tuple[Key, ...] = (
-    Key("can", "interface", "can0", "the bus of the car; a service is told its own, fsai-bridge@can0"),
+    Key("can", "interface", "can0", "the bus of the car; a service is told its own, fsai-bridge@can0", shape=_BUS),
     Key(
         "can",
         "revision",
@@ -112,7 +124,7 @@ KEYS: tuple[Key, ...] = (
         (("vcu_bridge", "revision"),),
         choices=tuple(REVISIONS),
     ),
-    Key("can", "dbc_files", (), "DBC files to use instead of the revision's own; none: its own"),
+    Key("can", "dbc_files", (), "DBC files to use instead of the revision's own; none: its own", shape=_PATH),
     Key(
         "can",
         "listen_only",
@@ -159,7 +171,13 @@ KEYS: tuple[Key, ...] = (
         (("vcu_bridge", "stop_brake_pct"),),
         *BRAKE_RANGES_PCT["stop_brake_pct"],
     ),
-    Key("limits", "file", "", "operational limits, imposed by an official; empty: none but the car's own"),
+    Key(
+        "limits",
+        "file",
+        "",
+        "operational limits, imposed by an official; empty: none but the car's own",
+        shape=_PATH_OR_EMPTY,
+    ),
     Key(
         "missions",
         "trackdrive_laps",
@@ -226,8 +244,14 @@ KEYS: tuple[Key, ...] = (
         "who may find the nodes: this machine only, or its networks as well (then with a keystore)",
         choices=("localhost", "subnet"),
     ),
-    Key("ros", "keystore", "", "SROS2 keystore that fsai-vcu enclaves has made; empty: no encryption, no permissions"),
-    Key("recording", "folder", "/var/log/fsai", "where bus logs are kept"),
+    Key(
+        "ros",
+        "keystore",
+        "",
+        "SROS2 keystore that fsai-vcu enclaves has made; empty: no encryption, no permissions",
+        shape=_PATH_OR_EMPTY,
+    ),
+    Key("recording", "folder", "/var/log/fsai", "where bus logs are kept", shape=_PATH),
     Key("recording", "keep_mib", 20_000, "the logs together; the oldest go first", low=100, high=10_000_000),
     Key("recording", "leave_free_mib", 2_000, "room that recording leaves to others on that disk", low=0, high=10**7),
 )
@@ -353,6 +377,11 @@ def read_configuration(path: Path | str) -> Configuration:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
+    except PermissionError as error:
+        who = "root and the group fsai may: sudo, or once: sudo usermod -aG fsai $USER, and log in again"
+        raise ConfigurationError(
+            [f"{path}: may not be read by this user{f'; {who}' if path == USUAL_PATH else ''}"]
+        ) from error
     except OSError as error:
         raise ConfigurationError([f"{path}: cannot be read: {error.strerror}"]) from error
     except UnicodeDecodeError as error:
@@ -396,11 +425,12 @@ def parse_configuration(text: str, path: Path) -> Configuration:
         except LimitsError as error:
             refuse(f"[limits] file: {error}", "limits", "file")
     for file in configuration.dbc_files:
-        if not Path(file).is_file():
-            refuse(f"[can] dbc_files: no such file: {file}", "can", "dbc_files")
+        if problem := _not_there(file, Path.is_file, f"no such file: {file}"):
+            refuse(f"[can] dbc_files: {problem}", "can", "dbc_files")
     keystore = configuration.text("ros", "keystore")
-    if keystore and not Path(keystore).is_dir():
-        refuse(f"[ros] keystore: no such folder: {keystore}; fsai-vcu enclaves makes one", "ros", "keystore")
+    none = f"no such folder: {keystore}; fsai-vcu enclaves makes one"
+    if keystore and (problem := _not_there(keystore, Path.is_dir, none)):
+        refuse(f"[ros] keystore: {problem}", "ros", "keystore")
     if problems:
         raise ConfigurationError([words for _, words in sorted(problems)])
     return Configuration(path, limits, values)
@@ -409,18 +439,28 @@ def parse_configuration(text: str, path: Path) -> Configuration:
 def usual_environment(environ: Mapping[str, str] | None = None) -> dict[str, str]:
     """What a command of the operator's needs besides `environ` to hear the car's nodes: nothing without the file.
 
-    What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of.
+    What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of. Raises
+    ConfigurationError where this user may not read it: the car's nodes would be looked for in the wrong place.
     """
     environ = os.environ if environ is None else environ
     try:
         configured = read_configuration(USUAL_PATH).environment()
-    except ConfigurationError:
+    except ConfigurationError as error:
+        if isinstance(error.__cause__, PermissionError):
+            raise
         return {}
     return {name: value for name, value in configured.items() if name not in environ}
 
 
 def _problem(path: Path, line: int | None, words: str) -> str:
     return f"{path}: {words}" if line is None else f"{path}, line {line}: {words}"
+
+
+def _not_there(name: str, is_there: Callable[[Path], bool], words: str) -> str | None:
+    try:
+        return None if is_there(Path(name)) else words
+    except OSError as error:
+        return f"{name}: {error.strerror}"
 
 
 def _kept(key: Key, value: object) -> object:

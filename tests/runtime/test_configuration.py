@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
+from fsai_vcu.cli.main import UserError
+from fsai_vcu.cli.services import operator_node
 from fsai_vcu.core.limits import LimitsError
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime import configuration as module
@@ -54,6 +59,15 @@ def problems(text: str) -> tuple[str, ...]:
         ("[car]\nwheel_mapping = { front = 'fr' }\n", "names a wheel 'front'; the wheels are fl, fr, rl, rr"),
         ("[can]\ndbc_files = 'car.dbc'\n", "line 2: [can] dbc_files must be a list of texts"),
         ("[can]\ndbc_files = ['/nowhere/car.dbc']\n", "line 2: [can] dbc_files: no such file: /nowhere/car.dbc"),
+        ("[can]\ndbc_files = ['car.dbc']\n", 'line 2: [can] dbc_files must be a whole path, from / on, not "car.dbc"'),
+        ("[can]\ninterface = ''\n", "line 2: [can] interface must be a CAN interface such as can0, or KIND:CHANNEL"),
+        ("[can]\ninterface = 'can 0; rm -rf'\n", 'or KIND:CHANNEL, not "can 0; rm -rf"'),
+        ("[can]\ninterface = 'sixteen-letters0'\n", "[can] interface must be a CAN interface"),
+        ("[can]\ninterface = 'loopback:'\n", "[can] interface must be a CAN interface"),
+        ("[limits]\nfile = 'limits.toml'\n", "line 2: [limits] file must be a whole path, from / on"),
+        ("[ros]\nkeystore = 'keystore'\n", "line 2: [ros] keystore must be a whole path, from / on"),
+        ("[recording]\nfolder = ''\n", 'line 2: [recording] folder must be a whole path, from / on, not ""'),
+        ("[recording]\nfolder = 'logs'\n", 'line 2: [recording] folder must be a whole path, from / on, not "logs"'),
         ("[limits]\nfile = '/nowhere/l.toml'\n", "line 2: [limits] file: cannot read the operational limits /nowhere/"),
         ("[ros]\nkeystore = '/nowhere'\n", "line 2: [ros] keystore: no such folder: /nowhere"),
         ("[can]\ninterface = can0\n", "line 2: not valid TOML: invalid value"),
@@ -71,6 +85,56 @@ def test_every_mistake_is_told_at_once_in_the_order_of_the_lines() -> None:
     assert [words.split(":")[0] for words in told] == [f"{NAMED}, line {line}" for line in (2, 4, 6)]
     with pytest.raises(ConfigurationError, match=r"and 2 more: fsai-vcu config check shows all"):
         parsed("[missions]\nmax_speed_mps = 99\n[can]\nx = 1\n[car]\nservice_brake = 'anchor'\n")
+
+
+@pytest.mark.parametrize("name", ["can0", "vcan0", "can-front_1.2", "fifteen_letters", "loopback:a", "pcan:1"])
+def test_an_interface_of_linux_or_a_kind_and_channel_is_taken(name: str) -> None:
+    assert parsed(f"[can]\ninterface = '{name}'\n").interface == name
+
+
+@contextmanager
+def somebody_else() -> Iterator[None]:
+    """Root may read everything: as root, for once as nobody."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> Iterator[Path]:
+    """A folder into which nobody may look."""
+    folder = tmp_path / "locked"
+    folder.mkdir()
+    (folder / "fsai.toml").write_text("[ros]\ndomain_id = 9\n")
+    folder.chmod(0o000)
+    yield folder
+    folder.chmod(0o700)
+
+
+def test_what_the_car_keeps_from_this_user_is_said_with_the_way_out_and_never_taken_for_nothing(
+    locked: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with somebody_else(), pytest.raises(ConfigurationError, match=r"toml: may not be read by this user$"):
+        read_configuration(locked / "fsai.toml")
+    monkeypatch.setattr(module, "USUAL_PATH", locked / "fsai.toml")
+    way_out = (
+        r"fsai\.toml: may not be read by this user; .*: sudo, or once: sudo usermod -aG fsai \$USER, and log in again"
+    )
+    with somebody_else(), pytest.raises(ConfigurationError, match=way_out):
+        usual_environment({})
+    with somebody_else(), pytest.raises(UserError, match=way_out), operator_node():
+        raise AssertionError("looked for the nodes in the wrong place")
+
+
+def test_what_is_named_and_may_not_be_looked_at_is_refused_like_what_is_not_there(locked: Path) -> None:
+    with somebody_else():
+        (problem,) = problems(f"[ros]\nkeystore = '{locked}/keystore'\n")
+    assert problem == f"{NAMED}, line 2: [ros] keystore: {locked}/keystore: Permission denied"
 
 
 def test_a_file_that_is_not_there_or_no_text_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -158,6 +222,8 @@ def test_the_operators_commands_look_where_the_car_is_and_the_callers_own_word_g
 ) -> None:
     file = tmp_path / "fsai.toml"
     monkeypatch.setattr(module, "USUAL_PATH", file)
+    assert usual_environment({}) == {}
+    file.write_text("[ros]\ndomain_id = 400\n")
     assert usual_environment({}) == {}
     file.write_text("[ros]\ndomain_id = 9\n")
     assert usual_environment({})["ROS_DOMAIN_ID"] == "9"
