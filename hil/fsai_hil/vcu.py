@@ -192,7 +192,7 @@ class SimulatedVcu:
         self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
         self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS said last
         self._powered = False
-        self._ebs_holds_without_power = False
+        self._ebs_closed_itself = False
         self._begin(now_ns)
 
     # ------------------------------------------------------------ what it hears
@@ -277,8 +277,8 @@ class SimulatedVcu:
         heapq.heapify(self._due)
 
     def _power_off(self, now_ns: int) -> None:
-        """Low voltage goes: an EBS under pressure closes the brakes by itself."""
-        self._ebs_holds_without_power = self._ebs.state in (EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED)
+        """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed anew."""
+        self._ebs_closed_itself |= self._ebs.state in (EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED)
         self._powered = False
         self.power_cycles += 1
         self._change(now_ns, self.power_up.first_state, "LVMS off")
@@ -412,6 +412,7 @@ class SimulatedVcu:
         )
         self._tractive_system.update(now_ns, alive, switches.bms_fault or switches.hvil_open or switches.hvil_short)
         self._ebs.update(now_ns, alive and switches.asms, switches.ebs_fault, emergency)
+        self._ebs_closed_itself &= not self._ebs.armed
 
     def _booting(self, now_ns: int) -> bool:
         return now_ns - self._powered_ns < INITIAL_ACTIONS_NS + SELF_TEST_NS
@@ -564,17 +565,17 @@ class SimulatedVcu:
         they were. The brake request counts always; the EBS closes the brakes whatever is asked.
         """
         if not self._powered:
-            return Actuation(steer_deg=self._held_steer_deg, ebs_engaged=self._ebs_holds_without_power)
+            return Actuation(steer_deg=self._held_steer_deg, ebs_engaged=self._ebs_closed_itself)
         link, state, profile = self._link, self._state, self.profile
-        emergency = state is AsState.EMERGENCY_BRAKE
+        closed = self._ebs_closed_itself or state is AsState.EMERGENCY_BRAKE
         brake = link.brake
         front_brake, rear_brake = brake.front_pct, brake.rear_pct
-        if emergency or (profile.brakes_fully_when_neutral and link.status.direction is Direction.NEUTRAL):
+        if closed or (profile.brakes_fully_when_neutral and link.status.direction is Direction.NEUTRAL):
             front_brake = rear_brake = 100.0
         live = self._tractive_system.live
         if state is not AsState.AS_DRIVING:
             steer = 0.0 if state is AsState.AS_READY else self._held_steer_deg
-            return Actuation(steer, 0.0, 0.0, 0, 0, front_brake, rear_brake, emergency, live)
+            return Actuation(steer, 0.0, 0.0, 0, 0, front_brake, rear_brake, closed, live)
         front_torque = rear_torque = 0.0
         braking = front_brake > 0.0 or rear_brake > 0.0  # interface specification v4.0: braking has priority
         if link.status.direction is Direction.FORWARD and not braking:

@@ -19,29 +19,10 @@ def test_the_2021_car_drives_both_axles_and_the_2026_car_the_rear_one() -> None:
     assert (ADS_DV_2026.driven_front, ADS_DV_2026.driven_rear, ADS_DV_2026.driven_axles) == (False, True, 1)
 
 
-def test_the_tightest_circles_are_those_of_the_steering_limits() -> None:
-    assert ADS_DV_2021.turning_radius_min_m == pytest.approx(3.99, abs=0.01)
-    assert ADS_DV_2026.turning_radius_min_m == pytest.approx(2.65, abs=0.01)
-    assert ADS_DV_2026.with_steer_limit(21.0).turning_radius_min_m == pytest.approx(3.99, abs=0.01)
-
-
 def test_wheel_speed_and_road_speed_are_each_others_inverse() -> None:
     car = ADS_DV_2026
     assert car.speed_of_wheel_rpm(car.wheel_rpm_of_speed(7.3)) == pytest.approx(7.3)
     assert car.speed_of_wheel_rpm(60.0) == pytest.approx(2.0 * math.pi * car.rolling_radius_m)
-
-
-@pytest.mark.parametrize(
-    ("motor_rpm", "torque_nm"), [(0, 195), (1050, 150), (1400, 120), (2450, 50), (3150, 10), (3900, 10), (4001, 0)]
-)
-def test_available_torque_follows_the_motors_curve(motor_rpm: float, torque_nm: float) -> None:
-    speed = ADS_DV_2026.speed_of_wheel_rpm(motor_rpm / ADS_DV_2026.gear_ratio)
-    assert ADS_DV_2026.axle_torque_available_nm(speed) == pytest.approx(torque_nm)
-
-
-def test_between_two_points_of_the_curve_torque_is_interpolated() -> None:
-    speed = ADS_DV_2026.speed_of_wheel_rpm(1225.0 / ADS_DV_2026.gear_ratio)
-    assert ADS_DV_2026.axle_torque_available_nm(speed) == pytest.approx(135.0)
 
 
 def test_a_rear_driven_car_leaves_the_line_with_1_9_mps2() -> None:

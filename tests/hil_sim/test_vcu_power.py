@@ -195,6 +195,24 @@ def test_after_low_voltage_has_been_off_the_vcu_begins_anew() -> None:
     assert status.handshake is True
 
 
+def test_an_ebs_that_low_voltage_left_under_pressure_keeps_the_brakes_closed_until_it_is_armed_anew() -> None:
+    bench = Bench("2026").to_ready()
+    assert not bench.vcu.actuation.ebs_engaged
+    bench.switches.lvms = False
+    bench.run(S // 10)
+    assert bench.vcu.actuation.ebs_engaged
+    bench.switches.lvms = True
+    bench.run_until(lambda: bench.status().as_state is AsState.AS_INIT, S)
+    assert bench.vcu.actuation.ebs_engaged, "a VCU that starts does not let a car roll"
+    bench.switches.lvms = False
+    bench.run(S // 10)
+    bench.switches.lvms = True
+    bench.run(S)
+    assert bench.vcu.actuation.ebs_engaged, "nor does one that starts twice"
+    bench.run_until(lambda: bench.state is AsState.AS_READY, 20 * S)
+    assert not bench.vcu.actuation.ebs_engaged
+
+
 def test_steering_is_ready_with_the_tractive_system_and_off_in_an_emergency() -> None:
     bench = Bench().power_up()
     assert bench.status().steering_status is SteeringStatus.ACTIVE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -82,26 +81,12 @@ class VehicleParameters(Immutable):
         """Road speed at the motors' highest speed."""
         return self.speed_of_wheel_rpm(self.motor_speed_max_rpm / self.gear_ratio)
 
-    @property
-    def turning_radius_min_m(self) -> float:
-        """Radius of the rear axle's tightest circle."""
-        return self.wheelbase_m / math.tan(self.steer_max_rad)
-
     def speed_of_wheel_rpm(self, wheel_rpm: float) -> float:
         """Road speed in m/s at which a wheel turns at `wheel_rpm`."""
         return wheel_rpm * (2.0 * math.pi / 60.0) * self.rolling_radius_m
 
     def wheel_rpm_of_speed(self, speed_mps: float) -> float:
         return speed_mps / (2.0 * math.pi / 60.0 * self.rolling_radius_m)
-
-    def axle_torque_available_nm(self, speed_mps: float) -> float:
-        """The most torque that an axle can give at a road speed."""
-        motor_rpm = abs(self.wheel_rpm_of_speed(speed_mps)) * self.gear_ratio
-        curve = self.torque_curve_rpm_nm
-        for (low_rpm, low_nm), (high_rpm, high_nm) in itertools.pairwise(curve):
-            if motor_rpm < high_rpm:
-                return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
-        return curve[-1][1] if motor_rpm < self.motor_speed_max_rpm else 0.0
 
     def with_steer_limit(self, steer_limit_deg: float) -> VehicleParameters:
         """The same car behind an interface whose steering limit is another one."""
