@@ -134,8 +134,7 @@ def _run(arguments: list[str]) -> int:
         return 2
     module = module_of(verb)
     parser = parser_of(verb)
-    # intermixed: an option may stand before, between and after what is given by its place
-    parse = getattr(module, "parse", argparse.ArgumentParser.parse_intermixed_args)
+    parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
     args = parse(parser, arguments[1:])
     try:
         return int(module.run(args))

@@ -8,6 +8,7 @@ import math
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import add_database_arguments
@@ -48,6 +49,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--as-ai", action="store_true", help="the AI computer's own identifiers too: see above")
     parser.add_argument("--dry-run", action="store_true", help="send nothing; print the frame as cansend takes it")
     parser.add_argument("--json", action="store_true", help="print the frame and its signals as one JSON object")
+
+
+def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
+    """Options may stand between the message and its signals."""
+    return parser.parse_intermixed_args(argv)
 
 
 def run(args: argparse.Namespace) -> int:

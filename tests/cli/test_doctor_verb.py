@@ -128,6 +128,11 @@ def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen(
         (replace(WELL, services={"fsai-planner.service": "active"}), "services", "no bridge is enabled, while"),
         (replace(WELL, services={}), "services", "no bridge is enabled, while"),
         (replace(WELL, starts_at_boot=False, services={}), "services", "nothing of ours starts at boot"),
+        (
+            replace(WELL, starts_at_boot=False),
+            "services",
+            "bridge@can0 starts whenever its adapter is there, and sends",
+        ),
         (replace(WELL, scheduling=Scheduling("SCHED_OTHER", 0, True)), "scheduling", "SCHED_OTHER"),
         (replace(WELL, scheduling=Scheduling("SCHED_FIFO", 45, False)), "memory", "not locked"),
         (replace(WELL, rt_runtime_us=0), "scheduling", "no time at all"),

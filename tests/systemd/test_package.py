@@ -18,6 +18,7 @@ from fsai_hil.vcan import VcanError
 TOOLS = ("dpkg", "dpkg-deb", "systemctl", "systemd-sysusers", "systemd-tmpfiles")
 HAVE = {"systemd": "252.1", "iproute2": "6.1", "python3.11": "3.11.2", "python3.12": "3.12.3"}
 TARGET = "etc/systemd/system/multi-user.target.wants/fsai.target"
+NODES = {f"fsai-{name}.service" for name in ("detector", "planner", "controller")}
 BRIDGE = "etc/systemd/system/fsai.target.wants/fsai-bridge@{}.service"
 
 
@@ -68,9 +69,13 @@ class Image:
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
     @property
-    def starts(self) -> set[str]:
-        """What is started with the machine, or with an adapter."""
+    def enabled(self) -> set[str]:
         return {path.name for path in self.root.glob("etc/systemd/system/*.wants/fsai*")}
+
+    @property
+    def starts(self) -> set[str]:
+        """What is started with the machine, or with an adapter; the nodes are with the target alone."""
+        return self.enabled if self.has(TARGET) else {name for name in self.enabled if name not in NODES}
 
 
 @pytest.fixture
@@ -94,24 +99,33 @@ def test_installed_nothing_starts_by_itself_before_a_bus_is_named(fresh: Image, 
     assert fresh.starts == set(), "nor after an upgrade"
 
 
-def test_switched_off_nothing_sends_until_a_bus_is_named_again(image: Image, deb: Path) -> None:
-    (image.root / "etc/systemd/system/fsai.target.wants/fsai-detector.service").unlink()
+@pytest.mark.parametrize("a_stack_of_their_own", [False, True])
+def test_switched_off_nothing_starts_until_a_bus_is_named_again(
+    image: Image, deb: Path, a_stack_of_their_own: bool
+) -> None:
+    wants = image.root / "etc/systemd/system/fsai.target.wants"
+    for node in sorted(NODES)[: 3 if a_stack_of_their_own else 1]:
+        (wants / node).unlink()
     before = image.starts
     assert "fsai.target" in before
+    (wants / "fsai-simulated-sensors.service").symlink_to("/dev/null")
+    settings = image.root / "etc/systemd/system/fsai.target.d/override.conf"
+    settings.write_text("[Unit]\n")
     assert image.settle("--off").returncode == 0
     assert image.dpkg("-i", deb).returncode == 0
-    left = image.starts
-    assert not image.has(TARGET) and not any("@" in unit for unit in left)
-    assert not image.has("etc/systemd/system/fsai.target.d")
+    assert image.starts == set()
+    assert settings.exists() and len(list(settings.parent.iterdir())) == 1, "what the team has written is kept"
     assert image.settle("can0").returncode == 0
     assert image.starts == before, "which nodes start is remembered"
 
 
-@pytest.mark.parametrize("name", ["can 0", "../can0", "--of", "can0;"])
-def test_what_cannot_be_a_bus_changes_nothing(image: Image, name: str) -> None:
+@pytest.mark.parametrize(
+    "words", [["can 0"], ["../can0"], ["--of"], ["can0;"], ["off"], ["can", "0"], ["can1", "--off"]]
+)
+def test_what_cannot_be_a_bus_changes_nothing(image: Image, words: list[str]) -> None:
     before = image.starts
-    done = image.settle(name)
-    assert done.returncode == 2 and name in done.stderr
+    done = image.settle(*words)
+    assert done.returncode == 2 and done.stderr.startswith("settle: ")
     assert image.starts == before
 
 

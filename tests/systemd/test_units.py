@@ -146,4 +146,4 @@ def test_a_plug_that_is_back_before_its_services_have_ended_brings_them_back_too
     # Seen in the rehearsal: the device asked for the recorder while it was still stopping, and nobody asked again.
     script = (root / "usr/lib/fsai/settle").read_text()
     assert "Upholds=%s" in script and "fsai-bridge@$interface.service fsai-recorder@$interface.service" in script
-    assert '>"$system/fsai.target.d/10-interface.conf"' in script
+    assert "held=$system/fsai.target.d/10-interface.conf" in script and '>"$held"' in script

@@ -254,14 +254,17 @@ def services(machine: Machine) -> Iterator[Finding]:
     wanted = machine.wanted
     configured = wanted.configured_interface if wanted is not None and ":" not in wanted.configured_interface else ""
     settle = f"{_SETTLE} {configured or 'INTERFACE'}"
-    if machine.starts_at_boot is False:
+    bridges = [name for name in machine.services if name.startswith("fsai-bridge@")]
+    if machine.starts_at_boot is False and bridges:
+        words = f"fsai.target is not enabled, but {_short(bridges[0])} starts whenever its adapter is there, and sends"
+        yield _wrong("services", words, f"{settle}; or, that nothing is sent: {_SETTLE} --off")
+    elif machine.starts_at_boot is False:
         words = "nothing of ours starts at boot: fsai.target is not enabled"
         yield _wrong("services", words, f"{settle}, when all else is right: from then on this computer sends")
         return
     if not machine.services and machine.starts_at_boot is None:
         yield _note("services", "systemd does not run here, or nothing of ours is installed")
         return
-    bridges = [name for name in machine.services if name.startswith("fsai-bridge@")]
     if configured and bridges != [f"fsai-bridge@{configured}.service"]:
         words = ", ".join(_short(name) for name in bridges) or "no bridge"
         yield _wrong("services", f"{words} is enabled, while the configuration says {configured}", settle)

@@ -499,17 +499,23 @@ class Rehearsal:
 
     def switched_off(self) -> None:
         """Switched off by hand, nobody sends, not even when an adapter is plugged in; the bus named, all are back."""
+        subprocess.run([_SETTLE, "can9"], check=True)
+        passed = self.await_that(lambda: not is_active(self.bridge), stated.UNPLUGGED_S)
+        self.note("another bus named: nobody goes on sending on this one", None, passed=passed)
         subprocess.run([_SETTLE, "--off"], check=True)
         output("ip", "link", "del", self.interface)
+        device = f"sys-subsystem-net-devices-{self.interface}.device"
+        self.await_that(lambda: not is_active(device), stated.SERVICE_BACK_S)
         output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+        self.step("switched off, then plugged in", lambda: is_active(device), 30.0, stated.SERVICE_BACK_S)
 
         def woken() -> set[str]:
             return set(output("systemctl", "is-active", *self.services).split()) - {"inactive", "failed"}
 
         passed = not self.await_that(lambda: bool(woken()), stated.UNPLUGGED_S, _BOOT_POLL_S)
-        self.note("switched off, then plugged in: nobody starts", None, passed=passed)
+        self.note("nobody starts", None, passed=passed)
         subprocess.run([_SETTLE, self.interface], check=True)
-        systemctl("start", "fsai.target")
+        systemctl("start", "--no-block", "fsai.target")
         self.step("the bus named again: all services are active", self.all_active, 60.0, stated.BOOT_S)
 
     def upgraded(self) -> None:
