@@ -46,7 +46,6 @@ def outcome_of(waiting: Waiting, states: list[AsState | None], mission: Ami = Am
         ("end", [READY, DRIVING, EMERGENCY], "reached"),
         ("end", [READY, DRIVING, OFF], "missed"),
         ("finished", [None, None], None),
-        ("emergency", [DRIVING, None, FINISHED], "missed"),
     ],
 )
 def test_a_goal_ends_as_the_table_says(until: str, states: list[AsState | None], ended: str | None) -> None:

@@ -453,8 +453,6 @@ class VcuBridge(LifecycleNode):
         self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
 
     def _step_goals(self, report: BridgeReport, ending: Outcome | None) -> None:
-        # What a run has latched is not what the car says: one that is switched off between two missions says nothing.
-        as_state = None if report.vehicle.status is None else report.run.as_state
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
@@ -463,7 +461,7 @@ class VcuBridge(LifecycleNode):
             if handle.is_cancel_requested:
                 outcome = Outcome(False, "cancelled", "cancelled; the car goes on as it was")
             if outcome is None:
-                outcome = following.waiting.step(as_state, _mission_shown(report), report.t_ns)
+                outcome = following.waiting.step(report.run.as_state, _mission_shown(report), report.t_ns)
             if outcome is not None:
                 following.outcome, following.report = outcome, report
                 handle.execute()

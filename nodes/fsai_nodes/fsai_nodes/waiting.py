@@ -77,10 +77,10 @@ class Waiting:
     def step(self, as_state: AsState | None, mission: Ami, now_ns: int) -> Outcome | None:
         """`as_state` and `mission` as the car says them now; None while nothing has been heard."""
         goal = GOALS[self.until]
+        before, self._before = self._before, as_state
+        changed = before is not None and as_state is not before
         self._drove |= as_state is AsState.AS_DRIVING
         if as_state is not None:
-            before, self._before = self._before, as_state
-            changed = before is not None and as_state is not before
             underway = as_state in (AsState.AS_READY, AsState.AS_DRIVING)
             if underway and self._mission is not None and mission is not self._mission:
                 words = f"{as_state.label} with mission {mission.label}, not {self._mission.label}"

@@ -52,6 +52,8 @@ def test_missions_one_after_another_leave_memory_descriptors_threads_and_respons
                     break
                 if mission == 1:
                     began_s, began_ns = time.monotonic(), time.time_ns()
+                # The result may be here before the state that it tells of.
+                chain.operator.await_state(lambda s: s.as_state == AsState.AS_FINISHED, POWER_UP_S, "AS_FINISHED")
                 chain.operator.await_state(lambda s: s.as_state != AsState.AS_FINISHED, POWER_UP_S, "the next power-up")
     flatness = judge(sampler.since(began_s), response_parts(run.log_path, CODEC, began_ns), unjudged=(CAR,))
     print(f"\n{flatness}", flush=True)
