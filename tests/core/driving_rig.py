@@ -182,7 +182,9 @@ class Rig:
             brake = max(brake, 0.4)  # as the bridge does
         most = car.steer_rate_radps * dt
         self.steer += min(max(wanted - self.steer, -most), most)
-        torque = min(command.throttle * car.axle_torque_max_nm, car.axle_torque_available_nm(self.speed))
+        motor_rpm = car.wheel_rpm_of_speed(self.speed) * car.gear_ratio
+        available_nm = float(np.interp(motor_rpm, *zip(*car.torque_curve_rpm_nm, strict=True)))
+        torque = min(command.throttle * car.axle_torque_max_nm, available_nm)
         force = torque * car.driven_axles / car.rolling_radius_m
         drag = car.rolling_resistance * car.mass_kg * GRAVITY_MPS2 + 0.6 * car.drag_area_m2 * self.speed**2
         slowing = 0.0 if brake <= 0.0 else max(brake * car.brake_excess, car.brake_minimum) * car.brake_full_mps2
