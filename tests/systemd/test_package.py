@@ -95,6 +95,9 @@ def image(fresh: Image) -> Image:
 def test_installed_nothing_starts_by_itself_before_a_bus_is_named(fresh: Image, deb: Path) -> None:
     # Somebody turns the car's wheels by hand meanwhile: no adapter that is plugged in may wake the bridge.
     assert fresh.starts == set()
+    assert "nothing is sent until you say so" in fresh.settle().stdout
+    assert "it starts with the machine" in fresh.settle("can0").stdout
+    assert fresh.settle("--off").returncode == 0
     assert fresh.dpkg("-i", deb).returncode == 0
     assert fresh.starts == set(), "nor after an upgrade"
 
