@@ -81,9 +81,12 @@ class Sampler:
         self._ended.set()
         self._thread.join()
 
-    def since(self, t_s: float) -> dict[str, list[Sample]]:
-        """What was seen after the warm-up."""
-        return {name: [each for each in samples if each.t_s >= t_s] for name, samples in self.samples.items()}
+    def since(self, t_s: float, without: Sequence[tuple[float, float]] = ()) -> dict[str, list[Sample]]:
+        """What was seen after the warm-up; not in the periods `without`, from and to on the monotonic clock in s."""
+        return {
+            name: [each for each in samples if each.t_s >= t_s and not _within(each.t_s, without)]
+            for name, samples in self.samples.items()
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +133,18 @@ class Flatness:
         return "\n".join(lines)
 
 
-def response_parts(log: Path, codec: Codec, since_ns: int) -> list[ResponseTimes]:
-    """How long each toggle of the handshake waited for its echo, on the bus, in each part of the time."""
-    frames = [frame for frame in read_candump(log) if frame.t_ns >= since_ns]
+def _within(t: float, periods: Sequence[tuple[float, float]]) -> bool:
+    return any(began <= t <= ended for began, ended in periods)
+
+
+def response_parts(
+    log: Path, codec: Codec, since_ns: int, without: Sequence[tuple[float, float]] = ()
+) -> list[ResponseTimes]:
+    """How long each toggle of the handshake waited for its echo, on the bus, in each part of the time.
+
+    `since_ns`, and from and to of the periods that are left out, `without`: ns of the log's clock.
+    """
+    frames = [frame for frame in read_candump(log) if frame.t_ns >= since_ns and not _within(frame.t_ns, without)]
     checkers = [WireChecker(codec) for _ in range(PARTS)]
     for frame in frames:
         share = (frame.t_ns - since_ns) / (frames[-1].t_ns + 1 - since_ns)

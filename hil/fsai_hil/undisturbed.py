@@ -1,28 +1,42 @@
 """Tests in real time count only if the machine let them run: a pytest plugin that asks the witness about each failure.
 
-A test that fails while the machine stood still, or ran far below its speed, has shown nothing, neither for nor against
-what it tests: that is said, and the test is run again from the start, with every fixture made anew. A failure on an
-undisturbed machine is a failure, at once. A test that is disturbed in each of its runs has failed, and says why. No
-deadline is loosened by any of this.
+A test that fails while the machine stood still, ran far below its speed, or had no time to spare has shown nothing,
+neither for nor against what it tests: that is said. It is put off, where somebody will run it again on a machine with
+more time for the same deadlines; elsewhere it is run again at once, from the start, with every fixture made anew. A
+failure on an undisturbed machine is a failure, at once. A test that is disturbed in each of its runs has failed, and
+says why. No deadline is loosened by any of this.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from _pytest.runner import runtestprotocol
 
 from fsai_hil.witness import RUNS, Outcome, Watcher, describe, judge_run
 
+PUT_OFF = "put off"  # an outcome beside pytest's own: neither passed nor failed, it goes on the list
+
 
 class Undisturbed:
-    """Runs each test of the session, again if need be. `clock` is the witness's."""
+    """Runs each test of the session, again if need be.
 
-    def __init__(self, witness: Watcher, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    clock: the witness's.
+    put_off: where the names of disturbed tests are written, one a line, instead of running those again here.
+    """
+
+    def __init__(
+        self, witness: Watcher, clock: Callable[[], int] = time.monotonic_ns, put_off: Path | None = None
+    ) -> None:
         self._witness = witness
         self._clock = clock
+        self._put_off = put_off
+
+    def pytest_report_teststatus(self, report: pytest.TestReport) -> tuple[str, str, str] | None:
+        return (PUT_OFF, "P", "PUT OFF") if report.outcome == PUT_OFF else None
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:
@@ -45,6 +59,13 @@ class Undisturbed:
                 # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
                 item.session._setupstate.teardown_exact(None)
             outcome = judge_run(bool(failed), disturbances, run)
+            if outcome is Outcome.AGAIN and self._put_off is not None:
+                self._say(item, f"{item.name}: the machine {describe(disturbances)}: put off")
+                with self._put_off.open("a") as names:
+                    print(item.nodeid, file=names)
+                for report in failed:
+                    report.outcome = PUT_OFF
+                return reports
             if outcome is Outcome.AGAIN:
                 self._say(item, f"{item.name}: the machine {describe(disturbances)}: run {run} shows nothing")
                 continue

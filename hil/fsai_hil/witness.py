@@ -2,11 +2,12 @@
 
 A rehearsal in real time is judged by milliseconds, and a shared machine may stand still for longer: another guest has
 the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. Or it runs on, at half
-its speed: what the processor's other thread does, or another guest, slows all that is counted here. The bridge must
-answer either with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The witness
-tells the two apart. It shares nothing with the bridge or the simulated car and goes before both (a higher real-time
-priority): when it wakes late, nothing on this machine could have run in time, and when its counting, always the same,
-takes far longer than at its best, everything did.
+its speed: what the processor's other thread does, or another guest, slows all that is counted here. Or it is too slow
+from the start, and has no time to spare. The bridge must answer each with a stop, for on a car it is a fault; but a
+test then shows nothing about the bridge. The witness tells the two apart. It shares nothing with the bridge or the
+simulated car and goes before both (a higher real-time priority): when it wakes late, nothing on this machine could have
+run in time; when its counting, always the same, takes far longer than at its best, everything did; and when no
+processor was idle for half a second, somebody waited.
 
     with Witness(Path("/tmp/witness")) as witness:
         since_ns = time.monotonic_ns()
@@ -40,8 +41,9 @@ STOOD_STILL_NS = (
 COUNTED = range(1500)  # some 50 us of work after each sleep
 SPELL = 50  # wakes, half a second: so much is looked at as one
 SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
+NO_TIME = 0.02  # of all processors' time idle, or less: none to spare
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
-_STALL, _SLOW = "stall", "slow"
+_STALL, _SLOW, _BUSY = "stall", "slow", "busy"
 _START_S = 20.0
 RUNS = 3  # of what failed on a disturbed machine
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
@@ -68,7 +70,18 @@ class SlowSpell:
     speed: float
 
 
-def describe(disturbances: Sequence[Stall | SlowSpell]) -> str:
+@dataclass(frozen=True)
+class BusySpell:
+    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) all processors were busy."""
+
+    due_ns: int
+    until_ns: int
+
+
+Disturbance = Stall | SlowSpell | BusySpell
+
+
+def describe(disturbances: Sequence[Disturbance]) -> str:
     """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
     words = []
     stalls = [one.late_ns for one in disturbances if isinstance(one, Stall)]
@@ -79,13 +92,16 @@ def describe(disturbances: Sequence[Stall | SlowSpell]) -> str:
     if spells:
         lasted_s = sum(spell.until_ns - spell.due_ns for spell in spells) / 1e9
         words.append(f"ran at {100 * min(spell.speed for spell in spells):.0f} % of its speed for {lasted_s:.1f} s")
+    busy = [one for one in disturbances if isinstance(one, BusySpell)]
+    if busy:
+        words.append(f"had no time to spare for {sum(spell.until_ns - spell.due_ns for spell in busy) / 1e9:.1f} s")
     return " and ".join(words)
 
 
 class Watcher(Protocol):
     """What is asked of the witness."""
 
-    def disturbances(self, since_ns: int) -> Sequence[Stall | SlowSpell]: ...
+    def disturbances(self, since_ns: int) -> Sequence[Disturbance]: ...
 
 
 class Outcome(Enum):
@@ -101,7 +117,7 @@ def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> Outcome
     return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
 
 
-Noted = TypeVar("Noted", Stall, SlowSpell)
+Noted = TypeVar("Noted", Stall, SlowSpell, BusySpell)
 
 
 def _touching(noted: Sequence[Noted], since_ns: int, until_ns: int | None) -> list[Noted]:
@@ -141,9 +157,14 @@ class Witness:
         noted = [SlowSpell(int(note[1]), int(note[2]), float(note[3])) for note in self._notes() if note[0] == _SLOW]
         return _touching(noted, since_ns, until_ns)
 
-    def disturbances(self, since_ns: int) -> list[Stall | SlowSpell]:
+    def busy_spells(self, since_ns: int, until_ns: int | None = None) -> list[BusySpell]:
+        """When it had no time to spare."""
+        noted = [BusySpell(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _BUSY]
+        return _touching(noted, since_ns, until_ns)
+
+    def disturbances(self, since_ns: int) -> list[Disturbance]:
         """All that happened to the machine since then, and that lets a rehearsal show nothing."""
-        return [*self.stalls(since_ns), *self.slow_spells(since_ns)]
+        return [*self.stalls(since_ns), *self.slow_spells(since_ns), *self.busy_spells(since_ns)]
 
     def _notes(self) -> list[list[str]]:
         return [line.split() for line in self._lines()[1:]]
@@ -180,13 +201,22 @@ def _stand_first() -> str:
     return "real-time"
 
 
+def _idle_ns(stat: int) -> int:
+    """How long each processor has been idle since boot, on average; `stat` is /proc/stat, open."""
+    lines = os.pread(stat, 65536, 0).splitlines()
+    ticks = [int(line.split()[4]) for line in lines if line.startswith(b"cpu") and not line.startswith(b"cpu ")]
+    return sum(ticks) * (1_000_000_000 // os.sysconf("SC_CLK_TCK")) // len(ticks)
+
+
 def watch(path: str) -> None:
     """What the process does, until it is killed or its parent is gone."""
     parent = os.getppid()
     standing = _stand_first()
     notes = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.write(notes, f"{standing}\n".encode())
+    stat = os.open("/proc/stat", os.O_RDONLY)
     spell_ns, counted_ns, counts, best_ns = time.monotonic_ns(), 0, 0, 0
+    idle_ns = _idle_ns(stat)
     while os.getppid() == parent:
         due_ns = time.monotonic_ns() + SLEEP_NS
         time.sleep(SLEEP_NS / 1e9)
@@ -201,6 +231,9 @@ def watch(path: str) -> None:
             best_ns = min(best_ns or counted_ns, counted_ns)
             if best_ns < SLOWED_TO * counted_ns:
                 os.write(notes, f"{_SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
+            before_ns, idle_ns = idle_ns, _idle_ns(stat)
+            if idle_ns - before_ns <= NO_TIME * (now_ns - spell_ns):
+                os.write(notes, f"{_BUSY} {spell_ns} {now_ns}\n".encode())
             spell_ns, counted_ns, counts = now_ns, 0, 0
 
 

@@ -1,7 +1,8 @@
 """Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
 
 The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus. A witness
-watches the machine: what fails while it stood still is run again, and that is said (`fsai_hil.undisturbed`).
+watches the machine: what fails while it stood still or was too slow is run again, and that is said
+(`fsai_hil.undisturbed`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from fsai_vcu.runtime.bus import CanBus, open_bus
 SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
 LOG_BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
 LOG_DRAINED_S = 0.1
+WITNESS = pytest.StashKey[Witness]()
 _LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
 
@@ -34,7 +36,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if "FSAI_CAN_INTERFACE" in os.environ and not config.option.collectonly:
         witness = Witness(Path("/tmp") / f"fsai-witness-{os.getpid()}")
         config.add_cleanup(witness.stop)
-        config.pluginmanager.register(Undisturbed(witness))
+        config.stash[WITNESS] = witness
+        put_off = os.environ.get("FSAI_HIL_PUT_OFF")
+        config.pluginmanager.register(Undisturbed(witness, put_off=Path(put_off) if put_off else None))
     config.addinivalue_line("markers", "long: only with `fsai-vcu hil --all`: the suite itself is to stay short")
 
 
@@ -47,6 +51,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         here = [item for item in items if Path(__file__).parent in item.path.parents]
         for item in here:
             item.add_marker(pytest.mark.skip(reason="needs a vcan0: run this suite with `fsai-vcu hil`"))
+
+
+@pytest.fixture(scope="session")
+def witness(pytestconfig: pytest.Config) -> Witness:
+    """Who watches the machine."""
+    return pytestconfig.stash[WITNESS]
 
 
 @pytest.fixture(scope="session")

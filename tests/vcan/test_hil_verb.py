@@ -15,22 +15,30 @@ CHECKOUT = Path(__file__).parents[2]
 
 
 class FakePlace:
-    """Notes what it was asked to run."""
+    """Notes what it was asked to run; the first time, the tests of `puts_off` are put off."""
 
     def __init__(self, status: int) -> None:
         self.status = status
+        self.puts_off: list[str] = []
         self.argv: list[str] = []
         self.options: dict[str, Any] = {}
+        self.runs = 0
 
     def run(self, argv: list[str], **options: Any) -> int:
         self.argv, self.options = argv, options
+        self.runs += 1
+        if (names := options["env"].get("FSAI_HIL_PUT_OFF")) and self.puts_off:
+            Path(names).write_text("".join(f"{name}\n" for name in self.puts_off))
         return self.status
 
 
 @pytest.fixture
 def place(monkeypatch: pytest.MonkeyPatch) -> FakePlace:
     fake = FakePlace(status=0)
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", f"wanted {wanted}", fake.run))
+    monkeypatch.setattr(
+        "fsai_hil.vcan.choose_place",
+        lambda wanted: Place("uml", f"wanted {wanted}", lambda *words, **options: fake.run(*words, **options)),
+    )
     monkeypatch.setattr("compileall.compile_dir", lambda *_, **__: True)
     return fake
 
@@ -43,7 +51,7 @@ def test_it_says_which_place_and_why_and_runs_the_whole_suite(
     place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["hil", "--results", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "fsai-vcu hil: uml vcan0: wanted auto\n"
+    assert capsys.readouterr().out.splitlines()[0] == "fsai-vcu hil: uml vcan0: wanted auto"
     assert pytest_arguments(place) == ["tests/hil"]
     assert place.options["env"]["FSAI_CAN_INTERFACE"] == "vcan0"
     assert place.options["env"]["FSAI_HIL_RESULTS"] == str(tmp_path) == str(place.options["results_dir"])
@@ -52,14 +60,15 @@ def test_it_says_which_place_and_why_and_runs_the_whole_suite(
 def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlace, tmp_path: Path) -> None:
     assert main(["hil", "-x", "--uml", "-k", "killed", "--timeout", "30", "--results", str(tmp_path), "-v"]) == 0
     assert pytest_arguments(place) == ["tests/hil", "-x", "-k", "killed", "-v"]
-    assert place.options["timeout_s"] == 30.0
+    assert place.options["timeout_s"] == 30.0 * place.options["pace"], "by the clock inside"
 
 
 def test_the_long_tests_are_asked_for_by_name_and_get_more_time(place: FakePlace, tmp_path: Path) -> None:
     assert main(["hil", "--results", str(tmp_path)]) == 0
-    assert "FSAI_HIL_ALL" not in place.options["env"] and place.options["timeout_s"] == 600.0
+    usual_s = place.options["timeout_s"]
+    assert "FSAI_HIL_ALL" not in place.options["env"]
     assert main(["hil", "--all", "--results", str(tmp_path)]) == 0
-    assert place.options["env"]["FSAI_HIL_ALL"] == "1" and place.options["timeout_s"] == 1800.0
+    assert place.options["env"]["FSAI_HIL_ALL"] == "1" and place.options["timeout_s"] == 3 * usual_s
     assert pytest_arguments(place) == ["tests/hil"]
 
 
@@ -71,6 +80,7 @@ def test_a_soak_runs_its_own_test_for_so_many_minutes_and_its_time_limit_is_on_t
     assert (CHECKOUT / pytest_arguments(place)[0]).exists()
     assert place.options["env"]["FSAI_HIL_SOAK_MINUTES"] == "30"
     assert place.options["timeout_s"] == 30 * 60.0 + 600.0
+    assert place.options["pace"] == 1.0, "what is measured is measured in real time"
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
@@ -109,6 +119,45 @@ def test_a_named_part_of_the_suite_is_run_instead_of_all_of_it(place: FakePlace,
 def test_a_suite_that_fails_or_runs_no_test_fails_the_command(place: FakePlace, tmp_path: Path, status: int) -> None:
     place.status = status
     assert main(["hil", "--results", str(tmp_path)]) == status
+
+
+def test_what_was_put_off_is_run_again_where_it_has_more_time_and_decides(
+    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "put-off").write_text("tests/hil/of_an_earlier_run.py::test\n")
+    place.puts_off = ["tests/hil/test_vcan.py::test_one", "tests/hil/test_vcan.py::test_two[a b]"]
+    paces = []
+    run = place.run
+
+    def noting(argv: list[str], **options: Any) -> int:
+        paces.append(options["pace"])
+        status = run(argv, **options)
+        return status if len(paces) == 1 else 1
+
+    place.run = noting  # type: ignore[method-assign]
+    assert main(["hil", "--results", str(tmp_path), "-k", "anything"]) == 1
+    assert len(paces) == 2 and 1.0 < paces[0] < paces[1]
+    assert pytest_arguments(place) == place.puts_off
+    assert "FSAI_HIL_PUT_OFF" not in place.options["env"]
+    assert place.options["results_dir"] != tmp_path, "the logs of the first run are kept"
+    assert "put off" in capsys.readouterr().out
+
+
+def test_without_anything_put_off_or_after_a_failure_there_is_no_second_run(place: FakePlace, tmp_path: Path) -> None:
+    (tmp_path / "put-off").write_text("tests/hil/of_an_earlier_run.py::test\n")
+    assert main(["hil", "--results", str(tmp_path)]) == 0
+    assert place.runs == 1
+    place.puts_off, place.status = ["tests/hil/test_vcan.py::test_one"], 1
+    assert main(["hil", "--results", str(tmp_path)]) == 1
+    assert place.runs == 2
+
+
+def test_this_kernels_own_vcan_goes_by_this_machines_clock(
+    place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("native", "", place.run))
+    assert main(["hil", "--results", str(tmp_path)]) == 0
+    assert "pace" not in place.options and "FSAI_HIL_PUT_OFF" not in place.options["env"]
 
 
 def test_secrets_of_the_callers_environment_stay_outside(

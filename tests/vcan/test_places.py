@@ -70,6 +70,41 @@ def test_a_command_in_uml_has_vcan0_its_environment_its_folder_and_its_exit_stat
 
 
 @needs_uml
+@pytest.mark.parametrize("pace", [1.0, 3.0])
+def test_a_second_in_uml_takes_so_many_of_this_machine_by_every_clock_there(
+    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes], pace: float
+) -> None:
+    """By the kernel's clock, by the one that programs are given, by the wall clock, and for timers."""
+    inside = (
+        "import subprocess, sys, time; "
+        "kernel = [sys.executable, '-S', '-c', 'import time; print(time.monotonic())']; "
+        "asked = lambda: float(subprocess.run(kernel, env={}, capture_output=True, check=True).stdout); "
+        "print('began', flush=True); before = asked(); began, wall = time.monotonic(), time.time(); time.sleep(2.0); "
+        "print('ended', time.monotonic() - began, time.time() - wall, asked() - before, flush=True)"
+    )
+    program = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from fsai_hil.vcan import run_in_uml\n"
+        f"sys.exit(run_in_uml([sys.executable, '-c', {inside!r}], cwd=Path('/'), env={ENVIRONMENT!r}, timeout_s=60, "
+        f"results_dir=Path({str(tmp_path)!r}), pace={pace}))"
+    )
+    caller = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    assert caller.stdout is not None
+    assert caller.stdout.readline() == b"began\n"
+    began_s = time.monotonic()
+    words = caller.stdout.readline().split()
+    took_s = time.monotonic() - began_s
+    caller.communicate()
+    assert caller.returncode == 0 and words[0] == b"ended"
+    by_program_s, by_wall_s, by_kernel_s = map(float, words[1:])
+    assert 2.0 <= by_program_s <= by_kernel_s
+    assert by_wall_s == pytest.approx(by_program_s, abs=0.1)
+    # Between the lines two more interpreters start: what inside says took so long, took `pace` times as long outside.
+    assert took_s == pytest.approx(pace * by_kernel_s, rel=0.3)
+
+
+@needs_uml
 def test_a_command_that_takes_too_long_in_uml_is_ended_with_all_it_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,18 @@ import pytest
 import fsai_hil.witness
 from fsai_hil.demo import rehearse
 from fsai_hil.stack import StackError
-from fsai_hil.witness import RUNS, SPELL, STOOD_STILL_NS, Outcome, SlowSpell, Stall, Witness, describe, judge_run, watch
+from fsai_hil.witness import (
+    RUNS,
+    SPELL,
+    STOOD_STILL_NS,
+    Outcome,
+    SlowSpell,
+    Stall,
+    Witness,
+    describe,
+    judge_run,
+    watch,
+)
 
 pytest_plugins = ["pytester"]
 
@@ -25,6 +36,7 @@ from fsai_hil.undisturbed import Undisturbed
 from fsai_hil.witness import Stall
 
 SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
+PUT_OFF = {put_off!r}
 
 class Scripted:
     def __init__(self):
@@ -39,7 +51,7 @@ class Scripted:
 
 def pytest_configure(config):
     witness = Scripted()
-    config.pluginmanager.register(Undisturbed(witness, witness.clock))
+    config.pluginmanager.register(Undisturbed(witness, witness.clock, pathlib.Path(PUT_OFF) if PUT_OFF else None))
 
 def note(word):
     with pathlib.Path("notes").open("a") as notes:
@@ -53,9 +65,11 @@ def shared():
 """
 
 
-def run(pytester: pytest.Pytester, script: list[bool], tests: str) -> tuple[pytest.RunResult, list[str]]:
+def run(
+    pytester: pytest.Pytester, script: list[bool], tests: str, put_off: str = ""
+) -> tuple[pytest.RunResult, list[str]]:
     """The result of the tests under a witness that answers by the script, and what the tests noted."""
-    pytester.makeconftest(PLUGIN.format(script=script))
+    pytester.makeconftest(PLUGIN.format(script=script, put_off=put_off))
     pytester.makepyfile("from conftest import note\n" + textwrap.dedent(tests))
     result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
     return result, Path(pytester.path / "notes").read_text().split()
@@ -96,6 +110,33 @@ def test_a_test_that_never_ran_undisturbed_fails_and_says_so(pytester: pytest.Py
     result.assert_outcomes(failed=1)
     assert notes == ["run"] * RUNS
     result.stdout.fnmatch_lines(["*never ran undisturbed: in run 3 of 3 too the machine stood still for 52 ms"])
+
+
+def test_where_tests_can_be_put_off_a_disturbed_failure_goes_on_the_list_and_is_no_failure(
+    pytester: pytest.Pytester,
+) -> None:
+    tests = """
+        import pytest
+
+        @pytest.mark.parametrize("which", ["disturbed", "sound"])
+        def test_it(shared, which):
+            note(which)
+            assert which == "sound"
+    """
+    result, notes = run(pytester, [True], tests, put_off="names")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["*1 passed, 1 put off*"])
+    assert notes == ["up", "disturbed", "down", "up", "sound", "down"]
+    (name,) = (pytester.path / "names").read_text().splitlines()
+    assert name.endswith("test_it[disturbed]")
+    result.stdout.fnmatch_lines(["*the machine stood still for 52 ms: put off"])
+    assert "FAILURES" not in result.stdout.str()
+
+
+def test_a_failure_on_a_machine_that_ran_is_never_put_off(pytester: pytest.Pytester) -> None:
+    result, _ = run(pytester, [False], "def test_it(): note('run'); assert False", put_off="names")
+    result.assert_outcomes(failed=1)
+    assert not (pytester.path / "names").exists()
 
 
 def test_a_disturbed_setup_and_a_disturbed_teardown_are_run_again_too(pytester: pytest.Pytester) -> None:
@@ -200,6 +241,7 @@ def test_the_witness_notes_that_the_machine_counts_far_more_slowly_than_before(
     monkeypatch.setattr(fsai_hil.witness.time, "monotonic_ns", lambda: now_ns)
     monkeypatch.setattr(fsai_hil.witness.time, "sleep", sleep)
     monkeypatch.setattr(fsai_hil.witness, "sum", count, raising=False)
+    monkeypatch.setattr(fsai_hil.witness, "_idle_ns", lambda _: now_ns)
     monkeypatch.setattr(fsai_hil.witness, "_stand_first", lambda: "ordinary")
     with pytest.raises(Ended):
         watch(str(tmp_path / "notes"))
@@ -208,6 +250,51 @@ def test_the_witness_notes_that_the_machine_counts_far_more_slowly_than_before(
     slow = witness.slow_spells(0)
     assert [spell.speed for spell in slow] == [0.5, 0.5]
     assert slow[0].until_ns == slow[1].due_ns, "each spell begins where the last one ended"
+
+
+@pytest.mark.parametrize(("idle_share", "spells"), [(0.02, 2), (0.03, 0)])
+def test_the_witness_notes_that_no_processor_had_time_to_spare(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, idle_share: float, spells: int
+) -> None:
+    class Ended(Exception):
+        pass
+
+    now_ns, wakes = 0, 0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now_ns, wakes
+        now_ns += round(seconds * 1e9)
+        wakes += 1
+        if wakes > 2 * SPELL:
+            raise Ended
+
+    monkeypatch.setattr(fsai_hil.witness.time, "monotonic_ns", lambda: now_ns)
+    monkeypatch.setattr(fsai_hil.witness.time, "sleep", sleep)
+    monkeypatch.setattr(fsai_hil.witness, "_idle_ns", lambda _: int(now_ns * idle_share))
+    monkeypatch.setattr(fsai_hil.witness, "_stand_first", lambda: "ordinary")
+    with pytest.raises(Ended):
+        watch(str(tmp_path / "notes"))
+    witness = object.__new__(Witness)
+    witness._path = tmp_path / "notes"
+    busy = witness.busy_spells(0)
+    assert len(busy) == spells
+    assert list(witness.disturbances(0)) == busy
+    if spells:
+        assert describe(busy) == "had no time to spare for 1.0 s"
+
+
+def test_idle_time_is_the_kernels_own_figure_for_one_processor() -> None:
+    def idle_s() -> float:
+        stat = os.open("/proc/stat", os.O_RDONLY)
+        try:
+            return fsai_hil.witness._idle_ns(stat) / 1e9
+        finally:
+            os.close(stat)
+
+    before, uptime = idle_s(), Path("/proc/uptime").read_text().split()
+    all_idle_s = float(uptime[1]) / (os.cpu_count() or 1)
+    assert before == pytest.approx(all_idle_s, rel=0.05)
+    assert before <= idle_s() <= float(Path("/proc/uptime").read_text().split()[0]) * 1.01
 
 
 def test_the_witness_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:

@@ -20,13 +20,14 @@ from fsai_hil.carpc import package
 from fsai_hil.carpc.package import CHECKOUT
 from fsai_hil.carpc.watching import CODEC, HOUR_NS
 from fsai_hil.vcan import VcanError, uml
-from fsai_hil.vcan.clock import preloaded_clock
+from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
 from fsai_hil.wire import checker_for, read_candump
 from fsai_hil.witness import RUNS
 
 MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
+SHORT_PACE = 1.5  # the short form is for changes of the sources, on any machine; figures are the full one's
 INTERFACE = "vcan0"
 # Of this machine's services none is wanted inside; and what systemd would look for there is not.
 MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
@@ -77,9 +78,19 @@ def main() -> int:
     )
     parser.add_argument("--results", type=Path, default=CHECKOUT / "out" / "carpc", metavar="DIR")
     parser.add_argument("--timeout", type=float, default=BOOT_TO_END_S, metavar="S", help="(%(default)g)")
+    parser.add_argument(
+        "--pace",
+        type=float,
+        metavar="N",
+        help=f"how many seconds of this machine a second inside takes, as if it were so much faster (1; with --short "
+        f"{SHORT_PACE:g})",
+    )
     args = parser.parse_args()
+    pace = args.pace if args.pace is not None else SHORT_PACE if args.short else 1.0
+    if not 1.0 <= pace <= 100.0:
+        parser.error(f"--pace is {pace:g}, but must be from 1 to 100")
     try:
-        return rehearse(args.missions, args.results.resolve(), args.timeout, args.short)
+        return rehearse(args.missions, args.results.resolve(), args.timeout, args.short, pace)
     except (CarPcError, VcanError) as error:
         print(f"fsai_hil.carpc: {error}", file=sys.stderr)
         return 1
@@ -88,8 +99,11 @@ def main() -> int:
         return 130
 
 
-def rehearse(missions: str, results: Path, timeout_s: float, short: bool) -> int:
-    """0 when everything came up, drove and recovered in time; the report is `results`/report.json."""
+def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: float) -> int:
+    """0 when everything came up, drove and recovered in time; the report is `results`/report.json.
+
+    All times are inside's, where a second takes `pace` seconds of this machine.
+    """
     machine = uml.find_user_mode_linux()
     results.mkdir(parents=True, exist_ok=True)
     for old in (*results.glob("*.json"), *results.glob("*.txt"), *results.glob("*.log"), results / "again"):
@@ -101,19 +115,25 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool) -> int
         package.unpack(package.make(results), installed)
     if not Path("/usr/lib/systemd/systemd-udevd").exists():
         raise CarPcError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
+    if pace != 1.0:
+        print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
         exchange = Path(folder).resolve()
         init = exchange / "init"
-        clock = preloaded_clock(exchange)
+        clock, slowed = preloaded_clock(exchange, pace), slowed_clock(exchange, pace)
         modules = uml.module_files(machine.modules, MODULES)
         init.write_text(init_script(missions, installed, results, modules, clock, short))
         init.chmod(0o755)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
         with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, Telling(results):
-            in_time = uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
+
+            def boot() -> bool:
+                return uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, pace * timeout_s, slowed)
+
+            in_time = boot()
             for _ in range(RUNS):
                 if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
-                    in_time = uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, timeout_s)
+                    in_time = boot()
     if not in_time:
         raise CarPcError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
     report = results / "report.json"

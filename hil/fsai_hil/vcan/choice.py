@@ -20,6 +20,11 @@ class Place:
     why: str
     run: Callable[..., int]
 
+    @property
+    def has_pace(self) -> bool:
+        """Whether `run` takes `pace`: a clock inside that goes slower than the machine's."""
+        return self.name == "uml"
+
 
 def choose_place(wanted: Literal["auto", "native", "uml"] = "auto") -> Place:
     """The place asked for, or the best there is. Raises VcanError, whose message says what to install."""

@@ -1,4 +1,7 @@
-"""Builds the preloaded clock of User-Mode Linux (clock.c says why) and measures the scale of the counter it reads."""
+"""Builds the preloaded clocks of User-Mode Linux: for the programs inside, and for the kernel itself.
+
+clock.c and slow_clock.c say why. The scale of the counter that the former reads is measured here.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +11,48 @@ import subprocess
 import time
 from pathlib import Path
 
-_SOURCE = Path(__file__).with_name("clock.c")
+from fsai_hil.vcan.errors import VcanError
+
+_HERE = Path(__file__).parent
 _STEADY = {"constant_tsc", "nonstop_tsc"}  # without these the counter is no clock
 _MEASURE_S = 0.2
 _TRIES = 20
 
 
-def preloaded_clock(folder: Path) -> dict[str, str]:
+def preloaded_clock(folder: Path, pace: float = 1.0) -> dict[str, str]:
     """The environment variables that give a program in User-Mode Linux a fast clock; none where that is not possible.
 
     The library is built into `folder`. Takes a good third of a second.
+    pace: as given to the kernel inside, with `slowed_clock`.
     """
+    library = _built("clock", folder) if _counter_is_steady() else None
+    if library is None:
+        return {}
+    return {"LD_PRELOAD": str(library), "FSAI_NS_PER_COUNT": f"{_ns_per_count(library) / pace:.12g}"}
+
+
+def slowed_clock(folder: Path, pace: float) -> dict[str, str]:
+    """The environment variables for User-Mode Linux itself that make a second inside last `pace` seconds.
+
+    None for 1. The library is built into `folder`. Raises VcanError where there is no compiler.
+    """
+    if pace == 1.0:
+        return {}
+    library = _built("slow_clock", folder)
+    if library is None:
+        raise VcanError(
+            "a slower clock for User-Mode Linux needs a C compiler; as root: apt-get install -y gcc libc6-dev"
+        )
+    return {"LD_PRELOAD": str(library), "FSAI_PACE": f"{pace:.12g}"}
+
+
+def _built(name: str, folder: Path) -> Path | None:
     compiler = shutil.which("cc")
-    if compiler is None or not _counter_is_steady():
-        return {}
-    library = folder / "clock.so"
-    command = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(_SOURCE)]
-    if subprocess.run(command, capture_output=True, check=False).returncode != 0:
-        return {}
-    return {"LD_PRELOAD": str(library), "FSAI_NS_PER_COUNT": f"{_ns_per_count(library):.12g}"}
+    if compiler is None:
+        return None
+    library = folder / f"{name}.so"
+    command = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(_HERE / f"{name}.c")]
+    return library if subprocess.run(command, capture_output=True, check=False).returncode == 0 else None
 
 
 def _counter_is_steady() -> bool:

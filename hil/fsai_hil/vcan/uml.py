@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from fsai_hil.vcan.clock import preloaded_clock
+from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
 from fsai_hil.vcan.errors import TIMED_OUT, VcanError
 from fsai_hil.vcan.native import end_group
 from fsai_hil.vcan.network import bring_up
@@ -124,6 +124,7 @@ def run_in_uml(
     modules: Sequence[str] = MODULES,
     memory_mib: int = MEMORY_MIB,
     visible: Sequence[Path] = (),
+    pace: float = 1.0,
 ) -> int:
     """Run a command in a freshly booted User-Mode Linux. Returns its exit status, 124 if it took over `timeout_s`.
 
@@ -133,6 +134,8 @@ def run_in_uml(
     results_dir: the one writable folder, at the same path inside, where what was there before is not seen; the kernel's
     log goes there as `uml-kernel.log`. Its content appears outside at the end.
     visible: further folders it needs, if they are under /tmp, /run or /dev/shm; `cwd` and this Python are seen to.
+    pace: how long a second inside takes, in seconds of this machine, `timeout_s` not; as if the processor were so many
+    times faster. For 1 nothing is changed.
     Its output goes to this process's standard output, live. Everything is ended on Ctrl-C and when this process dies.
     Raises VcanError if User-Mode Linux is not there or does not come up.
     """
@@ -149,7 +152,7 @@ def run_in_uml(
         if any(character.isspace() for character in str(exchange)):
             raise VcanError(f"the folder for temporary files has a blank in its name: {exchange}")
         init = exchange / "init"
-        clock = preloaded_clock(exchange)
+        clock = preloaded_clock(exchange, pace)
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
@@ -158,7 +161,7 @@ def run_in_uml(
         )
         init.chmod(0o755)
         with (staged / "uml-kernel.log").open("wb") as log, processor_of_its_own() as processor:
-            in_time = boot(uml, init, exchange, log, processor, memory_mib, timeout_s)
+            in_time = boot(uml, init, exchange, log, processor, memory_mib, timeout_s, slowed_clock(exchange, pace))
         try:
             return int((exchange / "exit-status").read_text())
         except (OSError, ValueError):
@@ -272,8 +275,12 @@ def boot(
     processor: int,
     memory_mib: int,
     timeout_s: float,
+    clock: Mapping[str, str] | None = None,
 ) -> bool:
-    """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit."""
+    """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit.
+
+    clock: environment variables that give the machine inside another clock than this machine's (`slowed_clock`).
+    """
     output, console = os.pipe()
     process = subprocess.Popen(
         [
@@ -292,7 +299,7 @@ def boot(
         stdout=log,
         stderr=subprocess.STDOUT,
         pass_fds=(console,),
-        env={"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib))},
+        env={"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **(clock or {})},
         start_new_session=True,
         preexec_fn=lambda: _settle(processor),
     )
