@@ -98,17 +98,17 @@ def run(args: argparse.Namespace) -> int:
                 **({"pace": pace} if place.has_pace else {}),
             )
 
-        if args.soak is not None or not place.has_pace:
-            status = suite(_selection(args, checkout), results, 1.0, None)
-        else:
-            print(f"fsai-vcu hil: {_PACE:g} s of this machine for each second inside", flush=True)
-            put_off = results / "put-off"
+        pace = _PACE if place.has_pace else 1.0
+        put_off = results / "put-off" if place.has_pace and args.soak is None else None
+        if place.has_pace:
+            print(f"fsai-vcu hil: {pace:g} s of this machine for each second inside", flush=True)
+        if put_off is not None:
             put_off.unlink(missing_ok=True)
-            status = suite(_selection(args, checkout), results, _PACE, put_off)
-            if status == 0 and put_off.exists():
-                print(f"\nfsai-vcu hil: what was put off, now with {_SLOW_PACE:g} s for each second", flush=True)
-                names = put_off.read_text().splitlines()
-                status = suite(names, results / "put-off-runs", _SLOW_PACE, None)
+        status = suite(_selection(args, checkout), results, pace, put_off)
+        if status == 0 and put_off is not None and put_off.exists():
+            print(f"\nfsai-vcu hil: what was put off, now with {_SLOW_PACE:g} s for each second", flush=True)
+            names = put_off.read_text().splitlines()
+            status = suite(names, results / "put-off-runs", _SLOW_PACE, None)
     except VcanError as error:
         raise UserError(str(error)) from error
     finally:
