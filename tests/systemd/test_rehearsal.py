@@ -47,6 +47,30 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> inside.Rehearsal
     return rehearsed()
 
 
+@pytest.mark.parametrize(
+    ("words", "pace"), [([], 1.0), (["--short"], rehearsal.SHORT_PACE), (["--short", "--pace", "4"], 4.0)]
+)
+def test_what_is_measured_is_measured_by_this_machines_clock_unless_another_pace_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, words: list[str], pace: float
+) -> None:
+    asked: list[float] = []
+    monkeypatch.setattr("sys.argv", ["carpc", *words])
+    monkeypatch.setattr(rehearsal, "rehearse", lambda *arguments: asked.append(arguments[-1]) or 0)
+    assert rehearsal.main() == 0
+    assert asked == [pace]
+
+
+@pytest.mark.parametrize("pace", ["0", "0.5", "nan", "101"])
+def test_a_pace_that_no_machine_keeps_is_refused_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], pace: str
+) -> None:
+    monkeypatch.setattr("sys.argv", ["carpc", "--pace", pace])
+    with pytest.raises(SystemExit) as refused:
+        rehearsal.main()
+    assert refused.value.code == 2
+    assert f"--pace is {pace}, but must be from 1 to 100" in capsys.readouterr().err.splitlines()[-1]
+
+
 @pytest.mark.parametrize(("seconds", "passed"), [(10.0, True), (10.1, False), (None, False)])
 def test_a_step_that_takes_longer_than_is_stated_or_never_ends_is_wrong(
     machine: inside.Rehearsal, tmp_path: Path, seconds: float | None, passed: bool

@@ -5,13 +5,18 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from fsai_hil.response import ResponseTimes
-from fsai_hil.soak import GROWTH_KIB_PER_HOUR, NOISE_KIB, Flatness, Sample, Sampler, judge, look
+from fsai_hil.soak import GROWTH_KIB_PER_HOUR, NOISE_KIB, Flatness, Sample, Sampler, judge, look, response_parts
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.images import AiCommand, VcuStatus
+from fsai_vcu.interface.revisions import revision
 
 MS = 1_000_000
+CODEC = Codec(revision("2026"))
 STEADY = [ResponseTimes([2 * MS] * 100)] * 3
 
 
@@ -91,3 +96,32 @@ def test_the_sampler_looks_again_and_again_and_leaves_the_warm_up_out() -> None:
     seen = sampler.samples["own"]
     assert len(seen) >= 5 and sampler.samples["gone"] == []
     assert sampler.since(seen[2].t_s)["own"] == seen[2:]
+
+
+def test_a_period_that_is_left_out_is_neither_in_the_samples_nor_in_the_answers(tmp_path: Path) -> None:
+    sampler = Sampler({"bridge": 1}, 1.0)
+    sampler.samples["bridge"] = run_of()
+    seen = sampler.since(600.0, [(1200.0, 1800.0), (3000.0, 3000.0)])["bridge"]
+    left_out = {*range(10), *range(20, 31), 50}
+    assert [each.t_s / 60 for each in seen] == [minute for minute in range(120) if minute not in left_out]
+
+    def answers_late(cycle: int) -> bool:
+        return 500 <= cycle < 600
+
+    lines = []
+    for cycle in range(1, 3001):
+        t_ns = cycle * 10 * MS
+        toggle = bool(cycle % 2)
+        status = CODEC.encode(VcuStatus(handshake=toggle))
+        echo = CODEC.encode_command(AiCommand(handshake=toggle), t_ns)[0]
+        late_ns = 8 * MS if answers_late(cycle) else MS
+        for frame, at_ns in ((status, t_ns), (echo, t_ns + late_ns)):
+            lines.append(f"({at_ns / 1e9:.6f}) vcan0 {frame.can_id:03X}#{frame.data.hex().upper()}")
+    log = tmp_path / "bus.log"
+    log.write_text("\n".join(lines) + "\n")
+
+    def p99_ms(*without: tuple[float, float]) -> list[float]:
+        return [round(times.quantile_ms(0.99) or 0.0, 1) for times in response_parts(log, CODEC, 0, without)]
+
+    assert p99_ms() == [8.0, 1.0, 1.0]
+    assert p99_ms((5000 * MS, 5999 * MS)) == [1.0, 1.0, 1.0]
