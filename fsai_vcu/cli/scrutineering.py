@@ -15,6 +15,7 @@ EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
 _SECONDS = 60.0  # six thousand echoes: enough for a p99.9
 _SHORT_SECONDS = 3.0
+_PACE = 2.0  # in User-Mode Linux, where five nodes, a car and a load would want more than its one processor
 _SLACK_S = 240.0  # starting processes on one slow processor
 _PER_CONDITION_S = 120.0  # powering up and driving off
 
@@ -28,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
     place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    add(
+        "--pace",
+        type=float,
+        metavar="N",
+        help=f"in User-Mode Linux: how many seconds of this machine a second there takes ({_PACE:g})",
+    )
     add(
         "-o",
         "--out",
@@ -52,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
     if not 0.0 < seconds < math.inf:
         raise WrongUse(f"--seconds is {seconds:g}, but must be a time in seconds")
+    if args.pace is not None and not 1.0 <= args.pace <= 100.0:
+        raise WrongUse(f"--pace is {args.pace:g}, but must be from 1 to 100")
     try:
         names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
         conditions = conditions_named(names)
@@ -64,8 +73,13 @@ def run(args: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
         result.unlink(missing_ok=True)
         place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        if args.pace is not None and not place.has_pace:
+            raise WrongUse("--pace is for User-Mode Linux (--uml): this kernel's own vcan goes by this machine's clock")
+        pace = 1.0 if not place.has_pace else _PACE if args.pace is None else args.pace
         _say(args, f"{place.name} {INTERFACE}: {place.why}")
         _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
+        if pace != 1.0:
+            _say(args, f"{pace:g} s of this machine for each second inside")
         for package in ("fsai_vcu", "hil", "nodes"):
             # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
             compileall.compile_dir(checkout / package, quiet=2)
@@ -75,8 +89,9 @@ def run(args: argparse.Namespace) -> int:
             [*argv, *(["--slow-place"] if place.name == "uml" else [])],
             cwd=checkout,
             env=environment(os.environ, INTERFACE, place.name, out),
-            timeout_s=_SLACK_S + len(conditions) * (seconds + _PER_CONDITION_S),
+            timeout_s=pace * (_SLACK_S + len(conditions) * (seconds + _PER_CONDITION_S)),
             results_dir=out,
+            **({"pace": pace} if place.has_pace else {}),
         )
     except VcanError as error:
         raise UserError(str(error)) from error
@@ -87,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
     measured = {
         **json.loads(result.read_text()),
         "place": place.name,
+        "pace": pace,
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "host": machine(),
         "versions": versions(),

@@ -61,6 +61,7 @@ def told(*rows: dict[str, Any], **changes: Any) -> dict[str, Any]:
     whole = measured(*rows)
     surroundings = {
         "place": "native",
+        "pace": 1.0,
         "date": "2026-06-01 12:00 UTC",
         "host": whole["machine"],
         "versions": {"fsai-vcu": "0.1.0"},

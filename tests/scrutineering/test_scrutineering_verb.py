@@ -71,11 +71,34 @@ def test_only_what_was_asked_for_is_measured(place: FakePlace, tmp_path: Path) -
     assert (options["--conditions"], options["--seconds"]) == ("idle,idle-loaded", "3.0")
 
 
+def test_in_user_mode_linux_the_clock_is_slower_and_the_report_says_so(place: FakePlace, tmp_path: Path) -> None:
+    for words, pace in (([], 2.0), (["--pace", "3"], 3.0)):
+        assert main(["scrutineering", "-o", str(tmp_path), "--short", *words]) == 0
+        assert place.options["pace"] == pace
+        text = " ".join((tmp_path / "response-time.md").read_text().split())
+        assert f"A second there took {pace:g} s of this machine" in text
+        assert json.loads((tmp_path / "response-time.json").read_text())["pace"] == pace
+    assert main(["scrutineering", "-o", str(tmp_path), "--short", "--pace", "1"]) == 0
+    assert "A second there took" not in (tmp_path / "response-time.md").read_text()
+
+
+def test_on_this_kernels_own_vcan_there_is_no_other_clock(
+    place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("native", "", place.run))
+    assert main(["scrutineering", "-o", str(tmp_path), "--pace", "2"]) == 2
+    assert "--pace is for User-Mode Linux" in capsys.readouterr().err
+    assert place.argv == []
+    assert main(["scrutineering", "-o", str(tmp_path)]) == 0
+    assert "pace" not in place.options
+
+
 @pytest.mark.parametrize(
     ("status", "argv", "words"),
     [
         (2, ["--seconds", "0"], "--seconds is 0, but must be a time in seconds"),
         (2, ["--seconds", "nan"], "--seconds is nan"),
+        (2, ["--pace", "0.5"], "--pace is 0.5, but must be from 1 to 100"),
         (2, ["--conditions", "asleep"], "no condition 'asleep': choose from idle"),
         (1, ["-o", "/proc/absent"], "/proc/absent: No such file or directory"),
     ],

@@ -53,7 +53,8 @@ def verdict(measured: Mapping[str, Any]) -> str:
 
 
 def markdown(measured: Mapping[str, Any]) -> str:
-    """The whole report. `measured` is the rehearsal's result with `date`, `place`, `host`, `versions` and `source`."""
+    """The whole report. `measured` is the rehearsal's result with `date`, `place`, `pace`, `host`, `versions`
+    and `source`."""
     rows = measured["conditions"]
     parts = (
         "# Handshake response time",
@@ -201,6 +202,11 @@ def _method(measured: Mapping[str, Any]) -> str:
             "disk is not forced onto it there, because that stops the inner kernel whole. On the car's own computer "
             "run the same command again."
         )
+    if measured["pace"] != 1.0:
+        points.append(
+            f"A second there took {measured['pace']:g} s of this machine, so that nodes, car and load had time to run "
+            "side by side at all. Every figure is by that clock, as of a processor so many times faster."
+        )
     if measured["comms_losses_between"]:
         points.append(
             f"Between the measurements, while programs were started or the load came and went, the VCU raised "
@@ -214,7 +220,7 @@ def _machine(measured: Mapping[str, Any]) -> str:
     place = (
         "this machine's own vcan"
         if measured["place"] == "native"
-        else f"vcan of User-Mode Linux ({inside['kernel']}, one processor)"
+        else f"vcan of User-Mode Linux ({inside['kernel']}, one processor, its clock {measured['pace']:g} times slower)"
     )
     rows = [
         ("date", measured["date"]),
