@@ -1,10 +1,10 @@
 """Tests in real time count only if the machine let them run: a pytest plugin that asks the witness about each failure.
 
-A test that fails while the machine stood still, ran far below its speed, or had no time to spare has shown nothing,
-neither for nor against what it tests: that is said. It is put off, where somebody will run it again on a machine with
-more time for the same deadlines; elsewhere it is run again at once, from the start, with every fixture made anew. A
-failure on an undisturbed machine is a failure, at once. A test that is disturbed in each of its runs has failed, and
-says why. No deadline is loosened by any of this.
+A test that fails while the machine stood still or ran far below its speed has shown nothing, neither for nor against
+what it tests: that is said, and it is run again from the start, with every fixture made anew. Or it is put off, where
+somebody will run it again on a machine with more time for the same deadlines; it is so too if the machine merely had no
+time to spare. A failure on an undisturbed machine is a failure, at once. A test that is disturbed in each of its runs
+has failed, and says why. No deadline is loosened by any of this.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ class Undisturbed:
     """Runs each test of the session, again if need be.
 
     clock: the witness's.
-    put_off: where the names of disturbed tests are written, one a line, instead of running those again here.
+    put_off: where the names of disturbed tests are written, one a line, instead of running those again here; beside it,
+    with `.txt`, how they failed.
     """
 
     def __init__(
@@ -54,7 +55,9 @@ class Undisturbed:
             since_ns = self._clock()
             reports = runtestprotocol(item, log=False, nextitem=nextitem)
             failed = [report for report in reports if report.failed]
-            disturbances = self._witness.disturbances(since_ns) if failed else []
+            disturbances = list(self._witness.disturbances(since_ns)) if failed else []
+            if failed and self._put_off is not None:
+                disturbances += self._witness.busy_spells(since_ns)
             if failed:
                 # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
                 item.session._setupstate.teardown_exact(None)
@@ -63,6 +66,9 @@ class Undisturbed:
                 self._say(item, f"{item.name}: the machine {describe(disturbances)}: put off")
                 with self._put_off.open("a") as names:
                     print(item.nodeid, file=names)
+                with self._put_off.with_suffix(".txt").open("a") as story:
+                    for report in failed:
+                        print(item.nodeid, report.when, report.longreprtext, sep="\n", file=story)
                 for report in failed:
                     report.outcome = PUT_OFF
                 return reports

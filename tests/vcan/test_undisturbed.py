@@ -33,10 +33,11 @@ STALL = Stall(1_000_000_000, 52_000_000)
 PLUGIN = """
 import itertools, pathlib, pytest
 from fsai_hil.undisturbed import Undisturbed
-from fsai_hil.witness import Stall
+from fsai_hil.witness import BusySpell, Stall
 
 SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
 PUT_OFF = {put_off!r}
+BUSY = {busy!r}
 
 class Scripted:
     def __init__(self):
@@ -48,6 +49,8 @@ class Scripted:
     def disturbances(self, since_ns):
         assert since_ns == self.time_ns, "it asks about this run"
         return [Stall(since_ns, 52_000_000)] if self.left.pop(0) else []
+    def busy_spells(self, since_ns):
+        return [BusySpell(since_ns, since_ns + 500_000_000)] if BUSY else []
 
 def pytest_configure(config):
     witness = Scripted()
@@ -66,10 +69,10 @@ def shared():
 
 
 def run(
-    pytester: pytest.Pytester, script: list[bool], tests: str, put_off: str = ""
+    pytester: pytest.Pytester, script: list[bool], tests: str, put_off: str = "", busy: bool = False
 ) -> tuple[pytest.RunResult, list[str]]:
     """The result of the tests under a witness that answers by the script, and what the tests noted."""
-    pytester.makeconftest(PLUGIN.format(script=script, put_off=put_off))
+    pytester.makeconftest(PLUGIN.format(script=script, put_off=put_off, busy=busy))
     pytester.makepyfile("from conftest import note\n" + textwrap.dedent(tests))
     result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
     return result, Path(pytester.path / "notes").read_text().split()
@@ -131,12 +134,24 @@ def test_where_tests_can_be_put_off_a_disturbed_failure_goes_on_the_list_and_is_
     assert name.endswith("test_it[disturbed]")
     result.stdout.fnmatch_lines(["*the machine stood still for 52 ms: put off"])
     assert "FAILURES" not in result.stdout.str()
+    assert "AssertionError" in (pytester.path / "names.txt").read_text(), "how it failed is kept"
 
 
 def test_a_failure_on_a_machine_that_ran_is_never_put_off(pytester: pytest.Pytester) -> None:
     result, _ = run(pytester, [False], "def test_it(): note('run'); assert False", put_off="names")
     result.assert_outcomes(failed=1)
     assert not (pytester.path / "names").exists()
+
+
+@pytest.mark.parametrize("put_off", ["names", ""])
+def test_a_busy_machine_is_a_reason_to_look_again_with_more_time_and_no_excuse_elsewhere(
+    pytester: pytest.Pytester, put_off: str
+) -> None:
+    """It may be the very code under test that was busy."""
+    result, notes = run(pytester, [False], "def test_it(): note('run'); assert False", put_off=put_off, busy=True)
+    assert notes == ["run"]
+    assert result.ret == (0 if put_off else 1)
+    assert (pytester.path / "names").exists() is bool(put_off)
 
 
 def test_a_disturbed_setup_and_a_disturbed_teardown_are_run_again_too(pytester: pytest.Pytester) -> None:
@@ -278,7 +293,7 @@ def test_the_witness_notes_that_no_processor_had_time_to_spare(
     witness._path = tmp_path / "notes"
     busy = witness.busy_spells(0)
     assert len(busy) == spells
-    assert list(witness.disturbances(0)) == busy
+    assert witness.disturbances(0) == [], "it may be those that are tested"
     if spells:
         assert describe(busy) == "had no time to spare for 1.0 s"
 
@@ -292,8 +307,7 @@ def test_idle_time_is_the_kernels_own_figure_for_one_processor() -> None:
             os.close(stat)
 
     before, uptime = idle_s(), Path("/proc/uptime").read_text().split()
-    all_idle_s = float(uptime[1]) / (os.cpu_count() or 1)
-    assert before == pytest.approx(all_idle_s, rel=0.05)
+    assert before >= 0.95 * float(uptime[1]) / (os.cpu_count() or 1), "and what it waited for a disk"
     assert before <= idle_s() <= float(Path("/proc/uptime").read_text().split()[0]) * 1.01
 
 

@@ -197,8 +197,8 @@ def _method(measured: Mapping[str, Any]) -> str:
     if measured["place"] == "uml":
         points.append(
             "The vcan0 was that of User-Mode Linux, because this machine's kernel has none. There a system call costs "
-            "many times what it costs elsewhere and everything shares one processor: the figures are far worse than "
-            "those of an ordinary computer, and say what the software does on a very slow one. What is written to the "
+            "many times what it costs elsewhere and everything shares one processor: the figures are not "
+            "those of an ordinary computer. What is written to the "
             "disk is not forced onto it there, because that stops the inner kernel whole. On the car's own computer "
             "run the same command again."
         )
@@ -215,12 +215,16 @@ def _method(measured: Mapping[str, Any]) -> str:
     return "\n".join(f"- {point}" for point in points)
 
 
+def _slower(measured: Mapping[str, Any]) -> str:
+    return "" if measured["pace"] == 1.0 else f", its clock {measured['pace']:g} times slower"
+
+
 def _machine(measured: Mapping[str, Any]) -> str:
     host, inside = measured["host"], measured["machine"]
     place = (
         "this machine's own vcan"
         if measured["place"] == "native"
-        else f"vcan of User-Mode Linux ({inside['kernel']}, one processor, its clock {measured['pace']:g} times slower)"
+        else f"vcan of User-Mode Linux ({inside['kernel']}, one processor{_slower(measured)})"
     )
     rows = [
         ("date", measured["date"]),

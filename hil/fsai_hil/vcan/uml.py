@@ -43,7 +43,7 @@ from fsai_hil.vcan.network import bring_up
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
 HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the witness
-INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod (Debian or Ubuntu, x86-64)"
+INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
 _MODULE_ROOTS = (Path("/usr/lib/uml/modules"), Path("/lib/uml/modules"))
 _BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
