@@ -105,7 +105,8 @@ def run(args: argparse.Namespace) -> int:
         if place.has_pace:
             print(f"fsai-vcu hil: {pace:g} s of this machine for each second inside", flush=True)
         if put_off is not None:
-            put_off.unlink(missing_ok=True)
+            for old in (put_off, put_off.with_suffix(".txt")):
+                old.unlink(missing_ok=True)
         status = suite(_selection(args, checkout), results, pace, put_off)
         if status == 0 and put_off is not None and put_off.exists():
             print(f"\nfsai-vcu hil: what was put off, now with {_SLOW_PACE:g} s for each second", flush=True)

@@ -53,14 +53,15 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.scrutineering.machine import machine, source_revision, versions
     from fsai_hil.scrutineering.report import failures, markdown, summary
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+    from fsai_hil.vcan.clock import SLOWEST_PACE
     from fsai_vcu.cli.hil import environment
     from fsai_vcu.cli.main import UserError, WrongUse
 
     seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
     if not 0.0 < seconds < math.inf:
         raise WrongUse(f"--seconds is {seconds:g}, but must be a time in seconds")
-    if args.pace is not None and not 1.0 <= args.pace <= 100.0:
-        raise WrongUse(f"--pace is {args.pace:g}, but must be from 1 to 100")
+    if args.pace is not None and not 1.0 <= args.pace <= SLOWEST_PACE:
+        raise WrongUse(f"--pace is {args.pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
     try:
         names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
         conditions = conditions_named(names)

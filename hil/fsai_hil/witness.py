@@ -217,12 +217,13 @@ def watch(path: str) -> None:
     parent = os.getppid()
     standing = _stand_first()
     notes = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.write(notes, f"{standing}\n".encode())
     stat = os.open("/proc/stat", os.O_RDONLY)
-    spell_ns, counted_ns, counts, best_ns = time.monotonic_ns(), 0, 0, 0
     idle_ns = _idle_ns(stat)
+    now_ns = time.monotonic_ns()
+    spell_ns, counted_ns, counts, best_ns = now_ns, 0, 0, 0
+    os.write(notes, f"{standing}\n".encode())
     while os.getppid() == parent:
-        due_ns = time.monotonic_ns() + SLEEP_NS
+        due_ns = now_ns + SLEEP_NS  # from the last look on, so that nothing between two rounds goes unseen
         time.sleep(SLEEP_NS / 1e9)
         woken_ns = time.monotonic_ns()
         if woken_ns - due_ns >= NOTED_NS:

@@ -71,9 +71,7 @@ def test_a_command_in_uml_has_vcan0_its_environment_its_folder_and_its_exit_stat
 
 @needs_uml
 @pytest.mark.parametrize("pace", [1.0, 3.0])
-def test_a_second_in_uml_takes_so_many_of_this_machine_by_every_clock_there(
-    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes], pace: float
-) -> None:
+def test_a_second_in_uml_takes_so_many_of_this_machine_by_every_clock_there(tmp_path: Path, pace: float) -> None:
     """By the kernel's clock, by the one that programs are given, by the wall clock, and for timers."""
     inside = (
         "import subprocess, sys, time; "

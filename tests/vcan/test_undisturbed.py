@@ -6,6 +6,7 @@ import os
 import signal
 import textwrap
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -232,37 +233,46 @@ def test_slow_spells_are_described_by_the_slowest_and_by_their_sum() -> None:
     assert describe([STALL, *spells]) == "stood still for 52 ms and ran at 52 % of its speed for 1.2 s"
 
 
+class Machine:
+    """One whose clock only goes on as it is told; the witness on it ends after so many wakes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, notes: Path, idle_share: float = 1.0) -> None:
+        self.now_ns, self.wakes = 0, 0
+        self._notes = notes
+        for name, instead in (("monotonic_ns", lambda: self.now_ns), ("sleep", self._sleep)):
+            monkeypatch.setattr(fsai_hil.witness.time, name, instead)
+        monkeypatch.setattr(fsai_hil.witness, "sum", self._sum, raising=False)
+        monkeypatch.setattr(fsai_hil.witness, "_idle_ns", lambda _: int(self.now_ns * idle_share))
+        monkeypatch.setattr(fsai_hil.witness, "_stand_first", lambda: "ordinary")
+        self.counting_ns: Callable[[int], int] = lambda _: 50_000  # at which wake it takes how long
+
+    def _sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+        self.wakes += 1
+        if self.wakes > self._last:
+            raise EOFError
+
+    def _sum(self, numbers: Iterable[int]) -> int:
+        if numbers is fsai_hil.witness.COUNTED:
+            self.now_ns += self.counting_ns(self.wakes)
+        return sum(numbers)
+
+    def watched(self, spells: int) -> Witness:
+        self._last = spells * SPELL
+        with pytest.raises(EOFError):
+            watch(str(self._notes))
+        witness = object.__new__(Witness)
+        witness._path = self._notes
+        return witness
+
+
 def test_the_witness_notes_that_the_machine_counts_far_more_slowly_than_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another's work on the same processor is what slows it on a shared machine; here its own counting grows."""
-
-    class Ended(Exception):
-        pass
-
-    now_ns, spells = 0, 0
-
-    def sleep(seconds: float) -> None:
-        nonlocal now_ns
-        now_ns += round(seconds * 1e9)
-
-    def count(_numbers: range) -> None:
-        nonlocal now_ns, spells
-        spells += 1
-        if spells > 6 * SPELL:
-            raise Ended
-        now_ns += 100_000 if 2 * SPELL < spells <= 4 * SPELL else 50_000
-
-    monkeypatch.setattr(fsai_hil.witness.time, "monotonic_ns", lambda: now_ns)
-    monkeypatch.setattr(fsai_hil.witness.time, "sleep", sleep)
-    monkeypatch.setattr(fsai_hil.witness, "sum", count, raising=False)
-    monkeypatch.setattr(fsai_hil.witness, "_idle_ns", lambda _: now_ns)
-    monkeypatch.setattr(fsai_hil.witness, "_stand_first", lambda: "ordinary")
-    with pytest.raises(Ended):
-        watch(str(tmp_path / "notes"))
-    witness = object.__new__(Witness)
-    witness._path = tmp_path / "notes"
-    slow = witness.slow_spells(0)
+    machine = Machine(monkeypatch, tmp_path / "notes")
+    machine.counting_ns = lambda wake: 100_000 if 2 * SPELL < wake <= 4 * SPELL else 50_000
+    slow = machine.watched(6).slow_spells(0)
     assert [spell.speed for spell in slow] == [0.5, 0.5]
     assert slow[0].until_ns == slow[1].due_ns, "each spell begins where the last one ended"
 
@@ -271,26 +281,7 @@ def test_the_witness_notes_that_the_machine_counts_far_more_slowly_than_before(
 def test_the_witness_notes_that_no_processor_had_time_to_spare(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, idle_share: float, spells: int
 ) -> None:
-    class Ended(Exception):
-        pass
-
-    now_ns, wakes = 0, 0
-
-    def sleep(seconds: float) -> None:
-        nonlocal now_ns, wakes
-        now_ns += round(seconds * 1e9)
-        wakes += 1
-        if wakes > 2 * SPELL:
-            raise Ended
-
-    monkeypatch.setattr(fsai_hil.witness.time, "monotonic_ns", lambda: now_ns)
-    monkeypatch.setattr(fsai_hil.witness.time, "sleep", sleep)
-    monkeypatch.setattr(fsai_hil.witness, "_idle_ns", lambda _: int(now_ns * idle_share))
-    monkeypatch.setattr(fsai_hil.witness, "_stand_first", lambda: "ordinary")
-    with pytest.raises(Ended):
-        watch(str(tmp_path / "notes"))
-    witness = object.__new__(Witness)
-    witness._path = tmp_path / "notes"
+    witness = Machine(monkeypatch, tmp_path / "notes", idle_share).watched(2)
     busy = witness.busy_spells(0)
     assert len(busy) == spells
     assert witness.disturbances(0) == [], "it may be those that are tested"

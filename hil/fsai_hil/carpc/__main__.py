@@ -20,7 +20,7 @@ from fsai_hil.carpc import package
 from fsai_hil.carpc.package import CHECKOUT
 from fsai_hil.carpc.watching import CODEC, HOUR_NS
 from fsai_hil.vcan import VcanError, uml
-from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
+from fsai_hil.vcan.clock import SLOWEST_PACE, preloaded_clock, slowed_clock
 from fsai_hil.wire import checker_for, read_candump
 from fsai_hil.witness import RUNS
 
@@ -87,8 +87,8 @@ def main() -> int:
     )
     args = parser.parse_args()
     pace = args.pace if args.pace is not None else SHORT_PACE if args.short else 1.0
-    if not 1.0 <= pace <= 100.0:
-        parser.error(f"--pace is {pace:g}, but must be from 1 to 100")
+    if not 1.0 <= pace <= SLOWEST_PACE:
+        parser.error(f"--pace is {pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
     try:
         return rehearse(args.missions, args.results.resolve(), args.timeout, args.short, pace)
     except (CarPcError, VcanError) as error:
