@@ -111,9 +111,11 @@ class BridgeLoop:
             return self._reopen()
         try:
             self._sleep((self._engine.due_ns() - time.monotonic_ns()) / 1e9)
-            frames = self._bus.drain()
-            self._update(frames, time.monotonic_ns())
-            sent = self._write()
+            # Before anything is read: a deadline was missed in the state that the car was known to be in.
+            now_ns = time.monotonic_ns()
+            missed = self._missed(self._engine.due_ns(), now_ns)
+            self._update(self._bus.drain(), now_ns)
+            sent = self._write(missed)
         except BusLost as lost:
             self._lose_bus(str(lost))
             return True
@@ -180,11 +182,11 @@ class BridgeLoop:
             self._stopping = True
             self._bridge.begin_stop(now_ns)
 
-    def _write(self) -> bool:
-        """Send what is due. True if a cycle was due, sent whole or not."""
+    def _write(self, missed: bool) -> bool:
+        """Send what is due. True if a cycle was due, sent whole or not. `missed`: its deadline was missed already."""
         now_ns = time.monotonic_ns()
         due_ns = self._engine.due_ns()
-        missed = self._missed(due_ns, now_ns)
+        missed = missed or self._missed(due_ns, now_ns)
         sent = self._engine.poll(now_ns)
         if not sent:
             return False

@@ -148,18 +148,17 @@ class OnboardComputer:
             self._pause_ns = REOPEN_FIRST_NS
 
     def _wake(self, now_ns: int) -> None:
-        """The loop goes on after a pause: it reads all that has waited, and is as late as it is, before it speaks."""
+        """The loop goes on after a pause: as late as it is, it reads all that has waited before it speaks."""
         waiting, self._unread = self._unread, deque()
         if not (self.bridge_running and self._bus_up):
             return
-        engine = self._engine
-        engine.on_frames(tuple(waiting), now_ns)
+        late_ns = now_ns - self._engine.due_ns()
+        if late_ns >= DEADLINE_MISS_NS:
+            self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
+        self._engine.on_frames(tuple(waiting), now_ns)
         if self._slot is not None:
             self.bridge.on_command(self._slot, now_ns)
             self._slot = None
-        late_ns = now_ns - engine.due_ns()
-        if late_ns >= DEADLINE_MISS_NS:
-            self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
         self._poll(now_ns)
 
     def _after_the_edge(self, now_ns: int) -> None:
