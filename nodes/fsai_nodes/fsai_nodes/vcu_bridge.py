@@ -44,9 +44,9 @@ from fsai_nodes.news import News
 from fsai_nodes.parameters import NodeError, Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_nodes.waiting import GoalError, Outcome, Waiting
-from fsai_vcu.core.bridge import BridgeConfig, official_simulator
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.revisions import REVISIONS
