@@ -321,9 +321,6 @@ class Bridge:
         self._reopened_until_ns = now_ns + self._config.vcu_lost_ns
         self._state = supervisor.bus_back(self._state, now_ns)
 
-    def backlog(self, age_ns: int, now_ns: int) -> None:
-        return None
-
     def loop_fault(self, why: str, now_ns: int) -> None:
         """The loop raised an exception, or missed a deadline by 50 ms."""
         self._loop_faults += 1
