@@ -420,6 +420,7 @@ class VcuBridge(LifecycleNode):
         loop = self._loop
         if loop is None:
             return
+        loop.alive()
         newest = loop.loop_report()
         more: dict[str, object] = {"bus reopened": newest.reopened, "deadline misses": newest.deadline_misses}
         for index, sentence in enumerate(newest.scheduling_refused, 1):
