@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import grp
 import os
 import socket
@@ -12,6 +13,7 @@ import pytest
 
 from fsai_vcu.diagnostics.doctor import collect
 from fsai_vcu.diagnostics.doctor.collect import (
+    dds_leftovers,
     distribution_of,
     file_problems,
     link_of,
@@ -147,6 +149,24 @@ def test_the_kernels_own_tables_are_understood() -> None:
         proc = Path("/proc")
         found = [str(address) for address in listening_addresses(proc / str(os.getpid()), proc)]
     assert found.count("127.0.0.1") >= 2
+
+
+def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path) -> None:
+    names = (
+        "fastrtps_0a",
+        "fastrtps_0a_el",
+        "fastrtps_port7410",
+        "fastrtps_port7410_sl",
+        "sem.fastrtps_port7410_mutex",
+    )
+    for name in (*names, "somebody_elses"):
+        (tmp_path / name).touch()
+    with (tmp_path / "fastrtps_0a_el").open() as segment, (tmp_path / "fastrtps_port7410_sl").open() as port:
+        fcntl.flock(segment, fcntl.LOCK_EX)
+        assert dds_leftovers(folder=tmp_path) == tuple(str(tmp_path / name) for name in port_files)
+        fcntl.flock(port, fcntl.LOCK_SH)
+        assert dds_leftovers(folder=tmp_path) == ()
+    assert dds_leftovers(folder=tmp_path) == tuple(str(tmp_path / name) for name in names)
 
 
 @pytest.mark.parametrize(

@@ -216,6 +216,13 @@ def ros(machine: Machine) -> Iterator[Finding]:
             yield _wrong("ROS 2", f"{missing} not installed beside it", "make install (or make setup in a checkout)")
 
 
+def shared_memory(machine: Machine) -> Iterator[Finding]:
+    if machine.dds_leftovers:
+        files = "1 file" if len(machine.dds_leftovers) == 1 else f"{len(machine.dds_leftovers)} files"
+        words = f"{files} in /dev/shm of ROS programs that were killed: no node of ours uses them, others may hang"
+        yield Finding("DDS", "note", words, f"sudo rm -f {' '.join(machine.dds_leftovers)}")
+
+
 def dds(machine: Machine) -> Iterator[Finding]:
     wanted = machine.wanted
     if wanted is None:
@@ -360,6 +367,7 @@ CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
     bus,
     ros,
     dds,
+    shared_memory,
     services,
     scheduling,
     clock,

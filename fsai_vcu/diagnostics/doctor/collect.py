@@ -11,6 +11,7 @@ import itertools
 import json
 import os
 import platform
+import re
 import shutil
 import struct
 import subprocess
@@ -41,6 +42,7 @@ _BRIDGE_MODULE = b"fsai_nodes.vcu_bridge"
 _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
+_SHARED_MEMORY = Path("/dev/shm")
 _TCP_LISTEN, _UDP_OPEN = "0A", "07"  # linux/net/tcp_states.h; a UDP socket that is bound and not connected
 
 # linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Where nobody keeps the clock, maxerror is 16 s.
@@ -81,6 +83,7 @@ def collect(
         user=_user(),
         groups=_groups(),
         listening=listening_on_networks(proc),
+        dds_leftovers=dds_leftovers(proc),
         kernel=platform.release(),
         system=_system(),
     )
@@ -352,6 +355,27 @@ def listening_addresses(folder: Path, proc: Path) -> list[Address]:
         if address is not None:
             found.append(address)
     return found
+
+
+def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> tuple[str, ...]:
+    """Files of Fast DDS's shared memory whose owner is gone, as its own `fastdds shm clean` decides it.
+
+    A segment or port `fastrtps_X` is in use while somebody holds a lock on `fastrtps_X_el` or `fastrtps_X_sl`;
+    `sem.fastrtps_X_mutex` belongs to it. The locks are read (proc_locks(5)), not tried: that would hold up an owner.
+    """
+    locked = {line.split()[5 if "->" not in line else 6] for line in _read(proc / "locks").splitlines()}
+    files: dict[str, list[Path]] = {}
+    in_use = set()
+    for path in [*folder.glob("fastrtps_*"), *folder.glob("sem.fastrtps_*")]:
+        owner = re.sub(r"^sem\.|_(el|sl|mutex)$", "", path.name)
+        files.setdefault(owner, []).append(path)
+        try:
+            status = path.stat()
+        except OSError:  # it has just been removed
+            continue
+        if f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}" in locked:
+            in_use.add(owner)
+    return tuple(sorted(str(path) for owner in files.keys() - in_use for path in files[owner]))
 
 
 def _listening_sockets(proc: Path) -> dict[str, Address]:

@@ -106,5 +106,6 @@ class Machine:
     user: str = ""
     groups: tuple[str, ...] = ()
     listening: tuple[str, ...] | None = ()  # where a process of ours takes anything from this machine's networks
+    dds_leftovers: tuple[str, ...] = ()  # files of shared memory that ended programs have left
     kernel: str = ""
     system: str = ""
