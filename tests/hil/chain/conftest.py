@@ -30,6 +30,7 @@ POWER_UP_S = 60.0
 DRIVE_S = 120.0
 STOP_S = 20.0
 TRACK = "small_oval"
+LAPS = 200  # of a trackdrive: more than any test takes
 CRUISE_MPS = 3.0
 POWER_CYCLE_S = 1.0
 SLOW_PLACE = os.environ.get("FSAI_HIL_PLACE") == "uml"  # one slow processor
@@ -150,7 +151,7 @@ class Chain:
 def chain(interface: str) -> Iterator[Chain]:
     folder = new_folder("chain")
     with Stack(interface, folder, slow_place=SLOW_PLACE) as stack:
-        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}})
+        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}, "path_planner": {"laps": LAPS}})
         operator = RosOperator(stack)
         try:
             operator.await_bridge(START_S)
