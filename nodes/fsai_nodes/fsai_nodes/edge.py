@@ -10,7 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from fsai_nodes.stamps import StampConverter
+from fsai_vcu.runtime.clocks import StampConverter
 
 
 def nanoseconds(stamp: Time) -> int:
