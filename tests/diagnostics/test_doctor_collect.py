@@ -322,11 +322,11 @@ def test_the_bridges_own_environment_goes_before_the_one_the_doctor_has(
 
 
 @pytest.mark.parametrize(("locked_kib", "locked"), [(0, False), (81920, True)])
-def test_the_bridges_most_urgent_thread_is_the_one_that_counts_and_its_memory_is_locked_or_not(
+def test_the_loops_most_urgent_thread_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locked_kib: int, locked: bool
 ) -> None:
-    proc = Proc(tmp_path)
-    priorities = {78: 0, 79: 45}  # a thread of DDS's, and the loop
+    proc = Proc(tmp_path, "fsai_vcu.runtime.loop_process")
+    priorities = {78: 0, 79: 45}
     for thread in priorities:
         (proc.process / "task" / str(thread)).mkdir(parents=True)
     (proc.process / "status").write_text(f"Name:\tpython\nVmLck:\t   {locked_kib} kB\n")
@@ -337,7 +337,7 @@ def test_the_bridges_most_urgent_thread_is_the_one_that_counts_and_its_memory_is
     assert collect._scheduling(tmp_path) == Scheduling("SCHED_FIFO", 45, locked)
 
 
-def test_where_no_bridge_runs_its_scheduling_is_not_made_up(tmp_path: Path) -> None:
+def test_where_no_loop_runs_its_scheduling_is_not_made_up(tmp_path: Path) -> None:
     assert collect._scheduling(tmp_path) is None
 
 

@@ -50,7 +50,7 @@ def measured(*rows: dict[str, Any], **changes: Any) -> dict[str, Any]:
         "revision": "2026",
         "seconds_per_condition": 20.0,
         "machine": machine,
-        "scheduling": {"bridge": scheduling, "vcu": {**scheduling, "priority": 35}},
+        "scheduling": {"CAN loop": scheduling, "vcu": {**scheduling, "priority": 35}},
         "decimation": {"gps": 1, "log": 1},
         "comms_losses_between": 0,
         "not_measured": {},

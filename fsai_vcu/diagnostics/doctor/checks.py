@@ -293,7 +293,7 @@ def scheduling(machine: Machine) -> Iterator[Finding]:
         )
     here = machine.scheduling
     if here is None:
-        yield _note("scheduling", "no bridge runs here, so its scheduling cannot be seen")
+        yield _note("scheduling", "no CAN loop runs here, so its scheduling cannot be seen")
         return
     if here.policy != "SCHED_FIFO":
         yield _wrong(
@@ -304,11 +304,11 @@ def scheduling(machine: Machine) -> Iterator[Finding]:
     else:
         yield _right("scheduling", f"the CAN loop runs as {here.policy} {here.priority}")
     if here.memory_locked:
-        yield _right("memory", "the bridge's is locked")
+        yield _right("memory", "the CAN loop's is locked")
     else:
         yield _wrong(
             "memory",
-            "the bridge's is not locked: a page fault delays a cycle",
+            "the CAN loop's is not locked: a page fault delays a cycle",
             "start it by its service, which has LimitMEMLOCK=infinity",
         )
 

@@ -39,6 +39,7 @@ _ENABLED, _UNITS = Path("/etc/systemd/system"), Path("/usr/lib/systemd/system")
 _SYSTEMD = Path("/run/systemd/system")  # there while it runs (sd_booted(3))
 _POLICIES = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 _BRIDGE_MODULE = b"fsai_nodes.vcu_bridge"
+_LOOP_MODULE = b"fsai_vcu.runtime.loop_process"  # of the CAN loop, which the bridge starts
 _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
@@ -304,8 +305,8 @@ def states_in(answer: str, names: list[str]) -> dict[str, str]:
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
-    """That of the running bridge's most urgent thread."""
-    for folder in _processes(proc, _BRIDGE_MODULE):
+    """That of the running CAN loop's most urgent thread."""
+    for folder in _processes(proc, _LOOP_MODULE):
         threads = []
         for thread in (folder / "task").glob("*"):
             try:

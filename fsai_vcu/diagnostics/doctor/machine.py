@@ -76,7 +76,7 @@ class Ros:
 
 @dataclass(frozen=True, slots=True)
 class Scheduling:
-    """How a running bridge is scheduled. policy: SCHED_FIFO, SCHED_OTHER…, of its loop's thread."""
+    """How a running CAN loop is scheduled. policy: SCHED_FIFO, SCHED_OTHER…"""
 
     policy: str
     priority: int

@@ -31,6 +31,7 @@ from fsai_hil.witness import Witness
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.realtime import FIFO_PRIORITY
 
 START_S = 240.0  # interpreters that import ROS at once, on one slow processor
@@ -169,7 +170,7 @@ class Rehearsal:
 
     def _measure_all(self, conditions: Sequence[Condition], stack: Stack, witness: Witness) -> dict[str, Any]:
         self._say("starting the bridge")
-        bridge = stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
+        stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = RosOperator(stack, "scrutineer")
         try:
             operator.await_bridge(START_S)
@@ -188,7 +189,8 @@ class Rehearsal:
                 self._measure(condition, stack, witness, watched, lambda: _state(operator))
             if not any(condition.name in self._noted for condition in conditions):
                 raise StackError(next(iter(self._out_of_reach.values())))
-            scheduling = {"bridge": scheduling_of(bridge.popen.pid)}
+            loop = holder_pid(self._bus)
+            scheduling = {} if loop is None else {"CAN loop": scheduling_of(loop)}
             if self._car is not None:
                 scheduling["vcu"] = scheduling_of(stack.processes[self._car.name].popen.pid)
             self._end_car(stack)
