@@ -7,6 +7,7 @@ on one slow processor the import would be all that there is to see.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -16,6 +17,7 @@ from fsai_msgs.msg import VehicleState
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 
 TOPICS = ((Odometry, "/odometry", qos_profile_sensor_data), (VehicleState, "/vehicle_state", 1))  # the second reliable
 
@@ -38,6 +40,11 @@ def visit(number: int, stays: bool) -> None:
 
 def main() -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel buries those that end
+    # What each of them would have to load by itself, and the pages that a collection would make its own.
+    get_rmw_implementation_identifier()
+    for message_type, _, _ in TOPICS:
+        message_type.__class__.__import_type_support__()
+    gc.freeze()
     print("ready", flush=True)
     for number, line in enumerate(sys.stdin):
         if os.fork() == 0:

@@ -152,7 +152,7 @@ def storm(chain: Chain, results: Path, name: str, transports: Sequence[str], act
 
 
 def test_the_car_drives_on_while_ros_programs_come_and_go(chain: Chain, results: Path) -> None:
-    storm(chain, results, "storm", TRANSPORTS, tuple(ACTS), 3)
+    storm(chain, results, "storm", TRANSPORTS, tuple(ACTS), 2)
 
 
 @pytest.mark.long
