@@ -10,6 +10,7 @@ from typing import Any
 
 from fsai_vcu.cli.main import UserError
 from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
+from fsai_vcu.runtime.transport import set_transport
 
 WAIT_S = 10.0
 ASK_AGAIN_S = 1.0
@@ -29,6 +30,7 @@ def operator_node() -> Iterator[Any]:
         os.environ.update(usual_environment())
     except ConfigurationError as error:
         raise UserError(str(error)) from error
+    set_transport(os.environ)
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
         import rclpy
