@@ -15,7 +15,7 @@ from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import CONTROLLER_RANGES, ControllerSettings
-from fsai_vcu.core.driving import Plan, Run
+from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import CARS
 
 _DEFAULT = ControllerSettings()
@@ -58,7 +58,7 @@ class VehicleController(Node):
         self._clocks = Clocks(self)
         self._controller = Controller(CARS[self._settings.text("car")], self._controller_settings())
         self._run: Run | None = None
-        self._state: VehicleState | None = None
+        self._state: tuple[VehicleState, Motion] | None = None  # the newest, and the motion in it
         self._status: PlannerStatus | None = None
         self._pending: Path | None = None  # a path whose status has not come yet
         self._plan: Plan | None = None
@@ -94,8 +94,11 @@ class VehicleController(Node):
         self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
 
     def _on_state(self, message: VehicleState) -> None:
-        if self._run is not None and message.run_id == self._run.run_id:
-            self._state = message
+        if self._run is None or message.run_id != self._run.run_id:
+            return
+        t_ns = self._clocks.measured_ns(message.header.stamp, "/vehicle_state", self._clocks.now_ns())
+        if t_ns is not None:
+            self._state = message, motion_from_state(message, t_ns)
 
     def _on_status(self, message: PlannerStatus) -> None:
         self._status = message
@@ -114,16 +117,19 @@ class VehicleController(Node):
         if status is None or path is None or nanoseconds(status.header.stamp) != nanoseconds(path.header.stamp):
             return
         self._pending = None
-        self._plan = plan_from_msgs(status, path, self._clocks.steady_of(path.header.stamp, self._clocks.now_ns()))
+        seen_ns = self._clocks.measured_ns(path.header.stamp, "/path", self._clocks.now_ns())
+        if seen_ns is not None:
+            self._plan = plan_from_msgs(status, path, seen_ns)
 
     def _tick(self) -> None:
-        state, run = self._state, self._run
-        if state is None or run is None:
+        run = self._run
+        if self._state is None or run is None:
             return
+        state, motion = self._state
         now_ns = self._clocks.now_ns()
         command = self._controller.command(
             self._plan,
-            motion_from_state(state, self._clocks.steady_of(state.header.stamp, now_ns)),
+            motion,
             state.standing,
             tuple(float(rpm) for rpm in state.wheel_speed_rpm),
             math.degrees(state.steering_rad),
