@@ -20,7 +20,7 @@ from ros_rig import RosRig
 
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller
 from fsai_nodes.composed import CLASSES
-from fsai_nodes.parameters import NodeError
+from fsai_nodes.parameters import NodeError, Scattered
 
 CHECKOUT = Path(__file__).parents[2]
 README = (CHECKOUT / "nodes" / "README.md").read_text()
@@ -188,6 +188,49 @@ def test_a_max_speed_that_is_none_is_refused_with_the_reason(rig: RosRig, value:
     rig.start(vehicle_controller.VehicleController)
     done, reason = set_parameter(rig, "vehicle_controller", "max_speed", value)
     assert not done and "max_speed" in reason
+
+
+def test_setting_an_unknown_parameter_is_refused_by_suggestion(rig: RosRig) -> None:
+    rig.start(path_planner.PathPlanner)
+    done, reason = set_parameter(rig, "path_planner", "lapz", 3)
+    assert not done and reason == "unknown parameter lapz: did you mean laps?"
+    done, reason = set_parameter(rig, "path_planner", "zebra", 3)
+    assert not done and reason == "unknown parameter zebra: path_planner has car, laps, range_max_m, horizon_m"
+    assert set_parameter(rig, "path_planner", "laps", 3) == (True, "")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_no_node_starts_with_an_unknown_parameter(name: str) -> None:
+    module, kind = MODULES[name]
+    known = module.SETTINGS[0].name
+    with RosRig() as rig, pytest.raises(NodeError, match=f"unknown parameter {known}z: did you mean {known}"):
+        rig.start(kind, **{f"{known}z": 1})
+
+
+def test_parameters_of_ros_itself_are_no_unknown_ones(rig: RosRig) -> None:
+    own = {"use_sim_time": False, "start_type_description_service": True, "qos_overrides./rosout.publisher.depth": 5}
+    rig.start(path_planner.PathPlanner, **own)
+
+
+def test_parameters_for_no_node_by_name_are_told_apart(tmp_path: Path) -> None:
+    file = tmp_path / "shared.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters:\n    laps: 3\n    camera: {rate: 30}\n  path_planner:\n    ros__parameters: {car: x}\n"
+        "vcu_bridge:\n  ros__parameters: {revision: x}\n/car1:\n  '*':\n    ros__parameters: {horizon_m: 9.0}\n"
+    )
+    given = [
+        "node",
+        "--ros-args",
+        "-p",
+        "max_speed:=3",
+        "-p",
+        "path_planner:range_max_m:=9",
+        "--params-file",
+        str(file),
+    ]
+    found = Scattered.among([*given, "--params-file", "/nowhere.yaml", "--param", "/**:noise_level:=1"])
+    assert found.unnamed == {"max_speed", "noise_level"}
+    assert found.of_files == {"laps", "camera.rate", "horizon_m"}
 
 
 def test_noise_level_and_confidence_threshold_change_while_running(rig: RosRig) -> None:
