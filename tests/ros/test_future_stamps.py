@@ -34,7 +34,7 @@ def stamp(rig: RosRig, ahead_ms: float) -> Time:
 
 def announce(rig: RosRig) -> None:
     """A run that drives, to whoever listens now or later."""
-    runs = rig.tester.create_publisher(RunState, "/run_state", qos.TOPICS["/run_state"])
+    runs = rig.tester.create_publisher(RunState, "/run_state", qos.TOPICS["run_state"])
     runs.publish(RunState(run_id=7, mission=int(Ami.TRACKDRIVE), as_state=int(AsState.AS_DRIVING), may_move=True))
 
 
@@ -46,9 +46,9 @@ def test_the_planner_refuses_cones_and_states_of_the_future(rig: RosRig) -> None
     log = rig.log()
     planner = rig.start(PathPlanner)
     announce(rig)
-    states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.TOPICS["/vehicle_state"])
-    cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.TOPICS["/detected_cones"])
-    paths = rig.hear(Path, "/path", qos.TOPICS["/path"])
+    states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.TOPICS["vehicle_state"])
+    cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.TOPICS["detected_cones"])
+    paths = rig.hear(Path, "/path", qos.TOPICS["path"])
 
     def state_refused() -> bool:
         message = VehicleState(run_id=7)
@@ -89,8 +89,8 @@ def test_the_controller_refuses_a_path_of_the_future(rig: RosRig) -> None:
     log = rig.log()
     controller = rig.start(VehicleController)
     announce(rig)
-    statuses = rig.tester.create_publisher(PlannerStatus, "/planner_status", qos.TOPICS["/planner_status"])
-    paths = rig.tester.create_publisher(Path, "/path", qos.TOPICS["/path"])
+    statuses = rig.tester.create_publisher(PlannerStatus, "/planner_status", qos.TOPICS["planner_status"])
+    paths = rig.tester.create_publisher(Path, "/path", qos.TOPICS["path"])
 
     def plan(ahead_ms: float) -> None:
         at = stamp(rig, ahead_ms)
@@ -120,7 +120,7 @@ def test_a_refusal_is_not_logged_with_every_message(rig: RosRig) -> None:
     log = rig.log()
     rig.start(PathPlanner)
     announce(rig)
-    states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.TOPICS["/vehicle_state"])
+    states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.TOPICS["vehicle_state"])
     sent = 0
     began_s = time.monotonic()
 
@@ -140,7 +140,7 @@ def test_a_refusal_is_not_logged_with_every_message(rig: RosRig) -> None:
 def test_the_bridge_counts_a_command_of_the_future_as_refused(rig: RosRig) -> None:
     log = rig.log()
     bridge = rig.start(VcuBridge, can_interface=f"loopback:future-{os.getpid()}-{next(_numbers)}", real_time=False)
-    commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.TOPICS["/vehicle_cmd"])
+    commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.TOPICS["vehicle_cmd"])
 
     def refused() -> bool:
         command = VehicleCommand(run_id=bridge._loop.report().run.run_id)

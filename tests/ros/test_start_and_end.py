@@ -110,7 +110,7 @@ def test_composed_nodes_refuse_what_none_of_them_has(given: str, words: str) -> 
     assert len(lines) == 1 and lines[0].startswith("composed: ") and words in lines[0], error_output
 
 
-def test_a_parameter_for_every_node_is_taken_by_those_that_have_it(tmp_path: Path) -> None:
+def test_a_parameter_for_every_node_is_taken_by_who_has_it(tmp_path: Path) -> None:
     file = tmp_path / "shared.yaml"
     file.write_text("/**:\n  ros__parameters:\n    max_speed: 3.0\n    lapz: 3\n    exposure_us: 900\n")
     process = start("composed", "--ros-args", "--params-file", str(file), "-p", "laps:=3")

@@ -11,7 +11,11 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from fsai_nodes.stamps import AHEAD_NS, StampConverter
+from fsai_vcu.core.bridge import BridgeConfig
 
+# A command's data this old are half way to being stale (safety: 500 ms): time to say whose silence it is.
+LATE_NS = BridgeConfig().sensor_stale_ns // 2
+WATCH_S = 0.1  # how often a node looks whether its input has fallen silent
 _READ_AGAIN = 3  # times at most
 _SAME_REFUSAL_EVERY_NS = 1_000_000_000
 
@@ -71,3 +75,65 @@ class Clocks:
     def every(self, period_s: float, callback: Callable[[], None]) -> Timer:
         """A timer by the monotonic clock: rclpy's default timers stand still when the wall clock is set back."""
         return self._node.create_timer(period_s, callback, clock=self._steady_clock)
+
+
+class Input:
+    """A topic that a node hears: when a message last came, and how old the data in it were.
+
+    Times are the monotonic clock's. What it says is for people: which node is silent, or sends old data.
+    """
+
+    def __init__(self, node: Node, topic: str, *, silent_ns: int = LATE_NS, note: str = "") -> None:
+        """`silent_ns`: without a message for so long it is silent. `note`: who else may be the cause."""
+        self._node = node
+        self._topic = topic
+        self._silent_ns = silent_ns
+        self._note = f" ({note})" if note else ""
+        self._heard_ns: int | None = None
+        self._age_ns = 0
+        self._said = False
+
+    def heard(self, now_ns: int, age_ns: int = 0) -> None:
+        """A message came, with data of that age; negative: stamped ahead of the clock."""
+        self._heard_ns, self._age_ns = now_ns, age_ns
+
+    def forget(self) -> None:
+        """As if nothing had ever been heard."""
+        self._heard_ns, self._age_ns, self._said = None, 0, False
+
+    def silence(self, now_ns: int) -> str:
+        """In words for how long nothing has come; empty while something comes."""
+        if self._heard_ns is None:
+            return f"{self._who()} has not been heard yet{self._note}"
+        silent_ns = now_ns - self._heard_ns
+        if silent_ns < self._silent_ns:
+            return ""
+        return f"{self._who()} has been silent for {silent_ns / 1e6:.0f} ms{self._note}"
+
+    def old_data(self) -> str:
+        """In words what is wrong with the data that came last; empty if nothing is."""
+        if self._age_ns < 0:
+            return f"{self._who()} is stamped {-self._age_ns / 1e6:.0f} ms ahead of the clock{self._note}"
+        if self._age_ns < LATE_NS:
+            return ""
+        return f"{self._who()} comes with data {self._age_ns / 1e6:.0f} ms old{self._note}"
+
+    def late(self, now_ns: int) -> str:
+        """Why fresh data are missing, in words; empty if they are not."""
+        return self.silence(now_ns) or self.old_data()
+
+    def watch(self, now_ns: int) -> str:
+        """`late`, and a line in the log when it begins and when it ends."""
+        late = self.late(now_ns)
+        if late and not self._said:
+            self._node.get_logger().warning(late)
+        elif self._said and not late:
+            self._node.get_logger().info(f"{self._who()} is in time again")
+        self._said = bool(late)
+        return late
+
+    def _who(self) -> str:
+        """The topic, and which nodes publish it."""
+        topic = self._node.resolve_topic_name(self._topic)
+        names = sorted({each.node_name for each in self._node.get_publishers_info_by_topic(topic)})
+        return f"{topic} of {' and '.join(names)}" if names else f"{topic}, which nobody publishes,"

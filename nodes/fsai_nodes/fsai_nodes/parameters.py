@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -94,7 +95,7 @@ class Scattered:
         """A file that cannot be read is left to ROS to complain of."""
         unnamed: set[str] = set()
         of_files: set[str] = set()
-        for option, value in zip(arguments, arguments[1:], strict=False):
+        for option, value in pairwise(arguments):
             if option in ("-p", "--param"):
                 node, colon, name = value.partition(":=")[0].rpartition(":")
                 if not colon or _is_wildcard(node):
@@ -222,7 +223,7 @@ class Settings:
         refused = []
         for name in given:
             if name in scattered.of_files:
-                # Other nodes read that file, too. Only where the name is nearly one of ours is it likely to be meant so.
+                # Other nodes read that file, too: only what is nearly a name of ours is likely to be meant for us.
                 if self._close_to(name):
                     self._node.get_logger().warning(f"{self._unknown(name)} (under /** in a parameter file)")
             elif name not in scattered.unnamed or name not in _of_this_process:
