@@ -10,8 +10,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from fsai_nodes.stamps import AHEAD_NS, StampConverter
-from fsai_vcu.core.bridge import BridgeConfig
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.runtime.clocks import AHEAD_NS, StampConverter
 
 # A command's data this old are half way to being stale (safety: 500 ms): time to say whose silence it is.
 LATE_NS = BridgeConfig().sensor_stale_ns // 2

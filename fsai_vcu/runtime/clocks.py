@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fsai_vcu.core.bridge import BridgeConfig
+from fsai_vcu.core.supervision.config import BridgeConfig
 
 WINDOW_NS = 1_000_000_000  # a stamp older than this is stale by any clock, so older offsets explain nothing
 SAME_OFFSET_NS = 1_000_000  # differences under this are slewing and reading noise, not a step

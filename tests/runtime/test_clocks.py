@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsai_nodes.stamps import AHEAD_NS, SAME_OFFSET_NS, WINDOW_NS, StampConverter
+from fsai_vcu.runtime.clocks import AHEAD_NS, SAME_OFFSET_NS, WINDOW_NS, StampConverter
 
 MS, S = 1_000_000, 1_000_000_000
 WALL = 1_800_000_000 * S  # what a wall clock shows
