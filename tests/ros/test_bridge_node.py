@@ -195,12 +195,11 @@ def test_a_car_that_falls_silent_has_no_odometry_of_now(rig: RosRig, bus: str, v
     rig.spin_until(lambda: len(heard) > 10, "odometry")
     vcu.__exit__()
     rig.spin_until(lambda: bool(states) and states[-1].speeds_age_s > 0.3, "the car is silent")
-    last, count = heard[-1].header.stamp, len(states)
+    said, count = len(heard), len(states)
     rig.spin_until(lambda: len(states) > count + 20, "states of a silent car")
-    assert heard[-1].header.stamp == last
-    assert states[-1].header.stamp == last
-    stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in heard]
-    assert stamps == sorted(set(stamps))
+    assert len(heard) == said
+    stamps_ns = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states[count:]]
+    assert max(stamps_ns) - min(stamps_ns) < 10_000_000  # one measurement, whatever the two clocks do
 
 
 def test_listen_only_is_shown_and_nothing_is_ever_sent(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:

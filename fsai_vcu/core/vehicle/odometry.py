@@ -6,8 +6,8 @@ them by what is seen.
 
 The instant of a motion is that of the wheel speeds behind it: where the car says nothing, nothing goes on. How sure it
 is follows from the way driven, as a random walk (`OdometrySettings`): over `ds` metres the heading's variance grows by
-yaw_sd^2 ds, the position's by (share^2 + heading's variance) error_length ds. What may have been driven and turned while
-wheel speeds were missing for longer than they are fresh is added whole.
+yaw_sd^2 ds, the position's by (share^2 + heading's variance) error_length ds. What may have been driven and turned
+while wheel speeds were missing for longer than they are fresh is added whole.
 """
 
 from __future__ import annotations
