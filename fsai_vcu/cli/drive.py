@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--profile", default="specification", help="the VCU's manners: specification or official-simulator"
     )
     parser.add_argument("--noise", type=float, default=1.0, metavar="X", help="noise of the cone sensor (default: 1)")
-    parser.add_argument("--max-speed", type=float, metavar="M/S", help="highest speed on a circuit")
+    parser.add_argument("--max-speed", type=float, metavar="M/S", help="highest speed in every mission")
     parser.add_argument("--limits", type=Path, metavar="FILE.toml", help="operational limits imposed by an official")
     parser.add_argument(
         "--fault",
@@ -92,6 +92,9 @@ def _drive(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
         lockstep = Lockstep(setup, limits=limits, controller=settings, on_frame=writer.write if writer else None)
+        for mission in setup.missions:
+            if line := lockstep.computer.controller.too_slow(mission):
+                print(line, file=sys.stderr)
         result = lockstep.run(None if args.json else Progress(), realtime=args.realtime)
     status = 0 if result.passed else 1
     if args.plot and not _plotted(args.plot, lockstep, result.verdict):

@@ -355,7 +355,7 @@ class Bridge:
         """What to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
         config = self._config
         vehicle = self.vehicle
-        self._motion = self._odometry.update(vehicle, self.gps, now_ns)
+        self._motion = self._odometry.update(vehicle, self.gps)
         if self._reopened_until_ns is not None and now_ns >= self._reopened_until_ns:
             self._reopened_until_ns = None
         if self._bus_lost is not None or self._reopened_until_ns is not None or self.stopped:

@@ -42,7 +42,10 @@ class ConeObservation(Immutable):
 
 @dataclass(frozen=True, slots=True)
 class Motion(Immutable):
-    """Dead-reckoned motion in the odometry frame. Rear-axle centre."""
+    """Dead-reckoned motion in the odometry frame. Rear-axle centre.
+
+    `t_ns` is when the wheel speeds were received that it was made of. `…_sd_…` are standard deviations.
+    """
 
     t_ns: int = 0
     x_m: float = 0.0
@@ -51,6 +54,10 @@ class Motion(Immutable):
     speed_mps: float = 0.0
     yaw_rate_radps: float = 0.0
     distance_m: float = 0.0  # driven since the run began
+    position_sd_m: float = 0.0  # of x_m and of y_m
+    yaw_sd_rad: float = 0.0
+    speed_sd_mps: float = 0.0
+    yaw_rate_sd_radps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,8 @@ class OperationalLimits(Immutable):
 NAMES = ("max_speed_mps", "max_axle_torque_nm", "max_steer_deg")
 
 UNLIMITED = OperationalLimits()
+SPEED_NOT_LIMITED = UNLIMITED.described()[0]
+"""The line of `described` that says so."""
 
 
 def parse_limits(mapping: Mapping[str, object]) -> OperationalLimits:

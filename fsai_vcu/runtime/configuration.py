@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fsai_vcu.core.control.settings import CONTROLLER_RANGES, ControllerSettings
+from fsai_vcu.core.control.settings import CONTROLLER_RANGES, NO_SPEED_LIMIT_MPS, ControllerSettings
 from fsai_vcu.core.limits import LimitsError, OperationalLimits
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
@@ -192,15 +192,23 @@ KEYS: tuple[Key, ...] = (
         "missions",
         "max_speed_mps",
         _CONTROLLER.max_speed_mps,
-        "highest speed on laps, in the skidpad and in the demo",
+        f"highest speed in every mission; {NO_SPEED_LIMIT_MPS:g}: not limited",
         (("vehicle_controller", "max_speed"),),
         *CONTROLLER_RANGES["max_speed_mps"],
     ),
     Key(
         "missions",
+        "lap_max_speed_mps",
+        _CONTROLLER.lap_max_speed_mps,
+        "highest speed on laps (autocross, trackdrive)",
+        (("vehicle_controller", "lap_max_speed"),),
+        *CONTROLLER_RANGES["lap_max_speed_mps"],
+    ),
+    Key(
+        "missions",
         "skidpad_max_speed_mps",
         _CONTROLLER.skidpad_max_speed_mps,
-        "highest speed in the skidpad; max_speed_mps holds there too",
+        "highest speed in the skidpad",
         (("vehicle_controller", "skidpad_max_speed"),),
         *CONTROLLER_RANGES["skidpad_max_speed_mps"],
     ),
@@ -208,7 +216,7 @@ KEYS: tuple[Key, ...] = (
         "missions",
         "acceleration_max_speed_mps",
         _CONTROLLER.acceleration_max_speed_mps,
-        "highest speed in the acceleration, where max_speed_mps does not hold",
+        "highest speed in the acceleration",
         (("vehicle_controller", "acceleration_max_speed"),),
         *CONTROLLER_RANGES["acceleration_max_speed_mps"],
     ),
@@ -332,10 +340,9 @@ class Configuration:
         found["vcu_bridge"]["limits"] = str(self.limits_path or "")
         if self.limits is not None:
             # The controller plans with the speed that the gate will let it have.
-            for parameter, name in _SPEEDS.items():
-                wanted = float(found["vehicle_controller"][parameter])
-                lowest = CONTROLLER_RANGES[name][0]
-                found["vehicle_controller"][parameter] = max(lowest, min(wanted, self.limits.max_speed_mps))
+            wanted = float(found["vehicle_controller"]["max_speed"])
+            lowest = CONTROLLER_RANGES["max_speed_mps"][0]
+            found["vehicle_controller"]["max_speed"] = max(lowest, min(wanted, self.limits.max_speed_mps))
         return found
 
     def environment(self) -> dict[str, str]:
@@ -356,13 +363,6 @@ class Configuration:
 
     def limits_described(self) -> tuple[str, ...]:
         return ("none but the car's own",) if self.limits is None else self.limits.described()
-
-
-_SPEEDS = {
-    "max_speed": "max_speed_mps",
-    "skidpad_max_speed": "skidpad_max_speed_mps",
-    "acceleration_max_speed": "acceleration_max_speed_mps",
-}
 
 
 def read_configuration(path: Path | str) -> Configuration:

@@ -15,7 +15,7 @@ from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.speed_profile import curvature_along, speed_demand
 from fsai_vcu.core.driving import Motion, Plan, Run
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS
 from fsai_vcu.interface.enums import Ami, AsState
 
 MS = 1_000_000
@@ -74,8 +74,49 @@ def test_a_free_straight_is_accelerated_on() -> None:
 
 
 def test_no_throttle_at_the_speed_that_is_set() -> None:
-    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.max_speed_mps).throttle == 0.0
-    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.max_speed_mps - 0.3).throttle > 0.0
+    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.lap_max_speed_mps).throttle == 0.0
+    assert ask(plan_of(STRAIGHT), speed_mps=SETTINGS.lap_max_speed_mps - 0.3).throttle > 0.0
+
+
+@pytest.mark.parametrize("mission", Ami)
+def test_max_speed_holds_in_every_mission(mission: Ami) -> None:
+    assert Controller(CAR, ControllerSettings(max_speed_mps=3.0)).max_speed_mps(mission) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("mission", "speed_mps"),
+    [(Ami.AUTOCROSS, 5.1), (Ami.TRACKDRIVE, 5.1), (Ami.SKIDPAD, 4.2), (Ami.ACCELERATION, 12.3)],
+)
+def test_a_mission_is_driven_at_its_own_pace(mission: Ami, speed_mps: float) -> None:
+    own = {"lap_max_speed_mps": 5.1, "skidpad_max_speed_mps": 4.2, "acceleration_max_speed_mps": 12.3}
+    assert Controller(CAR, ControllerSettings(**own)).max_speed_mps(mission) == speed_mps
+    assert Controller(CAR, ControllerSettings(max_speed_mps=20.0, **own)).max_speed_mps(mission) == speed_mps
+
+
+def test_no_mission_is_faster_than_the_car() -> None:
+    slow = CARS["official-simulator"]
+    assert Controller(slow).max_speed_mps(Ami.ACCELERATION) == slow.speed_max_mps
+    assert Controller(slow).max_speed_mps(Ami.AUTONOMOUS_DEMO) == slow.speed_max_mps
+
+
+@pytest.mark.parametrize(
+    ("mission", "needed_mps"),
+    [(Ami.AUTONOMOUS_DEMO, 15 / 3.6), (Ami.STATIC_INSPECTION_A, 5.309), (Ami.STATIC_INSPECTION_B, 1.327)],
+)
+def test_a_limit_below_what_a_mission_needs_is_named(mission: Ami, needed_mps: float) -> None:
+    def said(limit_mps: float) -> str | None:
+        return Controller(CAR, ControllerSettings(max_speed_mps=limit_mps)).too_slow(mission)
+
+    assert said(needed_mps + 0.01) is None
+    line = said(needed_mps - 0.01)
+    assert line is not None and mission.label in line and "\n" not in line
+    assert f"{needed_mps - 0.01:.2f} m/s" in line
+
+
+def test_missions_that_any_speed_fulfils_are_not_named() -> None:
+    slow = Controller(CAR, ControllerSettings(max_speed_mps=0.5))
+    for mission in (Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE, Ami.NOT_SELECTED):
+        assert slow.too_slow(mission) is None
 
 
 def test_the_speed_limit_is_a_little_over_the_speed_that_is_set() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.driving import ConeColor, Motion, Run
 from fsai_vcu.core.missions.request import CarView
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -44,8 +45,8 @@ class InTheAir:
     rpms: list[float] = field(default_factory=list)
     steers: list[float] = field(default_factory=list)
 
-    def run(self, seconds: float) -> None:
-        controller = Controller(self.car)
+    def run(self, seconds: float, settings: ControllerSettings | None = None) -> None:
+        controller = Controller(self.car, settings)
         run = Run(5, self.mission, AsState.AS_DRIVING, may_move=True)
         controller.reset(run)
         for _ in range(round(seconds * 1e9 / STEP_NS)):
@@ -103,6 +104,16 @@ def test_inspection_b_reaches_50_rpm_and_then_asks_for_the_emergency_brake(car: 
     assert 50 <= stand.rpms[-1] < 100
     assert not any(command.mission_finished for command in stand.commands)
     assert all(command.steering_rad == 0.0 for command in stand.commands)
+
+
+@BOTH
+@pytest.mark.parametrize("mission", [Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B])
+def test_in_an_inspection_the_wheels_keep_to_max_speed(car: VehicleParameters, mission: Ami) -> None:
+    stand = InTheAir(car, mission)
+    stand.run(40.0, ControllerSettings(max_speed_mps=1.0))
+    assert 0.8 * car.wheel_rpm_of_speed(1.0) < max(stand.rpms) < 1.1 * car.wheel_rpm_of_speed(1.0)
+    assert all(command.speed_limit_mps <= 1.0 for command in stand.commands)
+    assert stand.commands[-1].mission_finished or stand.commands[-1].estop_request
 
 
 @BOTH

@@ -44,7 +44,7 @@ def drive(
     motion = odometry.motion
     for step in range(1, round(seconds * 100) + 1):
         now = t_ns + step * 10 * MS
-        motion = odometry.update(state(speed_mps, steer_deg, now), gps or GpsImu(), now)
+        motion = odometry.update(state(speed_mps, steer_deg, now), gps or GpsImu())
     return motion
 
 
@@ -75,27 +75,27 @@ def test_reset_makes_the_cars_pose_the_origin() -> None:
 def test_time_that_runs_backwards_changes_nothing() -> None:
     odometry = Odometry(CAR)
     before = drive(odometry, 5.0, 0.0, 1.0)
-    assert odometry.update(state(5.0, 0.0, 500 * MS), GpsImu(), 500 * MS) == before
+    assert odometry.update(state(5.0, 0.0, 500 * MS), GpsImu()) == before
 
 
 def test_spinning_driven_wheels_do_not_count_on_a_car_with_free_ones() -> None:
     odometry = Odometry(ADS_DV_2026)
     speeds = WheelSpeeds(100, 100, 700, 700, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
 
 
 def test_one_spinning_wheel_does_not_count_on_a_car_that_drives_them_all() -> None:
     odometry = Odometry(ADS_DV_2021)
     speeds = WheelSpeeds(100, 100, 100, 700, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
 
 
 def test_spinning_front_wheels_do_not_count_on_a_car_that_drives_those_alone() -> None:
     odometry = Odometry(replace(ADS_DV_2026, driven_front=True, driven_rear=False))
     speeds = WheelSpeeds(700, 700, 100, 100, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds), GpsImu(), 10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
 
 
@@ -103,7 +103,7 @@ def test_locked_wheels_do_not_count_while_braking() -> None:
     odometry = Odometry(ADS_DV_2026)
     speeds = WheelSpeeds(0, 0, 300, 300, t_rx_ns=10 * MS)
     brake = VcuBrake(front_pct=40.0, rear_pct=40.0, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds, brake=brake), GpsImu(), 10 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds, brake=brake), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(300))
 
 
@@ -112,7 +112,7 @@ def test_a_reading_that_rests_at_9_rpm_without_wheel_pulses_is_a_standing_car() 
     for step in range(1, 101):
         now = step * 10 * MS
         vehicle = VehicleState(speeds=WheelSpeeds(9, 9, 9, 9, t_rx_ns=now), counts=WheelCounts(5, 5, 5, 5, t_rx_ns=now))
-        motion = odometry.update(vehicle, GpsImu(), now)
+        motion = odometry.update(vehicle, GpsImu())
         assert motion.speed_mps == pytest.approx(0.0 if now >= 510 * MS else CAR.speed_of_wheel_rpm(9))
     assert motion.distance_m < 0.15
 
@@ -122,18 +122,87 @@ def test_a_slow_car_whose_pulses_go_on_is_moving() -> None:
     for step in range(1, 201):
         now = step * 10 * MS
         counts = WheelCounts(step // 40, 0, 0, 0, t_rx_ns=now)
-        motion = odometry.update(
-            VehicleState(speeds=WheelSpeeds(9, 9, 9, 9, t_rx_ns=now), counts=counts), GpsImu(), now
-        )
+        motion = odometry.update(VehicleState(speeds=WheelSpeeds(9, 9, 9, 9, t_rx_ns=now), counts=counts), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(9))
 
 
-def test_speeds_that_stop_arriving_hold_for_half_a_second_and_then_mean_nothing() -> None:
+def test_a_motion_is_of_the_instant_of_its_wheel_speeds() -> None:
+    motion = Odometry(CAR).update(VehicleState(speeds=WheelSpeeds(t_rx_ns=7), steer=VcuSteer(t_rx_ns=9)), GpsImu())
+    assert motion.t_ns == 7
+
+
+def test_a_car_that_falls_silent_is_where_it_was_heard_last() -> None:
+    """Whatever else is still heard, and however often it is looked at."""
     odometry = Odometry(CAR)
-    drive(odometry, 5.0, 0.0, 1.0)
-    silent = state(5.0, 0.0, 1_000 * MS)
-    assert odometry.update(silent, GpsImu(), 1_500 * MS).speed_mps == pytest.approx(5.0, abs=0.03)
-    assert odometry.update(silent, GpsImu(), 1_501 * MS).speed_mps == 0.0
+    last = drive(odometry, 5.0, 0.0, 1.0)
+    speeds = wheels(CAR, 5.0, 0.0, 1_000 * MS)
+    for now in range(1_010 * MS, 88_000 * MS, 10 * MS):
+        sensed = GpsImu(rotation_b=RotationB(5.0, now))
+        assert odometry.update(VehicleState(speeds=speeds, steer=VcuSteer(5.0, t_rx_ns=now)), sensed) == last
+    assert motion_at(last, 88_000 * MS) == replace(motion_at(last, last.t_ns + 300 * MS), t_ns=88_000 * MS)
+
+
+def gap(silence_ms: int, speed_mps: float = 5.0) -> tuple[Motion, Motion]:
+    """Motions on a straight before and after a silence of the wheel speeds."""
+    odometry = Odometry(CAR)
+    before = drive(odometry, speed_mps, 0.0, 1.0)
+    return before, odometry.update(state(speed_mps, 0.0, (1_000 + silence_ms) * MS), GpsImu())
+
+
+@pytest.mark.parametrize(("silence_ms", "bridged_ms"), [(10, 10), (500, 500), (501, 500), (87_000, 500)])
+def test_a_silence_is_bridged_for_half_a_second(silence_ms: int, bridged_ms: int) -> None:
+    before, after = gap(silence_ms)
+    assert after.t_ns - before.t_ns == silence_ms * MS
+    assert after.distance_m - before.distance_m == pytest.approx(5.0 * bridged_ms / 1e3, rel=0.01)
+
+
+SURE = OdometrySettings()
+
+
+def test_a_car_at_rest_is_as_sure_as_at_the_start() -> None:
+    motion = drive(Odometry(CAR), 0.0, 0.0, 100.0)
+    assert (motion.position_sd_m, motion.yaw_sd_rad, motion.speed_sd_mps, motion.yaw_rate_sd_radps) == (0, 0, 0, 0)
+
+
+def test_position_and_heading_get_less_sure_with_the_way() -> None:
+    near, far = drive(Odometry(CAR), 5.0, 0.0, 2.0), drive(Odometry(CAR), 5.0, 0.0, 20.0)
+    for motion in (near, far):
+        way_m = motion.distance_m
+        assert motion.yaw_sd_rad == pytest.approx(SURE.yaw_sd_radpsqrtm * math.sqrt(way_m))
+        heading = 0.5 * SURE.yaw_sd_radpsqrtm**2 * way_m**2
+        expected = math.sqrt(SURE.error_length_m * (SURE.position_sd_share**2 * way_m + heading))
+        assert motion.position_sd_m == pytest.approx(expected, rel=0.02)
+
+
+def test_what_was_driven_unheard_is_added_whole() -> None:
+    before, heard = gap(100)
+    _, unheard = gap(1_100)
+    assert heard.position_sd_m - before.position_sd_m < 0.1
+    assert unheard.position_sd_m - before.position_sd_m > 5.0
+    assert unheard.yaw_sd_rad - before.yaw_sd_rad > SURE.missing_yaw_rate_radps
+    _, stood = gap(87_000, speed_mps=0.0)
+    assert (stood.position_sd_m, stood.yaw_sd_rad) == (0.0, 0.0)
+
+
+def test_speed_is_as_sure_as_its_resolution_and_the_wheels_radius() -> None:
+    slow, fast = drive(Odometry(CAR), 0.5, 0.0, 1.0), drive(Odometry(CAR), 20.0, 0.0, 1.0)
+    assert slow.speed_sd_mps == pytest.approx(SURE.speed_sd_mps, rel=0.1)
+    assert fast.speed_sd_mps == pytest.approx(SURE.speed_sd_share * 20.0, rel=0.01)
+
+
+def test_a_yaw_rate_is_as_sure_as_what_it_is_taken_from() -> None:
+    by_steering = drive(Odometry(CAR), 5.0, 10.0, 0.1)
+    assert by_steering.yaw_rate_sd_radps == pytest.approx(5.0 * SURE.curvature_sd_1pm, rel=0.01)
+    now = 10 * MS
+    sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
+    assert Odometry(CAR).update(state(5.0, 10.0, now), sensed).yaw_rate_sd_radps == SURE.yaw_rate_sd_radps
+
+
+def test_a_reset_makes_the_pose_sure_again() -> None:
+    odometry = Odometry(CAR)
+    drive(odometry, 5.0, 5.0, 3.0)
+    odometry.reset(3_000 * MS)
+    assert (odometry.motion.position_sd_m, odometry.motion.yaw_sd_rad) == (0.0, 0.0)
 
 
 BY_STEERING = 5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m  # rad/s at 5 m/s and 10 deg
@@ -143,14 +212,14 @@ SOUND_DEGPS = 38.0  # of a sensor near that
 def turning(vehicle: VehicleState, sensed_degps: float, now_ns: int, age_ms: int = 0) -> float:
     """The yaw rate in rad/s that follows from one look at a car and its sensor."""
     gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=sensed_degps, t_rx_ns=now_ns - age_ms * MS))
-    return Odometry(CAR).update(vehicle, gps, now_ns).yaw_rate_radps
+    return Odometry(CAR).update(vehicle, gps).yaw_rate_radps
 
 
 def test_a_fresh_yaw_rate_sensor_is_believed_before_the_steering() -> None:
     odometry = Odometry(CAR)
     now = 10 * MS
     sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
-    motion = odometry.update(state(5.0, 10.0, now), sensed, now)
+    motion = odometry.update(state(5.0, 10.0, now), sensed)
     assert motion.yaw_rate_radps == pytest.approx(math.radians(SOUND_DEGPS))
 
 
@@ -190,30 +259,30 @@ def test_the_sensors_bias_is_learnt_at_rest_and_survives_a_reset() -> None:
     odometry = Odometry(CAR)
     for step in range(1, 401):
         now = step * 10 * MS
-        odometry.update(state(0.0, 0.0, now), GpsImu(rotation_b=RotationB(1.0, now)), now)
+        odometry.update(state(0.0, 0.0, now), GpsImu(rotation_b=RotationB(1.0, now)))
     assert odometry.motion.yaw_rad == 0.0
     odometry.reset(4_000 * MS)
     for step in range(1, 101):
         now = 4_000 * MS + step * 10 * MS
-        motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(1.0, now)), now)
+        motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(1.0, now)))
     assert abs(motion.yaw_rate_radps) < math.radians(0.05)
 
 
 def test_a_reading_is_learnt_from_once_however_often_it_is_looked_at() -> None:
     odometry = Odometry(CAR)
     for step in range(1, 11):
-        odometry.update(state(0.0, 0.0, step * MS), GpsImu(rotation_b=RotationB(2.0, 1)), step * MS)
+        odometry.update(state(0.0, 0.0, step * MS), GpsImu(rotation_b=RotationB(2.0, 1)))
     now = 11 * MS
-    motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(2.0, now)), now)
+    motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(2.0, now)))
     learnt = OdometrySettings().bias_gain * 2.0
     assert math.degrees(motion.yaw_rate_radps) == pytest.approx(2.0 - learnt, abs=1e-6)
 
 
 def test_a_steering_angle_that_is_no_number_leaves_the_last_one() -> None:
     odometry = Odometry(CAR)
-    odometry.update(state(5.0, 10.0, 10 * MS), GpsImu(), 10 * MS)
+    odometry.update(state(5.0, 10.0, 10 * MS), GpsImu())
     speeds = wheels(CAR, 5.0, 10.0, 20 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds, steer=VcuSteer(math.nan, t_rx_ns=20 * MS)), GpsImu(), 20 * MS)
+    motion = odometry.update(VehicleState(speeds=speeds, steer=VcuSteer(math.nan, t_rx_ns=20 * MS)), GpsImu())
     assert motion.yaw_rate_radps == pytest.approx(5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m, rel=0.01)
 
 

@@ -12,7 +12,9 @@ from fsai_hil.operator import At, Moment
 from fsai_hil.tracks import load_track
 from fsai_hil.world import WorldSetup, mission_named
 from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
 
 S = 1_000_000_000
@@ -139,6 +141,24 @@ def test_operational_limits_are_never_exceeded() -> None:
     assert max(torque for torque, _, _ in asked) <= 60.0
     assert max(steer for _, steer, _ in asked) <= 18.0
     assert max(speed for _, _, speed in asked) <= 3.0 * 1.05
+
+
+@pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
+def test_max_speed_is_kept_in_every_mission(mission: Ami) -> None:
+    lockstep = Lockstep(WorldSetup(missions=[mission], laps=1), controller=ControllerSettings(max_speed_mps=3.0))
+    speeds = [0.0]
+    on_stands = mission in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+
+    def watch(command: VehicleCommand, now_ns: int) -> VehicleCommand:
+        wheels = lockstep.bridge.report(now_ns).vehicle.speeds
+        rpm = max(wheels.all_rpm) if wheels is not None else 0
+        speeds.append(ADS_DV_2026.speed_of_wheel_rpm(rpm) if on_stands else lockstep.world.car.speed_mps)
+        return command
+
+    lockstep.computer.command_filter = watch
+    lockstep.run()
+    least = 1.0 if mission is Ami.STATIC_INSPECTION_B else 2.5  # that one wants 50 rpm
+    assert least < max(speeds) < 3.0 * 1.03
 
 
 def test_missions_are_named_as_on_the_display() -> None:

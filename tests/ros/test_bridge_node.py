@@ -189,6 +189,19 @@ def test_odometry_is_published_to_whoever_listens(rig: RosRig, bus: str, vcu: Sc
     assert (heard[0].header.frame_id, heard[0].child_frame_id) == ("odom", "base_link")
 
 
+def test_a_car_that_falls_silent_has_no_odometry_of_now(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+    _, states = start_bridge(rig, bus)
+    heard = rig.hear(Odometry, "/odometry", qos.SENSOR)
+    rig.spin_until(lambda: len(heard) > 10, "odometry")
+    vcu.__exit__()
+    rig.spin_until(lambda: bool(states) and states[-1].speeds_age_s > 0.3, "the car is silent")
+    said, count = len(heard), len(states)
+    rig.spin_until(lambda: len(states) > count + 20, "states of a silent car")
+    assert len(heard) == said
+    stamps_ns = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states[count:]]
+    assert max(stamps_ns) - min(stamps_ns) < 10_000_000  # one measurement, whatever the two clocks do
+
+
 def test_listen_only_is_shown_and_nothing_is_ever_sent(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus, listen_only=True)
     wait_for_car(rig, states)

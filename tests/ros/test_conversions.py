@@ -19,7 +19,7 @@ from fsai_nodes import conversions as to
 from fsai_nodes.diagnosis import diagnostics_of
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Plan, Run
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -192,6 +192,16 @@ def test_the_vehicle_state_is_in_si_units_and_in_the_cars_words() -> None:
     assert message.wheel_speed_rpm.tolist() == [101, 102, 103, 104]
     assert message.status_age_s == pytest.approx(0.040) and message.command_age_s == 0.25
     assert message.why_not_driving
+
+
+def test_odometry_says_how_sure_it_is() -> None:
+    motion = Motion(x_m=1.0, speed_mps=5.0, position_sd_m=2.0, yaw_sd_rad=0.5, speed_sd_mps=0.25, yaw_rate_sd_radps=0.1)
+    message = to.odometry_to_msg(motion, STAMP)
+    assert {i: value for i, value in enumerate(message.pose.covariance) if value} == {0: 4.0, 7: 4.0, 35: 0.25}
+    assert {i: value for i, value in enumerate(message.twist.covariance) if value} == pytest.approx(
+        {0: 0.0625, 35: 0.01}
+    )
+    assert (message.pose.pose.position.x, message.twist.twist.linear.x) == (1.0, 5.0)
 
 
 def test_the_imu_is_in_si_units_in_the_sensors_axes() -> None:

@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
 pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
 
+from fsai_msgs.msg import RunState, VehicleState
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -21,6 +22,7 @@ from ros_rig import RosRig
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.parameters import NodeError, Scattered
+from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 
 CHECKOUT = Path(__file__).parents[2]
 README = (CHECKOUT / "nodes" / "README.md").read_text()
@@ -178,9 +180,37 @@ def test_max_speed_changes_while_the_controller_runs(rig: RosRig) -> None:
 
     node = rig.start(vehicle_controller.VehicleController)
     assert set_parameter(rig, "vehicle_controller", "max_speed", 3.5) == (True, "")
-    speeds = {mission: node._controller.max_speed_mps(mission) for mission in Ami}
-    assert speeds[Ami.TRACKDRIVE] == speeds[Ami.SKIDPAD] == 3.5
-    assert speeds[Ami.ACCELERATION] > 10.0
+    assert {node._controller.max_speed_mps(mission) for mission in Ami} == {3.5}
+    for name, speed in (("lap_max_speed", 3.4), ("skidpad_max_speed", 3.3), ("acceleration_max_speed", 3.2)):
+        assert set_parameter(rig, "vehicle_controller", name, speed) == (True, "")
+    missions = (Ami.AUTOCROSS, Ami.TRACKDRIVE, Ami.SKIDPAD, Ami.ACCELERATION, Ami.AUTONOMOUS_DEMO)
+    assert [node._controller.max_speed_mps(mission) for mission in missions] == [3.4, 3.4, 3.3, 3.2, 3.5]
+
+
+@pytest.mark.parametrize(
+    ("max_speed", "limits", "loud"),
+    [
+        (30.0, UNLIMITED, True),
+        (30.0, OperationalLimits(max_steer_deg=10.0), True),
+        (29.0, UNLIMITED, False),
+        (30.0, OperationalLimits(max_speed_mps=5.0), False),
+    ],
+)
+def test_where_no_speed_limit_is_set_one_line_says_so(
+    rig: RosRig, capfd: pytest.CaptureFixture[str], max_speed: float, limits: OperationalLimits, loud: bool
+) -> None:
+    node = rig.start(vehicle_controller.VehicleController, max_speed=max_speed)
+    for _ in range(3):
+        node._on_state(VehicleState(operational_limits=list(limits.described())))
+    assert capfd.readouterr().err.count("no speed limit is set") == int(loud)
+
+
+def test_a_mission_that_the_limit_forbids_is_named_with_its_run(rig: RosRig, capfd: pytest.CaptureFixture[str]) -> None:
+    from fsai_vcu.interface.enums import Ami
+
+    node = rig.start(vehicle_controller.VehicleController, max_speed=3.0)
+    node._on_run(RunState(run_id=3, mission=int(Ami.AUTONOMOUS_DEMO)))
+    assert "AUTONOMOUS_DEMO needs 4.17 m/s, but the speed limit is 3.00 m/s" in capfd.readouterr().err
 
 
 def test_a_whole_number_is_a_speed_too(rig: RosRig) -> None:

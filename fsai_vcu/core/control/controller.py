@@ -72,12 +72,28 @@ class Controller:
         self._max_steer_rad = min(self._car.steer_max_rad, settings.max_steer_rad)
 
     def max_speed_mps(self, mission: Ami) -> float:
-        """The speed aimed at where nothing else limits it."""
-        if mission is Ami.SKIDPAD:
-            return self._settings.skidpad_max_speed_mps
-        if mission is Ami.ACCELERATION:
-            return min(self._settings.acceleration_max_speed_mps, self._car.speed_max_mps)
-        return self._settings.max_speed_mps
+        """The most that is driven in a mission."""
+        settings = self._settings
+        own = {
+            Ami.AUTOCROSS: settings.lap_max_speed_mps,
+            Ami.TRACKDRIVE: settings.lap_max_speed_mps,
+            Ami.SKIDPAD: settings.skidpad_max_speed_mps,
+            Ami.ACCELERATION: settings.acceleration_max_speed_mps,
+        }
+        return min(settings.max_speed_mps, self._car.speed_max_mps, own.get(mission, math.inf))
+
+    def too_slow(self, mission: Ami) -> str | None:
+        """Why a mission that needs a certain speed will not be fulfilled, in one line; None where it can be."""
+        missions = self._missions
+        needed = {
+            Ami.AUTONOMOUS_DEMO: missions.demo_speed_mps,
+            Ami.STATIC_INSPECTION_A: self._car.speed_of_wheel_rpm(missions.inspection_a_rpm),
+            Ami.STATIC_INSPECTION_B: self._car.speed_of_wheel_rpm(missions.inspection_b_rpm),
+        }.get(mission, 0.0)
+        allowed = self.max_speed_mps(mission)
+        if needed <= allowed:
+            return None
+        return f"{mission.label} needs {needed:.2f} m/s, but the speed limit is {allowed:.2f} m/s: it stays below that"
 
     def command(
         self,
@@ -105,14 +121,15 @@ class Controller:
 
     def _without_path(self, view: CarView, run: Run) -> VehicleCommand:
         request: MissionRequest
+        limit = self.max_speed_mps(run.mission)
         if run.mission is Ami.AUTONOMOUS_DEMO:
-            self._demo, request = advance_demo(self._demo, view, self._max_steer_rad, self._missions)
+            self._demo, request = advance_demo(self._demo, view, self._max_steer_rad, self._missions, limit)
         else:
             inspection: Inspection = (inspection_a if run.mission is Ami.STATIC_INSPECTION_A else inspection_b)(
                 self._missions
             )
             self._inspection, request = advance_inspection(
-                inspection, self._inspection, view, self._car, self._max_steer_rad, self._missions
+                inspection, self._inspection, view, self._car, self._max_steer_rad, self._missions, limit
             )
         self._finished |= request.finished
         self._estop |= request.estop

@@ -7,12 +7,15 @@ from dataclasses import dataclass, fields
 
 from fsai_vcu.interface.immutable import Immutable
 
+NO_SPEED_LIMIT_MPS = 30.0  # what the car reaches at its motors' highest speed: as a limit it is none
+
 
 @dataclass(frozen=True, slots=True)
 class ControllerSettings(Immutable):
-    """Defaults drive robustly rather than fast."""
+    """Defaults drive robustly rather than fast. The speed of a mission is the lower of its own and `max_speed_mps`."""
 
-    max_speed_mps: float = 7.0  # autocross, trackdrive
+    max_speed_mps: float = NO_SPEED_LIMIT_MPS  # in every mission
+    lap_max_speed_mps: float = 7.0  # autocross, trackdrive
     skidpad_max_speed_mps: float = 6.0
     acceleration_max_speed_mps: float = 25.0
     max_steer_rad: float = math.radians(30.0)  # never more than the car's own limit either
@@ -48,7 +51,8 @@ class ControllerSettings(Immutable):
 
 
 CONTROLLER_RANGES: dict[str, tuple[float, float]] = {
-    "max_speed_mps": (0.5, 30.0),
+    "max_speed_mps": (0.5, NO_SPEED_LIMIT_MPS),
+    "lap_max_speed_mps": (0.5, 30.0),
     "skidpad_max_speed_mps": (0.5, 30.0),
     "acceleration_max_speed_mps": (0.5, 30.0),
     "max_steer_rad": (0.05, math.radians(30.0)),

@@ -53,7 +53,7 @@ class DemoState(Immutable):
 
 
 def advance_demo(
-    state: DemoState, view: CarView, full_steer_rad: float, settings: MissionSettings
+    state: DemoState, view: CarView, full_steer_rad: float, settings: MissionSettings, max_speed_mps: float
 ) -> tuple[DemoState, MissionRequest]:
     """The demo at `view.now_ns`, and what it asks for."""
     motion = view.motion
@@ -65,11 +65,11 @@ def advance_demo(
     if state.phase is Phase.EMERGENCY_BRAKE:
         return state, MissionRequest(steering, estop=True)
     if state.phase in (Phase.ACCELERATE, Phase.ACCELERATE_AGAIN):
-        target = settings.demo_speed_mps + settings.demo_margin_mps
+        target = min(settings.demo_speed_mps + settings.demo_margin_mps, max_speed_mps)
         driven = motion.distance_m - state.distance_m
         if motion.speed_mps >= target or driven >= LENGTH_SHARE * settings.demo_length_m:
             return _next(state, view), MissionRequest(steering)
-        return state, MissionRequest(steering, throttle=1.0, speed_limit_mps=target + 1.5)
+        return state, MissionRequest(steering, throttle=1.0, speed_limit_mps=min(target + 1.5, max_speed_mps))
     if state.phase is Phase.STOP:
         stands = view.standing or motion.speed_mps < 0.05
         return (_next(state, view) if stands else state), MissionRequest(steering, brake=STOP_BRAKE)

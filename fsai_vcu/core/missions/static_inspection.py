@@ -84,6 +84,7 @@ def advance_inspection(
     car: VehicleParameters,
     full_steer_rad: float,
     settings: MissionSettings,
+    max_speed_mps: float,
 ) -> tuple[InspectionState, MissionRequest]:
     """The inspection at `view.now_ns`, and what it asks for."""
     since_ns = view.now_ns if state.since_ns is None else state.since_ns
@@ -102,12 +103,13 @@ def advance_inspection(
         return state, MissionRequest(estop=True)
 
     rpm = driven_rpm(car, view.wheel_rpm)
-    error = (SPIN_MARGIN * inspection.rpm - rpm) / inspection.rpm
+    aim_rpm = min(SPIN_MARGIN * inspection.rpm, car.wheel_rpm_of_speed(max_speed_mps))
+    error = (aim_rpm - rpm) / inspection.rpm
     integral = min(max(state.integral + SPIN_INTEGRAL_GAIN * error * dt_s, 0.0), SPIN_THROTTLE_MAX)
     state = replace(state, integral=integral)
     request = MissionRequest(
         throttle=min(max(SPIN_GAIN * error + integral, 0.0), SPIN_THROTTLE_MAX),
-        speed_limit_mps=car.speed_of_wheel_rpm(SPIN_LIMIT * inspection.rpm),
+        speed_limit_mps=min(car.speed_of_wheel_rpm(SPIN_LIMIT * inspection.rpm), max_speed_mps),
     )
     reached = rpm >= inspection.rpm
     if phase is Phase.SPIN_UP and (reached or in_phase_s >= inspection.spin_up_s):

@@ -3,6 +3,11 @@
 Pure: state in, state out (`advance`); `Odometry` only keeps the state between calls. Positions are those of the rear
 axle's centre in the odometry frame. They drift, and whoever uses them over more than some tens of metres must correct
 them by what is seen.
+
+The instant of a motion is that of the wheel speeds behind it: where the car says nothing, nothing goes on. How sure it
+is follows from the way driven, as a random walk (`OdometrySettings`): over `ds` metres the heading's variance grows by
+yaw_sd^2 ds, the position's by (share^2 + heading's variance) error_length ds. What may have been driven and turned
+while wheel speeds were missing for longer than they are fresh is added whole.
 """
 
 from __future__ import annotations
@@ -13,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import GpsImu, VehicleState, WheelCounts
+from fsai_vcu.interface.images import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable
 
 NS_PER_S = 1_000_000_000
@@ -24,13 +29,23 @@ class OdometrySettings(Immutable):
     """Times in ns, the rest in SI units unless the name says otherwise."""
 
     fresh_ns: int = 100_000_000  # an older message is not believed: ten cycles of the bus
-    longest_step_ns: int = 200_000_000  # a longer silence of the caller is not bridged
+    longest_step_ns: int = 500_000_000  # a longer silence of the wheel speeds is not bridged
     resting_rpm: int = 12  # a reading may rest at 9 rpm after the car has stopped …
     resting_ns: int = 500_000_000  # … so without one wheel pulse for this long the car stands
     braking_pct: float = 1.0  # pressure from which on a wheel may turn slower than the road
     yaw_rate_disagreement_radps: float = 0.15  # five times what a sound sensor differs from steering and wheels
     bias_gain: float = 0.02  # of the yaw-rate sensor's bias, per reading at rest
     bias_max_radps: float = 0.05
+
+    # How sure it is: standard deviations, or what they are made of.
+    position_sd_share: float = 0.02  # of the way driven: the rolling radius under load is 0.251 … 0.258 m, and slip
+    yaw_sd_radpsqrtm: float = 0.005  # of the heading after one metre: the sensor's bias, or the steering's backlash
+    error_length_m: float = 10.0  # an error keeps its sign for about so long
+    speed_sd_mps: float = 0.03  # 1 rpm, the resolution of a wheel speed …
+    speed_sd_share: float = 0.02  # … and of the speed, as for the way
+    yaw_rate_sd_radps: float = 0.03  # of the sensor
+    curvature_sd_1pm: float = 0.01  # of the steering angle: 0.9 deg of backlash on a wheelbase of 1.53 m
+    missing_yaw_rate_radps: float = 0.5  # a moving car may have turned so fast while it was not heard
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +70,18 @@ def _fresh(t_rx_ns: int, now_ns: int, settings: OdometrySettings) -> bool:
 
 
 def wheel_speed_mps(
-    car: VehicleParameters, settings: OdometrySettings, vehicle: VehicleState, curvature_1pm: float, now_ns: int
-) -> float | None:
-    """Speed of the rear axle's centre by the wheels; None when they are not fresh.
+    car: VehicleParameters,
+    settings: OdometrySettings,
+    speeds: WheelSpeeds,
+    brake: VcuBrake | None,
+    curvature_1pm: float,
+) -> float:
+    """Speed of the rear axle's centre by the wheels.
 
     Each wheel runs on its own circle; brought back to the rear axle's centre all four say the same unless they slip.
     While braking a wheel can only be too slow, so the faster axle is right. Otherwise an axle without a motor is right,
     and where both are driven the middle two wheels are.
     """
-    speeds = vehicle.speeds
-    if speeds is None or not _fresh(speeds.t_rx_ns, now_ns, settings):
-        return None
     half_track = 0.5 * car.track_m
     inner, outer = 1.0 - curvature_1pm * half_track, 1.0 + curvature_1pm * half_track
     reach = curvature_1pm * car.wheelbase_m
@@ -73,10 +89,9 @@ def wheel_speed_mps(
     fl, fr = road[0] / math.hypot(inner, reach), road[1] / math.hypot(outer, reach)
     rl, rr = road[2] / inner, road[3] / outer
     front, rear = 0.5 * (fl + fr), 0.5 * (rl + rr)
-    brake = vehicle.brake
     braking = (
         brake is not None
-        and _fresh(brake.t_rx_ns, now_ns, settings)
+        and _fresh(brake.t_rx_ns, speeds.t_rx_ns, settings)
         and max(brake.front_pct, brake.rear_pct) >= settings.braking_pct
     )
     if braking:
@@ -90,26 +105,21 @@ def wheel_speed_mps(
 
 
 def sensed_yaw_rate_radps(
-    car: VehicleParameters, settings: OdometrySettings, gps: GpsImu, now_ns: int
+    car: VehicleParameters, settings: OdometrySettings, gps: GpsImu, t_ns: int
 ) -> tuple[float, int] | None:
-    """The newest fresh reading of the yaw-rate sensor with its time, before its bias is taken off."""
+    """The newest reading of the yaw-rate sensor, fresh at `t_ns`, with its time, before its bias is taken off."""
     found: tuple[float, int] | None = None
     if gps.dynamics is not None:
         found = (gps.dynamics.yaw_rate_degps, gps.dynamics.t_rx_ns)
     if gps.rotation_b is not None and (found is None or gps.rotation_b.t_rx_ns >= found[1]):
         found = (gps.rotation_b.z_degps, gps.rotation_b.t_rx_ns)
-    if found is None or not math.isfinite(found[0]) or not _fresh(found[1], now_ns, settings):
+    if found is None or not math.isfinite(found[0]) or not _fresh(found[1], t_ns, settings):
         return None
     return car.yaw_rate_sign * math.radians(found[0]), found[1]
 
 
-def _yaw_rates_by_wheels(
-    car: VehicleParameters, settings: OdometrySettings, vehicle: VehicleState, curvature_1pm: float, now_ns: int
-) -> tuple[float, ...]:
-    """Yaw rates in rad/s by the left and right wheel of either axle; nothing while they are not fresh."""
-    speeds = vehicle.speeds
-    if speeds is None or not _fresh(speeds.t_rx_ns, now_ns, settings):
-        return ()
+def _yaw_rates_by_wheels(car: VehicleParameters, speeds: WheelSpeeds, curvature_1pm: float) -> tuple[float, float]:
+    """Yaw rates in rad/s by the left and right wheel of either axle."""
     fl, fr, rl, rr = (car.speed_of_wheel_rpm(rpm) for rpm in speeds.all_rpm)
     along = math.hypot(1.0, curvature_1pm * car.wheelbase_m)  # the front wheels roll where they are steered to
     return (fr - fl) / car.track_m * along, (rr - rl) / car.track_m
@@ -121,63 +131,72 @@ def advance(
     state: OdometryState,
     vehicle: VehicleState,
     gps: GpsImu,
-    now_ns: int,
 ) -> OdometryState:
-    """The state at `now_ns`. Time that runs backwards changes nothing."""
-    before = state.motion
-    if now_ns <= before.t_ns:
+    """The state when the newest wheel speeds were received. Without newer ones nothing changes."""
+    before, speeds = state.motion, vehicle.speeds
+    if speeds is None or speeds.t_rx_ns <= before.t_ns:
         return state
-    step_ns = now_ns - before.t_ns
+    t_ns = speeds.t_rx_ns
+    step_ns = t_ns - before.t_ns
     dt_s = min(step_ns, settings.longest_step_ns) / NS_PER_S
 
     curvature = state.curvature_1pm
     steer = vehicle.steer
-    if steer is not None and math.isfinite(steer.angle_deg) and _fresh(steer.t_rx_ns, now_ns, settings):
+    if steer is not None and math.isfinite(steer.angle_deg) and _fresh(steer.t_rx_ns, t_ns, settings):
         limit_deg = 45.0  # no car of this kind steers further: a wild value must not turn the tangent over
         curvature = math.tan(math.radians(max(-limit_deg, min(limit_deg, steer.angle_deg)))) / car.wheelbase_m
 
     counts, counts_changed_ns = state.counts, state.counts_changed_ns
     heard = vehicle.counts
-    pulses = heard is not None and _fresh(heard.t_rx_ns, now_ns, settings)
+    pulses = heard is not None and _fresh(heard.t_rx_ns, t_ns, settings)
     if heard is not None and (
         counts is None or (heard.fl, heard.fr, heard.rl, heard.rr) != (counts.fl, counts.fr, counts.rl, counts.rr)
     ):
-        counts, counts_changed_ns = heard, now_ns
+        counts, counts_changed_ns = heard, t_ns
 
-    speed = wheel_speed_mps(car, settings, vehicle, curvature, now_ns)
-    if speed is None:
-        speed = before.speed_mps if _recently(vehicle, now_ns, settings) else 0.0
-    elif vehicle.speeds is not None and max(vehicle.speeds.all_rpm) <= settings.resting_rpm:
-        silent_ns = now_ns - counts_changed_ns
-        if (pulses and silent_ns >= settings.resting_ns) or max(vehicle.speeds.all_rpm) == 0:
+    speed = wheel_speed_mps(car, settings, speeds, vehicle.brake, curvature)
+    fastest_rpm = max(speeds.all_rpm)
+    if fastest_rpm <= settings.resting_rpm:
+        silent_ns = t_ns - counts_changed_ns
+        if (pulses and silent_ns >= settings.resting_ns) or fastest_rpm == 0:
             speed = 0.0
 
     kinematic = speed * curvature
     bias, bias_t_rx_ns = state.yaw_rate_bias_radps, state.bias_t_rx_ns
-    sensed = sensed_yaw_rate_radps(car, settings, gps, now_ns)
+    sensed = sensed_yaw_rate_radps(car, settings, gps, t_ns)
     if sensed is not None and speed == 0.0 and sensed[1] != bias_t_rx_ns:
         bias_t_rx_ns = sensed[1]
         bias += settings.bias_gain * (sensed[0] - bias)
         bias = max(-settings.bias_max_radps, min(settings.bias_max_radps, bias))
-    yaw_rate = kinematic
+    yaw_rate, yaw_rate_sd = kinematic, speed * settings.curvature_sd_1pm
     if speed > 0.0 and sensed is not None:
         # A sliding car turns otherwise than it is steered, and a spinning wheel otherwise than the car: what lies
         # between them, or near, can be. A sensor that drifts is found out before the car has lost its way.
-        others = (kinematic, *_yaw_rates_by_wheels(car, settings, vehicle, curvature, now_ns))
+        others = (kinematic, *_yaw_rates_by_wheels(car, speeds, curvature))
         margin = settings.yaw_rate_disagreement_radps
         if min(others) - margin <= sensed[0] - bias <= max(others) + margin:
-            yaw_rate = sensed[0] - bias
+            yaw_rate, yaw_rate_sd = sensed[0] - bias, settings.yaw_rate_sd_radps
 
-    mean_speed = 0.5 * (speed + before.speed_mps)
+    way = 0.5 * (speed + before.speed_mps) * dt_s
     middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
+    faster = max(speed, before.speed_mps)
+    missing_s = max(0, step_ns - settings.fresh_ns) / NS_PER_S if faster > 0.0 else 0.0
+    yaw_sd = math.sqrt(before.yaw_sd_rad**2 + settings.yaw_sd_radpsqrtm**2 * way)
+    position_sd = math.sqrt(
+        before.position_sd_m**2 + (settings.position_sd_share**2 + yaw_sd**2) * settings.error_length_m * way
+    )
     motion = Motion(
-        t_ns=now_ns,
-        x_m=before.x_m + mean_speed * dt_s * math.cos(middle_yaw),
-        y_m=before.y_m + mean_speed * dt_s * math.sin(middle_yaw),
+        t_ns=t_ns,
+        x_m=before.x_m + way * math.cos(middle_yaw),
+        y_m=before.y_m + way * math.sin(middle_yaw),
         yaw_rad=math.remainder(before.yaw_rad + yaw_rate * dt_s, 2.0 * math.pi),
         speed_mps=speed,
         yaw_rate_radps=yaw_rate,
-        distance_m=before.distance_m + mean_speed * dt_s,
+        distance_m=before.distance_m + way,
+        position_sd_m=position_sd + faster * missing_s,
+        yaw_sd_rad=yaw_sd + settings.missing_yaw_rate_radps * missing_s,
+        speed_sd_mps=math.hypot(settings.speed_sd_mps, settings.speed_sd_share * speed) if speed > 0.0 else 0.0,
+        yaw_rate_sd_radps=yaw_rate_sd,
     )
     return replace(
         state,
@@ -188,11 +207,6 @@ def advance(
         bias_t_rx_ns=bias_t_rx_ns,
         curvature_1pm=curvature,
     )
-
-
-def _recently(vehicle: VehicleState, now_ns: int, settings: OdometrySettings) -> bool:
-    """Whether wheel speeds were heard not so long ago that the last speed still says something."""
-    return vehicle.speeds is not None and now_ns - vehicle.speeds.t_rx_ns <= 5 * settings.fresh_ns
 
 
 class Odometry:
@@ -215,14 +229,19 @@ class Odometry:
             bias_t_rx_ns=self._state.bias_t_rx_ns,
         )
 
-    def update(self, vehicle: VehicleState, gps: GpsImu, now_ns: int) -> Motion:
-        self._state = advance(self._car, self._settings, self._state, vehicle, gps, now_ns)
+    def update(self, vehicle: VehicleState, gps: GpsImu) -> Motion:
+        """The motion by the newest that the car has said."""
+        self._state = advance(self._car, self._settings, self._state, vehicle, gps)
         return self._state.motion
 
 
+CARRIED_NS = 300_000_000
+"""A motion is carried on for no longer: 100 ms for which wheel speeds are fresh, and what actuators take to answer."""
+
+
 def motion_at(motion: Motion, t_ns: int) -> Motion:
-    """`motion` carried to another instant, some tens of ms away, with speed and yaw rate held."""
-    dt_s = (t_ns - motion.t_ns) / NS_PER_S
+    """`motion` carried to another instant with speed and yaw rate held, but by no more than `CARRIED_NS`."""
+    dt_s = min(max(t_ns - motion.t_ns, -CARRIED_NS), CARRIED_NS) / NS_PER_S
     if dt_s == 0.0:
         return motion
     way = motion.speed_mps * dt_s
@@ -272,7 +291,8 @@ class MotionHistory:
             if earlier.t_ns <= t_ns:
                 share = (t_ns - earlier.t_ns) / (later.t_ns - earlier.t_ns)
                 turn = math.remainder(later.yaw_rad - earlier.yaw_rad, 2.0 * math.pi)
-                return Motion(
+                return replace(
+                    later,
                     t_ns=t_ns,
                     x_m=earlier.x_m + share * (later.x_m - earlier.x_m),
                     y_m=earlier.y_m + share * (later.y_m - earlier.y_m),

@@ -211,6 +211,11 @@ def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
     pose.position.x, pose.position.y = float(motion.x_m), float(motion.y_m)
     pose.orientation.z, pose.orientation.w = math.sin(motion.yaw_rad / 2), math.cos(motion.yaw_rad / 2)
     twist.linear.x, twist.angular.z = float(motion.speed_mps), float(motion.yaw_rate_radps)
+    # Row by row 6 x 6 of x, y, z and the rotations about them; what is 0 by definition on a plane is known.
+    message.pose.covariance[0] = message.pose.covariance[7] = float(motion.position_sd_m) ** 2
+    message.pose.covariance[35] = float(motion.yaw_sd_rad) ** 2
+    message.twist.covariance[0] = float(motion.speed_sd_mps) ** 2
+    message.twist.covariance[35] = float(motion.yaw_rate_sd_radps) ** 2
     return message
 
 

@@ -14,34 +14,29 @@ from fsai_nodes.edge import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller
-from fsai_vcu.core.control.settings import CONTROLLER_RANGES, ControllerSettings
+from fsai_vcu.core.control.settings import CONTROLLER_RANGES, NO_SPEED_LIMIT_MPS, ControllerSettings
 from fsai_vcu.core.driving import Motion, Plan, Run
+from fsai_vcu.core.limits import SPEED_NOT_LIMITED
 from fsai_vcu.core.vehicle.parameters import CARS
 
 _DEFAULT = ControllerSettings()
-_LIVE_SPEEDS = ("max_speed", "skidpad_max_speed", "acceleration_max_speed")
+_SPEEDS = {  # by parameter: the setting, and where it holds
+    "max_speed": ("max_speed_mps", "every mission"),
+    "lap_max_speed": ("lap_max_speed_mps", "laps (autocross, trackdrive)"),
+    "skidpad_max_speed": ("skidpad_max_speed_mps", "the skidpad"),
+    "acceleration_max_speed": ("acceleration_max_speed_mps", "the acceleration"),
+}
 
 SETTINGS = (
-    Setting(
-        "max_speed",
-        _DEFAULT.max_speed_mps,
-        "Highest speed in m/s on laps (autocross, trackdrive), in the skidpad and in the demo.",
-        *CONTROLLER_RANGES["max_speed_mps"],
-        live=True,
-    ),
-    Setting(
-        "skidpad_max_speed",
-        _DEFAULT.skidpad_max_speed_mps,
-        "Highest speed in m/s in the skidpad; max_speed holds there too.",
-        *CONTROLLER_RANGES["skidpad_max_speed_mps"],
-        live=True,
-    ),
-    Setting(
-        "acceleration_max_speed",
-        _DEFAULT.acceleration_max_speed_mps,
-        "Highest speed in m/s in the acceleration, where max_speed does not hold.",
-        *CONTROLLER_RANGES["acceleration_max_speed_mps"],
-        live=True,
+    *(
+        Setting(
+            name,
+            getattr(_DEFAULT, setting),
+            f"Highest speed in m/s in {where}.",
+            *CONTROLLER_RANGES[setting],
+            live=True,
+        )
+        for name, (setting, where) in _SPEEDS.items()
     ),
     Setting("car", "2026", "Vehicle parameters to control with.", choices=tuple(CARS)),
     # safety: /vehicle_cmd comes at 50 Hz or more
@@ -59,6 +54,7 @@ class VehicleController(Node):
         self._controller = Controller(CARS[self._settings.text("car")], self._controller_settings())
         self._run: Run | None = None
         self._state: tuple[VehicleState, Motion] | None = None  # the newest, and the motion in it
+        self._limits_heard = False  # the operational limits, which the bridge has
         self._status: PlannerStatus | None = None
         self._pending: Path | None = None  # a path whose status has not come yet
         self._plan: Plan | None = None
@@ -75,16 +71,10 @@ class VehicleController(Node):
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._tick)
 
     def _controller_settings(self) -> ControllerSettings:
-        top, skidpad, acceleration = (self._settings.number(name) for name in _LIVE_SPEEDS)
-        return replace(
-            _DEFAULT,
-            max_speed_mps=top,
-            skidpad_max_speed_mps=min(skidpad, top),
-            acceleration_max_speed_mps=acceleration,
-        )
+        return replace(_DEFAULT, **{setting: self._settings.number(name) for name, (setting, _) in _SPEEDS.items()})
 
     def _on_change(self, name: str) -> None:
-        if name in _LIVE_SPEEDS:
+        if name in _SPEEDS:
             self._controller.configure(self._controller_settings())
 
     def _on_run(self, message: RunState) -> None:
@@ -97,8 +87,19 @@ class VehicleController(Node):
         self._planner_waits = "", 0
         self._confirmation.publish(ResetConfirmation(role=ResetConfirmation.CONTROLLER, run_id=run.run_id))
         self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
+        if line := self._controller.too_slow(run.mission):
+            self.get_logger().warning(line)
 
     def _on_state(self, message: VehicleState) -> None:
+        if not self._limits_heard:
+            self._limits_heard = True
+            if (
+                SPEED_NOT_LIMITED in message.operational_limits
+                and self._settings.number("max_speed") >= NO_SPEED_LIMIT_MPS
+            ):
+                self.get_logger().warning(
+                    "no speed limit is set: neither max_speed nor an operational limit max_speed_mps"
+                )
         if self._run is None or message.run_id != self._run.run_id:
             return
         now_ns = self._clocks.now_ns()

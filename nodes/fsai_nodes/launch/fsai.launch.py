@@ -22,7 +22,15 @@ ARGUMENTS = {
     "truth_port": (("sensor_simulator",), "truth_port", int, "UDP port of the simulated car's true pose"),
     "confidence_threshold": (("cone_detector",), "confidence_threshold", float, "0 to 1"),
     "laps": (("path_planner",), "laps", int, "laps of a trackdrive"),
-    "max_speed": (("vehicle_controller",), "max_speed", float, "highest speed in m/s"),
+    "max_speed": (("vehicle_controller",), "max_speed", float, "highest speed in every mission, in m/s"),
+    "lap_max_speed": (("vehicle_controller",), "lap_max_speed", float, "highest speed on laps, in m/s"),
+    "skidpad_max_speed": (("vehicle_controller",), "skidpad_max_speed", float, "highest speed in the skidpad, in m/s"),
+    "acceleration_max_speed": (
+        ("vehicle_controller",),
+        "acceleration_max_speed",
+        float,
+        "highest speed in the acceleration, in m/s",
+    ),
 }
 NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge")
 
