@@ -165,7 +165,7 @@ _ROOTS: Final = (
             (Reason.VCU_SILENT, "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on"),
             (
                 Reason.WHEELS_STALE,
-                "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); if it did not, compare it with 0x526",
+                "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); else compare it with 0x526",
             ),
             (Reason.STEERING_STALE, "check why 0x523 stopped: steering controller, VCU, wiring"),
             (
@@ -193,9 +193,8 @@ _ROOTS: Final = (
             (Reason.SHUTDOWN_CAUSE, "see the fault's own line in this story"),
             (
                 Reason.SEQUENCE_SHORT,
-                "wait 5 s in AS_READY with Go off, then Go; a VCU that skips this needs its own setting",
+                "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
             ),
-            (Reason.NO_MISSION, "choose a mission on the AMI in AS_OFF and wait for AS_READY"),
             (Reason.NOT_SEEN, "start the software before the car leaves AS_OFF, then start anew from AS_OFF"),
             (Reason.VCU_REBOOT, "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted"),
         )
