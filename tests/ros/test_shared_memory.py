@@ -67,7 +67,7 @@ def test_a_program_with_the_usual_transports_finds_a_node(detector: subprocess.P
 def mapped(pid: int) -> set[str]:
     """The process's files of shared memory, ports that others may have open as well among them."""
     words = (line.split() for line in Path(f"/proc/{pid}/maps").read_text().splitlines())
-    return {line[5] for line in words if len(line) > 5 and line[5].startswith("/dev/shm/fastrtps_")}
+    return {line[5] for line in words if len(line) > 5 and line[5].startswith("/dev/shm/") and "fastrtps_" in line[5]}
 
 
 def test_what_killed_programs_leave_in_dev_shm_is_named_and_keeps_no_node_from_starting(
