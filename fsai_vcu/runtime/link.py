@@ -77,6 +77,11 @@ class ResetConfirmed:
 
 
 @dataclass(frozen=True, slots=True)
+class Alive:
+    """The edge still runs, whether it has anything else to say or not. Sent once a second."""
+
+
+@dataclass(frozen=True, slots=True)
 class Ask:
     """A request that wants an answer. After `until_ns` nobody waits any more: it is refused then, unless it is
     `better_late` than never.

@@ -21,7 +21,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
-from fsai_vcu.runtime.link import Answer, Ask, Command, Deactivate, Ended, LinkEnd, LoopReport, ResetConfirmed
+from fsai_vcu.runtime.link import Alive, Answer, Ask, Command, Deactivate, Ended, LinkEnd, LoopReport, ResetConfirmed
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
@@ -30,6 +30,7 @@ logger = logging.getLogger(__name__)
 
 _REOPEN_FIRST_S, _REOPEN_MOST_S = 0.01, 1.0  # the first pause also keeps two sends apart
 _IDLE_WAIT_S, _BLIND_WAIT_S = 0.02, 0.001
+EDGE_HUNG_NS = 3_000_000_000  # it says once a second that it runs
 _FULL_COLLECTION_EVERY = 3000  # cycles, sent or not
 
 # What the bridge has use for; intruders on the AI's own ids are received on purpose.
@@ -65,6 +66,7 @@ class BridgeLoop:
             self._lock.release()
             raise
         self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
+        self._edge_ns = time.monotonic_ns()  # when the edge last said anything
         self._stopping = False
         self._cycles = 0  # sent or not
         self._report_ns = self._watchdog_ns = 0  # when it was last sent, and fed
@@ -139,7 +141,10 @@ class BridgeLoop:
             return
         command: VehicleCommand | None = None
         for message in self._link.receive():
+            self._edge_ns = now_ns
             match message:
+                case Alive():
+                    pass
                 case Command():
                     command = message.command
                 case ResetConfirmed():
@@ -222,6 +227,8 @@ class BridgeLoop:
 
     def _feed_watchdog(self, now_ns: int) -> None:
         period_ns = self._notifier.watchdog_period_ns
+        if now_ns - self._edge_ns >= EDGE_HUNG_NS and self._bridge.run.as_state is not AsState.AS_DRIVING:
+            return  # both are started anew; but a car that drives is braked to rest before
         if period_ns and now_ns - self._watchdog_ns >= period_ns:
             self._watchdog_ns = now_ns
             self._notifier.send("WATCHDOG=1")

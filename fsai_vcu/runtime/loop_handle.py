@@ -20,6 +20,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.runtime.link import (
     Activate,
+    Alive,
     Answer,
     Ask,
     Command,
@@ -127,6 +128,10 @@ class LoopHandle:
     def submit_command(self, command: VehicleCommand) -> None:
         """The newest command; the loop takes it in its next turn."""
         self._link.send(Command(command))
+
+    def alive(self) -> None:
+        """To be called once a second: where nobody does, systemd's watchdog starts edge and loop anew."""
+        self._link.send(Alive())
 
     def confirm_reset(self, role: str, run_id: int) -> None:
         """`role` ('planner' or 'controller') has forgotten the previous run and is ready for `run_id`."""

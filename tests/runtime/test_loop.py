@@ -527,6 +527,31 @@ def test_the_watchdog_is_not_fed_by_cycles_that_missed_their_deadline(
         loop.stop()
 
 
+def test_a_silent_edge_ends_the_watchdogs_food_but_not_in_a_drive(
+    spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(WAIT_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "2000")
+        monkeypatch.delenv("WATCHDOG_PID", raising=False)
+        monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", 0)
+        loop = make_loop(spec)
+        loop.start()
+        first_ns = loop.report().t_ns
+        assert eventually(lambda: loop.report().t_ns - first_ns > 100_000_000)
+        assert systemd.recv(64) == b"READY=1"
+        systemd.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            systemd.recv(64)
+        systemd.settimeout(WAIT_S)
+        with open_bus(spec) as car:
+            car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True)))
+            assert systemd.recv(64) == b"WATCHDOG=1"
+        loop.stop()
+
+
 def test_no_garbage_is_collected_by_surprise_while_it_runs(loop: ThreadedLoop) -> None:
     assert not gc.isenabled()
     loop.stop()
