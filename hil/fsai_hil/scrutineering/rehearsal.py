@@ -310,7 +310,7 @@ class Rehearsal:
         watched: Sequence[str],
         state: Callable[[], tuple[str, str]],
     ) -> None:
-        """`watched`: the processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
+        """`watched`: processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
         car = self._car
         assert car is not None
         car_bits = car_bits_per_s(self._revision, *self._decimation)
