@@ -40,6 +40,8 @@ def serve(link: LinkEnd) -> None:
                     except (DatabaseError, ValueError) as error:
                         link.send(Answer(0, False, str(error)))
                     else:
+                        if codec.unknown:
+                            logging.getLogger(__name__).warning("%s", codec.unknown)
                         link.send(Answer(0, True))
                 case Activate() if settings is not None and codec is not None:
                     _run(link, settings, codec, message.first_run_id)

@@ -68,7 +68,7 @@ def test_the_long_tests_are_asked_for_by_name_and_get_more_time(place: FakePlace
     usual_s = place.options["timeout_s"]
     assert "FSAI_HIL_ALL" not in place.options["env"]
     assert main(["hil", "--all", "--results", str(tmp_path)]) == 0
-    assert place.options["env"]["FSAI_HIL_ALL"] == "1" and place.options["timeout_s"] == 3 * usual_s
+    assert place.options["env"]["FSAI_HIL_ALL"] == "1" and place.options["timeout_s"] == 6 * usual_s
     assert pytest_arguments(place) == ["tests/hil"]
 
 

@@ -162,7 +162,7 @@ class Rehearsal:
         for number, load in enumerate(loads, start=1):
             condition = Condition(_of_peer(load), Stance.ALONE, load)
             self._say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
-            self._measure(condition, stack, witness, (_PEER,), car.state)
+            self._measure(condition, stack, witness, (_PEER,), lambda: (car.state(), ""))
         self._end_car(stack)
         self._lost_between = 0  # what follows is the bridge's
         peer.stop()
@@ -308,13 +308,13 @@ class Rehearsal:
         stack: Stack,
         witness: Witness,
         watched: Sequence[str],
-        state: Callable[[], str],
+        state: Callable[[], tuple[str, str]],
     ) -> None:
-        """`watched`: the processes that must live meanwhile. `state`: what the car shows, and why if it ended."""
+        """`watched`: processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
         car = self._car
         assert car is not None
         car_bits = car_bits_per_s(self._revision, *self._decimation)
-        ended = ""
+        ended = stops = ""
         with loaded(stack, condition, self._folder / "disk-load", car_bits, force_disk=not self._slow_place):
             car.measure(condition.name)
             before, began_ns, began_wall_ns = self._traffic(), time.monotonic_ns(), time.time_ns()
@@ -322,8 +322,10 @@ class Rehearsal:
             while (left_s := until - time.monotonic()) > 0.0:
                 time.sleep(min(_LOOK_S, left_s))
                 stack.check_alive(*watched, car.name)
-                if not (shown := state()).startswith(condition.stance.value):
-                    ended = f"the car went to {shown}"
+                shown, why = state()
+                stops = why or stops
+                if shown != condition.stance.value:
+                    ended = f"the car went to {shown}" + (f" ({stops})" if stops else "")
                     break
             after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
             self._windows.append((condition.name, began_wall_ns, time.time_ns()))
@@ -380,11 +382,10 @@ def _of_peer(load: tuple[Load, ...]) -> str:
     return "-".join((_PEER, *(each.name.lower() for each in load)))
 
 
-def _state(operator: RosOperator) -> str:
+def _state(operator: RosOperator) -> tuple[str, str]:
     operator.spin()
     state = operator.state
-    why = state.emergency or state.stopping
-    return f"{state.as_state_label}" + (f" ({why})" if why else "")
+    return state.as_state_label, state.emergency or state.stopping
 
 
 def _over(operator: RosOperator) -> bool:

@@ -13,7 +13,7 @@ ECHO_LIMIT_MS = SPECIFICATION.echo_timeout_ns // MS
 MESSAGE_LIMIT_MS = SPECIFICATION.message_timeout_ns // MS
 IDLE_P50_MS, IDLE_P99_MS = 1.0, 3.0
 PEER_SHARE = 0.5  # of the C loop's p99
-_IDLE = "idle"
+_IDLE, _EMERGENCY = "idle", "EMERGENCY_BRAKE"
 _FEW = 1000  # under so many echoes a p99.9 is the maximum by another name
 _FIGURES = ("p50_ms", "p99_ms", "max_ms")
 
@@ -41,7 +41,7 @@ def _late(row: Mapping[str, Any]) -> Iterator[str]:
         yield f"the VCU raised AI_COMMS_LOST {_times(row['comms_losses'])}"
     elif response["max_ms"] >= ECHO_LIMIT_MS:
         yield f"an echo took {response['max_ms']:.1f} ms, and the VCU allows {ECHO_LIMIT_MS} ms"
-    elif row["ended_early"]:
+    elif _EMERGENCY in row["ended_early"]:
         yield f"{row['ended_early']} before the time was up"
 
 
@@ -66,10 +66,13 @@ def _slow(row: Mapping[str, Any]) -> Iterator[str]:
 
 
 def not_measured(measured: Mapping[str, Any]) -> list[str]:
-    """What could not be measured, by why."""
+    """What could not be measured, or not to the end for want of commands to drive by, by why."""
     names: dict[str, list[str]] = {}
     for name, why in measured["not_measured"].items():
         names.setdefault(why, []).append(name)
+    for row in measured["conditions"]:
+        if row["ended_early"] and _EMERGENCY not in row["ended_early"]:
+            names.setdefault(row["ended_early"], []).append(f"{row['name']} after {row['seconds']:.0f} s")
     return [f"{', '.join(those)} ({why})" for why, those in names.items()]
 
 
