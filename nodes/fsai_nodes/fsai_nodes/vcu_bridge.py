@@ -387,7 +387,7 @@ class VcuBridge(LifecycleNode):
         if self._loop is None or self._deadline_missed:
             return
         self._deadline_missed = True
-        text = f"the deadline of 100 ms was missed: {self._whose_silence()}"
+        text = f"{self._commands.who()} missed its deadline of 100 ms"
         if self._loop.report().run.as_state is AsState.AS_DRIVING:
             self.get_logger().error(text)
         else:
