@@ -176,7 +176,7 @@ class VcuBridge(LifecycleNode):
         self._loop: LoopHandle | None = None  # the same while the node is active
         self._news = News()
         self._last_run: tuple[object, str] | None = None
-        self._last_motion_ns = self._last_fix_ns = self._last_imu_ns = 0
+        self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
         self._commands = Input(self, "vehicle_cmd", silent_ns=_CONFIG.command_stale_ns)
         self._late = ""  # which input the last command was waiting for
@@ -466,14 +466,14 @@ class VcuBridge(LifecycleNode):
         self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
 
     def _publish_motion(self, report: BridgeReport) -> None:
-        stamp = self._clocks.stamp_of(report.motion.t_ns)
-        moved = report.motion.t_ns != self._last_motion_ns  # else the car is silent: what it did is said already
-        self._last_motion_ns = report.motion.t_ns
-        # Making a message costs more than asking whether anybody wants it.
-        if moved and self._odometry.get_subscription_count():
-            self._odometry.publish(odometry_to_msg(report.motion, stamp))
-        if moved and self._settings.flag("publish_tf"):
-            self._transforms.send(report, stamp)
+        if report.motion.t_ns != self._last_motion_ns:  # of a car that is not heard there is no motion
+            self._last_motion_ns = report.motion.t_ns
+            stamp = self._clocks.stamp_of(report.motion.t_ns)
+            # Making a message costs more than asking whether anybody wants it.
+            if self._odometry.get_subscription_count():
+                self._odometry.publish(odometry_to_msg(report.motion, stamp))
+            if self._settings.flag("publish_tf"):
+                self._transforms.send(report, stamp)
         if self._imu.get_subscription_count():
             measured = report.gps.acceleration or report.gps.dynamics
             if measured is not None and measured.t_rx_ns != self._last_imu_ns:
