@@ -38,11 +38,13 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
     namespace is none.
     """
     from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
+    from fsai_vcu.runtime.transport import set_transport
 
     try:
         os.environ.update(usual_environment())
     except ConfigurationError as error:
         raise UserError(str(error)) from error
+    set_transport(os.environ)
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
         import rclpy
