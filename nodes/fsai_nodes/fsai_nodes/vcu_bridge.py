@@ -238,8 +238,6 @@ class VcuBridge(LifecycleNode):
         limits = self._configured.limits
         for line in limits.described() if limits is not None else ("none but the car's own",):
             self.get_logger().info(f"operational limits: {line}")
-        if self._configured.codec.unknown:
-            self.get_logger().warning(self._configured.codec.unknown)
         return super().on_configure(state)
 
     @_told
