@@ -24,6 +24,8 @@ from fsai_vcu.runtime.link import Activate, Answer, LinkEnd, LinkHandler, LoopSe
 from fsai_vcu.runtime.lock import AlreadyRunning
 from fsai_vcu.runtime.loop import BridgeLoop
 
+logger = logging.getLogger("fsai_vcu.runtime.loop_process")  # started as a program it has another name
+
 
 def serve(link: LinkEnd) -> None:
     """Everything between the settings and the end of the link."""
@@ -41,7 +43,7 @@ def serve(link: LinkEnd) -> None:
                         link.send(Answer(0, False, str(error)))
                     else:
                         if codec.unknown:
-                            logging.getLogger(__name__).warning("%s", codec.unknown)
+                            logger.warning("%s", codec.unknown)
                         link.send(Answer(0, True))
                 case Activate() if settings is not None and codec is not None:
                     _run(link, settings, codec, message.first_run_id)

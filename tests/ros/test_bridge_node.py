@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator
 from itertools import count
+from pathlib import Path
 
 import pytest
 
@@ -219,6 +220,17 @@ def test_operational_limits_come_from_a_file_or_from_the_parameter_itself(rig: R
     other, _ = start_bridge(rig, bus + "b", limits="max_speed_mps=3.5, max_steer_deg=20")
     assert other._loop.report().limits.max_speed_mps == 3.5
     assert other._loop.report().limits.max_steer_deg == 20.0
+
+
+def test_a_database_that_lacks_a_signal_is_taken_and_said(
+    rig: RosRig, bus: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = (Path(__file__).parents[2] / "dbc" / "ads_dv_2026.dbc").read_text()
+    file = tmp_path / "car.dbc"
+    file.write_text("".join(line for line in whole.splitlines(True) if " FAULT_STATUS " not in line))
+    start_bridge(rig, bus, dbc_files=str(file))
+    (line,) = [each.getMessage() for each in caplog.records if "lacks signals" in each.getMessage()]
+    assert "FAULT_STATUS" in line
 
 
 # ---------------------------------------------------------------- lifecycle

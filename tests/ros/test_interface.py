@@ -297,7 +297,7 @@ def test_a_revision_given_as_a_number_is_that_revision(rig: RosRig) -> None:
     node = rig.start(
         vcu_bridge.VcuBridge, can_interface=f"loopback:revision-{os.getpid()}", real_time=False, revision=2021
     )
-    assert node._configured.revision.name == "2021"
+    assert node._configured.revision == "2021"
 
 
 def test_a_bridge_that_cannot_start_says_why() -> None:

@@ -99,7 +99,7 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
     """Cones stop: the planner knows, the controller passes it on, with each command."""
     log = rig.log()
     planner = rig.start(PathPlanner)
-    rig.start(VehicleController)
+    controller = rig.start(VehicleController)
     announce(rig, Ami.TRACKDRIVE)
     states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.STATE)
     cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
@@ -114,16 +114,25 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
 
     def planned() -> bool:
         car_speaks()
-        cones.publish(ConeArray())
+        message = ConeArray()
+        message.header.stamp = stamp(rig)
+        cones.publish(message)
         turns(rig)
         return planner._cones._heard_ns is not None and bool(commands)
 
     rig.spin_until(planned, "cones and commands")
-    # A plan as from the planner: in these cones it sees no way.
-    status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * 3)
-    status.header.stamp = path.header.stamp = stamp(rig)
-    statuses.publish(status)
-    paths.publish(path)
+
+    def plan_taken() -> bool:
+        """A plan as from the planner: in these cones it saw no way."""
+        car_speaks()
+        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * 3)
+        status.header.stamp = path.header.stamp = stamp(rig)
+        statuses.publish(status)
+        paths.publish(path)
+        turns(rig, 10)
+        return controller._plan is not None
+
+    rig.spin_until(plan_taken, "a plan")
 
     def named() -> bool:
         car_speaks()
@@ -219,10 +228,11 @@ def test_the_bridge_names_the_controller_that_fell_silent(rig: RosRig, bus: str)
     with ScriptedVcu(bus, STATUS) as vcu:
         Driving(rig, bus, vcu)
         rig.spin_until(lambda: bool(said(log, ERROR, "the vehicle command is stale")), "COMMAND_STALE")
-        rig.spin_until(lambda: bool(said(log, ERROR, "the deadline of 100 ms was missed")), "the deadline")
+        rig.spin_until(
+            lambda: bool(said(log, ERROR, "/vehicle_cmd of tester missed its deadline of 100 ms")), "the deadline"
+        )
     (line,) = said(log, ERROR, "the vehicle command is stale")
     assert "/vehicle_cmd of tester has been silent for" in line
-    assert "/vehicle_cmd of tester" in said(log, ERROR, "the deadline of 100 ms was missed")[0]
 
 
 def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> None:

@@ -104,19 +104,19 @@ class Input:
     def silence(self, now_ns: int) -> str:
         """In words for how long nothing has come; empty while something comes."""
         if self._heard_ns is None:
-            return f"{self._who()} has not been heard yet{self._note}"
+            return f"{self.who()} has not been heard yet{self._note}"
         silent_ns = now_ns - self._heard_ns
         if silent_ns < self._silent_ns:
             return ""
-        return f"{self._who()} has been silent for {silent_ns / 1e6:.0f} ms{self._note}"
+        return f"{self.who()} has been silent for {silent_ns / 1e6:.0f} ms{self._note}"
 
     def old_data(self) -> str:
         """In words what is wrong with the data that came last; empty if nothing is."""
         if self._age_ns < 0:
-            return f"{self._who()} is stamped {-self._age_ns / 1e6:.0f} ms ahead of the clock{self._note}"
+            return f"{self.who()} is stamped {-self._age_ns / 1e6:.0f} ms ahead of the clock{self._note}"
         if self._age_ns < LATE_NS:
             return ""
-        return f"{self._who()} comes with data {self._age_ns / 1e6:.0f} ms old{self._note}"
+        return f"{self.who()} comes with data {self._age_ns / 1e6:.0f} ms old{self._note}"
 
     def late(self, now_ns: int) -> str:
         """Why fresh data are missing, in words; empty if they are not."""
@@ -128,11 +128,11 @@ class Input:
         if late and not self._said:
             self._node.get_logger().warning(late)
         elif self._said and not late:
-            self._node.get_logger().info(f"{self._who()} is in time again")
+            self._node.get_logger().info(f"{self.who()} is in time again")
         self._said = bool(late)
         return late
 
-    def _who(self) -> str:
+    def who(self) -> str:
         """The topic, and which nodes publish it."""
         topic = self._node.resolve_topic_name(self._topic)
         names = sorted({each.node_name for each in self._node.get_publishers_info_by_topic(topic)})

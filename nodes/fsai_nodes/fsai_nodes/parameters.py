@@ -204,13 +204,11 @@ class Settings:
         if problem:
             raise NodeError(f"parameter {problem}")
 
-    def _unknown(self, name: str) -> str:
-        close = self._close_to(name)
+    def _unknown(self, name: str, also: Iterable[str] = ()) -> str:
+        """`also`: other names that may have been meant."""
+        close = next(iter(get_close_matches(name, [*self._table, *also], n=1)), None)
         words = f"did you mean {close}?" if close else f"{self._node.get_name()} has {', '.join(self._table)}"
         return f"unknown parameter {name}: {words}"
-
-    def _close_to(self, name: str) -> str | None:
-        return next(iter(get_close_matches(name, self._table, n=1)), None)
 
     def _refuse_unknown(self) -> None:
         """Look at what was given at start; rclpy ignores what no node declares."""
@@ -224,10 +222,12 @@ class Settings:
         for name in given:
             if name in scattered.of_files:
                 # Other nodes read that file, too: only what is nearly a name of ours is likely to be meant for us.
-                if self._close_to(name):
+                if get_close_matches(name, self._table, n=1):
                     self._node.get_logger().warning(f"{self._unknown(name)} (under /** in a parameter file)")
-            elif name not in scattered.unnamed or name not in _of_this_process:
+            elif name not in scattered.unnamed:
                 refused.append(self._unknown(name))
+            elif name not in _of_this_process:
+                refused.append(self._unknown(name, _of_this_process))
         if refused:
             raise NodeError("; ".join(refused))
 

@@ -176,7 +176,7 @@ class VcuBridge(LifecycleNode):
         self._loop: LoopHandle | None = None  # the same while the node is active
         self._news = News()
         self._last_run: tuple[object, str] | None = None
-        self._last_motion_ns = self._last_fix_ns = self._last_imu_ns = 0
+        self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
         self._commands = Input(self, "vehicle_cmd", silent_ns=_CONFIG.command_stale_ns)
         self._late = ""  # which input the last command was waiting for
@@ -387,7 +387,7 @@ class VcuBridge(LifecycleNode):
         if self._loop is None or self._deadline_missed:
             return
         self._deadline_missed = True
-        text = f"the deadline of 100 ms was missed: {self._whose_silence()}"
+        text = f"{self._commands.who()} missed its deadline of 100 ms"
         if self._loop.report().run.as_state is AsState.AS_DRIVING:
             self.get_logger().error(text)
         else:

@@ -155,7 +155,10 @@ class VehicleController(Node):
 
     def _late_input(self, sensor_ns: int, run: Run, now_ns: int) -> str:
         """Whose silence makes the data behind a command old, in words; empty while they are fresh."""
-        if not run.may_move or now_ns - sensor_ns < LATE_NS:
+        if not run.may_move:
+            self._is_late = False
+            return ""
+        if now_ns - sensor_ns < LATE_NS:
             late = ""
         elif self._plan is None or sensor_ns != self._plan.t_sensor_ns:
             late = self._states.late(now_ns)
