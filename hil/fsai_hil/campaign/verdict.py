@@ -36,7 +36,9 @@ class Verdict:
 
 
 def _supervised(case: Case) -> bool:
-    """Reactions are of AS_DRIVING, once its first 3 s are over."""
+    """Reactions are of AS_DRIVING, once its first 3 s are over. What is there from power-up on is judged by it all."""
+    if case.kind.from_start:
+        return case.since is Since.START
     return case.since is Since.DRIVING and case.after_ms >= SUPERVISED_MS
 
 
@@ -86,7 +88,7 @@ def judge(
         allowed = allowed | {End.STOP}  # it stood: the stop was over before the emergency brake was due
     safe_ns = _safe_ns(end, found)
     # A frame of an intruder may end the drive at the very instant of the fault.
-    driving = _supervised(case) and seen.state_at(fault_ns - 1) is AsState.AS_DRIVING
+    driving = _supervised(case) and (case.kind.from_start or seen.state_at(fault_ns - 1) is AsState.AS_DRIVING)
     applies = driving and not _over(over_ns, demand, fault_ns)
     onset_ns: int | None = fault_ns
     reaction_ns = _reaction_ns(end, found)
