@@ -23,7 +23,8 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.report import BridgeReport
-from fsai_vcu.core.supervision import supervisor
+from fsai_vcu.core.supervision import supervisor, wheel_speeds
+from fsai_vcu.core.supervision.changes import changes
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.supervision.gate import GateState, gate, gate_config, sent
 from fsai_vcu.core.supervision.plausibility import (
@@ -40,7 +41,7 @@ from fsai_vcu.core.supervision.supervisor import Asked, Decision, Inputs, Superv
 from fsai_vcu.core.vehicle.odometry import Odometry
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     GPS_FIELD_OF,
@@ -49,6 +50,7 @@ from fsai_vcu.interface.images import (
     GpsImu,
     VcuStatus,
     VehicleState,
+    WheelCounts,
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS
@@ -93,6 +95,9 @@ class Bridge:
         self._decision = Decision()
         self._steering = SteeringCheck()
         self._wheels = WheelCheck()
+        self._belief = wheel_speeds.WheelBelief()
+        self._speeds_doubt = ""  # why the newest 0x525 was not believed
+        self._status_doubt = ""  # why the newest 0x520 is none that is known
         self._odometry = Odometry(car, now_ns=now_ns)
         self._motion = Motion(t_ns=now_ns)
 
@@ -138,7 +143,7 @@ class Bridge:
     def vehicle(self) -> VehicleState:
         """What the car has said so far."""
         if self._vehicle is None:
-            self._vehicle = VehicleState(handshake=self._handshake, **self._images)
+            self._vehicle = VehicleState(handshake=self._handshake, status_known=not self._status_doubt, **self._images)
         return self._vehicle
 
     @property
@@ -168,13 +173,20 @@ class Bridge:
         image = decoded.image
         if frame.can_id == STATUS_ID and not frame.extended and not frame.remote and not isinstance(image, VcuStatus):
             self._state = supervisor.heard(self._config, self._state, frame.t_ns)
+            self._status_doubt = "; ".join(decoded.problems) or "it cannot be decoded"
+            self._vehicle = None
         if image is None:
             return
         if type(image) is VcuStatus:
             self._on_revision(frame)
             self._on_status(image)
         elif type(image) is WheelSpeeds:
+            if not self._believed(image):
+                return
             self._state = supervisor.on_speeds(self._config, self._state, image)
+        elif type(image) is WheelCounts:
+            self._belief = wheel_speeds.on_counts(self._config, self._car, self._belief, image)
+            self._state = supervisor.on_pulses(self._state, self._belief.pulses.turning_ns)
         field = VEHICLE_FIELD_OF.get(type(image))
         if field is not None:
             self._images[field] = image
@@ -183,10 +195,24 @@ class Bridge:
             self._gps_images[GPS_FIELD_OF[type(image)]] = image
             self._gps = None
 
+    def _believed(self, speeds: WheelSpeeds) -> bool:
+        """Whether a frame of 0x525 counts: one that is not believed is treated like one that never came."""
+        self._belief, doubt = wheel_speeds.on_speeds(self._config, self._belief, speeds)
+        self._speeds_doubt = doubt
+        if doubt:
+            self._count_problem(f"VCU2AI_Speeds is not believed: {doubt}")
+        return not doubt
+
     def _on_status(self, status: VcuStatus) -> None:
         before = self._state
         state = supervisor.on_status(self._config, before, status)
         self._state = state
+        self._status_doubt = ""
+        said = self._images.get("status")
+        if state.driving and said is not None:
+            for reason, detail in changes(said, status):
+                self._note(reason, detail)
+                self._state = supervisor.strike(self._state, reason, detail, status.t_rx_ns)
         self._reopened_until_ns = None
         if before.status_ns is not None and status.t_rx_ns - before.status_ns >= self._config.vcu_stale_ns:
             self._vcu_gaps += 1
@@ -302,6 +328,13 @@ class Bridge:
             self._note(Reason.LOOP_FAULT, why)
         self._state = supervisor.strike(self._state, Reason.LOOP_FAULT, why, now_ns)
 
+    def backlog(self, age_ns: int, now_ns: int) -> None:
+        """The oldest frame that waited was `age_ns` old when the loop read it: from 20 ms on that is reported."""
+        if age_ns >= self._config.backlog_ns:
+            detail = f"the oldest was {age_ns / 1e6:.0f} ms old"
+            self._note(Reason.BACKLOG, detail)
+            self._state = supervisor.strike(self._state, Reason.BACKLOG, detail, now_ns)
+
     def begin_stop(self, now_ns: int) -> None:
         """Orderly end: at rest zeros and NEUTRAL, moving FORWARD with brake and ESTOP_REQUEST; then silence."""
         if self._stop_cycles_left is not None:
@@ -340,6 +373,8 @@ class Bridge:
                 self._steering.implausible_since_ns,
                 self._wheels.implausible_since_ns,
                 self._wheels.detail,
+                self._status_doubt,
+                self._speeds_doubt,
             ),
         )
         if self._stop_cycles_left is not None:
@@ -349,7 +384,7 @@ class Bridge:
         if self._listening_until_ns is None:
             self._listening_until_ns = now_ns + config.listen_first_ns
         if config.listen_only or self._listening(now_ns):
-            self._activate(decision.reasons)
+            self._activate(decision, decision.reasons)
             self._unanswered_ns = None
             return None
 
@@ -359,7 +394,7 @@ class Bridge:
         self._gate, asked, reasons = gate(
             self._gate_config, self._gate, decision, command, vehicle, now_ns, self._motion.speed_mps
         )
-        self._activate(decision.reasons | reasons)
+        self._activate(decision, decision.reasons | reasons)
         self._check(asked, vehicle, now_ns)
         self._asked = asked
         self._cycles += 1
@@ -378,6 +413,8 @@ class Bridge:
         self._gate = sent(self._gate, complete, now_ns)
         if complete:
             self._last_complete_ns = now_ns
+            if self._asked.mission_status is MissionStatus.SELECTED:
+                self._state = supervisor.on_selected_sent(self._state, self._decision.run_id)
             return
         self._incomplete += 1
         since = self._last_complete_ns
@@ -427,8 +464,10 @@ class Bridge:
             heard.append(self._other_revision)
         return tuple(heard)
 
-    def _activate(self, reasons: frozenset[Reason]) -> None:
+    def _activate(self, decision: Decision, reasons: frozenset[Reason]) -> None:
         """The reasons active in this cycle; each is counted when it comes up, not for as long as it lasts."""
+        for reason, detail in decision.details:
+            self._details[reason.slug] = detail
         if reasons != self._active:
             for reason in reasons - self._active:
                 self._counts[reason.slug] += 1

@@ -315,7 +315,7 @@ class VehicleState(Immutable):
     """What the car has said so far. None means never heard; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
-    (an AS_STATE outside the table leaves `status` as it was, to grow stale).
+    (an AS_STATE outside the table leaves `status` as it was, to grow stale); `status_known` tells of such a frame.
     """
 
     handshake: bool = False
@@ -329,11 +329,12 @@ class VehicleState(Immutable):
     log_dynamics: LogDynamics1 | None = None
     log_status: LogStatus | None = None
     system: VcuSystemStatus | None = None
+    status_known: bool = True  # False: the newest 0x520 is not the one in `status`, nobody knows what it says
 
     def with_image(self, image: VcuImage) -> VehicleState:
         """The state after `image` has been received."""
         if isinstance(image, VcuStatus):
-            return replace(self, status=image, handshake=image.handshake)
+            return replace(self, status=image, handshake=image.handshake, status_known=True)
         changed: dict[str, Any] = {VEHICLE_FIELD_OF[type(image)]: image}
         return replace(self, **changed)
 

@@ -345,8 +345,15 @@ class Rig:
         self.autonomous()
         assert self.sent.mission_status is MissionStatus.SELECTED
         self.say_state(AsState.AS_READY)
-        self.run_ms(50)  # that 5 s pass here is the VCU's affair
+        self.wait_in_ready()
         return self
+
+    def wait_in_ready(self) -> None:
+        """5 s of AS_READY, of which only the last 50 ms are at the bus's own pace: 0x520 every 80 ms is enough."""
+        for _ in range(62):
+            self.now_ns += 7 * CYCLE
+            self.step()
+        self.run_ms(50)
 
     def launched(self) -> Rig:
         """The first frame of AS_DRIVING has been answered."""

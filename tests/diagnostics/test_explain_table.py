@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fsai_hil.as_machine import ROWS, Row
-from fsai_vcu.core.supervision.readiness import FAULT_NAMES
+from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.story.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause

@@ -24,6 +24,8 @@ class BridgeConfig(Immutable):
     # Life of a run
     listen_first_ns: int = 200 * MS  # on start a process listens, then sends
     launch_wait_ns: int = 3 * S  # the car must not move after entering AS_DRIVING
+    ready_wait_ns: int = 4900 * MS  # of the 5 s in AS_READY, less the 100 ms that 0x520 may be missing
+    short_sequence_allowed: bool = False  # AS_DRIVING may come sooner, and without an edge of Go
     standstill_rpm: int = 10  # interface specification v4.0: a wheel under 10 rpm stands
     standstill_ns: int = 500 * MS
     power_cycle_ns: int = 1 * S  # no 0x520 for so long: the car was switched off
@@ -51,7 +53,13 @@ class BridgeConfig(Immutable):
     implausible_ns: int = 300 * MS
     implausible_lost_ns: int = 600 * MS
 
+    # Wheel speeds that are not believed
+    wheel_max_rpm: int = 1250  # signal database: range of the wheel speeds
+    wheel_rate_max_rpmps: float = 30_000.0  # no tyre speeds a wheel up, or slows it down, by more
+    wheel_doubt_turns: float = 0.5  # of a wheel: by so much speed and pulse count may contradict each other
+
     # Our own loop and bus
+    backlog_ns: int = 20 * MS  # frames that waited so long are reported
     send_lost_ns: int = 50 * MS  # without one complete cycle counts as bus loss
 
     # Plausibility of steering and wheels
@@ -88,11 +96,13 @@ class BridgeConfig(Immutable):
 def official_simulator(config: BridgeConfig | None = None) -> BridgeConfig:
     """The configuration for the official simulator, which takes any hydraulic request for an emergency brake.
 
-    The motors alone hold and stop the car there, so a stop may last longer and decelerates less.
+    The motors alone hold and stop the car there, so a stop may last longer and decelerates less. Its VCU does not keep
+    to the 5 s in AS_READY.
     """
     return replace(
         config or BridgeConfig(),
         service_brake="motor",
+        short_sequence_allowed=True,
         stop_brake_pct=100.0,
         stop_timeout_ns=20 * S,
         stop_window_ns=2 * S,

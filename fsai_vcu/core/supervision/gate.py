@@ -18,6 +18,7 @@ from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
+from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of, pulses_per_s, turning
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VehicleState, WheelSpeeds
@@ -54,6 +55,8 @@ class GateConfig(Immutable):
     stop_brake_pct: float
     motor_brakes: bool
     standstill_rpm: int
+    standstill_ns: int
+    pulses_per_s: float
     sensor_stale_ns: int
     vcu_stale_ns: int
     feedback_stale_ns: int
@@ -78,6 +81,8 @@ def gate_config(
         stop_brake_pct=config.stop_brake_pct,
         motor_brakes=config.motor_brakes,
         standstill_rpm=config.standstill_rpm,
+        standstill_ns=config.standstill_ns,
+        pulses_per_s=pulses_per_s(config, car),
         sensor_stale_ns=config.sensor_stale_ns,
         vcu_stale_ns=config.vcu_stale_ns,
         feedback_stale_ns=config.feedback_stale_ns,
@@ -100,6 +105,11 @@ class GateState(Immutable):
     tried_torque: bool = False  # what the cycle that is out now asks for
     tried_brake: bool = False
     awaiting: bool = False  # a cycle was made and nobody has said yet whether it went out
+
+    # What else it has seen for itself
+    tried_selected: bool = False  # the cycle that is out now says SELECTED
+    acknowledged_run_id: int | None = None  # the last run for which such a cycle went out whole
+    pulses: Pulses = NO_PULSES
 
     # Logging
     run_id: int = 0
@@ -140,6 +150,7 @@ def sent(state: GateState, complete: bool, now_ns: int) -> GateState:
         torque_there=torque,
         zero_cycles=min(state.zero_cycles + 1, 2) if zero else 0,
         zero_since_ns=now_ns,
+        acknowledged_run_id=state.run_id if state.tried_selected else state.acknowledged_run_id,
     )
 
 
@@ -224,12 +235,15 @@ def gate(
     if not _obeys(config, decision, command, now_ns):
         command = None
 
-    # Rule 3, as far as one frame tells: the supervisor has watched for 0.5 s.
+    # Rule 3, as far as one frame of wheel speeds tells, and 0.5 s of pulse counts: the supervisor watches both.
+    pulses = state.pulses
+    if vehicle.counts is not None and vehicle.counts is not pulses.counts:
+        pulses = pulses_of(config.pulses_per_s, pulses, vehicle.counts)
     mission_status, direction = decision.mission_status, decision.direction
     if (
         driving
         and (direction is not Direction.FORWARD or mission_status is MissionStatus.FINISHED)
-        and not _still(config, speeds, now_ns)
+        and not _still(config, speeds, pulses, now_ns)
     ):
         mission_status, direction = MissionStatus.RUNNING, Direction.FORWARD
         reasons.add(Reason.STILLNESS_UNPROVEN)
@@ -247,8 +261,11 @@ def gate(
     # Rule 2, as far as the gate sees it itself.
     fresh = status is not None and now_ns - status.t_rx_ns < config.vcu_stale_ns
     go = status is not None and status.go_signal
-    torque_allowed = driving and fresh and direction is Direction.FORWARD and not decision.estop
-    if throttle > 0.0 and not (torque_allowed and go and decision.may_move):
+    torque_allowed = (
+        driving and fresh and vehicle.status_known and direction is Direction.FORWARD and not decision.estop
+    )
+    acknowledged = state.acknowledged_run_id == decision.run_id
+    if throttle > 0.0 and not (torque_allowed and go and acknowledged and decision.may_move):
         throttle = 0.0
         reasons.add(Reason.TORQUE_BLOCKED)
 
@@ -312,6 +329,9 @@ def gate(
             torque,
             brake_pct > 0.0,
             True,
+            mission_status is MissionStatus.SELECTED,
+            state.acknowledged_run_id,
+            pulses,
             decision.run_id,
             laps,
             cones_actual,
@@ -322,11 +342,12 @@ def gate(
     )
 
 
-def _still(config: GateConfig, speeds: WheelSpeeds | None, now_ns: int) -> bool:
+def _still(config: GateConfig, speeds: WheelSpeeds | None, pulses: Pulses, now_ns: int) -> bool:
     return (
         speeds is not None
         and now_ns - speeds.t_rx_ns < config.feedback_stale_ns
         and max(speeds.all_rpm) < config.standstill_rpm
+        and not turning(config.standstill_ns, pulses.turning_ns, now_ns)
     )
 
 

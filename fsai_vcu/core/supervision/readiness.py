@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.supervisor import (
     OFF_LIKE,
@@ -31,20 +32,6 @@ from fsai_vcu.interface.immutable import Immutable
 
 READY_WAIT_NS = 5_000_000_000  # interface specification v4.0: at least 5 s in AS_READY
 READY_STEER_DEG = 5.0  # interface specification v4.0: measured steering under 5 deg
-
-FAULT_NAMES = (
-    ("ai_estop_request", "AI_ESTOP_REQUEST"),
-    ("hvil_open", "HVIL_OPEN_FAULT"),
-    ("hvil_short", "HVIL_SHORT_FAULT"),
-    ("ebs", "EBS_FAULT"),
-    ("offboard_charger", "OFFBOARD_CHARGER_FAULT"),
-    ("ai_comms_lost", "AI_COMMS_LOST"),
-    ("autonomous_braking", "AUTONOMOUS_BRAKING_FAULT"),
-    ("mission_status", "MISSION_STATUS_FAULT"),
-    ("charge_procedure", "CHARGE_PROCEDURE_FAULT"),
-    ("bms", "BMS_FAULT"),
-    ("brake_plausibility", "BRAKE_PLAUSIBILITY_FAULT"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +158,8 @@ def _in_state(
             unmet.append(f"the steering is measured at {vehicle.steer.angle_deg:.1f} deg: under 5 deg is needed")
         if waited_ns < READY_WAIT_NS:
             unmet.append(f"waiting in AS_READY: {(READY_WAIT_NS - waited_ns) / 1e9:.1f} s of 5 s left")
+        if config.short_sequence_allowed:
+            unmet.append("AS_DRIVING is accepted without these 5 s and an edge of Go (short_sequence_allowed)")
         if status.go_signal:
             unmet.append("Go is already on: it must go off and on again")
         else:

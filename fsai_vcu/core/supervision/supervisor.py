@@ -1,8 +1,9 @@
 """The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
 
 Pure. A state goes in with what happened, a state comes out: `heard` and `on_status` take frames of 0x520, `on_speeds`
-those of 0x525, the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`, `strike` takes what happens at one
-instant, and `supervise` looks at the clock once a cycle and decides. Three tables hold the rules:
+those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns what went
+out, the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`, `strike` takes what happens at one instant,
+and `supervise` looks at the clock once a cycle and decides. Three tables hold the rules:
 
 - `OUTPUT`: phase of a run -> what is sent,
 - `REACTIONS`: what is wrong -> after how long -> what follows; the words are those of `Reason`,
@@ -21,6 +22,7 @@ from types import MappingProxyType
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.wheel_speeds import turning
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable
@@ -176,10 +178,19 @@ REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
         ),
         Reason.GO_OFF: (Step(None, Consequence.STOP),),
         Reason.FAULT_STATUS: (Step(None, Consequence.STOP),),
+        Reason.AS_STATE_UNKNOWN: (Step(None, Consequence.HOLD),),
+        Reason.AS_SWITCH_OFF: (Step(None, Consequence.STOP),),
+        Reason.TS_SWITCH_OFF: (Step(None, Consequence.STOP),),
+        Reason.SHUTDOWN_REQUESTED: (Step(None, Consequence.STOP),),
+        Reason.FAULT_BIT: (Step(None, Consequence.STOP),),
+        Reason.SHUTDOWN_CAUSE: (Step(None, Consequence.STOP),),
         Reason.INTRUDER: (Step(None, Consequence.ESTOP),),
         Reason.LOOP_FAULT: (Step(None, Consequence.ESTOP),),
         Reason.BUS_LOST: (Step(None, Consequence.STOP),),
+        Reason.BACKLOG: (Step("backlog_ns", Consequence.REPORT),),
         Reason.NOT_SEEN: (Step(None, Consequence.STOP),),
+        Reason.SEQUENCE_SHORT: (Step(None, Consequence.STOP),),
+        Reason.NO_MISSION: (Step(None, Consequence.STOP),),
         Reason.NOT_CONFIRMED: (Step(None, Consequence.STOP),),
         Reason.STACK_RESTARTED: (Step(None, Consequence.STOP),),
     }
@@ -197,7 +208,18 @@ class Asked(Enum):
 
 
 _STEERS_WHILE_STOPPING = frozenset(
-    (Asked.MISSION_DONE, Reason.GO_OFF, Reason.FAULT_STATUS, Reason.WHEELS_STALE, Reason.WHEEL_IMPLAUSIBLE)
+    (
+        Asked.MISSION_DONE,
+        Reason.GO_OFF,
+        Reason.FAULT_STATUS,
+        Reason.AS_SWITCH_OFF,
+        Reason.TS_SWITCH_OFF,
+        Reason.SHUTDOWN_REQUESTED,
+        Reason.FAULT_BIT,
+        Reason.SHUTDOWN_CAUSE,
+        Reason.WHEELS_STALE,
+        Reason.WHEEL_IMPLAUSIBLE,
+    )
 )
 """Stops in which the planner is not what failed, nor the steering: a curve is better followed than left."""
 
@@ -232,17 +254,20 @@ class SupervisorState(Immutable):
     was_silent: bool = False  # a power cycle's silence lies before the next believed 0x520
     sequence: Sequence = Sequence.NONE
     ready_since_ns: int | None = None
+    ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
     driving_since_ns: int | None = None
 
-    # What 0x525 said
+    # What 0x525 said, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
     speeds_ns: int | None = None
     fastest_rpm: int = 0
     still_since_ns: int | None = None
+    turning_ns: int | None = None
 
     # The run
     run_id: int = 1
     mission: Ami = Ami.NOT_SELECTED
     confirmed: frozenset[str] = frozenset()
+    selected_sent: bool = False  # a cycle with SELECTED has gone out whole in this run
 
     # Mode and latches
     mode: Mode = Mode.MANUAL
@@ -273,6 +298,8 @@ class Inputs(Immutable):
     steer_implausible_since_ns: int | None = None
     wheel_implausible_since_ns: int | None = None
     wheel_detail: str = ""
+    status_doubt: str = ""  # why the newest 0x520 is none that is known
+    speeds_doubt: str = ""  # why the newest 0x525 was not believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +316,7 @@ class Decision(Immutable):
     run_id: int = 0
     may_move: bool = False
     reasons: frozenset[Reason] = field(default_factory=frozenset)
+    details: tuple[tuple[Reason, str], ...] = ()  # of the same reasons
 
 
 # ---------------------------------------------------------------- frames
@@ -317,15 +345,19 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
     seen = Sequence.NONE if power_cycle else state.sequence
     sequence = _NEXT.get((seen, now), Sequence.NONE)
 
-    run_id, mission, confirmed = state.run_id, state.mission, state.confirmed
+    run_id, mission, confirmed, selected_sent = state.run_id, state.mission, state.confirmed, state.selected_sent
     entered_off = off and before is not None and (before not in OFF_LIKE or power_cycle)
     ami_changed = status.ami is not mission and (now in IDLE_STATES or before is None)
     if entered_off or ami_changed:
-        run_id, mission, confirmed = run_id + 1, status.ami, frozenset()
+        run_id, mission, confirmed, selected_sent = run_id + 1, status.ami, frozenset(), False
     elif anew and status.ami is not mission:
         sequence = Sequence.NONE  # the car enters AS_DRIVING for another mission than was acknowledged
 
     driving, ready = now is AsState.AS_DRIVING, now is AsState.AS_READY
+    ready_since_ns = (t_ns if anew else state.ready_since_ns) if ready else None
+    waited_ns = state.ready_waited_ns if driving or (ready and not anew) else 0
+    if ready_since_ns is not None and not status.go_signal:
+        waited_ns = t_ns - ready_since_ns
     return replace(
         state,
         as_state=now,
@@ -334,11 +366,13 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
         status_ns=t_ns,
         was_silent=False,
         sequence=sequence,
-        ready_since_ns=(t_ns if anew else state.ready_since_ns) if ready else None,
+        ready_since_ns=ready_since_ns,
+        ready_waited_ns=waited_ns,
         driving_since_ns=(t_ns if anew else state.driving_since_ns) if driving else None,
         run_id=run_id,
         mission=mission,
         confirmed=confirmed,
+        selected_sent=selected_sent,
         power_up=state.power_up or power_cycle,
         stop=None if anew else state.stop,
         emergency=None if power_cycle and off else state.emergency,
@@ -347,7 +381,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
 
 
 def on_speeds(config: BridgeConfig, state: SupervisorState, speeds: WheelSpeeds) -> SupervisorState:
-    """A frame of 0x525. Standing still must be seen without a gap."""
+    """A frame of 0x525 that is believed. Standing still must be seen without a gap."""
     t_ns = speeds.t_rx_ns
     fastest = max(speeds.all_rpm)
     still_since = state.still_since_ns
@@ -358,17 +392,28 @@ def on_speeds(config: BridgeConfig, state: SupervisorState, speeds: WheelSpeeds)
     return replace(state, speeds_ns=t_ns, fastest_rpm=fastest, still_since_ns=still_since)
 
 
+def on_pulses(state: SupervisorState, turning_ns: int | None) -> SupervisorState:
+    """A frame of 0x526: when, by the pulse counts, a wheel last turned."""
+    return state if turning_ns == state.turning_ns else replace(state, turning_ns=turning_ns)
+
+
+def on_selected_sent(state: SupervisorState, run_id: int) -> SupervisorState:
+    """A cycle of run `run_id` that said SELECTED went out whole: the mission is acknowledged."""
+    return state if state.selected_sent or run_id != state.run_id else replace(state, selected_sent=True)
+
+
 def wheels_fresh(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
     return state.speeds_ns is not None and now_ns - state.speeds_ns < config.feedback_stale_ns
 
 
 def standing(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
-    """All four wheel speeds are fresh and have been seen under 10 rpm for 0.5 s (safety rule 3)."""
+    """All four wheel speeds are fresh and have been seen under 10 rpm for 0.5 s (safety rule 3); so have the counts."""
     return (
         state.speeds_ns is not None
         and state.still_since_ns is not None
         and now_ns - state.speeds_ns < config.feedback_stale_ns
         and state.speeds_ns - state.still_since_ns >= config.standstill_ns
+        and not turning(config.standstill_ns, state.turning_ns, now_ns)
     )
 
 
@@ -534,6 +579,34 @@ def _command_age_ns(config: BridgeConfig, state: SupervisorState, inputs: Inputs
     return age
 
 
+def _command_age_words(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> str:
+    """Which it is that makes the command stale."""
+    command = inputs.command
+    if command is None or command.run_id != state.run_id:
+        return f"no command has come in run {state.run_id}"
+    silent_ns, data_ns = inputs.now_ns - inputs.command_ns, inputs.now_ns - command.t_sensor_ns
+    if silent_ns >= config.command_stale_ns:
+        return f"no command for {silent_ns / 1e6:.0f} ms"
+    return f"commands keep coming, but the data behind them is {data_ns / 1e6:.0f} ms old"
+
+
+def _unprepared(config: BridgeConfig, state: SupervisorState) -> tuple[Reason, str] | None:
+    """What this AS_DRIVING lacks of a drive that was begun in order (safety rule 2)."""
+    if state.sequence is not Sequence.COMPLETE:
+        return Reason.NOT_SEEN, ""
+    if state.ready_waited_ns < config.ready_wait_ns and not config.short_sequence_allowed:
+        waited_s = state.ready_waited_ns / 1e9
+        return Reason.SEQUENCE_SHORT, f"AS_DRIVING, but the car was in AS_READY with Go off for only {waited_s:.2f} s"
+    if state.mission is Ami.NOT_SELECTED:
+        return Reason.NO_MISSION, "none is chosen on the AMI"
+    if not state.is_confirmed:
+        missing = " and ".join(role for role in ROLES if role not in state.confirmed)
+        return Reason.NOT_CONFIRMED, f"run {state.run_id} by the {missing}"
+    if not state.selected_sent:
+        return Reason.NO_MISSION, f"SELECTED was not sent for {state.mission.label}"
+    return None
+
+
 def _stop_ineffective(
     config: BridgeConfig, state: SupervisorState, stop: Latch, now_ns: int
 ) -> tuple[SupervisorState, bool]:
@@ -568,11 +641,10 @@ def _ages(
     running = state.stop is None
 
     found.append((Reason.VCU_SILENT, now_ns - state.status_ns, ""))
-    if state.sequence is not Sequence.COMPLETE and running:
-        found.append((Reason.NOT_SEEN, _AT_ONCE_NS, ""))
-    elif not state.is_confirmed and running:
-        missing = " and ".join(role for role in ROLES if role not in state.confirmed)
-        found.append((Reason.NOT_CONFIRMED, _AT_ONCE_NS, f"run {state.run_id} by the {missing}"))
+    if inputs.status_doubt:
+        found.append((Reason.AS_STATE_UNKNOWN, _AT_ONCE_NS, inputs.status_doubt))
+    if running and (lack := _unprepared(config, state)) is not None:
+        found.append((lack[0], _AT_ONCE_NS, lack[1]))
     if not state.go:
         found.append((Reason.GO_OFF, _AT_ONCE_NS, ""))
     if state.fault:
@@ -588,7 +660,9 @@ def _ages(
 
     autonomous = state.mode is Mode.AUTONOMOUS
     if autonomous and running:
-        found.append((Reason.COMMAND_STALE, _command_age_ns(config, state, inputs, supervised_ns), ""))
+        age_ns = _command_age_ns(config, state, inputs, supervised_ns)
+        words = _command_age_words(config, state, inputs) if age_ns >= config.command_stale_ns else ""
+        found.append((Reason.COMMAND_STALE, age_ns, words))
         both_since = state.both_pedals_since_ns
         if command is not None and command.throttle > 0.0 and command.brake > 0.0:
             if both_since is None:
@@ -600,7 +674,8 @@ def _ages(
 
     # A message that never came is as old as it takes.
     never_ns = config.feedback_lost_ns
-    found.append((Reason.WHEELS_STALE, never_ns if state.speeds_ns is None else now_ns - state.speeds_ns, ""))
+    speeds_age_ns = never_ns if state.speeds_ns is None else now_ns - state.speeds_ns
+    found.append((Reason.WHEELS_STALE, speeds_age_ns, inputs.speeds_doubt))
     found.append((Reason.STEERING_STALE, never_ns if inputs.steer_ns is None else now_ns - inputs.steer_ns, ""))
     if inputs.steer_implausible_since_ns is not None:
         found.append((Reason.STEERING_IMPLAUSIBLE, now_ns - inputs.steer_implausible_since_ns, ""))
@@ -611,27 +686,27 @@ def _ages(
 
 def _react(
     config: BridgeConfig, state: SupervisorState, inputs: Inputs, command: VehicleCommand | None
-) -> tuple[SupervisorState, bool, frozenset[Reason]]:
+) -> tuple[SupervisorState, bool, dict[Reason, str]]:
     """Everything that the clock and the car's words ask for in AS_DRIVING: state, torque held back, reasons."""
     now_ns = inputs.now_ns
     state, found = _ages(config, state, inputs, command)
     hold = command is None
-    reasons: set[Reason] = set()
+    reasons: dict[Reason, str] = {}
     for reason, age_ns, detail in found:
         for step in REACTIONS[reason]:
             if step.after is None or age_ns >= getattr(config, step.after):
-                reasons.add(reason)
+                reasons[reason] = detail
                 hold = hold or step.consequence is Consequence.HOLD
                 state = _apply(state, reason, step.consequence, detail, now_ns)
 
     if state.mode is Mode.MANUAL:
-        return _begin_stop(state, Asked.MANUAL, "", now_ns), hold, frozenset(reasons)
+        return _begin_stop(state, Asked.MANUAL, "", now_ns), hold, reasons
     if command is not None:
         if command.estop_request:
             state = ask_emergency(state, Asked.MISSION, "", now_ns)
         if command.mission_finished and may_move(config, state, now_ns):
             state = _begin_stop(state, Asked.MISSION_DONE, "", now_ns)
-    return state, hold, frozenset(reasons)
+    return state, hold, reasons
 
 
 def may_move(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
@@ -673,7 +748,7 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
     """One cycle: what has become of the run by now, and what is to be said."""
     now_ns = inputs.now_ns
     hold = True
-    reasons: frozenset[Reason] = frozenset()
+    reasons: dict[Reason, str] = {}
     command = valid_command(config, state, inputs)
     if state.driving:
         state, hold, reasons = _react(config, state, inputs, command)
@@ -706,7 +781,8 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
         row.torque,
         state.run_id,
         may_move(config, state, now_ns),
-        reasons,
+        frozenset(reasons),
+        tuple(reasons.items()),
     )
 
 

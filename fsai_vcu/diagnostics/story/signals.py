@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.readiness import FAULT_NAMES
 from fsai_vcu.diagnostics.story.record import Record, Series, Signal
 from fsai_vcu.interface import bus_table
 from fsai_vcu.interface.enums import (

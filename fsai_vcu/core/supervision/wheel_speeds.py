@@ -1,0 +1,181 @@
+"""Which wheel speeds (0x525) are believed, and what the pulse counts (0x526) say of standing still.
+
+Pure: `pulses_of` and `on_counts` take frames of 0x526, `on_speeds` those of 0x525 and says why one is not believed; a
+frame that is not believed is treated like one that never came. A wheel's two messages are compared in turns of the
+wheel: what it has turned by its count while its reading says that it stands, and what it has turned by its reading
+while its count stands still. Counts that are missing, or start anew, contradict nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from fsai_vcu.core.supervision.config import MS, BridgeConfig
+from fsai_vcu.core.supervision.plausibility import WHEEL_NAMES
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.immutable import Immutable
+
+_PERIOD_NS = 10 * MS  # of 0x525 and 0x526: two frames may be read closer together than they were measured
+_COUNTS = 1 << 16  # interface specification v4.0: 16-bit counters that wrap
+_SLACK = 2  # pulses more than the highest speed explains: an edge to either side of the period
+_CLEARLY = 2  # times the speed under which a wheel stands
+
+Rpm = tuple[int, int, int, int]
+Steps = tuple[int, int, int, int]
+_NO_STEPS: Steps = (0, 0, 0, 0)
+_LEVEL = (0.0, 0.0, 0.0, 0.0)
+
+
+# ---------------------------------------------------------------- pulses
+
+
+@dataclass(frozen=True, slots=True)
+class Pulses(Immutable):
+    """When the wheels' pulse counts last advanced. Times are of the monotonic clock, None: never."""
+
+    counts: WheelCounts | None = None
+    steps: Steps | None = None  # pulses between the last two frames (FL, FR, RL, RR); None: not to be compared
+    newest_ns: tuple[int | None, int | None, int | None, int | None] = (None, None, None, None)
+    turning_ns: int | None = None  # of the newest two pulses of one wheel the older; the latest of all four wheels
+
+
+def pulses_per_s(config: BridgeConfig, car: VehicleParameters) -> float:
+    """Pulses of one wheel in a second at the highest speed that is believed."""
+    return config.wheel_max_rpm / 60.0 * car.wheel_pulses_per_rev
+
+
+def pulses_of(most_per_s: float, pulses: Pulses, counts: WheelCounts) -> Pulses:
+    """A frame of 0x526. A count that moves by more than `most_per_s` explains has started anew: no wheel turned so."""
+    before = pulses.counts
+    if before is None:
+        return Pulses(counts)
+    if before.fl == counts.fl and before.fr == counts.fr and before.rl == counts.rl and before.rr == counts.rr:
+        return Pulses(counts, _NO_STEPS, pulses.newest_ns, pulses.turning_ns)
+    steps = (
+        (counts.fl - before.fl) % _COUNTS,
+        (counts.fr - before.fr) % _COUNTS,
+        (counts.rl - before.rl) % _COUNTS,
+        (counts.rr - before.rr) % _COUNTS,
+    )
+    t_ns = counts.t_rx_ns
+    if max(steps) > most_per_s * max(t_ns - before.t_rx_ns, _PERIOD_NS) / 1e9 + _SLACK:
+        return Pulses(counts, None, pulses.newest_ns, pulses.turning_ns)
+    newest, turning_ns = list(pulses.newest_ns), pulses.turning_ns
+    for wheel, step in enumerate(steps):
+        if step:
+            older_ns = t_ns if step > 1 else newest[wheel]
+            newest[wheel] = t_ns
+            if older_ns is not None and (turning_ns is None or older_ns > turning_ns):
+                turning_ns = older_ns
+    return Pulses(counts, steps, (newest[0], newest[1], newest[2], newest[3]), turning_ns)
+
+
+def turning(standstill_ns: int, turning_ns: int | None, now_ns: int) -> bool:
+    """Whether one wheel's count advanced by two or more in the last `standstill_ns`: one may be an edge at rest."""
+    return turning_ns is not None and now_ns - turning_ns < standstill_ns
+
+
+NO_PULSES = Pulses()
+"""Before the first frame of 0x526."""
+
+
+# ---------------------------------------------------------------- belief
+
+
+@dataclass(frozen=True, slots=True)
+class WheelBelief(Immutable):
+    """What is needed to believe the next frame of 0x525."""
+
+    speeds: WheelSpeeds | None = None  # the last frame that was believed
+    reading_ns: int | None = None  # the last frame within the database's range, believed or not
+    least_rpm: Rpm = (0, 0, 0, 0)  # readings since the last 0x526, with the one before it
+    most_rpm: Rpm = (0, 0, 0, 0)
+    newest_rpm: Rpm = (0, 0, 0, 0)
+    pulses: Pulses = NO_PULSES
+    has_counted: tuple[bool, bool, bool, bool] = (False, False, False, False)
+    # By how many turns the count is ahead of a reading that says standing; below 0 the reading is ahead of the count.
+    ahead: tuple[float, float, float, float] = _LEVEL
+    # Wheels whose count is ahead (1) or behind (-1) by too much, until it is ahead no more.
+    doubted: tuple[int, int, int, int] = _NO_STEPS
+
+
+def on_counts(config: BridgeConfig, car: VehicleParameters, belief: WheelBelief, counts: WheelCounts) -> WheelBelief:
+    """A frame of 0x526: compare it with the readings since the one before."""
+    before, t_ns = belief.pulses, counts.t_rx_ns
+    pulses = pulses_of(pulses_per_s(config, car), before, counts)
+    newest = belief.newest_rpm
+    if (
+        pulses.steps is None
+        or before.counts is None
+        or t_ns - before.counts.t_rx_ns >= config.feedback_stale_ns
+        or belief.reading_ns is None
+        or t_ns - belief.reading_ns >= config.feedback_stale_ns
+    ):
+        return WheelBelief(
+            belief.speeds, belief.reading_ns, newest, newest, newest, pulses, belief.has_counted, _LEVEL, _NO_STEPS
+        )
+    stands_rpm = config.standstill_rpm
+    has_counted, ahead, doubted = belief.has_counted, belief.ahead, belief.doubted
+    if pulses.steps is not _NO_STEPS or ahead is not _LEVEL or max(belief.most_rpm) >= stands_rpm:
+        dt_s = (t_ns - before.counts.t_rx_ns) / 1e9
+        explained = _CLEARLY * stands_rpm / 60.0 * dt_s
+        limit = config.wheel_doubt_turns
+        levels, doubts, counted = list(ahead), list(doubted), list(has_counted)
+        for wheel, step in enumerate(pulses.steps):
+            level = levels[wheel]
+            least_rpm = belief.least_rpm[wheel]
+            counted[wheel] = counted[wheel] or step > 1 or (step == 1 and before.newest_ns[wheel] is not None)
+            if belief.most_rpm[wheel] < stands_rpm:
+                turned = step / car.wheel_pulses_per_rev
+                level = max(0.0, min(limit, max(0.0, level) + turned - explained))
+            elif step == 0 and counted[wheel] and least_rpm >= _CLEARLY * stands_rpm:
+                level = max(-limit, min(0.0, level) - least_rpm / 60.0 * dt_s)
+            else:
+                level = 0.0
+            levels[wheel] = level
+            doubts[wheel] = 1 if level >= limit else -1 if level <= -limit else doubts[wheel] if level else 0
+        has_counted = (counted[0], counted[1], counted[2], counted[3])
+        ahead = (levels[0], levels[1], levels[2], levels[3]) if any(levels) else _LEVEL
+        doubted = (doubts[0], doubts[1], doubts[2], doubts[3])
+    return WheelBelief(belief.speeds, belief.reading_ns, newest, newest, newest, pulses, has_counted, ahead, doubted)
+
+
+def on_speeds(config: BridgeConfig, belief: WheelBelief, speeds: WheelSpeeds) -> tuple[WheelBelief, str]:
+    """A frame of 0x525: what is known after it, and why it is not believed; empty when it is."""
+    rpm, t_ns = speeds.all_rpm, speeds.t_rx_ns
+    if max(rpm) > config.wheel_max_rpm:
+        return belief, f"the {WHEEL_NAMES[rpm.index(max(rpm))]} wheel reads more than {config.wheel_max_rpm} rpm"
+    least, most = belief.least_rpm, belief.most_rpm
+    if belief.reading_ns is None:
+        least = most = rpm
+    elif rpm != belief.newest_rpm:
+        least = min(least[0], rpm[0]), min(least[1], rpm[1]), min(least[2], rpm[2]), min(least[3], rpm[3])
+        most = max(most[0], rpm[0]), max(most[1], rpm[1]), max(most[2], rpm[2]), max(most[3], rpm[3])
+    belief = replace(belief, reading_ns=t_ns, least_rpm=least, most_rpm=most, newest_rpm=rpm)
+    doubt = _too_fast(config, belief.speeds, speeds) or _contradicted(config, belief, rpm, t_ns)
+    return (belief if doubt else replace(belief, speeds=speeds)), doubt
+
+
+def _too_fast(config: BridgeConfig, before: WheelSpeeds | None, speeds: WheelSpeeds) -> str:
+    """A wheel that has changed its speed by more than a tyre can follow since the last frame believed."""
+    if before is None:
+        return ""
+    most_rpm = config.wheel_rate_max_rpmps * max(speeds.t_rx_ns - before.t_rx_ns, _PERIOD_NS) / 1e9
+    for wheel, (now, then) in enumerate(zip(speeds.all_rpm, before.all_rpm, strict=True)):
+        if abs(now - then) > most_rpm:
+            return f"the {WHEEL_NAMES[wheel]} wheel changed faster than a tyre can follow"
+    return ""
+
+
+def _contradicted(config: BridgeConfig, belief: WheelBelief, rpm: Rpm, t_ns: int) -> str:
+    """A wheel whose pulse count says the opposite."""
+    counts = belief.pulses.counts
+    if counts is None or t_ns - counts.t_rx_ns >= config.feedback_stale_ns:
+        return ""
+    for wheel, doubt in enumerate(belief.doubted):
+        if doubt > 0 and rpm[wheel] < config.standstill_rpm:
+            return f"the {WHEEL_NAMES[wheel]} wheel reads under {config.standstill_rpm} rpm while its pulse count runs"
+        if doubt < 0 and rpm[wheel] >= _CLEARLY * config.standstill_rpm:
+            return f"the {WHEEL_NAMES[wheel]} wheel reads a speed while its pulse count stands still"
+    return ""
