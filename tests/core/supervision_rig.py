@@ -65,6 +65,8 @@ class Witness:
     brake: VcuBrake | None = None
     speeds: WheelSpeeds | None = None
     steer: VcuSteer | None = None
+    counts: WheelCounts | None = None
+    pulses: list[tuple[int, str]] = field(default_factory=list)  # (when, which wheel), of the last 0.5 s
     axles: dict[type, VcuDriveFront | VcuDriveRear] = field(default_factory=dict)
     history: list[AsState] = field(default_factory=list)
     changed_ns: int | None = None  # when the AS state last changed
@@ -85,7 +87,21 @@ class Witness:
             self.status = image
         elif isinstance(image, VcuBrake):
             self.brake = image
+        elif isinstance(image, WheelCounts):
+            before = self.counts or image
+            self.pulses = [pulse for pulse in self.pulses if image.t_rx_ns - pulse[0] < 500 * MS]
+            for wheel in ("fl", "fr", "rl", "rr"):
+                step = (getattr(image, wheel) - getattr(before, wheel)) % 65536
+                self.pulses += [(image.t_rx_ns, wheel)] * min(step, 2)
+            self.counts = image
         elif isinstance(image, WheelSpeeds):
+            if self.speeds is not None:
+                most = 30 * max(10, (image.t_rx_ns - self.speeds.t_rx_ns) // MS)  # 30000 rpm/s
+                jumps = [abs(a - b) for a, b in zip(image.all_rpm, self.speeds.all_rpm, strict=True)]
+                if max(jumps) > most:
+                    return  # no tyre can follow
+            if max(image.all_rpm) > 1250:
+                return
             if max(image.all_rpm) >= 10:
                 self.still_since_ns = None
             elif self.still_since_ns is None or (
@@ -135,6 +151,8 @@ class Witness:
         if driving and (asked.direction is not Direction.FORWARD or asked.mission_status is MissionStatus.FINISHED):
             assert self.speeds is not None and now_ns - self.speeds.t_rx_ns < 100 * MS
             assert self.still_since_ns is not None and now_ns - self.still_since_ns >= 500 * MS
+            recent = [wheel for t_ns, wheel in self.pulses if now_ns - t_ns < 500 * MS]
+            assert len(recent) == len(set(recent)), "a wheel counted two pulses"
         # Rule 4
         if driving:
             live_deg = 0.0 if self.steer is None else self.steer.angle_max_deg
@@ -225,6 +243,8 @@ class Rig:
             ebs_state=EbsState.EBS_ARMED,
         )
         self.rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
+        self.pulse_rpm: tuple[int, int, int, int] | None = None  # None: the counts run as the wheel speeds say
+        self.turns = [0.0, 0.0, 0.0, 0.0]
         self.steer_deg: float | None = None  # None: the steering follows at once
         self.angle_max_deg = entry.steer_limit_deg
         self.torque_max_nm = 195.0
@@ -269,10 +289,16 @@ class Rig:
                 EbsStatus.ARMED,
             ),
             WheelSpeeds(*self.rpm),
-            WheelCounts(),
+            self.counted(),
         ):
             if type(image) not in self.mute:
                 self.say(image)
+
+    def counted(self) -> WheelCounts:
+        """The pulse counts after another cycle."""
+        for wheel, rpm in enumerate(self.pulse_rpm or self.rpm):
+            self.turns[wheel] += rpm / 60.0 * CYCLE / S
+        return WheelCounts(*(int(turns * self.car.wheel_pulses_per_rev) % 65536 for turns in self.turns))
 
     def say_state(self, as_state: AsState, **changes: object) -> None:
         """Change what the next 0x520 says."""
@@ -368,7 +394,7 @@ class Rig:
         self.command = VehicleCommand(0, 0, throttle=throttle, speed_limit_mps=10.0)
         self.run_ms(3200)
         self.rpm = (rpm, rpm, rpm, rpm)
-        self.step(2)
+        self.step(5)  # a reading that jumps is believed a few frames later
         assert self.sent.torque_requested
         return self
 

@@ -262,7 +262,7 @@ def test_a_lost_command_stops_the_car_in_manual_and_finishes_at_rest() -> None:
     rig.run_ms(200)
     assert rig.report.reasons == ("command_stale",)
     assert rig.report.sentences == (
-        "the vehicle command is stale: it stopped coming, or the data behind it is too old",
+        "the vehicle command is stale: it stopped coming, or the data behind it is too old (no command for 200 ms)",
     )
     rig.run_ms(3000)
     assert (rig.sent.mission_status, rig.report.mode) == (MissionStatus.FINISHED, "manual")
@@ -342,9 +342,9 @@ def test_a_steering_that_sticks_stops_the_car_and_then_asks_for_the_emergency_br
 
 
 def test_a_wheel_that_reads_wrong_stops_the_car_and_then_asks_for_the_emergency_brake() -> None:
-    rig = Rig().driving(rpm=400)
+    rig = Rig().driving(rpm=300)
     rig.run_ms(1000)  # the holding brake is long forgotten
-    rig.rpm = (0, 400, 400, 400)
+    rig.rpm = (0, 300, 300, 300)
     since_ns = rig.now_ns + CYCLE
 
     def the_others_slow_down(rig: Rig) -> None:
@@ -744,7 +744,7 @@ def test_a_planner_or_controller_that_is_restarted_in_a_drive_does_not_resume_it
     rig.step(2)
     assert rig.sent.mission_status is MissionStatus.SELECTED
     rig.say_state(AsState.AS_READY)
-    rig.step(2)
+    rig.wait_in_ready()
     rig.say_state(DRIVING, go_signal=True)
     rig.run_ms(3200)
     assert rig.sent.torque_requested
@@ -1032,7 +1032,7 @@ def happen(rig: Rig, what: str, value: Any) -> None:
             bridge.reset(rig.now_ns)
             bridge.set_mode("autonomous", rig.now_ns)
             rig.say_state(AsState.AS_READY)
-            rig.run_ms(50)
+            rig.wait_in_ready()
             rig.say_state(DRIVING, go_signal=True)
             rig.run_ms(3100)
         case "ami":

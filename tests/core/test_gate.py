@@ -27,6 +27,7 @@ from fsai_vcu.interface.images import (
     VcuStatus,
     VcuSteer,
     VehicleState,
+    WheelCounts,
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
@@ -72,7 +73,10 @@ def command(**changes: Any) -> VehicleCommand:
     return VehicleCommand(**values)
 
 
-FREE = GateState(torque_there=False, zero_cycles=2, zero_since_ns=NOW - 20 * MS, cycle_ns=NOW - 10 * MS, run_id=1)
+START = GateState(acknowledged_run_id=1)
+"""Nothing is known of what the VCU may hold, but the mission was acknowledged."""
+
+FREE = replace(START, torque_there=False, zero_cycles=2, zero_since_ns=NOW - 20 * MS, cycle_ns=NOW - 10 * MS, run_id=1)
 """Two complete cycles of zeros went out: torque may rise, and so may the brake."""
 
 
@@ -264,7 +268,7 @@ def test_laps_stay_on_the_bus_when_the_planner_falls_silent_and_end_with_the_run
 
 def test_before_anything_has_run_the_logging_fields_are_zero_whatever_the_number_of_the_run() -> None:
     for run_id in (0, 1, 7):
-        _, asked, _ = gate(CAR, GateState(), decision(Phase.IDLE, run_id=run_id), None, VehicleState(), NOW)
+        _, asked, _ = gate(CAR, START, decision(Phase.IDLE, run_id=run_id), None, VehicleState(), NOW)
         assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
 
 
@@ -482,26 +486,26 @@ def cycle(
 
 def test_after_a_start_the_vcu_may_hold_anything_so_the_first_cycle_is_all_zeros() -> None:
     for what in (decision(), BRAKING):
-        _, asked = cycle(GateState(run_id=1), what, NOW)
+        _, asked = cycle(replace(START, run_id=1), what, NOW)
         assert not asked.torque_requested and not asked.brake_requested
 
 
 def test_after_a_start_one_whole_cycle_of_zeros_frees_the_brake_and_with_its_echo_the_torque() -> None:
     for what in (decision(), BRAKING):
-        state, _ = cycle(GateState(run_id=1), what, NOW)
+        state, _ = cycle(replace(START, run_id=1), what, NOW)
         _, asked = cycle(state, what, NOW + 10 * MS)
         assert asked.torque_requested is (what.torque) and asked.brake_requested is not what.torque
 
 
 def test_a_brake_that_nobody_ever_asked_for_is_not_kept() -> None:
-    state = GateState(run_id=1)
+    state = replace(START, run_id=1)
     for n in range(5):
         state, asked = cycle(state, decision(Phase.HOLDING), NOW + n * 10 * MS)
         assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
 
 
 def test_a_gate_begins_with_nothing_but_the_torque_that_may_be_there() -> None:
-    begun = GateState()
+    begun = START
     assert (begun.torque_there, begun.torque_running, begun.awaiting) == (True, False, False)
     assert (begun.tried_torque, begun.tried_brake, begun.zero_cycles, begun.zero_since_ns) == (False, False, 0, 0)
     assert (begun.steer_deg, begun.brake, begun.cycle_ns, begun.run_id) == (0.0, 0.0, None, 0)
@@ -509,7 +513,7 @@ def test_a_gate_begins_with_nothing_but_the_torque_that_may_be_there() -> None:
 
 def test_being_told_of_a_cycle_that_was_never_made_counts_nothing() -> None:
     for complete in (True, False):
-        assert sent(GateState(), complete, NOW) == GateState()
+        assert sent(START, complete, NOW) == START
 
 
 def test_torque_rises_after_one_complete_zero_cycle_that_0x524_has_echoed() -> None:
@@ -666,7 +670,7 @@ def test_the_least_brake_that_the_signal_can_say_counts_as_one() -> None:
 
 def test_a_gate_that_goes_on_saying_zero_comes_to_rest_in_one_state() -> None:
     """An exhaustive search visits every state: there must be an end of them."""
-    state, states = GateState(run_id=1), set()
+    state, states = replace(START, run_id=1), set()
     for _ in range(10):
         state, _ = cycle(state, decision(Phase.IDLE), NOW)
         states.add(state)
@@ -688,7 +692,7 @@ def test_a_gate_that_goes_on_saying_zero_comes_to_rest_in_one_state() -> None:
 )
 def test_torque_and_brake_never_meet_at_the_vcu_whichever_frames_of_a_cycle_arrive(steps: list[Any]) -> None:
     """The VCU keeps what it saw last; of a broken cycle any of the frames may have arrived."""
-    state = GateState(run_id=1)
+    state = replace(START, run_id=1)
     torque_at_vcu, brake_at_vcu = {True, False}, {True, False}  # what may be there
     for n, (phase, throttle, brake, complete, echoes) in enumerate(steps):
         now_ns = NOW + n * 10 * MS
@@ -800,3 +804,58 @@ def codec() -> Codec:
 
 
 _CODEC: list[Codec] = []
+
+
+# ---------------------------------------------------------------- what it sees for itself
+
+
+def test_no_torque_where_the_newest_0x520_is_unknown() -> None:
+    asked, reasons = asks(vehicle=car(status_known=False))
+    assert not asked.torque_requested and reasons == {Reason.TORQUE_BLOCKED}
+    assert (asked.mission_status, asked.direction) == (MissionStatus.RUNNING, Direction.FORWARD)
+
+
+def test_no_braking_torque_where_the_newest_0x520_is_unknown() -> None:
+    motor = gate_config(official_simulator(), revision("2026"), ADS_DV_2026)
+    for known in (True, False):
+        vehicle = car(status_known=known)
+        asked, _ = asks(what=decision(Phase.STOPPING), order=command(throttle=0.0), vehicle=vehicle, config=motor)
+        assert asked.torque_requested == known
+
+
+@pytest.mark.parametrize("run_id", [None, 0, 2])
+def test_no_torque_in_a_run_that_was_not_acknowledged(run_id: int | None) -> None:
+    asked, reasons = asks(replace(FREE, acknowledged_run_id=run_id))
+    assert not asked.torque_requested and reasons == {Reason.TORQUE_BLOCKED}
+
+
+@pytest.mark.parametrize("complete", [True, False])
+@pytest.mark.parametrize("phase", [Phase.IDLE, Phase.READY, Phase.LAUNCH_WAIT])
+def test_a_run_is_acknowledged_by_selected_sent_whole(phase: Phase, complete: bool) -> None:
+    state, asked, _ = gate(CAR, GateState(), decision(phase, run_id=7), None, car(AsState.AS_READY, 0), NOW)
+    said = asked.mission_status is MissionStatus.SELECTED
+    assert said == (phase is not Phase.LAUNCH_WAIT)
+    assert (sent(state, complete, NOW).acknowledged_run_id == 7) == (said and complete)
+
+
+def counted(fl: int, t_ns: int) -> WheelCounts:
+    return WheelCounts(fl=fl, t_rx_ns=t_ns)
+
+
+@pytest.mark.parametrize(("age_ns", "held"), [(500 * MS - 1, True), (500 * MS, False)])
+@pytest.mark.parametrize("phase", [Phase.STOPPED, Phase.FINISHED])
+def test_finished_is_not_said_while_counts_advance(phase: Phase, age_ns: int, held: bool) -> None:
+    state = FREE
+    for fl, t_ns in ((65535, NOW - age_ns - 10 * MS), (1, NOW - age_ns)):
+        vehicle = car(rpm=0, t_ns=t_ns, counts=counted(fl, t_ns))
+        state, _, _ = gate(CAR, state, decision(), None, vehicle, t_ns)
+    asked, reasons = asks(state, decision(phase), vehicle=car(rpm=0, counts=counted(1, NOW)))
+    expected = (MissionStatus.RUNNING, Direction.FORWARD) if held else (MissionStatus.FINISHED, Direction.NEUTRAL)
+    assert (asked.mission_status, asked.direction) == expected
+    assert reasons == ({Reason.STILLNESS_UNPROVEN} if held else frozenset())
+
+
+def test_a_single_pulse_may_be_an_edge_at_rest() -> None:
+    state, _, _ = gate(CAR, FREE, decision(), None, car(rpm=0, counts=counted(4, NOW - 10 * MS)), NOW - 10 * MS)
+    asked, _ = asks(state, decision(Phase.STOPPED), vehicle=car(rpm=0, counts=counted(5, NOW)))
+    assert asked.mission_status is MissionStatus.FINISHED

@@ -66,9 +66,18 @@ def chosen(at_ns: int = T0) -> SupervisorState:
     return state
 
 
+def ready(at_ns: int, state: SupervisorState | None = None, wait_ns: int = 5 * S, **changes: Any) -> SupervisorState:
+    """AS_READY with Go off, and SELECTED sent, until `at_ns`."""
+    begin_ns = at_ns - wait_ns
+    state = chosen(begin_ns - 10 * MS) if state is None else state
+    for t_ns in (*range(begin_ns, at_ns, 500 * MS), at_ns):
+        state = hear(state, READY, t_ns, **changes)
+    return supervisor.on_selected_sent(state, state.run_id)
+
+
 def launched(at_ns: int = T0 + 10 * S) -> SupervisorState:
     """The first frame of AS_DRIVING came at `at_ns`, with the whole sequence seen."""
-    return hear(hear(chosen(at_ns - 20 * MS), READY, at_ns - 10 * MS), DRIVING, at_ns)
+    return hear(ready(at_ns - 10 * MS), DRIVING, at_ns)
 
 
 LAUNCH = T0 + 10 * S
@@ -205,8 +214,8 @@ def test_each_as_state_is_answered_with_its_row(
 ) -> None:
     state = SupervisorState()
     if as_state is not None:
-        state = chosen()
-        path = {DRIVING: (READY, DRIVING), FINISHED: (READY, DRIVING, FINISHED), EMERGENCY: (READY, EMERGENCY)}
+        state = chosen(T0) if as_state in (INIT, OFF) else ready(T0)
+        path = {DRIVING: (DRIVING,), FINISHED: (DRIVING, FINISHED), EMERGENCY: (EMERGENCY,)}
         for step in path.get(as_state, (as_state,)):
             state = hear(state, step, T0)
     decision = decide(state, Inputs(T0))
@@ -358,6 +367,102 @@ def test_a_bus_loss_breaks_the_sequence() -> None:
 def test_a_mission_that_changes_with_the_entry_into_as_driving_is_not_driven() -> None:
     state = hear(hear(chosen(), READY, T0), DRIVING, T0, ami=Ami.ACCELERATION)
     assert (state.sequence, state.mission) == (Sequence.NONE, Ami.TRACKDRIVE)
+
+
+def entered(state: SupervisorState, t_ns: int, config: BridgeConfig = CONFIG) -> tuple[SupervisorState, Decision]:
+    """The first cycle of AS_DRIVING after `state`."""
+    return supervise(config, hear(state, DRIVING, t_ns), Inputs(t_ns))
+
+
+@pytest.mark.parametrize(("wait_ns", "short"), [(4900 * MS - 1, True), (4900 * MS, False), (5 * S, False)])
+def test_as_driving_needs_5_s_in_as_ready_less_what_0x520_may_miss(wait_ns: int, short: bool) -> None:
+    decision = entered(ready(T0, wait_ns=wait_ns), T0 + 10 * MS)[1]
+    assert (decision.phase is Phase.STOPPING) == short
+    assert decision.reasons == ({Reason.SEQUENCE_SHORT} if short else frozenset())
+
+
+def test_a_stay_in_as_ready_that_was_too_short_is_told_in_seconds() -> None:
+    state, _ = entered(ready(T0, wait_ns=20 * MS), T0 + 10 * MS)
+    assert state.stop is not None
+    assert state.stop.detail == "AS_DRIVING, but the car was in AS_READY with Go off for only 0.02 s"
+
+
+@pytest.mark.parametrize(("off_ns", "short"), [(4900 * MS - 1, True), (4900 * MS, False)])
+def test_go_must_come_after_the_5_s_in_as_ready(off_ns: int, short: bool) -> None:
+    state = ready(T0, wait_ns=off_ns)
+    for n in range(1, 20):  # the car stays in AS_READY for 9.5 s more, with Go on
+        state = hear(state, READY, T0 + n * 500 * MS, go_signal=True)
+    assert (entered(state, T0 + 10 * S)[1].phase is Phase.STOPPING) == short
+
+
+def test_a_go_that_goes_off_again_in_as_ready_counts_from_then() -> None:
+    state = hear(ready(T0, wait_ns=3 * S), READY, T0 + 500 * MS, go_signal=True)
+    assert entered(state, T0 + 510 * MS)[1].reasons == {Reason.SEQUENCE_SHORT}
+    state = ready(T0 + 2 * S, state, 1 * S)
+    assert entered(state, T0 + 2010 * MS)[1].reasons == frozenset()
+
+
+@pytest.mark.parametrize("between", [OFF, FINISHED, EMERGENCY])
+def test_each_stay_in_as_ready_counts_for_itself(between: AsState) -> None:
+    state = hear(ready(T0), between, T0 + 10 * MS)
+    state = confirmed(hear(state, OFF, T0 + 20 * MS))
+    state = ready(T0 + 130 * MS, state, 100 * MS)
+    assert entered(state, T0 + 140 * MS)[1].reasons == {Reason.SEQUENCE_SHORT}
+
+
+def test_a_power_cycle_ends_the_stay_in_as_ready() -> None:
+    assert hear(ready(T0), READY, T0 + 1 * S).ready_waited_ns == 0
+
+
+def test_where_a_short_sequence_is_allowed_it_stops_nothing() -> None:
+    config = official_simulator()
+    decision = entered(ready(T0, wait_ns=20 * MS), T0 + 10 * MS, config)[1]
+    assert config.short_sequence_allowed and not CONFIG.short_sequence_allowed
+    assert decision.phase is Phase.LAUNCH_WAIT and decision.reasons == frozenset()
+
+
+def test_without_a_mission_on_the_ami_there_is_no_torque() -> None:
+    state = confirmed(hear(SupervisorState(), OFF, T0, ami=Ami.NOT_SELECTED))
+    state, done, _ = supervisor.set_mode(CONFIG, state, "autonomous", T0)
+    state = ready(T0 + 6 * S, replace(state, heard_ns=T0 + 1 * S), ami=Ami.NOT_SELECTED)
+    t_ns = T0 + 6 * S + 10 * MS
+    state, decision = supervise(CONFIG, hear(state, DRIVING, t_ns, ami=Ami.NOT_SELECTED), Inputs(t_ns))
+    assert done and decision.phase is Phase.STOPPING and decision.reasons == {Reason.NO_MISSION}
+    assert state.stop is not None and state.stop.detail == "none is chosen on the AMI"
+
+
+def test_a_mission_that_was_never_acknowledged_is_none() -> None:
+    state, decision = entered(replace(ready(T0), selected_sent=False), T0 + 10 * MS)
+    assert decision.phase is Phase.STOPPING and decision.reasons == {Reason.NO_MISSION}
+    assert state.stop is not None and state.stop.detail == "SELECTED was not sent for TRACKDRIVE"
+
+
+def test_each_run_is_acknowledged_for_itself() -> None:
+    state = ready(T0)
+    assert state.selected_sent and supervisor.on_selected_sent(state, state.run_id) is state
+    other = hear(state, READY, T0 + 10 * MS, ami=Ami.AUTOCROSS)
+    assert other.run_id != state.run_id and not other.selected_sent
+    assert not supervisor.on_selected_sent(other, state.run_id).selected_sent
+    assert supervisor.on_selected_sent(other, other.run_id).selected_sent
+
+
+@pytest.mark.parametrize("age_ns", [0, 49 * MS])
+def test_an_unknown_as_state_takes_torque_away_at_once(age_ns: int) -> None:
+    state, inputs = driving()
+    unknown = replace(inputs, status_doubt="AS_STATE 9 is not in the interface's table")
+    after, decision = supervise(CONFIG, replace(state, status_ns=NOW - age_ns), unknown)
+    assert decision.phase is Phase.HOLDING and decision.reasons == {Reason.AS_STATE_UNKNOWN}
+    assert dict(decision.details) == {Reason.AS_STATE_UNKNOWN: "AS_STATE 9 is not in the interface's table"}
+    assert after.stop is None and decide(after, inputs).phase is Phase.DRIVING
+
+
+@pytest.mark.parametrize(("age_ns", "stands"), [(500 * MS - 1, False), (500 * MS, True)])
+def test_a_car_whose_counts_advance_does_not_stand(age_ns: int, stands: bool) -> None:
+    state = replace(hear(SupervisorState(), OFF, NOW), speeds_ns=NOW, still_since_ns=NOW - 1 * S)
+    assert supervisor.standing(CONFIG, state, NOW)
+    state = supervisor.on_pulses(state, NOW - age_ns)
+    assert supervisor.standing(CONFIG, state, NOW) == stands
+    assert supervisor.on_pulses(state, NOW - age_ns) is state
 
 
 def test_as_driving_without_confirmed_resets_is_stopped() -> None:
@@ -1049,8 +1154,8 @@ def test_both_pedals_of_the_last_run_do_not_count_in_the_next() -> None:
     state, _ = supervise(CONFIG, state, both_pedals(inputs))
     state = confirmed(hear(state, OFF, NOW))
     again_ns = NOW + 10 * S
-    for as_state in (READY, DRIVING):
-        state = hear(replace(state, heard_ns=again_ns), as_state, again_ns)
+    state = ready(again_ns, replace(state, heard_ns=again_ns - 5 * S))
+    state = hear(state, DRIVING, again_ns)
     _, late = driving(again_ns + 3 * S)
     assert late.command is not None
     late = replace(late, command=replace(late.command, run_id=state.run_id))
@@ -1070,7 +1175,6 @@ def test_both_pedals_give_no_torque_back_that_something_else_holds() -> None:
 @pytest.mark.parametrize(
     ("reason", "happens"),
     [
-        (Reason.COMMAND_STALE, lambda state, inputs: (state, replace(inputs, command_ns=NOW - 300 * MS))),
         (Reason.VCU_SILENT, lambda state, inputs: (replace(state, status_ns=NOW - 100 * MS), inputs)),
         (Reason.WHEELS_STALE, lambda state, inputs: (replace(state, speeds_ns=NOW - 100 * MS), inputs)),
         (Reason.STEERING_STALE, lambda state, inputs: (state, replace(inputs, steer_ns=NOW - 100 * MS))),
@@ -1091,6 +1195,36 @@ def test_what_says_all_by_itself_is_told_in_its_own_words(reason: Reason, happen
     state, _ = supervise(CONFIG, *happens(*driving()))
     latch = state.stop or state.emergency
     assert latch is not None and latch.words == reason.words
+
+
+@pytest.mark.parametrize(
+    ("silent_ns", "data_ns", "detail"),
+    [
+        (300 * MS, 310 * MS, "no command for 300 ms"),
+        (10 * MS, 700 * MS, "commands keep coming, but the data behind them is 700 ms old"),
+        (None, None, "no command has come in run 2"),
+    ],
+)
+def test_a_stale_command_is_told_by_what_is_missing(silent_ns: int | None, data_ns: int | None, detail: str) -> None:
+    state, inputs = driving()
+    assert inputs.command is not None
+    if silent_ns is None or data_ns is None:
+        inputs = replace(inputs, command=None)
+    else:
+        command = replace(inputs.command, t_sensor_ns=NOW - data_ns)
+        inputs = replace(inputs, command=command, command_ns=NOW - silent_ns)
+    state, decision = supervise(CONFIG, state, inputs)
+    assert dict(decision.details) == {Reason.COMMAND_STALE: detail}
+    assert state.stop is not None and state.stop.words == f"{Reason.COMMAND_STALE.words}: {detail}"
+
+
+def test_wheel_speeds_not_believed_are_told_with_the_stop() -> None:
+    state, inputs = driving()
+    doubted = replace(inputs, speeds_doubt="the front left wheel reads more than 1250 rpm")
+    state, _ = supervise(CONFIG, replace(state, speeds_ns=NOW - 100 * MS), doubted)
+    assert state.stop is not None and state.stop.words.endswith(
+        "believed: the front left wheel reads more than 1250 rpm"
+    )
 
 
 def test_what_was_asked_for_is_told_in_its_own_words() -> None:
@@ -1218,6 +1352,13 @@ def test_in_as_ready_selected_stays_whatever_the_mode_and_the_emergency() -> Non
         (Reason.STEERING_IMPLAUSIBLE, Steer.HELD),
         (Reason.COMMAND_STALE, Steer.HELD),
         (Reason.BUS_LOST, Steer.HELD),
+        (Reason.AS_SWITCH_OFF, Steer.COMMAND),
+        (Reason.TS_SWITCH_OFF, Steer.COMMAND),
+        (Reason.SHUTDOWN_REQUESTED, Steer.COMMAND),
+        (Reason.FAULT_BIT, Steer.COMMAND),
+        (Reason.SHUTDOWN_CAUSE, Steer.COMMAND),
+        (Reason.SEQUENCE_SHORT, Steer.HELD),
+        (Reason.NO_MISSION, Steer.HELD),
         (Reason.NOT_SEEN, Steer.HELD),
         (Reason.NOT_CONFIRMED, Steer.HELD),
         (Reason.STACK_RESTARTED, Steer.HELD),

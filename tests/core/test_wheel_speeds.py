@@ -1,0 +1,310 @@
+"""Which wheel speeds are believed, with the pulse counts beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from fsai_vcu.core.supervision.config import MS, BridgeConfig, S
+from fsai_vcu.core.supervision.wheel_speeds import (
+    NO_PULSES,
+    Pulses,
+    WheelBelief,
+    on_counts,
+    on_speeds,
+    pulses_of,
+    pulses_per_s,
+    turning,
+)
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, OFFICIAL_SIMULATOR, VehicleParameters
+from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+
+CONFIG = BridgeConfig()
+CAR = ADS_DV_2026
+PER_S = pulses_per_s(CONFIG, CAR)
+T0 = 1000 * S
+PERIOD = 10 * MS
+Four = tuple[float, float, float, float]
+
+
+def speeds(rpm: int | tuple[int, int, int, int], t_ns: int) -> WheelSpeeds:
+    return WheelSpeeds(*((rpm,) * 4 if isinstance(rpm, int) else rpm), t_rx_ns=t_ns)
+
+
+class Wheels:
+    """Frames of 0x525 and 0x526 every 10 ms, of what a wheel does and of what its two signals say of it."""
+
+    def __init__(self, car: VehicleParameters = CAR, first_count: int = 0) -> None:
+        self.car = car
+        self.t_ns = T0
+        self.first_count = first_count
+        self.turns = [0.0, 0.0, 0.0, 0.0]
+        self.belief = WheelBelief()
+        self.doubts: list[str] = []
+        self.lost: set[type] = set()
+
+    def step(self, reads: int | Four, counts: int | Four | None = None) -> str:
+        """Another 10 ms; `counts` is the rpm at which the pulse counts run, None: as the readings say."""
+        self.t_ns += PERIOD
+        reading = (reads,) * 4 if isinstance(reads, int) else reads
+        running = reading if counts is None else (counts,) * 4 if isinstance(counts, int) else counts
+        doubt = ""
+        if WheelSpeeds not in self.lost:
+            said = (int(reading[0]), int(reading[1]), int(reading[2]), int(reading[3]))
+            self.belief, doubt = on_speeds(CONFIG, self.belief, speeds(said, self.t_ns))
+            self.doubts.append(doubt)
+        for wheel, rpm in enumerate(running):
+            self.turns[wheel] += rpm / 60.0 * PERIOD / S
+        if WheelCounts not in self.lost:
+            ppr = self.car.wheel_pulses_per_rev
+            counted = [(self.first_count + int(turns * ppr)) % 65536 for turns in self.turns]
+            self.belief = on_counts(CONFIG, self.car, self.belief, WheelCounts(*counted, t_rx_ns=self.t_ns))
+        return doubt
+
+    def until_doubted(self, reads: int | Four, counts: int | Four, most_ms: int = 5000) -> int | None:
+        """Milliseconds until a frame is not believed because of the counts."""
+        began_ns = self.t_ns
+        while self.t_ns - began_ns < most_ms * MS:
+            if "count" in self.step(reads, counts):
+                return (self.t_ns - began_ns) // MS
+        return None
+
+    def roll(self, rpm: int, milliseconds: int = 1000) -> Wheels:
+        for n in range(milliseconds // 10):
+            assert self.step(min(rpm, 250 * (n + 1))) == ""
+        return self
+
+
+# ---------------------------------------------------------------- the database's range
+
+
+@pytest.mark.parametrize(("rpm", "believed"), [(0, True), (1250, True), (1251, False), (65535, False)])
+@pytest.mark.parametrize("wheel", range(4))
+def test_a_reading_above_the_databases_range_is_not_believed(rpm: int, believed: bool, wheel: int) -> None:
+    said = [0, 0, 0, 0]
+    said[wheel] = rpm
+    frame = WheelSpeeds(*said, t_rx_ns=T0)
+    belief, doubt = on_speeds(CONFIG, WheelBelief(), frame)
+    assert (belief.speeds is frame) == believed == (doubt == "")
+    names = ("front left", "front right", "rear left", "rear right")
+    assert believed or doubt == f"the {names[wheel]} wheel reads more than 1250 rpm"
+
+
+# ---------------------------------------------------------------- changes that no tyre can follow
+
+
+@pytest.mark.parametrize("gap_ns", [1, 5 * MS, 10 * MS])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_reading_may_change_by_300_rpm_in_a_period(gap_ns: int, sign: int) -> None:
+    belief, _ = on_speeds(CONFIG, WheelBelief(), speeds(600, T0))
+    for change, believed in ((300, True), (301, False)):
+        frame = speeds((600, 600 + sign * change, 600, 600), T0 + gap_ns)
+        after, doubt = on_speeds(CONFIG, belief, frame)
+        assert (after.speeds is frame) == believed
+        assert believed or doubt == "the front right wheel changed faster than a tyre can follow"
+
+
+@pytest.mark.parametrize(("gap_ns", "believed"), [(20 * MS - 1, False), (20 * MS, True)])
+def test_the_time_since_the_last_frame_believed_counts(gap_ns: int, believed: bool) -> None:
+    belief, _ = on_speeds(CONFIG, WheelBelief(), speeds(0, T0))
+    belief, doubt = on_speeds(CONFIG, belief, speeds(600, T0 + 10 * MS))
+    assert doubt
+    assert (on_speeds(CONFIG, belief, speeds(600, T0 + gap_ns))[1] == "") == believed
+
+
+# ---------------------------------------------------------------- readings against counts
+
+
+@pytest.mark.parametrize(("rpm", "most_ms"), [(60, 1000), (200, 250), (500, 110), (1000, 80)])
+@pytest.mark.parametrize("reads", [0, 9])
+def test_a_reading_that_stands_while_its_count_runs(rpm: int, most_ms: int, reads: int) -> None:
+    wheels = Wheels().roll(rpm)
+    after_ms = wheels.until_doubted((reads, rpm, rpm, rpm), rpm)
+    assert after_ms is not None and after_ms <= most_ms
+    assert wheels.doubts[-1] == "the front left wheel reads under 10 rpm while its pulse count runs"
+    for _ in range(100):  # for as long as it lasts
+        assert wheels.step((reads, rpm, rpm, rpm), rpm)
+
+
+@pytest.mark.parametrize(("rpm", "most_ms"), [(20, 1800), (60, 600), (200, 200), (500, 110), (1000, 80)])
+def test_a_reading_that_runs_while_its_count_stands(rpm: int, most_ms: int) -> None:
+    wheels = Wheels().roll(rpm)
+    after_ms = wheels.until_doubted(rpm, (rpm, rpm, 0, rpm))
+    assert after_ms is not None and after_ms <= most_ms
+    assert wheels.doubts[-1] == "the rear left wheel reads a speed while its pulse count stands still"
+    for _ in range(100):
+        assert wheels.step(rpm, (rpm, rpm, 0, rpm))
+
+
+@pytest.mark.parametrize("rpm", [10, 19])
+def test_a_reading_near_standing_is_no_contradiction(rpm: int) -> None:
+    wheels = Wheels().roll(100)
+    assert wheels.until_doubted(rpm, 0) is None
+
+
+@pytest.mark.parametrize("rpm", [5, 10, 19])
+def test_a_count_that_crawls_contradicts_no_standing_wheel(rpm: int) -> None:
+    assert Wheels().until_doubted(0, rpm) is None
+
+
+@pytest.mark.parametrize("ran_ms", [0, 40])
+def test_a_wheel_that_never_counted_says_nothing(ran_ms: int) -> None:
+    """One pulse may be an edge at rest."""
+    wheels = Wheels()
+    for _ in range(ran_ms // 10):
+        wheels.step(100)
+    assert wheels.until_doubted(200, 0) is None
+
+
+def test_a_wheel_that_counts_again_is_believed_again() -> None:
+    wheels = Wheels().roll(200)
+    assert wheels.until_doubted(200, 0) is not None
+    for _ in range(4):
+        wheels.step(200)
+    assert wheels.step(200) == ""
+
+
+def test_a_wheel_that_reads_again_is_believed_again() -> None:
+    wheels = Wheels().roll(200)
+    assert wheels.until_doubted(0, 200) is not None
+    assert wheels.step(200) == ""
+
+
+def test_a_wheel_whose_count_stops_is_believed_to_stand_later() -> None:
+    wheels = Wheels().roll(200)
+    assert wheels.until_doubted(0, 200) is not None
+    after_ms = next(n * 10 for n in range(1, 1000) if wheels.step(0, 0) == "")
+    assert 500 <= after_ms <= 2000  # no pulse in all that time
+
+
+@pytest.mark.parametrize("car", [ADS_DV_2026, OFFICIAL_SIMULATOR])
+@pytest.mark.parametrize("rpm", [1, 9, 10, 11, 30, 250, 299])
+def test_signals_that_agree_are_believed_at_every_speed(car: VehicleParameters, rpm: int) -> None:
+    wheels = Wheels(car)
+    for milliseconds, now_rpm in ((2000, rpm), (3000, 0), (1000, 9), (2000, rpm)):
+        wheels.roll(now_rpm, milliseconds)
+
+
+@pytest.mark.parametrize("delay", [1, 5, 10])
+@pytest.mark.parametrize("late", ["reading", "count"])
+def test_dead_time_between_the_two_is_no_contradiction(delay: int, late: str) -> None:
+    """From 500 rpm to rest at 9 m/s2 and back, with one of the two signals up to 100 ms behind the other."""
+    course = [0] * 50 + [min(500, 3 * n) for n in range(200)] + [max(0, 500 - 3 * n) for n in range(300)] + [0] * 100
+    wheels = Wheels()
+    for n in range(len(course)):
+        behind = course[max(0, n - delay)]
+        reads, counts = (behind, course[n]) if late == "reading" else (course[n], behind)
+        assert wheels.step(reads, counts) == "", n
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_wheel_that_locks_or_spins_is_no_contradiction(delay: int) -> None:
+    course = [300] * 50 + [0] * 20 + [250] * 20 + [0] * 20 + [200] * 50
+    wheels = Wheels().roll(290)
+    for n in range(len(course)):
+        assert wheels.step(course[n], course[max(0, n - delay)]) == "", n
+
+
+def test_a_reading_that_rests_at_9_rpm_after_the_stop_is_believed() -> None:
+    wheels = Wheels().roll(100)
+    for _ in range(200):
+        assert wheels.step(9, 0) == ""
+
+
+@pytest.mark.parametrize("lost", [WheelCounts, WheelSpeeds])
+def test_signals_that_are_missing_contradict_nothing(lost: type) -> None:
+    wheels = Wheels().roll(200)
+    wheels.lost = {lost}
+    for _ in range(30):
+        assert wheels.step(0) == ""
+    wheels.lost = set()
+    for _ in range(5):
+        assert wheels.step(200, 200) == ""
+
+
+def test_a_doubt_ends_with_the_counts_it_came_from() -> None:
+    wheels = Wheels().roll(200)
+    assert wheels.until_doubted(0, 200) is not None
+    wheels.lost = {WheelCounts}
+    doubted = [wheels.step(0) != "" for _ in range(12)]
+    assert doubted == [True] * 9 + [False] * 3  # counts of 100 ms say nothing any more
+
+
+def test_frames_lost_now_and_then_change_nothing() -> None:
+    wheels = Wheels().roll(250)
+    for n in range(400):
+        wheels.lost = {WheelSpeeds} if n % 7 == 0 else {WheelCounts} if n % 5 == 0 else set()
+        assert wheels.step(0 if 100 <= n < 300 else 250) == ""
+
+
+def test_counts_that_start_anew_contradict_nothing() -> None:
+    wheels = Wheels().roll(250)
+    for _ in range(20):
+        wheels.first_count += 1000
+        for _ in range(3):
+            assert wheels.step(0, 0) == ""
+
+
+# ---------------------------------------------------------------- pulses
+
+
+def frames(*counts: int, step_ns: int = PERIOD) -> Pulses:
+    """Frames in which the front left wheel counts so, the last at T0."""
+    pulses = NO_PULSES
+    for n, fl in enumerate(counts):
+        pulses = pulses_of(PER_S, pulses, WheelCounts(fl=fl, t_rx_ns=T0 - (len(counts) - 1 - n) * step_ns))
+    return pulses
+
+
+@pytest.mark.parametrize("counts", [(7,), (7, 7, 7), (7, 8), (7, 8, 8)])
+def test_less_than_two_pulses_are_no_turning(counts: tuple[int, ...]) -> None:
+    assert frames(*counts).turning_ns is None
+
+
+@pytest.mark.parametrize("counts", [(7, 9), (65535, 1), (65534, 0)])
+def test_two_pulses_in_one_frame_are_turning_also_over_the_wrap(counts: tuple[int, ...]) -> None:
+    assert frames(*counts).turning_ns == T0
+
+
+def test_two_pulses_count_from_the_older_one() -> None:
+    assert frames(65535, 0, 0, 0, 1).turning_ns == T0 - 30 * MS
+    assert frames(7, 8, 9, 10, 10).turning_ns == T0 - 20 * MS
+
+
+def test_a_pulse_of_each_wheel_is_an_edge_of_each() -> None:
+    pulses = NO_PULSES
+    for n, counts in enumerate(((1, 1, 1, 1), (2, 1, 1, 1), (2, 2, 1, 1), (2, 2, 2, 1), (2, 2, 2, 2))):
+        pulses = pulses_of(PER_S, pulses, WheelCounts(*counts, t_rx_ns=T0 + n * PERIOD))
+    assert pulses.turning_ns is None
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_each_wheel_alone_is_turning(wheel: int) -> None:
+    counts = [0, 0, 0, 0]
+    pulses = pulses_of(PER_S, NO_PULSES, WheelCounts(*counts, t_rx_ns=T0 - PERIOD))
+    counts[wheel] = 2
+    assert pulses_of(PER_S, pulses, WheelCounts(*counts, t_rx_ns=T0)).turning_ns == T0
+
+
+@pytest.mark.parametrize(("step", "restart"), [(6, False), (7, True), (40000, True), (65535, True)])
+def test_a_count_that_no_speed_explains_has_started_anew(step: int, restart: bool) -> None:
+    pulses = frames(30000, (30000 + step) % 65536)
+    assert (pulses.steps is None) == restart == (pulses.turning_ns is None)
+    assert pulses.counts is not None and pulses.counts.fl == (30000 + step) % 65536
+
+
+def test_a_longer_gap_explains_more_pulses() -> None:
+    assert frames(0, 40, step_ns=100 * MS).turning_ns == T0
+    assert frames(0, 44, step_ns=100 * MS).turning_ns is None
+
+
+@pytest.mark.parametrize(("age_ns", "turns"), [(0, True), (500 * MS - 1, True), (500 * MS, False)])
+def test_turning_ends_half_a_second_after_the_older_pulse(age_ns: int, turns: bool) -> None:
+    assert turning(500 * MS, T0 - age_ns, T0) == turns
+    assert not turning(500 * MS, None, T0)
+
+
+def test_the_highest_speed_explains_the_pulses_of_its_car() -> None:
+    assert pulses_per_s(CONFIG, CAR) == pytest.approx(1250 / 60 * 20)
+    assert pulses_per_s(replace(CONFIG, wheel_max_rpm=600), OFFICIAL_SIMULATOR) == pytest.approx(360)
