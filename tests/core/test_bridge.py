@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -16,17 +17,21 @@ from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
-from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, TsState
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiCommand,
+    Faults,
     RotationB,
     VcuDriveRear,
     VcuStatus,
     VcuSteer,
+    WheelCounts,
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
 
 DRIVING = AsState.AS_DRIVING
 READY = AsState.AS_READY
@@ -377,6 +382,200 @@ def test_when_the_car_stops_itself_the_torque_goes_at_once(change: dict[str, Any
     rig.step(2)
     assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == CYCLE
     assert rig.report.reason_counts == {slug: 1}
+
+
+# ---------------------------------------------------------------- what was believed without being asked for
+
+
+EDGES: list[tuple[dict[str, Any], str, str]] = [
+    ({"as_switch": False}, "as_switch_off", ""),
+    ({"ts_switch": False}, "ts_switch_off", ""),
+    ({"shutdown_request": True}, "shutdown_requested", ""),
+    ({"faults": Faults(hvil_open=True)}, "fault_bit", "HVIL_OPEN_FAULT"),
+    ({"shutdown_cause": ShutdownCause.EBS_FAULT}, "shutdown_cause", "EBS_FAULT"),
+]
+
+
+@pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
+def test_what_changes_in_as_driving_stops_the_car(change: dict[str, Any], slug: str, detail: str) -> None:
+    rig = Rig().driving()
+    before, since_ns = rig.status, rig.now_ns + CYCLE
+    rig.status = replace(rig.status, **change)
+    rig.step(2)
+    assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == CYCLE
+    assert rig.report.reason_counts == {slug: 1} and rig.report.reason_details == {slug: detail}
+    assert rig.report.stopping is not None and rig.report.stopping.endswith(detail)
+    rig.status = replace(before, handshake=rig.status.handshake)
+    rig.alive = brake_to_rest
+    rig.run_ms(3000)  # latched: what comes back gives nothing back
+    assert rig.sent.mission_status is MissionStatus.FINISHED and rig.report.emergency is None
+
+
+@pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
+def test_what_was_so_before_as_driving_stops_nothing(change: dict[str, Any], slug: str, detail: str) -> None:
+    rig = Rig()
+    rig.status = replace(rig.status, **change)
+    rig.driving()
+    assert dict(rig.report.reason_counts) == {}
+
+
+@pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
+def test_what_changes_outside_as_driving_is_no_reason(change: dict[str, Any], slug: str, detail: str) -> None:
+    rig = Rig().ready()
+    rig.status = replace(rig.status, **change)
+    rig.step(2)
+    assert dict(rig.report.reason_counts) == {} and rig.report.stopping is None
+
+
+def unknown_state(rig: Rig) -> None:
+    """A 0x520 of AS_STATE 15, which is in no table."""
+    data = bytearray(rig.codec.encode(rig.status).data)
+    data[2] = data[2] & 0xF0 | 0x0F
+    rig.bridge.on_frame(Frame(0x520, bytes(data), rig.now_ns))
+
+
+def test_an_as_state_that_no_table_knows_takes_torque_away_at_once() -> None:
+    rig = Rig().driving()
+    rig.now_ns += CYCLE
+    rig.speak()
+    unknown_state(rig)
+    rig.cycle()
+    assert not rig.sent.torque_requested and rig.report.reasons == ("as_state_unknown",)
+    assert "AS_STATE 15" in rig.report.reason_details["as_state_unknown"]
+    assert not rig.report.vehicle.status_known
+    rig.step(3)
+    assert rig.sent.torque_requested and rig.report.reasons == () and rig.report.stopping is None
+
+
+def test_an_as_state_that_stays_unknown_is_a_silent_car() -> None:
+    rig = Rig().driving()
+    since_ns = rig.now_ns + CYCLE
+    rig.mute, rig.alive = {VcuStatus}, unknown_state
+    rig.run_ms(120)
+    assert rig.latency_ns(since_ns, zero_torque) == 0
+    assert rig.latency_ns(since_ns, estop) == 100 * MS - CYCLE
+
+
+def test_without_a_mission_the_car_is_stopped_at_once() -> None:
+    rig = Rig()
+    rig.status = replace(rig.status, ami=Ami.NOT_SELECTED)
+    rig.autonomous()
+    assert rig.sent.mission_status is MissionStatus.NOT_SELECTED
+    rig.say_state(READY)
+    rig.wait_in_ready()
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=10.0)
+    rig.step()
+    assert rig.report.reason_counts == {"no_mission": 1} and rig.report.stopping is not None
+    rig.run_ms(4000)
+    assert not any(asked.torque_requested for _, asked in rig.log)
+
+
+def test_a_mission_never_sent_whole_is_not_acknowledged() -> None:
+    rig = Rig()
+    rig.complete = False
+    rig.ready()
+    rig.complete = True
+    rig.say_state(DRIVING, go_signal=True)
+    rig.step()
+    assert rig.report.reason_counts == {"no_mission": 1} and "SELECTED" in (rig.report.stopping or "")
+
+
+def test_as_driving_after_20_ms_of_as_ready_is_stopped() -> None:
+    rig = Rig().autonomous()
+    rig.say_state(READY, go_signal=True)
+    rig.step(2)
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=10.0)
+    rig.step()
+    assert rig.report.reason_counts == {"sequence_short": 1}
+    assert "in AS_READY with Go off for only 0.00 s" in "; ".join(rig.report.why_not_driving)
+    rig.run_ms(4000)
+    assert not any(asked.torque_requested for _, asked in rig.log)
+
+
+@pytest.mark.parametrize(
+    ("odd", "words"),
+    [
+        ((65535, 200, 200, 200), "the front left wheel reads more than 1250 rpm"),
+        ((200, 200, 200, 1251), "the rear right wheel reads more than 1250 rpm"),
+    ],
+)
+def test_wheel_speeds_not_believed_are_as_if_missing(odd: tuple[int, int, int, int], words: str) -> None:
+    rig = Rig().driving(rpm=200)
+    speed_mps, since_ns = rig.report.motion.speed_mps, rig.now_ns
+    data = struct.pack("<4H", *odd)  # the codec refuses to encode it
+    rig.mute = {WheelSpeeds}
+    rig.alive = lambda rig: rig.bridge.on_frame(Frame(0x525, data, rig.now_ns))
+    rig.run_ms(90)
+    assert rig.report.vehicle.speeds == WheelSpeeds(200, 200, 200, 200, t_rx_ns=since_ns)
+    assert rig.report.motion.speed_mps == speed_mps and dict(rig.report.reason_counts) == {}
+    assert rig.report.problem_counts == {f"VCU2AI_Speeds is not believed: {words}": 9}
+    assert rig.sent.torque_requested
+    rig.run_ms(300)
+    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS and rig.latency_ns(since_ns, estop) == 300 * MS
+    assert set(rig.report.reason_counts) == {"wheels_stale"} and words in (rig.report.stopping or "")
+
+
+def test_a_jump_that_no_tyre_can_follow_is_passed_over() -> None:
+    rig = Rig().driving(rpm=200)
+    rig.rpm = (200, 200, 900, 200)
+    rig.step()
+    rig.rpm = (200, 200, 200, 200)
+    rig.step()
+    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
+    assert rig.report.problem_counts == {
+        "VCU2AI_Speeds is not believed: the rear left wheel changed faster than a tyre can follow": 1
+    }
+
+
+def test_wheels_that_read_0_while_their_counts_run_never_finish() -> None:
+    rig = Rig().driving(rpm=200)
+    rig.rpm, rig.pulse_rpm = (0, 0, 0, 0), (200, 200, 200, 200)
+    rig.command = replace(rig.command, throttle=0.0, mission_finished=True)  # type: ignore[type-var]
+    rig.run_ms(1000)
+    assert all(asked.mission_status is MissionStatus.RUNNING for t, asked in rig.log[-100:])
+    assert rig.sent.estop_request and "while its pulse count runs" in (rig.report.emergency or "")
+
+
+def test_counts_that_stop_under_a_running_wheel_stop_the_car() -> None:
+    rig = Rig().driving(rpm=200)
+    rig.run_ms(500)
+    rig.pulse_rpm = (200, 200, 200, 0)
+    rig.run_ms(400)
+    assert "the rear right wheel reads a speed while its pulse count stands still" in (rig.report.stopping or "")
+
+
+def test_a_vcu_that_never_counts_pulses_drives() -> None:
+    rig = Rig()
+    rig.pulse_rpm = (0, 0, 0, 0)
+    rig.driving(rpm=300)
+    rig.run_ms(3000)
+    assert rig.sent.torque_requested and dict(rig.report.problem_counts) == {}
+
+
+@pytest.mark.parametrize("mapping", [STRAIGHT, WheelMapping(fl="fr", fr="fl", rl="rr", rr="rl")])
+def test_speed_and_count_of_one_wheel_are_compared(mapping: WheelMapping) -> None:
+    """The mapping moves both."""
+    codec = Codec(revision("2026"), mapping=mapping)
+    bridge = Bridge(codec, revision("2026"), ADS_DV_2026)
+    for n in range(300):
+        for image in (WheelSpeeds(0, 200, 0, 0), WheelCounts(0, n * 2 // 3, 0, 0)):
+            frame = codec.encode(image)
+            bridge.on_frame(Frame(frame.can_id, frame.data, n * CYCLE))
+    assert dict(bridge.report(3 * S).problem_counts) == {}
+
+
+@pytest.mark.parametrize(("age_ns", "told"), [(20 * MS - 1, False), (20 * MS, True), (675 * MS, True)])
+@pytest.mark.parametrize("driving", [True, False])
+def test_frames_that_waited_are_reported(driving: bool, age_ns: int, told: bool) -> None:
+    rig = Rig()
+    _ = rig.driving() if driving else rig.wake()
+    rig.bridge.backlog(age_ns, rig.now_ns)
+    rig.step()
+    assert dict(rig.report.reason_counts) == ({"backlog": 1} if told else {})
+    assert not told or rig.report.reason_details["backlog"] == f"the oldest was {age_ns // MS} ms old"
+    assert rig.report.stopping is None and rig.report.emergency is None
 
 
 @pytest.mark.parametrize("can_id", [0x510, 0x511, 0x512, 0x513, 0x514])

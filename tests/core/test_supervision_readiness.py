@@ -10,7 +10,7 @@ import pytest
 from supervision_rig import Rig
 
 from fsai_vcu.core.bridge import BridgeConfig
-from fsai_vcu.core.supervision.config import MS, S
+from fsai_vcu.core.supervision.config import MS, S, official_simulator
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState
 from fsai_vcu.interface.enums import (
@@ -351,6 +351,13 @@ def test_a_sequence_that_was_not_seen_is_named_in_as_ready_and_as_driving(as_sta
     )
     assert answer(as_state, state={"sequence": Sequence.NONE})[0] == unseen
     assert unseen not in answer(as_state)
+
+
+def test_a_sequence_that_may_be_short_is_told_in_as_ready() -> None:
+    relaxed = "AS_DRIVING is accepted without these 5 s and an edge of Go (short_sequence_allowed)"
+    assert relaxed in answer(AsState.AS_READY, config=official_simulator())
+    assert relaxed not in answer(AsState.AS_READY)
+    assert relaxed not in answer(AsState.AS_DRIVING, config=official_simulator())
 
 
 def test_in_as_off_what_is_waited_for_depends_on_what_is_said() -> None:
