@@ -11,7 +11,7 @@ from fsai_hil.wire import WireChecker
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import (
     AiCommand,
     Image,
@@ -26,6 +26,7 @@ from fsai_vcu.interface.revisions import revision
 
 MS = 1_000_000
 CODEC = Codec(revision("2026"))
+SELECTED = AiCommand(mission_status=MissionStatus.SELECTED)
 RUNNING = AiCommand(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
 
 
@@ -43,7 +44,7 @@ class Sender:
             from_start=True,
             **options,
         )
-        self.status = VcuStatus(as_state=AsState.AS_OFF, go_signal=True)
+        self.status = VcuStatus(as_state=AsState.AS_OFF, ami=Ami.TRACKDRIVE)
         self.rpm = 0
         self.torque_max_nm = 195.0
         self.last = AiCommand()
@@ -69,11 +70,11 @@ class Sender:
         return self
 
     def state(self, as_state: AsState) -> Sender:
-        self.status = replace(self.status, as_state=as_state)
+        self.status = replace(self.status, as_state=as_state, go_signal=as_state is AsState.AS_DRIVING)
         return self
 
     def driving(self) -> Sender:
-        self.cycle(AiCommand(), 3).state(AsState.AS_READY).cycle(AiCommand(), 3)
+        self.cycle(SELECTED, 3).state(AsState.AS_READY).cycle(SELECTED, 495)
         return self.state(AsState.AS_DRIVING).cycle(RUNNING, 301)
 
     @property
