@@ -149,6 +149,16 @@ WHEEL_OFF = Demand(
     onset=Onset.WHEEL,
 )
 WHEEL_OFF_WORDS = "once beyond what slip explains: 300 ms service-brake stop, 600 ms ESTOP_REQUEST"
+COUNTS_OFF = Demand(
+    frozenset((End.ON, End.HELD, End.STOP, End.ESTOP)),
+    brake_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
+    estop_ms=d.FEEDBACK_LOST_MS + d.SLACK_MS,
+    onset=Onset.COUNTS,
+)
+COUNTS_OFF_WORDS = (
+    "once speed and pulse count contradict each other the speeds are not believed: 100 ms service-brake stop, 300 ms"
+    " ESTOP_REQUEST"
+)
 NOISE_WORDS = "noise comes and goes: drives on, and stops only where it is off for 300 ms without a break"
 
 # Rules of the bus that hold in AS_DRIVING, and what an AS_STATE that nobody knows brings.
@@ -297,7 +307,9 @@ def _limit(prefix: str, can_id: int, of: str) -> tuple[FaultKind, ...]:
     )
 
 
-def _needless(prefix: str, can_id: int, of: str, words: str) -> tuple[FaultKind, ...]:
+def _needless(
+    prefix: str, can_id: int, of: str, words: str, frozen: Demand = NOTHING, frozen_words: str = NOTHING_WORDS
+) -> tuple[FaultKind, ...]:
     """What the car can be driven without."""
     return _message(
         prefix,
@@ -307,8 +319,8 @@ def _needless(prefix: str, can_id: int, of: str, words: str) -> tuple[FaultKind,
         lost_words=words,
         lost_ms=((20, 2500),),
         late_ms=((5, 800),),
-        frozen=always(NOTHING),
-        frozen_words=NOTHING_WORDS,
+        frozen=always(frozen),
+        frozen_words=frozen_words,
         frozen_ms=((50, 2500),),
         corrupted=NOTHING,
         corrupted_words=NOTHING_WORDS,
@@ -493,7 +505,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_feedback("steering", i.STEER, "the steering angle", STEERING_OFF, STEERING_OFF_WORDS),
     *_needless("brakes", i.BRAKE, "brake feedback", "drives on: two complete zero cycles stand for its echo"),
     *_feedback("speeds", i.SPEEDS, "wheel speeds", ANY, ANY_WORDS),
-    *_needless("counts", i.COUNTS, "wheel pulses", NOTHING_WORDS),
+    *_needless("counts", i.COUNTS, "wheel pulses", NOTHING_WORDS, COUNTS_OFF, COUNTS_OFF_WORDS),
     FaultKind(
         name="logging_corrupted",
         what="bits of the logging frames (0x120, 0x500, 0x502) are flipped",
@@ -680,8 +692,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         what="all wheel speeds read 0",
         begin=i.every_wheel(i.dead),
         draws=(lasts((100, 4000)),),
-        demanded=ANY_WORDS,
-        demand=always(ANY),
+        demanded=COUNTS_OFF_WORDS,
+        demand=always(COUNTS_OFF),
     ),
     FaultKind(
         name="wheels_swapped",
@@ -697,8 +709,16 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         what="wheel pulses stand still, run double, or are chance",
         begin=i.pulses,
         draws=(one_of("way", "stuck", "double", "random"),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+        demanded=NOTHING_WORDS + "; " + COUNTS_OFF_WORDS,
+        demand=lambda p: COUNTS_OFF if p["way"] == "stuck" else NOTHING,
+    ),
+    FaultKind(
+        name="pulses_running_on",
+        what="the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
+        begin=i.together(i.pulses, i.asked(lambda rig, t: rig.bridge.set_mode("manual", t))),
+        draws=(one_of("way", "running"), between("rate", (30, 400))),
+        demanded="it stops, and never says FINISHED; " + COUNTS_OFF_WORDS,
+        demand=always(replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)))),
     ),
     *(
         FaultKind(
