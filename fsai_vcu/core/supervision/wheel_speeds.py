@@ -8,7 +8,7 @@ while its count stands still. Counts that are missing, or start anew, contradict
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from fsai_vcu.core.supervision.config import MS, BridgeConfig
 from fsai_vcu.core.supervision.plausibility import WHEEL_NAMES
@@ -152,14 +152,15 @@ def on_speeds(config: BridgeConfig, belief: WheelBelief, speeds: WheelSpeeds) ->
     elif rpm != belief.newest_rpm:
         least = min(least[0], rpm[0]), min(least[1], rpm[1]), min(least[2], rpm[2]), min(least[3], rpm[3])
         most = max(most[0], rpm[0]), max(most[1], rpm[1]), max(most[2], rpm[2]), max(most[3], rpm[3])
-    belief = replace(belief, reading_ns=t_ns, least_rpm=least, most_rpm=most, newest_rpm=rpm)
     doubt = _too_fast(config, belief.speeds, speeds) or _contradicted(config, belief, rpm, t_ns)
-    return (belief if doubt else replace(belief, speeds=speeds)), doubt
+    believed = belief.speeds if doubt else speeds
+    pulses, has_counted = belief.pulses, belief.has_counted
+    return WheelBelief(believed, t_ns, least, most, rpm, pulses, has_counted, belief.ahead, belief.doubted), doubt
 
 
 def _too_fast(config: BridgeConfig, before: WheelSpeeds | None, speeds: WheelSpeeds) -> str:
     """A wheel that has changed its speed by more than a tyre can follow since the last frame believed."""
-    if before is None:
+    if before is None or speeds.all_rpm == before.all_rpm:
         return ""
     most_rpm = config.wheel_rate_max_rpmps * max(speeds.t_rx_ns - before.t_rx_ns, _PERIOD_NS) / 1e9
     for wheel, (now, then) in enumerate(zip(speeds.all_rpm, before.all_rpm, strict=True)):
@@ -171,7 +172,7 @@ def _too_fast(config: BridgeConfig, before: WheelSpeeds | None, speeds: WheelSpe
 def _contradicted(config: BridgeConfig, belief: WheelBelief, rpm: Rpm, t_ns: int) -> str:
     """A wheel whose pulse count says the opposite."""
     counts = belief.pulses.counts
-    if counts is None or t_ns - counts.t_rx_ns >= config.feedback_stale_ns:
+    if belief.doubted == _NO_STEPS or counts is None or t_ns - counts.t_rx_ns >= config.feedback_stale_ns:
         return ""
     for wheel, doubt in enumerate(belief.doubted):
         if doubt > 0 and rpm[wheel] < config.standstill_rpm:

@@ -163,7 +163,10 @@ _ROOTS: Final = (
         Cause(reason.slug, reason.words, remedy)
         for reason, remedy in (
             (Reason.VCU_SILENT, "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on"),
-            (Reason.WHEELS_STALE, "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG)"),
+            (
+                Reason.WHEELS_STALE,
+                "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); else compare it with 0x526",
+            ),
             (Reason.STEERING_STALE, "check why 0x523 stopped: steering controller, VCU, wiring"),
             (
                 Reason.STEERING_IMPLAUSIBLE,
@@ -183,6 +186,15 @@ _ROOTS: Final = (
             (Reason.STOP_INEFFECTIVE, "check the service brake: pressure in 0x524 against the request, air, pads"),
             (Reason.COMMAND_STALE, "look why planner or controller fell silent: their logs, cones seen, CPU load"),
             (Reason.FAULT_STATUS, "see the fault's own line in this story"),
+            (Reason.AS_SWITCH_OFF, "ask who switched ASMS off; else check the switch and its wiring"),
+            (Reason.TS_SWITCH_OFF, "ask who switched TSMS off; else check the switch and its wiring"),
+            (Reason.SHUTDOWN_REQUESTED, "ask who switched the car off; else check TSMS and LVMS"),
+            (Reason.FAULT_BIT, "see the fault's own line in this story"),
+            (Reason.SHUTDOWN_CAUSE, "see the fault's own line in this story"),
+            (
+                Reason.SEQUENCE_SHORT,
+                "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
+            ),
             (Reason.NOT_SEEN, "start the software before the car leaves AS_OFF, then start anew from AS_OFF"),
             (Reason.VCU_REBOOT, "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted"),
         )

@@ -21,18 +21,24 @@ from fsai_vcu.diagnostics.story.record import Intrusion, Record, Signal, Values
 from fsai_vcu.diagnostics.story.signals import (
     AMI,
     ANGLE,
+    AS_SWITCH,
     BRAKE_REQ_F,
     BRAKE_REQ_R,
     FAULT_STATUS,
+    FAULTS,
     GO,
     MS,
+    SHUTDOWN_CAUSE,
+    SHUTDOWN_REQUEST,
     SPEED_MAX_F,
     SPEED_MAX_R,
     STANDING_RPM,
     STEER,
     TORQUE_F,
     TORQUE_R,
+    TS_SWITCH,
     S,
+    label,
     like_official_simulator,
 )
 from fsai_vcu.interface.enums import Ami
@@ -99,10 +105,19 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
     if emergency:
         found += _ineffective(record, t_ns)
     else:
-        for signal, wanted, reason in ((GO, 0.0, Reason.GO_OFF), (FAULT_STATUS, 1.0, Reason.FAULT_STATUS)):
+        for signal, reason, falls in (
+            (GO, Reason.GO_OFF, True),
+            (FAULT_STATUS, Reason.FAULT_STATUS, False),
+            (AS_SWITCH, Reason.AS_SWITCH_OFF, True),
+            (TS_SWITCH, Reason.TS_SWITCH_OFF, True),
+            (SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
+            *((fault, Reason.FAULT_BIT, False) for fault in FAULTS),
+            (SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
+        ):
             for span in record.series(signal).changes(t_ns - 100 * MS, t_ns):
-                if span.value == wanted:
-                    add(reason.slug, span.begin_ns, f"{signal.name} becomes {wanted:.0f}", signal.can_id, signal.name)
+                if (span.value if falls else span.before) == 0.0:
+                    words = f"{signal.name} becomes {label(signal, span.value)}"
+                    add(reason.slug, span.begin_ns, words, signal.can_id, signal.name)
     return found
 
 
