@@ -47,7 +47,7 @@ SOAK_MINUTES ?= 30
 soak: setup  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?
 	$(BIN)/fsai-vcu hil --soak $(SOAK_MINUTES)
 
-scrutineering: setup  ## the handshake's response time on a real vcan0, idle and under load, as a report
+scrutineering: setup  ## the handshake's response time on a real vcan0, idle and under load, beside a C loop's; a report
 	$(BIN)/fsai-vcu scrutineering
 
 bench: setup  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks

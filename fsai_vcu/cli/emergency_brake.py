@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 
 EXAMPLE = "fsai-vcu emergency-brake"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    from fsai_vcu.cli.services import add_bridge_arguments
+
+    add_bridge_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.services import call, operator_node
+    from fsai_vcu.cli.services import call
 
-    with operator_node() as node:
-        from std_srvs.srv import Trigger
-
-        answer = call(node, Trigger, "/emergency_brake", Trigger.Request())
-    if args.json:
-        print(json.dumps({"success": answer.success, "message": answer.message}))
-    else:
-        print(answer.message, file=sys.stdout if answer.success else sys.stderr)
-    return 0 if answer.success else 1
+    return call(args, "emergency_brake")

@@ -20,6 +20,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "scrutineering": ("scrutineering", "measure the handshake's response time on a real vcan0, and report it"),
     "mode": ("mode", "set the mode: autonomous or manual"),
     "emergency-brake": ("emergency_brake", "request an emergency brake"),
+    "reset": ("reset", "clear a latched emergency request, in AS_OFF and AS_INIT"),
     "status": ("status", "show mode, AS state, and what stands between now and driving"),
     "config": ("config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to"),
     "doctor": ("doctor", "say what is right and what is wrong on this machine, and check the wheels"),

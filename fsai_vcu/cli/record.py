@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often"
     )
+    parser.add_argument("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
     parser.add_argument(
         "--segment-size",
         metavar="SIZE",
@@ -93,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--ros goes with --mcap: a candump log has no place for ROS messages")
     if args.topic and not args.ros:
         raise WrongUse("--topic goes with --ros")
+    if args.namespace and not args.ros:
+        raise WrongUse("--namespace goes with --ros")
     bus = args.interface.partition(":")[2] or args.interface
     about = _about(args)
     decoder = None
@@ -287,7 +290,10 @@ def _topics(args: argparse.Namespace) -> Any | None:
             f"--ros needs ROS 2 and the project's nodes in this Python environment ({error}): "
             "source the workspace's setup file, or run `make setup`"
         ) from error
-    return recorder.TopicRecorder((*recorder.PROJECT_TOPICS, *args.topic))
+    try:
+        return recorder.TopicRecorder((*recorder.PROJECT_TOPICS, *args.topic), args.namespace or "/")
+    except ValueError as error:
+        raise UserError(f"--namespace {error}") from error
 
 
 def _messages(topics: Any) -> list[Any]:

@@ -15,7 +15,7 @@ EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
 _SECONDS = 60.0  # six thousand echoes: enough for a p99.9
 _SHORT_SECONDS = 3.0
-_PACE = 2.0  # in User-Mode Linux, where five nodes, a car and a load would want more than its one processor
+_PACE = 1.0  # of User-Mode Linux: the machine's own clock
 _SLACK_S = 240.0  # starting processes on one slow processor
 _PER_CONDITION_S = 120.0  # powering up and driving off
 
@@ -48,10 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0: answered in time in every condition; 1: not, or not measured."""
+    """0: in every condition answered in time, and sooner than the loop in C; 1: not, or not measured."""
     from fsai_hil.scrutineering.conditions import BY_NAME, SHORT, conditions_named
     from fsai_hil.scrutineering.machine import machine, source_revision, versions
-    from fsai_hil.scrutineering.report import failures, markdown, summary
+    from fsai_hil.scrutineering.report import failures, markdown, not_measured, summary
     from fsai_hil.vcan import INTERFACE, VcanError, choose_place
     from fsai_hil.vcan.clock import SLOWEST_PACE
     from fsai_vcu.cli.hil import environment
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
             [*argv, *(["--slow-place"] if place.name == "uml" else [])],
             cwd=checkout,
             env=environment(os.environ, INTERFACE, place.name, out),
-            timeout_s=pace * (_SLACK_S + len(conditions) * (seconds + _PER_CONDITION_S)),
+            timeout_s=pace * (_SLACK_S + len(conditions) * (2 * seconds + _PER_CONDITION_S)),
             results_dir=out,
             **({"pace": pace} if place.has_pace else {}),
         )
@@ -110,7 +110,8 @@ def run(args: argparse.Namespace) -> int:
         "source": source_revision(checkout),
     }
     measured["failures"] = failures(measured)
-    measured["result"] = "fail" if measured["failures"] else "pass"
+    left_out = not_measured(measured)
+    measured["result"] = "fail" if measured["failures"] else "incomplete" if left_out else "pass"
     result.unlink()
     saved = [out / "response-time.md", *([args.report] if args.report else [])]
     for path in saved:
@@ -121,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
     _say(args, f"saved {', '.join(str(path) for path in saved)}")
     if args.json:
         print(json.dumps(measured))
-    return 1 if measured["failures"] else 0
+    return 0 if measured["result"] == "pass" else 1
 
 
 def _write(path: Path, text: str) -> None:

@@ -2,86 +2,134 @@
 
 from __future__ import annotations
 
+import argparse
+import json
+import math
 import os
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from fsai_vcu.cli.main import UserError
-from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
 
-WAIT_S = 10.0
 ASK_AGAIN_S = 1.0
+_TURN_S = 0.1  # within a wait of the middleware nobody hears Ctrl-C
+_WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
     "ROS 2 is not in this Python environment ({missing}): source the distribution's setup file, "
     "or install it with: pip install 'fsai-vcu[ros]' and build the messages with nodes/build-messages"
 )
 
 
+def add_bridge_arguments(parser: argparse.ArgumentParser) -> None:
+    """What every question to the bridge can be given."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="give up after so long (10 s)")
+    parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
+
+
 @contextmanager
-def operator_node() -> Iterator[Any]:
+def operator_node(namespace: str = "/") -> Iterator[Any]:
     """A short-lived node, where the car's configuration says that its nodes are to be found.
 
-    Raises UserError where the configuration may not be read, or ROS 2 or the project's messages are missing.
+    Raises UserError where the configuration may not be read, ROS 2 or the project's messages are missing, or the
+    namespace is none.
     """
+    from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
+    from fsai_vcu.runtime.transport import set_transport
+
     try:
         os.environ.update(usual_environment())
     except ConfigurationError as error:
         raise UserError(str(error)) from error
+    set_transport(os.environ)
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
         import rclpy
+        from rclpy.exceptions import InvalidNamespaceException
+        from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         raise UserError(_NO_ROS.format(missing=error)) from error
     # A question leaves no log file behind, and needs no place for one.
     words = ["--ros-args", "--disable-external-lib-logs"]
     if os.environ.get("ROS_SECURITY_ENABLE") == "true":
         words += ["--enclave", "/fsai/operator"]
-    rclpy.init(args=words)
-    node = rclpy.create_node("fsai_operator")
+    # Ctrl-C is answered as by every verb, not by a ROS that has ended meanwhile.
+    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        yield node
+        try:
+            node = rclpy.create_node("fsai_operator", namespace=namespace, enable_rosout=False)
+        except InvalidNamespaceException as error:
+            raise UserError(f"--namespace {namespace}: that is no ROS namespace; one is like /car1") from error
+        try:
+            yield node
+        finally:
+            node.destroy_node()
     finally:
-        node.destroy_node()
         rclpy.try_shutdown()
 
 
-def call(node: Any, service_type: Any, name: str, request: Any, timeout_s: float = WAIT_S) -> Any:
-    """The answer of service `name`. Raises UserError when no bridge offers it or it does not answer."""
-    import rclpy
-
-    client = node.create_client(service_type, name)
-    if not client.wait_for_service(timeout_sec=timeout_s):
-        raise UserError(
-            f"no bridge offers {name} (waited {timeout_s:g} s); is vcu_bridge running, on this ROS_DOMAIN_ID?"
-        )
-    until = time.monotonic() + timeout_s
-    while time.monotonic() < until:
-        # The answer to a first request is lost when the server has not yet discovered its client: ask again. Every
-        # request of the operator may be repeated without harm.
-        future = client.call_async(request)
-        rclpy.spin_until_future_complete(node, future, timeout_sec=ASK_AGAIN_S)
-        if future.done():
-            return future.result()
-        client.remove_pending_request(future)
-    raise UserError(f"the bridge did not answer {name} within {timeout_s:g} s")
+def _until(wait_s: float) -> float:
+    """By the monotonic clock. Raises UserError."""
+    if not 0.0 <= wait_s < math.inf:
+        raise UserError(f"--wait is {wait_s:g}, not a time")
+    return time.monotonic() + wait_s
 
 
-def vehicle_state(node: Any, timeout_s: float = WAIT_S) -> Any:
-    """The newest /vehicle_state. Raises UserError when none comes."""
-    import rclpy
-    from fsai_msgs.msg import VehicleState
-    from rclpy.qos import qos_profile_sensor_data
+def call(args: argparse.Namespace, service: str, **request: str) -> int:
+    """Ask the bridge's `service`, print its answer; the exit status.
 
-    heard: list[Any] = []
-    node.create_subscription(VehicleState, "/vehicle_state", heard.append, qos_profile_sensor_data)
-    until = time.monotonic() + timeout_s
-    while not heard:
-        left_s = until - time.monotonic()
-        if left_s <= 0:
-            raise UserError(
-                f"nothing on /vehicle_state for {timeout_s:g} s; is vcu_bridge running, on this ROS_DOMAIN_ID?"
-            )
-        rclpy.spin_once(node, timeout_sec=left_s)
+    Raises UserError when no bridge offers it, or none answers in time.
+    """
+    until = _until(args.wait)
+    with operator_node(args.namespace) as node:
+        import rclpy
+        from fsai_msgs.srv import SetMode
+        from std_srvs.srv import Trigger
+
+        kind = SetMode if service == "set_mode" else Trigger
+        client = node.create_client(kind, service)
+        name = node.resolve_service_name(service)
+        if not client.wait_for_service(timeout_sec=max(0.0, until - time.monotonic())):
+            raise UserError(f"no bridge offers {name} (waited {args.wait:g} s); {_WHERE}")
+        answer = None
+        while answer is None:
+            left_s = until - time.monotonic()
+            if left_s <= 0.0:
+                raise UserError(f"the bridge offers {name}, but did not answer within {args.wait:g} s; does it hang?")
+            # The answer to a first request is lost when the server has not yet discovered its client: ask again. Every
+            # request of the operator may be repeated without harm.
+            future = client.call_async(kind.Request(**request))
+            again = time.monotonic() + min(ASK_AGAIN_S, left_s)
+            while not future.done() and time.monotonic() < again:
+                rclpy.spin_once(node, timeout_sec=_TURN_S)
+            if future.done():
+                answer = future.result()
+            else:
+                client.remove_pending_request(future)
+    if args.json:
+        print(json.dumps({**request, "success": answer.success, "message": answer.message}))
+    else:
+        print(answer.message, file=sys.stdout if answer.success else sys.stderr)
+    return 0 if answer.success else 1
+
+
+def vehicle_state(args: argparse.Namespace) -> Any:
+    """The newest /vehicle_state. Raises UserError when none comes in time."""
+    until = _until(args.wait)
+    with operator_node(args.namespace) as node:
+        import rclpy
+        from fsai_msgs.msg import VehicleState
+        from rclpy.qos import qos_profile_sensor_data
+
+        heard: list[Any] = []
+        node.create_subscription(VehicleState, "vehicle_state", heard.append, qos_profile_sensor_data)
+        while not heard:
+            left_s = until - time.monotonic()
+            if left_s <= 0:
+                topic = node.resolve_topic_name("vehicle_state")
+                raise UserError(f"nothing on {topic} for {args.wait:g} s; {_WHERE}")
+            rclpy.spin_once(node, timeout_sec=min(_TURN_S, left_s))
     return heard[-1]

@@ -11,18 +11,15 @@ EXAMPLE = "fsai-vcu status --json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="how long to wait for a bridge (10 s)")
+    from fsai_vcu.cli.services import add_bridge_arguments
+
+    add_bridge_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.cli.services import operator_node, vehicle_state
+    from fsai_vcu.cli.services import vehicle_state
 
-    if not 0.0 <= args.wait < math.inf:
-        raise UserError(f"--wait is {args.wait:g}, not a time")
-    with operator_node() as node:
-        state = vehicle_state(node, args.wait)
+    state = vehicle_state(args)
     if args.json:
         print(json.dumps(_as_dict(state)))
     else:

@@ -54,7 +54,7 @@ from fsai_vcu.interface.images import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import Revision, told_by_status
+from fsai_vcu.interface.revisions import TELLING_IDS, Revision, told_by_frame
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "official_simulator"]
 
@@ -162,6 +162,8 @@ class Bridge:
             if frame.can_id in AI_IDS:
                 self._on_intruder(frame)
                 return
+            if frame.can_id in TELLING_IDS:
+                self._on_revision(frame)
         decoded = self._codec.decode(frame)
         for problem in decoded.problems:
             self._count_problem(problem)
@@ -178,7 +180,6 @@ class Bridge:
         if image is None:
             return
         if type(image) is VcuStatus:
-            self._on_revision(frame)
             self._on_status(image)
         elif type(image) is WheelSpeeds:
             if not self._believed(image):
@@ -224,7 +225,7 @@ class Bridge:
 
     def _on_revision(self, frame: Frame) -> None:
         """Another revision than the one this bridge is set to is believed when it is heard again and again."""
-        told = told_by_status(int.from_bytes(frame.data, "little"))
+        told = told_by_frame(frame.can_id, frame.data)
         ours = self._codec.revision.name
         if told is None:
             return
@@ -529,6 +530,7 @@ class Bridge:
             rx_counts=MappingProxyType(dict(self._rx)),
             problem_counts=MappingProxyType(dict(self._problems)),
             ages_ns=MappingProxyType(dict(self._ages(now_ns))),
+            unknown=self._codec.unknown,
         )
 
     def _ages(self, now_ns: int) -> Iterable[tuple[str, int | None]]:

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.immutable import Immutable
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+if TYPE_CHECKING:
+    from fsai_vcu.core.arrays import Floats, Ints
 
 
 class ConeColor(IntEnum):

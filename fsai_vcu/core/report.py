@@ -49,6 +49,7 @@ class BridgeReport(Immutable):
     rx_counts: Mapping[int, int] = field(default_factory=lambda: MappingProxyType({}))  # by id
     problem_counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)  # of received frames, by their words
     ages_ns: Mapping[str, int | None] = field(default_factory=lambda: MappingProxyType({}))  # by message
+    unknown: str = ""  # what the signal database lacks, and what follows
 
     @property
     def autonomous(self) -> bool:

@@ -38,10 +38,9 @@ def told_revision(frames: Frames) -> tuple[Revision, str] | None:
 def revision_of(payloads: Collection[tuple[int, int, int]]) -> tuple[Revision, str] | None:
     """As `told_revision`, of (identifier, bytes, payload as a little-endian number)."""
     status = [word for can_id, length, word in payloads if (can_id, length) == _STATUS]
-    told = {found for word in status if (found := told_by_status(word)) is not None}
-    if told:  # in one that has the states they are not there all the time
-        name, observation = max(told)
-        return REVISIONS[name], observation
+    told = next((found for word in status if (found := told_by_status(word)) is not None), None)
+    if told is not None:
+        return REVISIONS[told[0]], told[1]
     present = {can_id for can_id, _, _ in payloads}
     for name in REVISIONS:
         only = sorted(i for i in present if i in BY_ID and set(BY_ID[i].period_ns) == {name})

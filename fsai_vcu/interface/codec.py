@@ -14,6 +14,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from numbers import Real
 from pathlib import Path
 from typing import Any, cast
@@ -65,6 +66,8 @@ class Codec:
 
     `dbc_paths` replaces the revision's own DBC files, for instance by an official one; `mapping` says which signal
     carries which wheel, in both directions. Raises DatabaseError when the files do not describe this car.
+
+    `unknown`: one line on what such files lack of the revision's own, and what follows; empty where they lack nothing.
     """
 
     def __init__(
@@ -80,20 +83,25 @@ class Codec:
         self._decoders: dict[int, tuple[int, Callable[[bytes, int], Decoded]]] = {}
         self._encoders: dict[type, Callable[[Any, int], Frame]] = {}
         command_encoders: dict[type, Callable[[Any, int], Frame]] = {}
+        lacking: list[_Lack] = []
         for row in rows(mapping):
             message = _find_message(self.database, row)
             if message is None:
                 if row.required:
                     raise DatabaseError(f"{_files(paths)}: no message {row.message}, so this is not the car's database")
+                lacking.append((row.message, _NOT_READ))
                 continue
             _check_identity(row, message, paths)
             layout = _Layout(row, message, paths)
+            lacking += layout.lacking
             self._decoders[message.frame_id] = (message.length, layout.decoder())
             self._encoders[row.image] = layout.encoder(None)
             if row.image in COMMAND_FIELDS:
                 command_encoders[row.image] = layout.encoder(COMMAND_FIELDS[row.image])
         self._latest: tuple[Frame, Decoded] = (Frame(0, error=True), _NOTHING)
         self._command_encoders = tuple(command_encoders[image] for image in COMMAND_FIELDS)
+        self._lacking = tuple(lacking)
+        self.unknown = "" if dbc_paths is None else _lacking_line(paths, self._lacking, _lacking_by_nature(revision))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Codec:
         """What a codec says of a frame never changes: copies of a simulation share it."""
@@ -201,6 +209,30 @@ def _files(paths: Sequence[Path | str]) -> str:
     return ", ".join(str(path) for path in paths)
 
 
+# ---------------------------------------------------------------- what a database lacks
+
+_Lack = tuple[str, str]  # the name of a signal or message, and what follows
+_NOT_READ = "these messages are not read"
+_NO_VALUE = "these values are not read"
+
+
+@cache
+def _lacking_by_nature(revision: Revision) -> tuple[_Lack, ...]:
+    """What the revision's own files lack: it does not exist in this revision."""
+    return Codec(revision)._lacking
+
+
+def _lacking_line(paths: Sequence[Path | str], lacking: Sequence[_Lack], by_nature: Sequence[_Lack]) -> str:
+    names: dict[str, list[str]] = {}
+    for name, consequence in lacking:
+        if (name, consequence) not in by_nature:
+            names.setdefault(consequence, []).append(name)
+    if not names:
+        return ""
+    told = "; ".join(f"{consequence} ({', '.join(these)})" for consequence, these in names.items())
+    return f"{_files(paths)}: lacks signals of the car's interface: {told}"
+
+
 # ---------------------------------------------------------------- one message, compiled
 
 
@@ -279,6 +311,10 @@ class _Layout:
             for field in dataclasses.fields(row.image)
             if field.default is not dataclasses.MISSING
         }
+        found = {*self.slots, *self.fault_slots}
+        absent = [field for field in (*row.fields, *row.faults) if field.name not in found]
+        self.defaults.update({field.name: None for field in absent if field.none_if_absent})
+        self.lacking = [(field.signal, field.absent or _NO_VALUE) for field in absent]
         self.simple = not message.is_multiplexed() and all(
             slot.signal.byte_order == "little_endian"
             and (not slot.is_float or (slot.signal.length == 32 and slot.signal.start % 8 == 0))
@@ -309,7 +345,7 @@ class _Layout:
         except Exception as error:  # decode never raises, whatever a strange database makes cantools do
             return Decoded(None, (f"{self.message.name}: cannot be decoded: {error}",))
         problems: list[str] = []
-        values: dict[str, Any] = {"t_rx_ns": t_ns}
+        values: dict[str, Any] = {**self.defaults, "t_rx_ns": t_ns}
         believed = True
         for slot in self.slots.values():
             raw = raws.get(slot.signal.name)

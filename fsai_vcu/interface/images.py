@@ -157,10 +157,10 @@ class VcuStatus(Immutable):
 
     handshake: bool = False
     shutdown_request: bool = False
-    as_switch: bool = False
-    ts_switch: bool = False
+    as_switch: bool | None = False  # None: the database lacks the signal
+    ts_switch: bool | None = False  # so here …
     go_signal: bool = False
-    steering_status: SteeringStatus = SteeringStatus.OFF
+    steering_status: SteeringStatus | None = SteeringStatus.OFF  # … and here
     as_state: AsState = AsState.AS_OFF
     ami: Ami = Ami.NOT_SELECTED
     fault: bool = False

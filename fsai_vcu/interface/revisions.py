@@ -7,6 +7,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from fsai_vcu.interface.bus_table import BY_NAME
+
 
 class Revision(NamedTuple):
     """One revision of the car's CAN interface.
@@ -43,18 +45,29 @@ def revision(name: str) -> Revision:
 # Bits of 0x520 that only one revision names: OP_STATE, TS_STATE and EBS_STATE are four bits each (2026).
 _STATES_2026: Final = 0xF << 4 | 0xF << 28 | 0xF << 36
 _AS_STATE_BIT: Final = 16
-_READY_OR_DRIVING: Final = (2, 3)  # AS_STATE; the tractive system runs, and EBS is armed
 
 
 def told_by_status(word: int) -> tuple[str, str] | None:
     """The revision that a payload of 0x520 (eight bytes, as a little-endian number) tells, and the observation.
 
-    None where it may be of either.
+    None where it may be of either: states of 0 tell nothing, the official simulator of 2026 leaves them so.
     """
     if word & _STATES_2026:
         return "2026", "0x520 carries OP_STATE, TS_STATE or EBS_STATE"
-    if word >> _AS_STATE_BIT & 0xF in _READY_OR_DRIVING:
-        return "2021", "0x520 carries no OP_STATE, TS_STATE or EBS_STATE in AS_READY or AS_DRIVING"
+    return None
+
+
+_STATUS: Final = BY_NAME["VCU2AI_Status"]
+_SYSTEM: Final = BY_NAME["VCU_STATUS"]
+TELLING_IDS: Final = frozenset({_STATUS.can_id, _SYSTEM.can_id})
+
+
+def told_by_frame(can_id: int, data: bytes) -> tuple[str, str] | None:
+    """As `told_by_status`, of one frame of the VCU on one of `TELLING_IDS`."""
+    if can_id == _STATUS.can_id and len(data) == _STATUS.dlc:
+        return told_by_status(int.from_bytes(data, "little"))
+    if can_id == _SYSTEM.can_id and len(data) == _SYSTEM.dlc:
+        return "2021", f"{_SYSTEM} is only in 2021"
     return None
 
 

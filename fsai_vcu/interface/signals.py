@@ -6,7 +6,7 @@ Names only. Positions, widths, scales and ranges come from the signal database t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
 
 from fsai_vcu.interface.enums import (
@@ -77,9 +77,11 @@ class Refuse(Enum):
 class Field:
     """One field of an image and its signal.
 
-    `optional`: a database may lack the signal; the field then keeps its default on decoding and is left out on
-    encoding. `saturates`: a logging field, clamped to the signal's range instead of refused. For choices, `unknown` is
-    what a raw value outside the enumeration becomes, and `unremarkable` are such values that need no report.
+    `optional`: a database may lack the signal; the field is then left out on encoding, and on decoding keeps its
+    default, or is None (`none_if_absent`: where the default would say something of the car). `absent` says what
+    follows, after "not known: ". `saturates`: a logging field, clamped to the signal's range instead of refused. For
+    choices, `unknown` is what a raw value outside the enumeration becomes, and `unremarkable` are such values that need
+    no report.
     """
 
     name: str
@@ -90,6 +92,8 @@ class Field:
     choices: type[IntEnum] | None = None
     unknown: IntEnum | Refuse | None = Refuse.FRAME
     unremarkable: frozenset[int] = frozenset()
+    absent: str = ""
+    none_if_absent: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +132,16 @@ def _choice(
 
 
 def _fault(name: str, signal: str) -> Field:
-    return Field(name, signal, Kind.FLAG, optional=True)
+    return Field(name, signal, Kind.FLAG, optional=True, absent="these faults are not seen")
 
 
 def _logged(name: str, signal: str) -> Field:
-    return Field(name, signal, Kind.WHOLE, optional=True, saturates=True)
+    return Field(name, signal, Kind.WHOLE, optional=True, saturates=True, absent="not sent")
+
+
+def _told(field: Field, absent: str, *, none_if_absent: bool = False) -> Field:
+    """A field of 0x520 that the car can be driven without; `absent` says what is not known then."""
+    return replace(field, optional=True, absent=absent, none_if_absent=none_if_absent)
 
 
 def rows(wheels: WheelMapping) -> tuple[Row, ...]:
@@ -188,28 +197,38 @@ _AI_ROWS = (
     ),
 )
 
+_NO_SWITCH = "that a switch goes off is not seen"
+_NO_WARNING = "these warnings are not seen"
+_NO_STATE = "the states of the car's systems are not told"
+
 _VCU_ROWS = (
     Row(
         "VCU2AI_Status",
         VcuStatus,
         (
             _flag("handshake", "HANDSHAKE"),
-            _flag("shutdown_request", "SHUTDOWN_REQUEST"),
-            _flag("as_switch", "AS_SWITCH_STATUS"),
-            _flag("ts_switch", "TS_SWITCH_STATUS"),
+            _told(_flag("shutdown_request", "SHUTDOWN_REQUEST"), "no request to shut down is seen"),
+            _told(_flag("as_switch", "AS_SWITCH_STATUS"), _NO_SWITCH, none_if_absent=True),
+            _told(_flag("ts_switch", "TS_SWITCH_STATUS"), _NO_SWITCH, none_if_absent=True),
             _flag("go_signal", "GO_SIGNAL"),
-            _choice("steering_status", "STEERING_STATUS", SteeringStatus, SteeringStatus.OFF),
+            _told(
+                _choice("steering_status", "STEERING_STATUS", SteeringStatus, SteeringStatus.OFF),
+                "that the steering is not active is not seen",
+                none_if_absent=True,
+            ),
             _choice("as_state", "AS_STATE", AsState),
             _choice("ami", "AMI_STATE", Ami, Ami.NOT_SELECTED),
-            _flag("fault", "FAULT_STATUS"),
-            _flag("warning", "WARNING_STATUS"),
-            _flag("warn_batt_temp_high", "WARN_BATT_TEMP_HIGH", optional=True),
-            _flag("warn_batt_soc_low", "WARN_BATT_SOC_LOW", optional=True),
-            _choice("shutdown_cause", "SHUTDOWN_CAUSE", ShutdownCause, None, optional=True),
+            _told(_flag("fault", "FAULT_STATUS"), "that the VCU has found a fault is not seen"),
+            _told(_flag("warning", "WARNING_STATUS"), _NO_WARNING),
+            _told(_flag("warn_batt_temp_high", "WARN_BATT_TEMP_HIGH"), _NO_WARNING),
+            _told(_flag("warn_batt_soc_low", "WARN_BATT_SOC_LOW"), _NO_WARNING),
+            _told(
+                _choice("shutdown_cause", "SHUTDOWN_CAUSE", ShutdownCause, None), "why the car shut down is not told"
+            ),
             # The interface's tables give 255 for fault in a field of four bits: 15 and anything unknown is a fault.
-            _choice("op_state", "OP_STATE", OpState, OpState.OP_FAULT, optional=True),
-            _choice("ts_state", "TS_STATE", TsState, TsState.TS_FAULT, optional=True),
-            _choice("ebs_state", "EBS_STATE", EbsState, EbsState.EBS_FAULT, optional=True),
+            _told(_choice("op_state", "OP_STATE", OpState, OpState.OP_FAULT), _NO_STATE),
+            _told(_choice("ts_state", "TS_STATE", TsState, TsState.TS_FAULT), _NO_STATE),
+            _told(_choice("ebs_state", "EBS_STATE", EbsState, EbsState.EBS_FAULT), _NO_STATE),
         ),
         faults=(
             _fault("ai_estop_request", "AI_ESTOP_REQUEST"),

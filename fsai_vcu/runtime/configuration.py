@@ -26,6 +26,7 @@ from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.wheels import WHEELS, WheelMapping
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.toml_lines import TomlLines, line_of, words_of
+from fsai_vcu.runtime.transport import LOOPBACK, NETWORKS
 
 USUAL_PATH = Path("/etc/fsai/fsai.toml")
 SAME_AS_REVISION = "same_as_revision"
@@ -258,15 +259,7 @@ KEYS: tuple[Key, ...] = (
 _BY_PLACE = {(key.table, key.name): key for key in KEYS}
 TABLES = tuple(dict.fromkeys(key.table for key in KEYS))
 
-# Fast DDS shares memory between processes by default, and what a killed one leaves locked there can hang the others;
-# on the car processes are killed (the watchdog does), so they talk over UDP.
-_DISCOVERY = {
-    "localhost": {
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",  # as the file says
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("dds_loopback.xml")),
-    },
-    "subnet": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
-}
+_DISCOVERY = {"localhost": LOOPBACK, "subnet": NETWORKS}
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ The real-time loop and the lockstep simulation drive this same object, so what i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.interface.codec import Codec
@@ -14,7 +14,6 @@ from fsai_vcu.runtime.pacing import Pacing
 
 _STATUS_ID = 0x520  # VCU2AI_Status, which carries the handshake
 DEADLINE_MISS_NS = 50_000_000  # safety: a deadline missed by 50 ms is a fault of the loop
-CATCH_UP_NS = 10_000_000  # so late, what waits in the socket is older than it looks: it is heard before a word is said
 
 
 class Engine:
@@ -41,8 +40,18 @@ class Engine:
         self.incomplete_cycles = 0
         self._whole_ns: int | None = None  # the last cycle that was sent whole, or the first that was tried
 
+    def on_frames(self, frames: Sequence[Frame], now_ns: int) -> None:
+        """Everything that waited on the bus at `now_ns`, oldest first: all of it is received before the next answer.
+
+        `t_ns` of each is when the kernel received it: what has waited is as old as it is, and a backlog is named.
+        """
+        for frame in frames:
+            self.on_frame(frame)
+        if frames:
+            self._bridge.backlog(now_ns - frames[0].t_ns, now_ns)
+
     def on_frame(self, frame: Frame) -> None:
-        """A frame of somebody else's, at `frame.t_ns`."""
+        """A frame of somebody else's, received at `frame.t_ns`."""
         self._bridge.on_frame(frame)
         if frame.can_id == _STATUS_ID and not (frame.error or frame.extended or frame.remote):
             self._pacing.on_status(frame.t_ns)

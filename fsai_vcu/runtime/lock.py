@@ -21,7 +21,7 @@ class InterfaceLock:
     """
 
     def __init__(self, spec: str) -> None:
-        address = f"\0fsai-vcu-bridge/{':'.join(split_spec(spec))}"
+        address = _address(spec)
         try:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         except OSError as error:
@@ -32,8 +32,10 @@ class InterfaceLock:
             self._socket.close()
             if error.errno != errno.EADDRINUSE:
                 raise BusError(f"cannot lock CAN interface '{spec}': {error.strerror or error}") from error
+            pid = holder_pid(spec)
+            holder = "" if pid is None else f" (process {pid})"
             raise AlreadyRunning(
-                f"another bridge{_holder(address)} already drives '{spec}'; stop it first (one bridge per interface)"
+                f"another bridge{holder} already drives '{spec}'; stop it first (one bridge per interface)"
             ) from error
         self._socket.listen(1)
 
@@ -41,13 +43,17 @@ class InterfaceLock:
         self._socket.close()
 
 
-def _holder(address: str) -> str:
-    """' (process N)' where the kernel tells who holds the lock."""
+def holder_pid(spec: str) -> int | None:
+    """The process that drives the interface, where there is one and the kernel tells."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(0.2)
         try:
-            probe.connect(address)
-            pid = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[0]
+            probe.connect(_address(spec))
+            pid: int = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[0]
         except OSError:
-            return ""
-    return f" (process {pid})"
+            return None
+    return pid
+
+
+def _address(spec: str) -> str:
+    return f"\0fsai-vcu-bridge/{':'.join(split_spec(spec))}"

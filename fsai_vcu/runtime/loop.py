@@ -1,29 +1,27 @@
-"""The real-time loop: one thread that owns the bus, and slots through which everybody else talks to it.
+"""The real-time loop: it owns the bus, in a process that has nothing else to do.
 
-The thread waits on the socket with a deadline, never on a sleep. Whoever asks something of the bridge (a service, a
-new command) leaves it in a slot or a queue and the loop takes it up between two cycles; a reader gets the newest
-immutable report. So neither ROS, nor logging, nor a disk can stand between a received frame and its answer.
+A turn has four phases: *sleep* until a frame or a message of the edge has come or a send is due, *read* everything that
+waits, *update* the bridge with it, *write* what is due. Reports, log lines, the watchdog and the garbage collection
+come after a send. The edge (the ROS node) is at the other end of a link on which nobody waits: when it is silent its
+commands get old, and when it is gone the run ends as the table of reactions says.
 """
 
 from __future__ import annotations
 
 import gc
 import logging
-import queue
-import threading
+import select
 import time
-from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
-from fsai_vcu.runtime.engine import CATCH_UP_NS, DEADLINE_MISS_NS, Engine
+from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
+from fsai_vcu.runtime.link import Alive, Answer, Ask, Command, Deactivate, Ended, LinkEnd, LoopReport, ResetConfirmed
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
@@ -31,262 +29,272 @@ from fsai_vcu.runtime.realtime import go_real_time
 logger = logging.getLogger(__name__)
 
 _REOPEN_FIRST_S, _REOPEN_MOST_S = 0.01, 1.0  # the first pause also keeps two sends apart
-_IDLE_WAIT_S = 0.02
-_REPORT_EVERY_NS = 10_000_000
+_IDLE_WAIT_S, _BLIND_WAIT_S = 0.02, 0.001
+EDGE_HUNG_NS = 3_000_000_000  # it says once a second that it runs
 _FULL_COLLECTION_EVERY = 3000  # cycles, sent or not
-_REQUEST_TIMEOUT_S = 2.0
-_MOST_WAITING = 1000  # frames: more than a socket keeps
-_STOP_TIMEOUT_S = 10.0
 
-# What the bridge has use for; intruders on the AI's own ids are heard on purpose.
+# What the bridge has use for; intruders on the AI's own ids are received on purpose.
 RECEIVE_IDS = frozenset({0x120, *range(0x500, 0x503), *range(0x510, 0x515), *range(0x520, 0x527), *range(0x600, 0x641)})
 
 
 class BridgeLoop:
-    """Runs a Bridge on a bus in a thread of its own."""
+    """Runs a Bridge on a bus until the edge asks for the end, or is gone and the car does not drive."""
 
-    def __init__(self, bridge: Bridge, codec: Codec, bus_spec: str, *, real_time: bool = True) -> None:
+    def __init__(
+        self,
+        bridge: Bridge,
+        codec: Codec,
+        bus_spec: str,
+        link: LinkEnd,
+        *,
+        real_time: bool = True,
+        report_period_ns: int = 10_000_000,
+    ) -> None:
         """Takes the interface's lock and opens it. Raises AlreadyRunning or BusError, with one clear line each."""
         self._bridge = bridge
         self._codec = codec
         self._spec = bus_spec
+        self._link = link
         self._real_time = real_time
+        self._report_period_ns = report_period_ns
         self._notifier = Notifier()
         self._lock = InterfaceLock(bus_spec)
+        self._inputs: list[int] = []  # what a turn waits for: the descriptors of bus and edge
         try:
             self._bus: CanBus | None = self._open()
         except BaseException:
             self._lock.release()
             raise
-        self._command: VehicleCommand | None = None
-        self._requests: queue.SimpleQueue[tuple[Callable[[int], object], Future[object]]] = queue.SimpleQueue()
-        self._stop_requested = threading.Event()
         self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
-        self._report = bridge.report(time.monotonic_ns())
-        self._thread = threading.Thread(target=self._run, name="can-loop", daemon=True)
-        self._watchdog_ns = 0  # when it was last fed
+        self._edge_ns = time.monotonic_ns()  # when the edge last said anything
+        self._stopping = False
+        self._cycles = 0  # sent or not
+        self._report_ns = self._watchdog_ns = 0  # when it was last sent, and fed
         self._pause_s = _REOPEN_FIRST_S  # before the next try to open a lost bus
-        self.scheduling_refused: tuple[str, ...] = ()
-        self.failure: BaseException | None = None
-        self.reopened = 0
-        self.deadline_misses = 0
+        self._refused: tuple[str, ...] = ()
+        self._reopened = 0
+        self._deadline_misses = 0
 
-    # ------------------------------------------------------------ from any thread
-
-    def start(self) -> None:
-        """Start the loop; returns once it runs."""
-        started = threading.Event()
-        self._requests.put((lambda _now_ns: started.set(), Future()))
-        self._thread.start()
-        started.wait(_REQUEST_TIMEOUT_S)
-
-    def stop(self) -> None:
-        """Stop in order (at rest zeros and NEUTRAL; moving: brake and ESTOP_REQUEST), then fall silent. Idempotent."""
-        self._stop_requested.set()
-        if self._thread.is_alive():
-            self._thread.join(_STOP_TIMEOUT_S)
-        self._close_bus()
-        self._lock.release()
-
-    @property
-    def running(self) -> bool:
-        return self._thread.is_alive()
-
-    def submit_command(self, command: VehicleCommand) -> None:
-        """Replace the latest command; the loop reads it in its next turn."""
-        self._command = command
-
-    def confirm_reset(self, role: str, run_id: int) -> None:
-        """`role` ('planner' or 'controller') has forgotten the previous run and is ready for `run_id`."""
-        self._requests.put((lambda _now_ns: self._bridge.on_reset_confirmed(role, run_id), Future()))
-
-    def set_mode(self, mode: str) -> tuple[bool, str]:
-        return self._ask(lambda now_ns: self._bridge.set_mode(mode, now_ns))
-
-    def emergency_brake(self, why: str) -> tuple[bool, str]:
-        return self._ask(lambda now_ns: self._bridge.emergency_brake(why, now_ns), better_late=True)
-
-    def reset(self) -> tuple[bool, str]:
-        return self._ask(self._bridge.reset)
-
-    def report(self) -> BridgeReport:
-        """The newest report, at most about 10 ms old while the loop runs."""
-        return self._report
-
-    def _ask(self, question: Callable[[int], tuple[bool, str]], *, better_late: bool = False) -> tuple[bool, str]:
-        """The loop's answer. What is not answered in time is not done later behind the asker's back, unless it is
-        `better_late` than never.
-        """
-        if not self.running:
-            return False, "the CAN loop does not run: nothing is sent"
-        future: Future[object] = Future()
-        self._requests.put((question, future))
-        try:
-            answer = future.result(_REQUEST_TIMEOUT_S)
-        except FutureTimeoutError:
-            if better_late or future.cancel():
-                return False, "the CAN loop does not answer"
-            answer = future.result(_REQUEST_TIMEOUT_S)  # it is being answered at this very moment
-        assert isinstance(answer, tuple)
-        return answer
-
-    # ------------------------------------------------------------ the loop's own thread
-
-    def _open(self) -> CanBus:
-        return open_bus(self._spec, receive=RECEIVE_IDS, may_send=AI_IDS)
-
-    def _close_bus(self) -> None:
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            bus.close()
-
-    def _send(self, frame: Frame) -> bool:
-        assert self._bus is not None
-        return self._bus.send(frame)
-
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Until the end. An exception is told to the edge and ends it; nothing is raised."""
         try:
             if self._real_time:
-                self.scheduling_refused = go_real_time()
-                for sentence in self.scheduling_refused:
+                self._refused = go_real_time()
+                for sentence in self._refused:
                     logger.warning("%s", sentence)
             # Collections happen right after a send, when there is time, and never by surprise.
             gc.collect()
             gc.freeze()
             gc.disable()
-            self._engine = Engine(self._bridge, self._codec, self._send, time.monotonic_ns(), time.monotonic_ns)
+            self._engine = self._new_engine()
+            self._link.send(Answer(0, True))
             self._notifier.send("READY=1")
-            self._turns()
-        except _Stopped:
-            logger.info("stopped while the bus was gone")
+            while self._turn():
+                pass
+            self._tell_report(time.monotonic_ns(), at_once=True)
         except Exception as error:
             # The decision is the bridge's: it asks for an emergency stop if one can still be sent, else silence.
-            self.failure = error
-            self._last_words(f"{type(error).__name__}: {error}")
+            why = f"{type(error).__name__}: {error}"
+            self._last_words(why)
             logger.exception("the CAN loop failed; the car's own time-out stops it")
+            self._link.send(Ended(why))
         finally:
             gc.enable()
             gc.unfreeze()
             self._notifier.send("STOPPING=1")
             self._close_bus()
+            self._lock.release()
 
-    def _turns(self) -> None:
-        last_report_ns = 0
-        cycles = 0
-        taken: VehicleCommand | None = None
-        stopping = False
-        while True:
-            now_ns = time.monotonic_ns()
-            if self._bus is None:
-                self._reopen()
-                continue
-            due_ns = self._engine.due_ns()
-            try:
-                frame = self._bus.recv(min(max(0.0, (due_ns - now_ns) / 1e9), _IDLE_WAIT_S))
-                if frame is not None:
-                    self._engine.on_frame(frame)
-            except BusLost as lost:
-                self._lose_bus(str(lost))
-                continue
-            command = self._command
-            if command is not taken and command is not None:
-                taken = command
-                self._bridge.on_command(command, time.monotonic_ns())
-            self._answer_requests()
-            if self._stop_requested.is_set() and not stopping:
-                stopping = True
-                self._bridge.begin_stop(time.monotonic_ns())
-            now_ns = time.monotonic_ns()
-            due_ns = self._engine.due_ns()
-            missed = self._missed(due_ns, now_ns)
-            try:
-                if now_ns - due_ns >= CATCH_UP_NS:
-                    self._catch_up()
-                    now_ns = time.monotonic_ns()
-                sent = self._engine.poll(now_ns)
-            except BusLost as lost:
-                self._lose_bus(str(lost))
-                continue
-            unsent_ns = self._engine.unsent_ns(now_ns)
-            if sent and unsent_ns >= self._bridge.config.send_lost_ns:
-                self._lose_bus(f"{self._spec}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms")
-                continue
-            if sent and not missed:
-                missed = self._missed(due_ns, time.monotonic_ns())  # made in time, but left late
-            if now_ns - last_report_ns >= _REPORT_EVERY_NS:
-                last_report_ns = now_ns
-                self._report = self._bridge.report(now_ns)
-            if sent:
-                if not missed:
-                    self._feed_watchdog(now_ns)
-                if self._engine.cycles > self._engine.incomplete_cycles or self._bridge.config.listen_only:
-                    self._pause_s = _REOPEN_FIRST_S  # the bus works again
-                cycles += 1
-                gc.collect(2 if cycles % _FULL_COLLECTION_EVERY == 0 else 0)
-            if stopping and self._bridge.stopped:
-                self._report = self._bridge.report(now_ns)
-                return
+    # ------------------------------------------------------------ a turn
 
-    def _catch_up(self) -> None:
-        """After a pause, hear everything that has waited: the oldest frame of it says nothing about now."""
-        assert self._bus is not None
-        for _ in range(_MOST_WAITING):
-            frame = self._bus.recv(0.0)
-            if frame is None:
-                return
-            self._engine.on_frame(frame)
+    def _turn(self) -> bool:
+        """One turn; False once the orderly end is over."""
+        if self._bus is None:
+            return self._reopen()
+        try:
+            self._sleep((self._engine.due_ns() - time.monotonic_ns()) / 1e9)
+            # Before anything is read: a deadline was missed in the state that the car was known to be in.
+            now_ns = time.monotonic_ns()
+            missed = self._missed(self._engine.due_ns(), now_ns)
+            self._update(self._bus.drain(), now_ns)
+            sent = self._write(missed)
+        except BusLost as lost:
+            self._lose_bus(str(lost))
+            return True
+        if sent:
+            self._after_send()
+        return not (self._stopping and self._bridge.stopped)
+
+    def _sleep(self, most_s: float) -> None:
+        """Until something has come, or `most_s` have passed."""
+        if most_s > 0.0:
+            select.select(self._inputs, [], [], min(most_s, self._longest_wait_s))
+
+    def _update(self, frames: list[Frame], now_ns: int) -> None:
+        """Everything that has come goes into the bridge: the car's frames, then the edge's words."""
+        self._engine.on_frames(frames, now_ns)
+        self._hear_edge(now_ns)
+
+    def _hear_edge(self, now_ns: int) -> None:
+        if self._link.closed:
+            self._edge_is_gone(now_ns)
+            return
+        command: VehicleCommand | None = None
+        for message in self._link.receive():
+            self._edge_ns = now_ns
+            match message:
+                case Alive():
+                    pass
+                case Command():
+                    command = message.command
+                case ResetConfirmed():
+                    self._bridge.on_reset_confirmed(message.role, message.run_id)
+                case Ask():
+                    self._answer(message, now_ns)
+                case Deactivate():
+                    self._begin_stop(now_ns)
+                case _:
+                    logger.error("the edge says what nobody understands here: %r", message)
+        if command is not None:
+            self._bridge.on_command(command, now_ns)
+        if self._link.closed:
+            self._wait_for(-1 if self._bus is None else self._bus.fileno())  # its end would wake every turn
+
+    def _answer(self, ask: Ask, now_ns: int) -> None:
+        """What is not answered in time is not done later behind the asker's back, unless it is better late."""
+        if now_ns >= ask.until_ns and not ask.better_late:
+            self._link.send(Answer(ask.number, False, "the CAN loop was late: nothing was done"))
+            return
+        match ask.what:
+            case "set_mode":
+                accepted, message = self._bridge.set_mode(ask.argument, now_ns)
+            case "emergency_brake":
+                accepted, message = self._bridge.emergency_brake(ask.argument, now_ns)
+            case "reset":
+                accepted, message = self._bridge.reset(now_ns)
+            case _:
+                accepted, message = False, f"unknown request '{ask.what}'"
+        self._link.send(Answer(ask.number, accepted, message))
+
+    def _edge_is_gone(self, now_ns: int) -> None:
+        """Its commands get old, and the table of reactions stops the car. When that is over there is nothing to do."""
+        report = self._bridge.report(now_ns)
+        if report.run.as_state is not AsState.AS_DRIVING or report.vcu_lost:
+            self._begin_stop(now_ns)
+
+    def _begin_stop(self, now_ns: int) -> None:
+        if not self._stopping:
+            self._stopping = True
+            self._bridge.begin_stop(now_ns)
+
+    def _write(self, missed: bool) -> bool:
+        """Send what is due. True if a cycle was due, sent whole or not. `missed`: its deadline was missed already."""
+        now_ns = time.monotonic_ns()
+        due_ns = self._engine.due_ns()
+        missed = missed or self._missed(due_ns, now_ns)
+        sent = self._engine.poll(now_ns)
+        if not sent:
+            return False
+        unsent_ns = self._engine.unsent_ns(now_ns)
+        if unsent_ns >= self._bridge.config.send_lost_ns:
+            raise BusLost(f"{self._spec}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms")
+        if not missed and not self._missed(due_ns, time.monotonic_ns()):  # made in time, it may have left late
+            self._feed_watchdog(now_ns)
+        if self._engine.cycles > self._engine.incomplete_cycles or self._bridge.config.listen_only:
+            self._pause_s = _REOPEN_FIRST_S  # the bus works again
+        return True
 
     def _missed(self, due_ns: int, now_ns: int) -> bool:
         """Whether what was due is so late that the bridge must know."""
         late_ns = now_ns - due_ns
         if late_ns < DEADLINE_MISS_NS:
             return False
-        self.deadline_misses += 1
+        self._deadline_misses += 1
         self._bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
         return True
 
+    def _after_send(self) -> None:
+        """What may take its time, right after a send."""
+        self._tell_report(time.monotonic_ns())
+        self._cycles += 1
+        gc.collect(2 if self._cycles % _FULL_COLLECTION_EVERY == 0 else 0)
+
+    def _tell_report(self, now_ns: int, *, at_once: bool = False) -> None:
+        if at_once or now_ns - self._report_ns >= self._report_period_ns:
+            self._report_ns = now_ns
+            report = self._bridge.report(now_ns)
+            self._link.send(LoopReport(report, self._reopened, self._deadline_misses, self._refused))
+
     def _feed_watchdog(self, now_ns: int) -> None:
         period_ns = self._notifier.watchdog_period_ns
+        if now_ns - self._edge_ns >= EDGE_HUNG_NS and self._bridge.run.as_state is not AsState.AS_DRIVING:
+            return  # both are started anew; but a car that drives is braked to rest before
         if period_ns and now_ns - self._watchdog_ns >= period_ns:
             self._watchdog_ns = now_ns
             self._notifier.send("WATCHDOG=1")
 
-    def _answer_requests(self) -> None:
-        while True:
-            try:
-                question, future = self._requests.get_nowait()
-            except queue.Empty:
-                return
-            if future.set_running_or_notify_cancel():
-                future.set_result(question(time.monotonic_ns()))
+    # ------------------------------------------------------------ the bus comes and goes
+
+    def _open(self) -> CanBus:
+        bus = open_bus(self._spec, receive=RECEIVE_IDS, may_send=AI_IDS)
+        descriptor = bus.fileno()
+        self._wait_for(descriptor)
+        # Where there is nothing to wait on, frames are looked for in short steps.
+        self._longest_wait_s = _IDLE_WAIT_S if descriptor >= 0 else _BLIND_WAIT_S
+        return bus
+
+    def _wait_for(self, bus: int = -1) -> None:
+        edge = -1 if self._link.closed else self._link.fileno()
+        self._inputs = [descriptor for descriptor in (bus, edge) if descriptor >= 0]
+
+    def _close_bus(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
+        self._wait_for()
+
+    def _send(self, frame: Frame) -> bool:
+        assert self._bus is not None
+        return self._bus.send(frame)
+
+    def _new_engine(self) -> Engine:
+        return Engine(self._bridge, self._codec, self._send, time.monotonic_ns(), time.monotonic_ns)
 
     def _lose_bus(self, why: str) -> None:
         # A bus that opens and takes nothing is lost again and again: told once.
         logger.log(logging.ERROR if self._pause_s == _REOPEN_FIRST_S else logging.DEBUG, "bus lost: %s", why)
         self._close_bus()
-        self._bridge.bus_lost(why, time.monotonic_ns())
-        self._report = self._bridge.report(time.monotonic_ns())
-
-    def _reopen(self) -> None:
-        """Try until the interface is back or a stop is asked for. The pauses grow until a cycle has been sent whole."""
-        first = self._pause_s == _REOPEN_FIRST_S
-        while self._bus is None and not self._stop_requested.wait(self._pause_s):
-            self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
-            try:
-                self._bus = self._open()
-            except BusError as error:
-                logger.debug("%s", error)
-                now_ns = time.monotonic_ns()
-                self._answer_requests()
-                self._report = self._bridge.report(now_ns)
-                self._feed_watchdog(now_ns)  # a bus that is gone is no hang, and a restart would not bring it back
-        if self._bus is None:
-            raise _Stopped
         now_ns = time.monotonic_ns()
-        self.reopened += 1
-        self._engine = Engine(self._bridge, self._codec, self._send, now_ns, time.monotonic_ns)
+        self._bridge.bus_lost(why, now_ns)
+        self._tell_report(now_ns, at_once=True)
+
+    def _reopen(self) -> bool:
+        """Try to open the bus again, after a pause in which the edge is still listened to.
+
+        The pauses grow until a cycle has been sent whole. False when a stop is asked for: nobody is left to be told.
+        """
+        first = self._pause_s == _REOPEN_FIRST_S
+        until_ns = time.monotonic_ns() + round(self._pause_s * 1e9)
+        self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
+        while (left_ns := until_ns - (now_ns := time.monotonic_ns())) > 0:
+            self._hear_edge(now_ns)
+            if self._stopping:
+                logger.info("stopped while the bus was gone")
+                return False
+            self._sleep(left_ns / 1e9)
+        now_ns = time.monotonic_ns()
+        try:
+            self._bus = self._open()
+        except BusError as error:
+            logger.debug("%s", error)
+            self._tell_report(now_ns, at_once=True)
+            self._feed_watchdog(now_ns)  # a bus that is gone is no hang, and a restart would not bring it back
+            return True
+        self._reopened += 1
+        self._engine = self._new_engine()
         self._bridge.bus_back(now_ns)
         logger.log(logging.WARNING if first else logging.DEBUG, "bus back: %s", self._spec)
+        return True
 
     def _last_words(self, why: str) -> None:
         """One attempt at an emergency request after a failure of the loop itself."""
@@ -297,10 +305,6 @@ class BridgeLoop:
             if command is not None and self._bus is not None:
                 for frame in self._codec.encode_command(command):
                     self._bus.send(frame)
-            self._report = self._bridge.report(now_ns)
+            self._tell_report(now_ns, at_once=True)
         except Exception:
             logger.exception("no emergency request could be sent; silence stops the car after 100 ms")
-
-
-class _Stopped(Exception):
-    """A stop was asked for while the bus was gone: there is nobody to say goodbye to."""

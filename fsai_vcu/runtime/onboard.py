@@ -3,15 +3,15 @@
 It is the same engine, bridge, planner and controller that run on the car; only the clock is an argument, and the
 delay between a sensor's instant and the plan's arrival is a number instead of a process.
 
-On the car each of the three is a process, and processes fail: they hang, end and are started again, and the bus under
-them fills up or goes. All of that can be done to them here as well, with the effect it has there.
+On the car planner and controller are processes, and the bridge is two: the loop that owns the bus, and its edge to ROS.
+Processes fail: they hang, end and are started again, and the bus under them fills up or goes. All of that can be done
+to them here as well, with the effect it has there.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -21,8 +21,9 @@ from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.vehicle.odometry import MotionHistory
 from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.engine import CATCH_UP_NS, DEADLINE_MISS_NS, Engine
+from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
 
 CONTROL_PERIOD_NS = 20_000_000  # 50 Hz, as the controller's node
 PERCEPTION_DELAY_NS = 40_000_000  # from the sensor's instant to the planner's input, as measured between the nodes
@@ -56,10 +57,12 @@ class OnboardComputer:
         self.planner_running = True
         self.controller_running = True
         self.bridge_running = True
+        self.edge_running = True
         self._hung_until_ns: int | None = None
+        self._edge_hung_until_ns: int | None = None
         self._unread: deque[Frame] = deque()
-        self._slot: VehicleCommand | None = None  # the newest command that a hanging bridge has not read
-        self._last_report: BridgeReport | None = None  # what a hanging bridge published last
+        self._slot: VehicleCommand | None = None  # the newest command that a hanging loop or edge has not read
+        self._last_report: BridgeReport | None = None  # what was published last before a hang
         self._bus_up = True
         self._reopen_ns: int | None = None  # when the loop next tries to open a bus that took nothing
         self._pause_ns = REOPEN_FIRST_NS
@@ -101,6 +104,11 @@ class OnboardComputer:
         if now_ns >= self._next_control_ns:
             self._next_control_ns += CONTROL_PERIOD_NS
             self._control(now_ns)
+        if self._edge_hung_until_ns is not None and now_ns >= self._edge_hung_until_ns:
+            self._edge_hung_until_ns = None
+            if self._slot is not None and self._hung_until_ns is None and self.bridge_running:
+                self.bridge.on_command(self._slot, now_ns)
+                self._slot = None
         if self.confine_failures:
             self._confined("bridge", lambda: self._turn(now_ns))
         else:
@@ -117,8 +125,10 @@ class OnboardComputer:
         if self._hung_until_ns is not None:
             if now_ns >= self._hung_until_ns:
                 self._hung_until_ns = None
-                self._catch_up(now_ns)
+                self._wake(now_ns)
         elif self.bridge_running:
+            if not self.edge_running:
+                self._after_the_edge(now_ns)
             if self._reopen_ns is not None and now_ns >= self._reopen_ns:
                 self._reopen_ns = None
                 self.find_bus(now_ns)
@@ -137,25 +147,27 @@ class OnboardComputer:
         elif sent and engine.cycles > engine.incomplete_cycles:
             self._pause_ns = REOPEN_FIRST_NS
 
-    def _catch_up(self, now_ns: int) -> None:
-        """The loop goes on after a pause: it is as late as it is, and hears all that has waited before it speaks."""
+    def _wake(self, now_ns: int) -> None:
+        """The loop goes on after a pause: as late as it is, it reads all that has waited before it speaks."""
         waiting, self._unread = self._unread, deque()
         if not (self.bridge_running and self._bus_up):
             return
-        engine = self._engine
-        if waiting:
-            engine.on_frame(replace(waiting[0], t_ns=now_ns))  # the loop stamps a frame when it reads it
+        late_ns = now_ns - self._engine.due_ns()
+        if late_ns >= DEADLINE_MISS_NS:
+            self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
+        self._engine.on_frames(tuple(waiting), now_ns)
         if self._slot is not None:
             self.bridge.on_command(self._slot, now_ns)
             self._slot = None
-        late_ns = now_ns - engine.due_ns()
-        if late_ns >= DEADLINE_MISS_NS:
-            self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
-        for frame in list(waiting)[1:]:
-            if late_ns < CATCH_UP_NS:
-                self._poll(now_ns)  # between two frames, as always
-            engine.on_frame(replace(frame, t_ns=now_ns))
         self._poll(now_ns)
+
+    def _after_the_edge(self, now_ns: int) -> None:
+        """The edge's process is gone: its commands get old, and when the car does not drive any more the loop ends."""
+        report = self.report()
+        if report.run.as_state is not AsState.AS_DRIVING or report.vcu_lost:
+            self.bridge.begin_stop(now_ns)
+        if self.bridge.stopped:
+            self.bridge_running = False
 
     def _confined(self, process: str, work: Callable[[], object]) -> None:
         """Do `work`; what it raises ends its process, as it does on the car."""
@@ -175,23 +187,39 @@ class OnboardComputer:
         return self._engine.due_ns()
 
     def hang_bridge(self, until_ns: int) -> None:
-        """The bridge's process is stopped until then; what the bus brings meanwhile waits in its socket."""
-        if self._hung_until_ns is None:
+        """The loop's process is stopped until then; what the bus brings meanwhile waits in its socket."""
+        if not self._hangs:
             self._last_report = self.report()
         self._hung_until_ns = until_ns
 
+    def hang_edge(self, until_ns: int) -> None:
+        """The edge's process is stopped until then: no command reaches the loop, and no report gets out."""
+        if not self._hangs:
+            self._last_report = self.report()
+        self._edge_hung_until_ns = until_ns
+
+    @property
+    def _hangs(self) -> bool:
+        return self._hung_until_ns is not None or self._edge_hung_until_ns is not None
+
     def kill_bridge(self) -> None:
-        """The bridge's process ends without a word."""
+        """The loop's process ends without a word."""
         self.bridge_running = False
         self._unread.clear()
         self._slot = None
 
+    def kill_edge(self) -> None:
+        """The edge's process ends without a word; the loop is left alone."""
+        self.edge_running = False
+        self._edge_hung_until_ns = None
+        self._slot = None
+
     def start_bridge(self, bridge: Bridge, now_ns: int) -> None:
-        """A new process of the bridge begins."""
+        """A new edge begins, and a new loop with it."""
         self.bridge = bridge
         self._engine = Engine(bridge, self._codec, self._send, now_ns)
-        self.bridge_running = True
-        self._hung_until_ns = None
+        self.bridge_running = self.edge_running = True
+        self._hung_until_ns = self._edge_hung_until_ns = None
 
     def lose_bus(self, why: str, now_ns: int) -> None:
         """Bus-off, or the interface is down: nothing is heard and nothing sent until `find_bus`."""
@@ -226,10 +254,9 @@ class OnboardComputer:
         self.plan = plan if self.plan_filter is None else self.plan_filter(plan, now_ns)
 
     def _control(self, now_ns: int) -> None:
-        if not self.bridge_running:
+        if not (self.bridge_running and self.edge_running):
             return  # without the bridge's state nothing is planned, and there is nobody to take a command
-        hung = self._hung_until_ns is not None
-        report = self._last_report if hung and self._last_report is not None else self.report()
+        report = self._last_report if self._hangs and self._last_report is not None else self.report()
         if self.confine_failures:
             self._confined("planner", lambda: self._inform_planner(report))
             self._confined("controller", lambda: self._command(report, now_ns))
@@ -273,7 +300,7 @@ class OnboardComputer:
         filtered = command if self.command_filter is None else self.command_filter(command, now_ns)
         if filtered is None:
             return
-        if self._hung_until_ns is not None:
+        if self._hangs:
             self._slot = filtered
         else:
             self.bridge.on_command(filtered, now_ns)

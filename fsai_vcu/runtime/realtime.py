@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import os
 import resource
-import sys
-from pathlib import Path
 
 FIFO_PRIORITY = 45  # above ordinary threads, below the kernel's own interrupt threads (50)
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT: pages stay once touched; untouched thread stacks are not filled.
 _MCL_FLAGS = 1 | 2 | 4
-_SWITCH_INTERVAL_S = 0.0005  # how long another Python thread may keep the interpreter from the loop
 
 
 def go_real_time(priority: int = FIFO_PRIORITY) -> tuple[str, ...]:
-    """SCHED_FIFO for the calling thread and, just below it, the process's others; memory locked.
+    """SCHED_FIFO for the calling thread; the process's memory locked.
 
     Returns what was not allowed, in words.
     """
     refused = []
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
-        for thread in Path("/proc/self/task").iterdir():
-            # The others too, just below: one that is put aside while it holds the interpreter would hold the loop up.
-            with contextlib.suppress(ProcessLookupError):
-                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority - 5))
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (PermissionError, OSError) as error:
         refused.append(

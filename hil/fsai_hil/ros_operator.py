@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from fsai_hil.stack import ROS_ENVIRONMENT, Stack, StackError
+from fsai_hil.stack import Stack, StackError
+from fsai_vcu.runtime.transport import LOOPBACK, VARIABLES
 
 ANSWER_TIMEOUT_S = 20.0
 ASK_AGAIN_S = 1.0
@@ -21,7 +22,9 @@ class RosOperator:
     def __init__(self, stack: Stack, name: str = "operator") -> None:
         self._stack = stack
         # rclpy reads its environment once, when it is first initialised.
-        os.environ.update({key: stack.environ[key] for key in ROS_ENVIRONMENT})
+        for name in VARIABLES:
+            os.environ.pop(name, None)
+        os.environ.update({name: stack.environ[name] for name in ("ROS_DOMAIN_ID", *LOOPBACK)})
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from fsai_msgs.action import RunMission

@@ -15,7 +15,8 @@ import numpy as np
 
 from fsai_hil.car import Pose
 from fsai_hil.tracks import Track
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Floats, Ints
+from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.driving import ConeColor, ConeObservation
 from fsai_vcu.interface.immutable import Immutable
 
 COLOURED: Final = np.array([ConeColor.BLUE, ConeColor.YELLOW, ConeColor.ORANGE, ConeColor.BIG_ORANGE], dtype=np.int64)

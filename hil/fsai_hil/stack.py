@@ -13,13 +13,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from fsai_vcu.runtime.transport import loopback_environment
+
 NODES = ("vcu_bridge", "sensor_simulator", "cone_detector", "path_planner", "vehicle_controller")
 # Half as often as on the car: half the wake-ups, and those are what a slow machine spends its time on.
 SLOW_PLACE: Mapping[str, Mapping[str, object]] = {
     "vcu_bridge": {"publish_rate_hz": 25.0},
     "sensor_simulator": {"rate_hz": 10.0},
 }
-ROS_ENVIRONMENT = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_BUILTIN_TRANSPORTS")
 STOP_TIMEOUT_S = 15.0
 _POLL_S = 0.02
 
@@ -137,14 +138,11 @@ class Stack:
         if slow_place:
             for name, parameters in SLOW_PLACE.items():
                 self._parameters[name] |= parameters
-        self.environ = dict(
-            os.environ,
-            ROS_DOMAIN_ID=str(self.domain_id),
-            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
-            # Processes are killed here on purpose: no memory shared between them may be left locked by the dead.
-            FASTDDS_BUILTIN_TRANSPORTS="UDPv4",
-            PYTHONUNBUFFERED="1",
-        )
+        self.environ = {
+            **loopback_environment(os.environ),
+            "ROS_DOMAIN_ID": str(self.domain_id),
+            "PYTHONUNBUFFERED": "1",
+        }
 
     def start(self, name: str, argv: Sequence[str], *, stdin: int | None = subprocess.DEVNULL) -> RunningProcess:
         """Start `argv` under `name`; its output goes to NAME.log in the folder."""

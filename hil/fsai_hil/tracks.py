@@ -20,7 +20,8 @@ from typing import Final
 import numpy as np
 
 from fsai_hil.car import Pose
-from fsai_vcu.core.driving import ConeColor, Floats, Ints
+from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import Immutable
 

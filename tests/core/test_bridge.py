@@ -18,7 +18,8 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, MissionStatus, ShutdownCause, TsState
+from fsai_vcu.interface.database import dbc_dir
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiCommand,
@@ -27,6 +28,7 @@ from fsai_vcu.interface.images import (
     VcuDriveRear,
     VcuStatus,
     VcuSteer,
+    VcuSystemStatus,
     WheelCounts,
     WheelSpeeds,
 )
@@ -604,14 +606,25 @@ def test_an_intruder_stands_between_now_and_driving_for_as_long_as_he_is_heard_a
     assert rig.bridge.report(heard_ns + 5 * S).reason_details == {"intruder": "0x512 [00 00 00 00]"}
 
 
+def test_the_report_says_what_the_database_lacks() -> None:
+    codec = Codec(revision("2026"), [dbc_dir() / "ads_dv_2026.dbc"])
+    assert "GPS_Status" in Bridge(codec, revision("2026"), ADS_DV_2026).report(0).unknown
+
+
 def bridge_of(ours: str) -> Bridge:
     return Bridge(codec_of(ours), revision(ours), ADS_DV_2026)
 
 
-def status_of(theirs: str, as_state: AsState, t_ns: int) -> Frame:
-    """As a car of a revision says it, with a tractive system that runs where the revision has a word for that."""
-    states = {"ts_state": TsState.TS_RUNNING, "ebs_state": EbsState.EBS_ARMED} if theirs == "2026" else {}
-    return codec_of(theirs).encode(VcuStatus(as_state=as_state, **states, t_rx_ns=t_ns))
+def telling_of(theirs: str, t_ns: int) -> Frame:
+    """What only a car of that revision says: VCU_STATUS, or a tractive system that runs."""
+    if theirs == "2021":
+        return codec_of(theirs).encode(VcuSystemStatus(t_rx_ns=t_ns))
+    return codec_of(theirs).encode(VcuStatus(as_state=READY, ts_state=TsState.TS_RUNNING, t_rx_ns=t_ns))
+
+
+def plain_status(as_state: AsState, t_ns: int) -> Frame:
+    """OP_STATE, TS_STATE and EBS_STATE are 0: of a car of 2021, or of the official simulator of 2026."""
+    return codec_of("2021").encode(VcuStatus(as_state=as_state, t_rx_ns=t_ns))
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
@@ -623,18 +636,36 @@ def test_a_car_of_another_revision_is_named_from_its_tenth_frame_until_it_speaks
 
     for frame in range(1, 11):
         assert not said(frame * CYCLE)
-        bridge.on_frame(status_of(theirs, READY, frame * CYCLE))
+        bridge.on_frame(telling_of(theirs, frame * CYCLE))
+        bridge.on_frame(plain_status(READY, frame * CYCLE))
     assert said(10 * CYCLE) and f"this bridge {ours}" in " ".join(bridge.report(10 * CYCLE).problem_counts)
-    bridge.on_frame(status_of(ours, READY, 11 * CYCLE))
+    bridge.on_frame(telling_of(ours, 11 * CYCLE))
     assert not said(11 * CYCLE)
+
+
+@pytest.mark.parametrize("ours", ["2021", "2026"])
+def test_states_that_are_0_name_no_other_revision(ours: str) -> None:
+    bridge = bridge_of(ours)
+    for frame in range(1, 100):
+        bridge.on_frame(plain_status(READY if frame < 50 else DRIVING, frame * CYCLE))
+    assert not bridge.report(100 * CYCLE).problem_counts
+
+
+@pytest.mark.parametrize("data", [bytes(7), b""])
+@pytest.mark.parametrize("can_id", [0x120, 0x520])
+def test_a_frame_of_another_length_tells_no_revision(can_id: int, data: bytes) -> None:
+    bridge = bridge_of("2026")
+    for frame in range(1, 100):
+        bridge.on_frame(Frame(can_id, data, frame * CYCLE))
+    assert not any("speaks" in each for each in bridge.report(100 * CYCLE).problem_counts)
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
 def test_nine_frames_of_another_revision_between_frames_of_ours_name_no_other(ours: str, theirs: str) -> None:
     bridge = bridge_of(ours)
     for frame in range(1, 100):
-        bridge.on_frame(status_of(ours if frame % 10 == 0 else theirs, READY, frame * CYCLE))
-        bridge.on_frame(status_of("2021", AsState.AS_OFF, frame * CYCLE + 1))  # either may say that
+        bridge.on_frame(telling_of(ours if frame % 10 == 0 else theirs, frame * CYCLE))
+        bridge.on_frame(plain_status(AsState.AS_OFF, frame * CYCLE + 1))  # either may say that
     assert not bridge.report(100 * CYCLE).problem_counts
 
 

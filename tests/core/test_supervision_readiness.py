@@ -310,6 +310,10 @@ def answer(
 GO = "waiting for Go"
 
 
+def test_what_the_database_lacks_is_not_said_to_be_off() -> None:
+    assert answer(status={"as_switch": None, "ts_switch": None, "steering_status": None}) == (GO,)
+
+
 def test_in_as_ready_the_rest_of_5_s_is_told() -> None:
     for since_ns, left in (
         (NOW - 5 * S, ()),

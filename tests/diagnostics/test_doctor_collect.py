@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import grp
 import os
 import socket
@@ -12,6 +13,7 @@ import pytest
 
 from fsai_vcu.diagnostics.doctor import collect
 from fsai_vcu.diagnostics.doctor.collect import (
+    dds_leftovers,
     distribution_of,
     file_problems,
     link_of,
@@ -147,6 +149,19 @@ def test_the_kernels_own_tables_are_understood() -> None:
         proc = Path("/proc")
         found = [str(address) for address in listening_addresses(proc / str(os.getpid()), proc)]
     assert found.count("127.0.0.1") >= 2
+
+
+def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path) -> None:
+    port_files = ("fastrtps_port7410", "fastrtps_port7410_sl", "sem.fastrtps_port7410_mutex")
+    names = ("fastrtps_0a", "fastrtps_0a_el", *port_files)
+    for name in (*names, "somebody_elses"):
+        (tmp_path / name).touch()
+    with (tmp_path / "fastrtps_0a_el").open() as segment, (tmp_path / "fastrtps_port7410_sl").open() as port:
+        fcntl.flock(segment, fcntl.LOCK_EX)
+        assert dds_leftovers(folder=tmp_path) == tuple(str(tmp_path / name) for name in port_files)
+        fcntl.flock(port, fcntl.LOCK_SH)
+        assert dds_leftovers(folder=tmp_path) == ()
+    assert dds_leftovers(folder=tmp_path) == tuple(str(tmp_path / name) for name in names)
 
 
 @pytest.mark.parametrize(
@@ -307,11 +322,11 @@ def test_the_bridges_own_environment_goes_before_the_one_the_doctor_has(
 
 
 @pytest.mark.parametrize(("locked_kib", "locked"), [(0, False), (81920, True)])
-def test_the_bridges_most_urgent_thread_is_the_one_that_counts_and_its_memory_is_locked_or_not(
+def test_the_loops_most_urgent_thread_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locked_kib: int, locked: bool
 ) -> None:
-    proc = Proc(tmp_path)
-    priorities = {78: 0, 79: 45}  # a thread of DDS's, and the loop
+    proc = Proc(tmp_path, "fsai_vcu.runtime.loop_process")
+    priorities = {78: 0, 79: 45}
     for thread in priorities:
         (proc.process / "task" / str(thread)).mkdir(parents=True)
     (proc.process / "status").write_text(f"Name:\tpython\nVmLck:\t   {locked_kib} kB\n")
@@ -322,7 +337,7 @@ def test_the_bridges_most_urgent_thread_is_the_one_that_counts_and_its_memory_is
     assert collect._scheduling(tmp_path) == Scheduling("SCHED_FIFO", 45, locked)
 
 
-def test_where_no_bridge_runs_its_scheduling_is_not_made_up(tmp_path: Path) -> None:
+def test_where_no_loop_runs_its_scheduling_is_not_made_up(tmp_path: Path) -> None:
     assert collect._scheduling(tmp_path) is None
 
 

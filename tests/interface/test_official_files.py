@@ -189,6 +189,59 @@ def test_the_official_hil_file_with_all_its_quirks_at_once(codec_of: Callable[[s
     assert codec.decode(codec.encode(AiSteer(-1.5))).image == AiSteer(-1.5)
 
 
+LOGGED = ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND")
+TOLD = ("SHUTDOWN_REQUEST", "AS_SWITCH_STATUS", "TS_SWITCH_STATUS", "STEERING_STATUS", "FAULT_STATUS", "WARNING_STATUS")
+
+
+def test_a_file_without_21_signals_is_taken_and_they_are_named(codec_of: Callable[[str], Codec]) -> None:
+    missing = [*FAULTS, "SHUTDOWN_CAUSE", "FAULT_STATUS", "WARNING_STATUS", "WARN_BATT_TEMP_HIGH", "WARN_BATT_SOC_LOW"]
+    text = OURS
+    for can_id, names in ((0x510, LOGGED), (0x520, missing)):
+        for name in names:
+            text = without_signal(text, can_id, name)
+    codec = codec_of(text)
+    assert len([*LOGGED, *missing]) == 21
+    assert all(re.search(rf"\b{name}\b", codec.unknown) for name in [*LOGGED, *missing])
+    assert "that the VCU has found a fault is not seen (FAULT_STATUS)" in codec.unknown
+    assert "not sent (LAP_COUNTER, " in codec.unknown
+    assert "\n" not in codec.unknown and codec.unknown.count("official.dbc") == 1
+    assert not any(name in codec.unknown for name in ("HANDSHAKE", "OP_STATE", "GPS", "VCU_STATUS"))
+
+
+def test_what_a_file_lacks_is_decoded_as_idle_or_as_none(codec_of: Callable[[str], Codec]) -> None:
+    text = OURS
+    for name in TOLD:
+        text = without_signal(text, 0x520, name)
+    image = codec_of(text).decode(Frame(0x520, bytes.fromhex("013F030300000000"))).image
+    assert isinstance(image, VcuStatus)
+    assert (image.handshake, image.go_signal, image.as_state) == (True, True, AsState.AS_DRIVING)
+    assert (image.shutdown_request, image.fault, image.warning) == (False, False, False)
+    assert (image.as_switch, image.ts_switch, image.steering_status) == (None, None, None)
+
+
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_nothing_is_unknown_with_the_revisions_own_signals(name: str) -> None:
+    """What a revision never had is not missing: 2021 has no OP_STATE, 2026 no VCU_STATUS."""
+    assert Codec(revision(name)).unknown == ""
+    assert Codec(revision(name), [dbc_dir() / file for file in revision(name).dbc_files]).unknown == ""
+
+
+def test_messages_that_a_file_lacks_are_named() -> None:
+    codec = Codec(REVISION, [dbc_dir() / "ads_dv_2026.dbc"])
+    assert re.fullmatch(r".*ads_dv_2026\.dbc: lacks .*: these messages are not read \(.*GPS_Status.*\)", codec.unknown)
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_a_multiplexed_status_reads_what_it_lacks_alike(codec_of: Callable[[str], Codec], name: str) -> None:
+    """The careful path and the compiled one say the same."""
+    compiled = codec_of(without_signal(OURS, 0x520, name))
+    careful = codec_of(
+        without_signal(OURS, 0x520, name).replace("SG_ WARN_BATT_SOC_LOW : 33|1@1+", "SG_ WARN_BATT_SOC_LOW : 33|1@0+")
+    )
+    wire = Frame(0x520, bytes.fromhex("013F030300000000"))
+    assert careful.decode(wire).image == compiled.decode(wire).image
+
+
 @pytest.mark.parametrize("suffix", ["_Nm", "_rpm"])
 def test_signals_are_found_under_a_name_with_a_unit(codec_of: Callable[[str], Codec], suffix: str) -> None:
     text = with_names(OURS, "FRONT_AXLE_TRQ", "FRONT_AXLE_TRQ" + suffix)
@@ -346,9 +399,24 @@ def test_another_cars_database_is_refused() -> None:
         Codec(REVISION, [GPS])
 
 
-def test_a_database_without_a_needed_signal_is_refused(codec_of: Callable[[str], Codec]) -> None:
-    with pytest.raises(DatabaseError, match="AI2VCU_Status has no signal HANDSHAKE"):
-        codec_of(without_signal(OURS, 0x510, "HANDSHAKE"))
+@pytest.mark.parametrize(
+    ("can_id", "signal"),
+    [
+        *((0x510, name) for name in ("HANDSHAKE", "ESTOP_REQUEST", "MISSION_STATUS", "DIRECTION_REQUEST")),
+        *((0x511, name) for name in ("FRONT_AXLE_TRQ_REQUEST", "FRONT_MOTOR_SPEED_MAX")),
+        *((0x512, name) for name in ("REAR_AXLE_TRQ_REQUEST", "REAR_MOTOR_SPEED_MAX")),
+        (0x513, "STEER_REQUEST"),
+        *((0x514, name) for name in ("HYD_PRESS_F_REQ_pct", "HYD_PRESS_R_REQ_pct")),
+        *((0x520, name) for name in ("HANDSHAKE", "AS_STATE", "AMI_STATE", "GO_SIGNAL")),
+        *((0x523, name) for name in ("ANGLE", "ANGLE_MAX")),
+        *((0x525, name) for name in ("FL_WHEEL_SPEED", "FR_WHEEL_SPEED", "RL_WHEEL_SPEED", "RR_WHEEL_SPEED")),
+    ],
+)
+def test_a_database_without_a_needed_signal_is_refused(
+    codec_of: Callable[[str], Codec], can_id: int, signal: str
+) -> None:
+    with pytest.raises(DatabaseError, match=rf"^[^\n]*official\.dbc[^\n]*: \w+ has no signal {signal}$"):
+        codec_of(without_signal(OURS, can_id, signal))
 
 
 @pytest.mark.parametrize("can_id", [0x501, 0x080, 0x123, 0x7FF, 0x515])

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from fsai_vcu.runtime.transport import LOOPBACK
+
 CHECKOUT = Path(__file__).parents[2]
 
 # Read when rclpy and the messages are imported. Field checks find what the middleware would send as nonsense.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.update(LOOPBACK)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # The checkout's nodes are tested, not a copy that was installed some time ago.
 sys.path.insert(0, str(CHECKOUT / "nodes" / "fsai_nodes"))

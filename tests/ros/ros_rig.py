@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import Log
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -74,6 +75,18 @@ class RosRig:
         heard: list[Any] = []
         self.tester.create_subscription(message_type, topic, heard.append, qos)
         return heard
+
+    def log(self) -> list[Log]:
+        """What the nodes log from now on; waits until this is heard."""
+        lines = self.hear(Log, "/rosout", 1000)
+        speaker = self.add(Node("speaker"))
+
+        def heard() -> bool:
+            speaker.get_logger().info("the log is heard")
+            return any(line.name == "speaker" for line in lines)
+
+        self.spin_until(heard, "the log")
+        return lines
 
     def __enter__(self) -> RosRig:
         return self

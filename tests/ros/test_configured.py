@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this enviro
 from fsai_nodes.configured import Configured, ros_arguments
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.diagnostics.doctor.collect import listening_addresses
+from fsai_vcu.runtime.transport import VARIABLES
 
 LONG_S = 60.0
 
@@ -35,9 +37,12 @@ def file(tmp_path: Path) -> Path:
 
 
 class Watched:
-    """A node as a process under a stand-in for systemd: what it is told, and the sockets the node opens."""
+    """A node as a process under a stand-in for systemd: what it is told, and the sockets and memory it opens.
 
-    def __init__(self, module: str, *arguments: str, folder: Path) -> None:
+    transport: of the operator's environment; what else would choose one is taken out of it.
+    """
+
+    def __init__(self, module: str, *arguments: str, folder: Path, transport: Mapping[str, str] | None = None) -> None:
         self.told: list[str] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(folder / "notify"))
@@ -48,7 +53,8 @@ class Watched:
             stderr=subprocess.STDOUT,
             text=True,
             env={
-                **os.environ,
+                **{name: value for name, value in os.environ.items() if name not in VARIABLES},
+                **(transport or {}),
                 "NOTIFY_SOCKET": str(folder / "notify"),
                 "WATCHDOG_USEC": "400000",
                 "HOME": str(folder),
@@ -73,6 +79,11 @@ class Watched:
         found = listening_addresses(proc / str(self.process.pid), proc)
         return {str(address) for address in found if not (address.is_loopback or address.is_multicast)}
 
+    def shares_memory(self) -> bool:
+        """Whether DDS has a thread for shared memory."""
+        tasks = Path(f"/proc/{self.process.pid}/task").iterdir()
+        return any((task / "comm").read_text().startswith("dds.shm") for task in tasks)
+
 
 def test_a_node_tells_systemd_that_it_is_ready_and_alive_and_listens_on_no_network(file: Path, tmp_path: Path) -> None:
     node = Watched("cone_detector", "--config", str(file), folder=tmp_path)
@@ -84,12 +95,43 @@ def test_a_node_tells_systemd_that_it_is_ready_and_alive_and_listens_on_no_netwo
     assert not (tmp_path / ".ros").exists(), "no log files of ROS's own beside the journal"
 
 
-def test_without_the_configuration_a_node_is_open_to_networks_whatever_its_discovery_range(tmp_path: Path) -> None:
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    node = Watched("cone_detector", folder=tmp_path)
+@pytest.mark.parametrize(
+    "transport",
+    [{}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"ROS_LOCALHOST_ONLY": "1"}],
+    ids=["nothing set", "LOCALHOST", "LOCALHOST_ONLY"],
+)
+@pytest.mark.parametrize("module", ["cone_detector", "composed"])
+def test_without_a_configuration_too_it_is_the_loopback_alone(
+    tmp_path: Path, module: str, transport: dict[str, str]
+) -> None:
+    node = Watched(module, folder=tmp_path, transport=transport)
     node.await_told("READY=1")
-    assert node.addresses() != set()
-    node.end()
+    assert node.addresses() == set() and not node.shares_memory()
+    assert "transport:" not in node.end()
+
+
+@pytest.mark.parametrize(
+    ("transport", "open_to_networks", "shared_memory", "words"),
+    [
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, True, False, "transport: UDP, on every network"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, False, True, "FASTDDS_BUILTIN_TRANSPORTS=SHM of the environment holds"),
+        (
+            {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+            True,
+            True,
+            "shared memory is used all the same",
+        ),
+    ],
+    ids=["SUBNET", "SHM", "UDPv4 and LOCALHOST"],
+)
+def test_an_operators_own_transport_holds_and_one_line_says_so(
+    tmp_path: Path, transport: dict[str, str], open_to_networks: bool, shared_memory: bool, words: str
+) -> None:
+    node = Watched("cone_detector", folder=tmp_path, transport=transport)
+    node.await_told("READY=1")
+    assert (node.addresses() != set(), node.shares_memory()) == (open_to_networks, shared_memory)
+    output = node.end()
+    assert words in output and output.count("transport:") == 1
 
 
 def test_the_bridge_takes_its_bus_revision_and_limits_from_the_file_and_confirms_the_limits(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from fsai_msgs.msg import Cone, ConeArray, RunState, VehicleState
 from sensor_msgs.msg import NavSatStatus
 
 from fsai_nodes import conversions as to
+from fsai_nodes.diagnosis import diagnostics_of
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Plan, Run
@@ -37,6 +39,7 @@ from fsai_vcu.interface.images import (
     VcuSteer,
     WheelSpeeds,
 )
+from fsai_vcu.interface.images import VehicleState as VehicleImages
 from fsai_vcu.interface.revisions import revision
 
 STAMP = Time(sec=12, nanosec=34)
@@ -141,6 +144,16 @@ def report_after(*images: object, now_ns: int = 1_000_000_000):  # type: ignore[
         bridge.on_frame(type(frame)(frame.can_id, frame.data, now_ns - 40_000_000))
     bridge.cycle(now_ns)
     return bridge.report(now_ns)
+
+
+def test_diagnostics_say_what_the_database_lacks() -> None:
+    status = VcuStatus(as_switch=None, steering_status=None)
+    report = replace(report_after(), vehicle=VehicleImages(status=status), unknown="car.dbc: lacks FAULT_STATUS")
+    link, _, car, _ = diagnostics_of(report, STAMP, {}).status
+    assert ("not known", "car.dbc: lacks FAULT_STATUS") in [(value.key, value.value) for value in link.values]
+    told = {value.key: value.value for value in car.values}
+    assert (told["ASMS"], told["TSMS"], told["steering"]) == ("unknown", "False", "unknown")
+    assert not any(value.key == "not known" for value in diagnostics_of(report_after(), STAMP, {}).status[0].values)
 
 
 def test_before_the_car_has_said_anything_everything_is_unknown() -> None:

@@ -20,7 +20,7 @@ from ros_rig import RosRig
 
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller
 from fsai_nodes.composed import CLASSES
-from fsai_nodes.parameters import NodeError
+from fsai_nodes.parameters import NodeError, Scattered
 
 CHECKOUT = Path(__file__).parents[2]
 README = (CHECKOUT / "nodes" / "README.md").read_text()
@@ -94,7 +94,8 @@ def test_every_endpoint_has_the_quality_of_service_of_the_table(rig: RosRig) -> 
     see = rig.tester
     rig.spin_until(lambda: set(MODULES) <= set(see.get_node_names()), "the five nodes")
     for topic, wanted in qos.TOPICS.items():
-        endpoints = see.get_publishers_info_by_topic(topic) + see.get_subscriptions_info_by_topic(topic)
+        name = f"/{topic}"
+        endpoints = see.get_publishers_info_by_topic(name) + see.get_subscriptions_info_by_topic(name)
         assert endpoints, topic
         for endpoint in endpoints:
             found = endpoint.qos_profile
@@ -105,18 +106,24 @@ def test_every_endpoint_has_the_quality_of_service_of_the_table(rig: RosRig) -> 
 
 
 def test_commands_are_reliable_keep_last_1_with_deadline_and_lifespan() -> None:
-    command = qos.TOPICS["/vehicle_cmd"]
+    command = qos.TOPICS["vehicle_cmd"]
     assert command.reliability is ReliabilityPolicy.RELIABLE
     assert (command.history, command.depth) == (HistoryPolicy.KEEP_LAST, 1)
     assert command.deadline.nanoseconds == command.lifespan.nanoseconds == 100_000_000
 
 
 def test_sensors_are_best_effort_and_state_is_latched() -> None:
-    for topic in ("/raw_cones", "/detected_cones", "/odometry", "/imu", "/gps/fix"):
+    for topic in ("raw_cones", "detected_cones"):
         assert qos.TOPICS[topic].reliability is ReliabilityPolicy.BEST_EFFORT, topic
-    for topic in ("/vehicle_state", "/run_state", "/reset_confirmation"):
+    for topic in ("vehicle_state", "run_state", "reset_confirmation"):
         assert qos.TOPICS[topic].durability is DurabilityPolicy.TRANSIENT_LOCAL, topic
         assert qos.TOPICS[topic].reliability is ReliabilityPolicy.RELIABLE, topic
+
+
+def test_motion_is_there_for_readers_that_ask_for_reliability() -> None:
+    for topic in ("odometry", "imu", "gps/fix"):
+        assert qos.TOPICS[topic].reliability is ReliabilityPolicy.RELIABLE, topic
+        assert qos.TOPICS[topic].durability is DurabilityPolicy.VOLATILE, topic
 
 
 def test_the_readme_has_each_topics_quality_of_service() -> None:
@@ -124,6 +131,7 @@ def test_the_readme_has_each_topics_quality_of_service() -> None:
         (qos.COMMAND, "reliable, keep-last 1, deadline 100 ms, lifespan 100 ms"),
         (qos.PLAN, "reliable, keep-last 1, lifespan 500 ms"),
         (qos.SENSOR, "best effort, keep-last 1"),
+        (qos.MOTION, "reliable, keep-last 10"),
         (qos.STATE, "reliable, transient local, keep-last 1"),
         (qos.CONFIRMATION, "reliable, transient local, keep-last 10"),
         (qos.DIAGNOSTICS, "reliable, keep-last 10"),
@@ -131,7 +139,7 @@ def test_the_readme_has_each_topics_quality_of_service() -> None:
     rows = dict(re.findall(r"^\| `(/[\w/]+)` \|.*\| ([^|]+) \|$", README, re.MULTILINE))
     for topic, profile in qos.TOPICS.items():
         expected = next(text for known, text in words if known is profile)
-        assert rows.get(topic) == expected, topic
+        assert rows.get(f"/{topic}") == expected, topic
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -188,6 +196,49 @@ def test_a_max_speed_that_is_none_is_refused_with_the_reason(rig: RosRig, value:
     rig.start(vehicle_controller.VehicleController)
     done, reason = set_parameter(rig, "vehicle_controller", "max_speed", value)
     assert not done and "max_speed" in reason
+
+
+def test_setting_an_unknown_parameter_is_refused_by_suggestion(rig: RosRig) -> None:
+    rig.start(path_planner.PathPlanner)
+    done, reason = set_parameter(rig, "path_planner", "lapz", 3)
+    assert not done and reason == "unknown parameter lapz: did you mean laps?"
+    done, reason = set_parameter(rig, "path_planner", "zebra", 3)
+    assert not done and reason == "unknown parameter zebra: path_planner has car, laps, range_max_m, horizon_m"
+    assert set_parameter(rig, "path_planner", "laps", 3) == (True, "")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_no_node_starts_with_an_unknown_parameter(name: str) -> None:
+    module, kind = MODULES[name]
+    known = module.SETTINGS[0].name
+    with RosRig() as rig, pytest.raises(NodeError, match=f"unknown parameter {known}z: did you mean {known}"):
+        rig.start(kind, **{f"{known}z": 1})
+
+
+def test_parameters_of_ros_itself_are_no_unknown_ones(rig: RosRig) -> None:
+    own = {"use_sim_time": False, "start_type_description_service": True, "qos_overrides./rosout.publisher.depth": 5}
+    rig.start(path_planner.PathPlanner, **own)
+
+
+def test_parameters_for_no_node_by_name_are_told_apart(tmp_path: Path) -> None:
+    file = tmp_path / "shared.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters: {laps: 3, camera: {rate: 30}}\n  path_planner:\n    ros__parameters: {car: x}\n"
+        "vcu_bridge:\n  ros__parameters: {revision: x}\n/car1:\n  '*':\n    ros__parameters: {horizon_m: 9.0}\n"
+    )
+    given = [
+        "node",
+        "--ros-args",
+        "-p",
+        "max_speed:=3",
+        "-p",
+        "path_planner:range_max_m:=9",
+        "--params-file",
+        str(file),
+    ]
+    found = Scattered.among([*given, "--params-file", "/nowhere.yaml", "--param", "/**:noise_level:=1"])
+    assert found.unnamed == {"max_speed", "noise_level"}
+    assert found.of_files == {"laps", "camera.rate", "horizon_m"}
 
 
 def test_noise_level_and_confidence_threshold_change_while_running(rig: RosRig) -> None:

@@ -51,6 +51,7 @@ def complaint(error_output: str) -> list[str]:
         ({"can_interface": "loopback:a", "revision": 2019}, "revision must be one of 2021, 2026"),
         ({"can_interface": "loopback:a", "wheel_mapping": "fl=fr"}, "wheel mapping"),
         ({"can_interface": "loopback:a", "holding_brake_pct": ".nan"}, "holding_brake_pct"),
+        ({"can_interfaze": "loopback:a"}, "unknown parameter can_interfaze: did you mean can_interface?"),
     ],
 )
 def test_what_the_bridge_cannot_start_with_gets_one_clear_line(values: dict[str, object], words: str) -> None:
@@ -91,6 +92,38 @@ def test_an_unknown_node_cannot_be_composed() -> None:
     _, error_output = process.communicate(timeout=LONG_S)
     assert process.returncode == 2
     assert "toaster" in error_output and "path_planner" in error_output
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("lapz:=3", "unknown parameter lapz"),
+        ("path_planner:lapz:=3", "unknown parameter lapz: did you mean laps?"),
+        ("path_planner:max_speed:=3.0", "unknown parameter max_speed: path_planner has"),
+    ],
+)
+def test_composed_nodes_refuse_what_none_of_them_has(given: str, words: str) -> None:
+    process = start("composed", "--ros-args", "-p", given)
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 1
+    lines = complaint(error_output)
+    assert len(lines) == 1 and lines[0].startswith("composed: ") and words in lines[0], error_output
+
+
+def test_a_parameter_for_every_node_is_taken_by_who_has_it(tmp_path: Path) -> None:
+    file = tmp_path / "shared.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    max_speed: 3.0\n    lapz: 3\n    exposure_us: 900\n")
+    process = start("composed", "--ros-args", "--params-file", str(file), "-p", "laps:=3")
+    from ros_rig import RosRig
+
+    with RosRig() as rig:
+        wanted = {"cone_detector", "path_planner", "vehicle_controller"}
+        rig.spin_until(lambda: wanted <= set(rig.tester.get_node_names()), "the three nodes", LONG_S)
+    process.send_signal(signal.SIGTERM)
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 0
+    (warning,) = complaint(error_output)
+    assert "unknown parameter lapz: did you mean laps?" in warning and "path_planner" in warning
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

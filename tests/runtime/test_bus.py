@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import errno
 import itertools
+import os
 import socket
 import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
 
 import can
 import pytest
+from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
 
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
@@ -126,20 +131,86 @@ def test_a_full_queue_drops_the_frame_and_an_interface_that_is_gone_is_a_loss(
             assert bus.send(Frame(0x510, bytes(8))) is False
 
 
-def test_at_most_some_ten_frames_wait_in_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def kernel_pair(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[CanBus, socket.socket]]:
+    """`can0` as SocketCAN opens it, on a socket of another family that the kernel stamps as well, and its far end."""
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    near.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+
+    class Opened(SilentBus):
+        socket = near
+
+        def fileno(self) -> int:
+            return near.fileno()
+
+    monkeypatch.setattr("fsai_vcu.runtime.bus._check_interface", lambda _channel: None)
+    monkeypatch.setattr("can.Bus", lambda **_options: Opened())
+    with near, far, open_bus("can0") as bus:
+        yield bus, far
+
+
+def test_at_most_some_ten_frames_wait_in_the_kernel(kernel_pair: tuple[CanBus, socket.socket]) -> None:
+    bus, _ = kernel_pair
     frame_bytes = 768  # what the kernel charges a socket for one frame on a 64-bit machine
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stand_in:
-
-        class Opened(SilentBus):
-            def fileno(self) -> int:
-                return stand_in.fileno()
-
-        monkeypatch.setattr("fsai_vcu.runtime.bus._check_interface", lambda _channel: None)
-        monkeypatch.setattr("can.Bus", lambda **_options: Opened())
-        with open_bus("can0"):
-            # A poll finds the socket writable up to half of its buffer.
-            frames = stand_in.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) / 2 / frame_bytes
+    with socket.socket(fileno=os.dup(bus.fileno())) as same:
+        frames = same.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) / frame_bytes
     assert 5 <= frames <= 12
+
+
+FRAMES = (
+    (Frame(0x520, b"\x01\x02\x03"), "20 05 00 00 03 00 00 00 01 02 03 00 00 00 00 00"),
+    (Frame(0x1ABCDEF0, b"\xff" * 8, extended=True), "F0 DE BC 9A 08 00 00 00 FF FF FF FF FF FF FF FF"),
+    (Frame(0x510, b"", remote=True), "10 05 00 40 00 00 00 00 00 00 00 00 00 00 00 00"),
+    (Frame(0x004, bytes(8), error=True), "04 00 00 20 08 00 00 00 00 00 00 00 00 00 00 00"),
+)
+
+
+@pytest.mark.parametrize(("frame", "wire"), FRAMES)
+def test_socketcan_frames_have_the_layout_of_the_kernel(
+    kernel_pair: tuple[CanBus, socket.socket], frame: Frame, wire: str
+) -> None:
+    bus, far = kernel_pair
+    assert bus.send(frame)
+    assert far.recv(64) == bytes.fromhex(wire)
+    far.send(bytes.fromhex(wire))
+    (received,) = bus.drain()
+    assert replace(received, t_ns=0) == frame
+
+
+def test_a_frame_that_waited_is_as_old_as_it_is(kernel_pair: tuple[CanBus, socket.socket]) -> None:
+    bus, far = kernel_pair
+    before_ns = time.monotonic_ns()
+    far.send(bytes.fromhex(FRAMES[0][1]))
+    after_ns = time.monotonic_ns()
+    threading.Event().wait(0.05)
+    far.send(bytes.fromhex(FRAMES[0][1]))
+    first, second = bus.drain()
+    noise_ns = 1_000_000  # what the two clocks may differ by between two readings
+    assert before_ns - noise_ns <= first.t_ns <= after_ns + noise_ns
+    assert second.t_ns - first.t_ns >= 50_000_000 - noise_ns
+    assert bus.drain() == []
+
+
+def test_a_step_of_the_wall_clock_makes_no_frame_old(
+    kernel_pair: tuple[CanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus, far = kernel_pair
+    wall_ns = time.time_ns
+    for step_s in (3600, -3600):
+        far.send(bytes.fromhex(FRAMES[0][1]))
+        monkeypatch.setattr("time.time_ns", lambda step_s=step_s: wall_ns() + step_s * 1_000_000_000)
+        (frame,) = bus.drain()
+        assert 0 <= time.monotonic_ns() - frame.t_ns < 1_000_000_000
+        monkeypatch.setattr("time.time_ns", wall_ns)
+        bus.drain()
+
+
+def test_a_full_socketcan_queue_drops_the_frame(kernel_pair: tuple[CanBus, socket.socket]) -> None:
+    bus, far = kernel_pair
+    assert not all(bus.send(Frame(0x510, bytes(8))) for _ in range(1000))
+    far.close()
+    with pytest.raises(BusLost, match="can0: "):
+        bus.send(Frame(0x510, bytes(8)))
 
 
 @pytest.mark.parametrize("can_id", sorted(RESERVED_IDS))

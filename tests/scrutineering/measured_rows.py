@@ -13,6 +13,8 @@ from fsai_hil.scrutineering.conditions import BY_NAME
 def row(name: str = "idle", response_ns: Iterable[int] = range(MS, 3 * MS, 1000), **changes: Any) -> dict[str, Any]:
     """A condition in which everything went well, but for `changes`."""
     times = ResponseTimes(response_ns).as_dict()
+    wire = ResponseTimes([MS // 2] * times["count"]).as_dict()
+    slower = ResponseTimes([200 * MS]).as_dict()
     return {
         "name": name,
         "words": BY_NAME[name].words,
@@ -21,13 +23,14 @@ def row(name: str = "idle", response_ns: Iterable[int] = range(MS, 3 * MS, 1000)
         "status_late": ResponseTimes([MS // 2]).as_dict(),
         "comms_losses": 0,
         "held_up_ms": 0.0,
-        "wire": times,
+        "wire": wire,
         "rules_broken": [],
         "log_complete": True,
         "frames_per_s": 1350,
         "bus_load_pct": 25.0,
         "machine_stalls_ms": [],
         "ended_early": "",
+        "peer": {"response": slower, "wire": slower, "comms_losses": 0},
         **changes,
     }
 
@@ -47,7 +50,7 @@ def measured(*rows: dict[str, Any], **changes: Any) -> dict[str, Any]:
         "revision": "2026",
         "seconds_per_condition": 20.0,
         "machine": machine,
-        "scheduling": {"bridge": scheduling, "vcu": {**scheduling, "priority": 35}},
+        "scheduling": {"CAN loop": scheduling, "vcu": {**scheduling, "priority": 35}},
         "decimation": {"gps": 1, "log": 1},
         "comms_losses_between": 0,
         "not_measured": {},

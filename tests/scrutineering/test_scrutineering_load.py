@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 
 import pytest
 
-from fsai_hil.scrutineering.conditions import BY_NAME, CONDITIONS, SHORT, Condition, Stance, conditions_named
-from fsai_hil.scrutineering.load import BUS_BITS_PER_S, car_bits_per_s, fill_frames_per_s, frame_bits, loaded
+from fsai_hil.scrutineering.conditions import BY_NAME, CONDITIONS, SHORT, Condition, Load, Stance, conditions_named
+from fsai_hil.scrutineering.load import (
+    BUS_BITS_PER_S,
+    MEMORY_MOST_BYTES,
+    car_bits_per_s,
+    fill_frames_per_s,
+    frame_bits,
+    loaded,
+)
 from fsai_hil.scrutineering.machine import machine, scheduling_in_words, scheduling_of, source_revision, versions
 from fsai_hil.stack import Stack, StackError, await_condition
 
@@ -32,7 +40,7 @@ def test_the_cars_frames_and_the_filling_are_one_full_bus() -> None:
 
 def test_a_busy_machine_is_busy_while_it_is_measured_and_not_after(tmp_path: Path) -> None:
     disk_file = tmp_path / "disk-load"
-    condition = Condition("driving-loaded", "busy", Stance.DRIVING, processors_busy=True, disk_busy=True)
+    condition = Condition("driving-loaded", Stance.DRIVING, (Load.PROCESSORS, Load.DISK))
     with Stack("vcan0", tmp_path) as stack:
         with loaded(stack, condition, disk_file, 0.0):
             processes = list(stack.processes.values())
@@ -51,8 +59,26 @@ def test_a_busy_machine_is_busy_while_it_is_measured_and_not_after(tmp_path: Pat
         assert not disk_file.exists()
 
 
+def test_a_memory_hungry_neighbour_takes_a_bounded_share_and_gives_it_back(tmp_path: Path) -> None:
+    condition = Condition("driving-memory", Stance.DRIVING, (Load.MEMORY,))
+
+    def resident_bytes(pid: int) -> int:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    with Stack("vcan0", tmp_path) as stack, loaded(stack, condition, tmp_path / "file", 0.0):
+        (neighbour,) = stack.processes.values()
+        pid = neighbour.popen.pid
+        await_condition(lambda: resident_bytes(pid) > MEMORY_MOST_BYTES // 8, 20.0, "it takes memory")
+        assert Path(f"/proc/{pid}/oom_score_adj").read_text().strip() == "1000"
+        most = 0
+        before = resident_bytes(pid)
+        while (now := resident_bytes(pid)) >= before:
+            most = before = max(before, now)
+        assert most <= MEMORY_MOST_BYTES + (64 << 20), "and no more than it may"
+
+
 def test_a_load_that_ends_by_itself_is_an_error_not_an_idle_machine(tmp_path: Path) -> None:
-    condition = Condition("driving-disk", "busy", Stance.DRIVING, disk_busy=True)
+    condition = Condition("driving-disk", Stance.DRIVING, (Load.DISK,))
     with (
         Stack("vcan0", tmp_path) as stack,
         pytest.raises(StackError, match="disk-driving-disk ended with status 1"),
@@ -62,7 +88,7 @@ def test_a_load_that_ends_by_itself_is_an_error_not_an_idle_machine(tmp_path: Pa
 
 
 def test_a_bus_that_is_not_filled_to_the_end_is_an_error(tmp_path: Path) -> None:
-    condition = Condition("driving-full-bus", "full", Stance.DRIVING, bus_full=True)
+    condition = Condition("driving-full-bus", Stance.DRIVING, (Load.BUS,))
     with (
         Stack("absent0", tmp_path) as stack,
         pytest.raises(StackError, match="bus-driving-full-bus ended"),
@@ -89,7 +115,7 @@ def test_named_conditions_are_measured_in_the_tables_order() -> None:
 
 @pytest.mark.parametrize("names", [["idle", "asleep"], [], [""]])
 def test_an_unknown_condition_is_refused_with_the_known_ones(names: list[str]) -> None:
-    with pytest.raises(ValueError, match="choose from idle, idle-loaded"):
+    with pytest.raises(ValueError, match="choose from idle, idle-busy"):
         conditions_named(names)
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.driving import Floats
 
 
 def lookahead_m(speed_mps: float, settings: ControllerSettings) -> float:

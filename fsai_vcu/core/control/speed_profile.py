@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.control.settings import ControllerSettings
-from fsai_vcu.core.driving import Floats
 
 CURVATURE_SPAN = 3  # points to either side between which the path's direction is compared
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fsai_vcu.core.driving import Floats, Motion
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.interface.immutable import Immutable
 

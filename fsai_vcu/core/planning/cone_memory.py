@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Floats, Ints, Motion
+from fsai_vcu.core.arrays import Floats, Ints
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
 from fsai_vcu.core.planning.pose import to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 

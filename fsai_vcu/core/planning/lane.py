@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fsai_vcu.core.driving import Floats, Ints
+from fsai_vcu.core.arrays import Floats, Ints
 from fsai_vcu.core.planning.cone_memory import Cones
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, resampled
 from fsai_vcu.core.planning.settings import PlannerSettings

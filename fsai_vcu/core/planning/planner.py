@@ -11,7 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Floats, Motion, Plan, Run
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.missions.acceleration import advance_acceleration, closed_at, line_ahead, staged_before
 from fsai_vcu.core.missions.laps import advance_laps, gate_seen, staged
 from fsai_vcu.core.missions.settings import MissionSettings

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from fsai_vcu.core.driving import Floats, Motion
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import Motion
 
 
 def to_odometry(motion: Motion, xy_m: Floats) -> Floats:

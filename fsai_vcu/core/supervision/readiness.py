@@ -99,9 +99,9 @@ def _car_side(config: BridgeConfig, state: SupervisorState, vehicle: VehicleStat
         unmet.append(f"0x520 is missing for {(now_ns - state.status_ns) / 1e9:.1f} s")
     if state.mission is Ami.NOT_SELECTED:
         unmet.append("no mission is chosen on the AMI")
-    if not status.as_switch:
+    if status.as_switch is False:  # not where the database lacks it
         unmet.append("ASMS is off (AS_SWITCH_STATUS 0)")
-    if not status.ts_switch:
+    if status.ts_switch is False:
         unmet.append("TSMS is off (TS_SWITCH_STATUS 0)")
     brake = vehicle.brake
     if status.ebs_state is not None:
@@ -147,7 +147,7 @@ def _in_state(
     if now is AsState.AS_FINISHED:
         return ["the mission is finished (AS_FINISHED): ASMS off ends the run"]
     unmet: list[str] = []
-    if status.steering_status is not SteeringStatus.ACTIVE:
+    if status.steering_status is SteeringStatus.OFF:
         unmet.append("the steering is not active (STEERING_STATUS 0)")
     if vehicle.brake is not None and vehicle.brake.brake_status is not BrakeStatus.READY:
         words = "an unknown value" if vehicle.brake.brake_status is None else vehicle.brake.brake_status.label

@@ -216,6 +216,13 @@ def ros(machine: Machine) -> Iterator[Finding]:
             yield _wrong("ROS 2", f"{missing} not installed beside it", "make install (or make setup in a checkout)")
 
 
+def shared_memory(machine: Machine) -> Iterator[Finding]:
+    if machine.dds_leftovers:
+        files = "1 file" if len(machine.dds_leftovers) == 1 else f"{len(machine.dds_leftovers)} files"
+        words = f"{files} in /dev/shm of ROS programs that were killed: no node of ours uses them, others may hang"
+        yield Finding("DDS", "note", words, f"sudo rm -f {' '.join(machine.dds_leftovers)}")
+
+
 def dds(machine: Machine) -> Iterator[Finding]:
     wanted = machine.wanted
     if wanted is None:
@@ -286,7 +293,7 @@ def scheduling(machine: Machine) -> Iterator[Finding]:
         )
     here = machine.scheduling
     if here is None:
-        yield _note("scheduling", "no bridge runs here, so its scheduling cannot be seen")
+        yield _note("scheduling", "no CAN loop runs here, so its scheduling cannot be seen")
         return
     if here.policy != "SCHED_FIFO":
         yield _wrong(
@@ -297,11 +304,11 @@ def scheduling(machine: Machine) -> Iterator[Finding]:
     else:
         yield _right("scheduling", f"the CAN loop runs as {here.policy} {here.priority}")
     if here.memory_locked:
-        yield _right("memory", "the bridge's is locked")
+        yield _right("memory", "the CAN loop's is locked")
     else:
         yield _wrong(
             "memory",
-            "the bridge's is not locked: a page fault delays a cycle",
+            "the CAN loop's is not locked: a page fault delays a cycle",
             "start it by its service, which has LimitMEMLOCK=infinity",
         )
 
@@ -360,6 +367,7 @@ CHECKS: tuple[Callable[[Machine], Iterator[Finding]], ...] = (
     bus,
     ros,
     dds,
+    shared_memory,
     services,
     scheduling,
     clock,

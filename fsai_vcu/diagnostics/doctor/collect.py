@@ -11,6 +11,7 @@ import itertools
 import json
 import os
 import platform
+import re
 import shutil
 import struct
 import subprocess
@@ -38,9 +39,11 @@ _ENABLED, _UNITS = Path("/etc/systemd/system"), Path("/usr/lib/systemd/system")
 _SYSTEMD = Path("/run/systemd/system")  # there while it runs (sd_booted(3))
 _POLICIES = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 _BRIDGE_MODULE = b"fsai_nodes.vcu_bridge"
+_LOOP_MODULE = b"fsai_vcu.runtime.loop_process"  # of the CAN loop, which the bridge starts
 _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
+_SHARED_MEMORY = Path("/dev/shm")
 _TCP_LISTEN, _UDP_OPEN = "0A", "07"  # linux/net/tcp_states.h; a UDP socket that is bound and not connected
 
 # linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Where nobody keeps the clock, maxerror is 16 s.
@@ -81,6 +84,7 @@ def collect(
         user=_user(),
         groups=_groups(),
         listening=listening_on_networks(proc),
+        dds_leftovers=dds_leftovers(proc),
         kernel=platform.release(),
         system=_system(),
     )
@@ -301,8 +305,8 @@ def states_in(answer: str, names: list[str]) -> dict[str, str]:
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
-    """That of the running bridge's most urgent thread."""
-    for folder in _processes(proc, _BRIDGE_MODULE):
+    """That of the running CAN loop's most urgent thread."""
+    for folder in _processes(proc, _LOOP_MODULE):
         threads = []
         for thread in (folder / "task").glob("*"):
             try:
@@ -352,6 +356,27 @@ def listening_addresses(folder: Path, proc: Path) -> list[Address]:
         if address is not None:
             found.append(address)
     return found
+
+
+def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> tuple[str, ...]:
+    """Files of Fast DDS's shared memory whose owner is gone, as its own `fastdds shm clean` decides it.
+
+    A segment or port `fastrtps_X` is in use while somebody holds a lock on `fastrtps_X_el` or `fastrtps_X_sl`;
+    `sem.fastrtps_X_mutex` belongs to it. The locks are read (proc_locks(5)), not tried: that would hold up an owner.
+    """
+    locked = {line.split()[5 if "->" not in line else 6] for line in _read(proc / "locks").splitlines()}
+    files: dict[str, list[Path]] = {}
+    in_use = set()
+    for path in [*folder.glob("fastrtps_*"), *folder.glob("sem.fastrtps_*")]:
+        owner = re.sub(r"^sem\.|_(el|sl|mutex)$", "", path.name)
+        files.setdefault(owner, []).append(path)
+        try:
+            status = path.stat()
+        except OSError:  # it has just been removed
+            continue
+        if f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}" in locked:
+            in_use.add(owner)
+    return tuple(sorted(str(path) for owner in files.keys() - in_use for path in files[owner]))
 
 
 def _listening_sockets(proc: Path) -> dict[str, Address]:

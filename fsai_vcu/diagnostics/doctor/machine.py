@@ -76,7 +76,7 @@ class Ros:
 
 @dataclass(frozen=True, slots=True)
 class Scheduling:
-    """How a running bridge is scheduled. policy: SCHED_FIFO, SCHED_OTHER…, of its loop's thread."""
+    """How a running CAN loop is scheduled. policy: SCHED_FIFO, SCHED_OTHER…"""
 
     policy: str
     priority: int
@@ -106,5 +106,6 @@ class Machine:
     user: str = ""
     groups: tuple[str, ...] = ()
     listening: tuple[str, ...] | None = ()  # where a process of ours takes anything from this machine's networks
+    dds_leftovers: tuple[str, ...] = ()  # files of shared memory that ended programs have left
     kernel: str = ""
     system: str = ""

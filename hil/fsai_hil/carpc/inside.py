@@ -37,6 +37,7 @@ from fsai_hil.carpc.watching import (
 from fsai_hil.witness import RUNS, Outcome, Watcher, Witness, describe, judge_run
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import AiStatus
+from fsai_vcu.runtime.lock import holder_pid
 
 RESULTS = Path("/results")
 AGAIN = RESULTS / "again"  # there while the machine is to boot once more
@@ -85,7 +86,7 @@ class Rehearsal:
         self.fresh_car = True
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
-        self.scene("bridge killed", lambda: self.bridge_struck(signal.SIGKILL, "killed"))
+        self.scene("bridge killed", lambda: self.edge_struck(signal.SIGKILL, "killed"))
         self.step("at the end all services are active", self.all_active, 60.0, stated.SERVICE_BACK_S)
 
     def run(self) -> None:
@@ -104,8 +105,9 @@ class Rehearsal:
             ("fsai-controller", stated.TORQUE_WITHOUT_COMMANDS_S),
         ):
             self.scene(f"{service} killed", partial(self.node_killed, service, torque_s))
-        self.scene("bridge killed", lambda: self.bridge_struck(signal.SIGKILL, "killed"))
-        self.scene("bridge hung", lambda: self.bridge_struck(signal.SIGSTOP, "hung"))
+        for number, what in ((signal.SIGKILL, "killed"), (signal.SIGSTOP, "hung")):
+            self.scene(f"bridge {what}", partial(self.edge_struck, number, what))
+            self.scene(f"CAN loop {what}", partial(self.loop_struck, number, what))
         self.scene("unplugged", self.unplugged)
         self.rebooted(1)
 
@@ -175,7 +177,8 @@ class Rehearsal:
         with self.drive(service) as watch:
             self.struck(watch, f"{service} killed", service, signal.SIGKILL, AsState.AS_FINISHED, torque_s)
 
-    def bridge_struck(self, number: signal.Signals, what: str) -> None:
+    def edge_struck(self, number: signal.Signals, what: str) -> None:
+        """The service's main process: its loop stops the car, and goes silent when the car has finished."""
         with self.drive(f"bridge-{what}") as watch:
             self.struck(
                 watch,
@@ -183,7 +186,21 @@ class Rehearsal:
                 self.bridge,
                 number,
                 AsState.EMERGENCY_BRAKE,
+                stated.TORQUE_WITHOUT_COMMANDS_S,
+                first=AsState.AS_FINISHED,
+            )
+
+    def loop_struck(self, number: signal.Signals, what: str) -> None:
+        """The process that holds the interface."""
+        with self.drive(f"loop-{what}") as watch:
+            self.struck(
+                watch,
+                f"CAN loop {what}",
+                self.bridge,
+                number,
+                AsState.EMERGENCY_BRAKE,
                 stated.TORQUE_OF_A_DEAD_BRIDGE_S,
+                process=holder_pid(self.interface),
             )
 
     def after_the_reboot(self) -> None:
@@ -384,13 +401,25 @@ class Rehearsal:
     # ------------------------------------------------------------ what ends the drive
 
     def struck(
-        self, watch: BusWatch, what: str, service: str, number: signal.Signals, ends_in: AsState, torque_s: float
+        self,
+        watch: BusWatch,
+        what: str,
+        service: str,
+        number: signal.Signals,
+        ends_in: AsState,
+        torque_s: float,
+        *,
+        first: AsState | None = None,
+        process: int | None = None,
     ) -> None:
-        """A service is killed or stopped in mid-drive."""
+        """A service's main process, or another one of it, is killed or stopped in mid-drive.
+
+        first: the AS state that ends the drive, where it is not the one that the car ends in.
+        """
         before = main_pid(service)
         struck_ns = time.time_ns()
         struck_s = time.monotonic()
-        os.kill(before, number)
+        os.kill(process or before, number)
         back_s: float | None = None
 
         def settled() -> bool:
@@ -399,28 +428,38 @@ class Rehearsal:
                 back_s = time.monotonic() - struck_s
             return back_s is not None and watch.at_rest_in(ends_in)
 
-        watch.wait(settled, 30.0)
+        watch.wait(settled, 40.0)
         within_s = stated.HUNG_BACK_S if number == signal.SIGSTOP else stated.SERVICE_BACK_S
+        if first is not None:
+            within_s += stated.AT_REST_S  # the car is brought to rest before anything is started anew
         self.note(f"{what}: back", back_s, within_s, passed=back_s is not None)
-        self.rested(watch, what, struck_ns, ends_in, torque_s)
+        self.rested(watch, what, struck_ns, ends_in, torque_s, first)
         if service == self.bridge:
             self.first_frame(watch)
 
-    def rested(self, watch: BusWatch, what: str, struck_ns: int, ends_in: AsState, torque_s: float | None) -> None:
+    def rested(
+        self,
+        watch: BusWatch,
+        what: str,
+        struck_ns: int,
+        ends_in: AsState,
+        torque_s: float | None,
+        first: AsState | None = None,
+    ) -> None:
         """The run has ended in this state, the car stands, and nothing sets off again."""
         watch.wait(lambda: False, AT_EASE_S)
         said = watch.since(struck_ns)
         last_s = torque_ends_s(said, struck_ns)
         if torque_s is not None:
             self.note(f"{what}: the last torque", last_s, torque_s)
+        first = first or ends_in
         over_s = first_s(said, struck_ns, in_state(*(state for state in AsState if state is not AsState.AS_DRIVING)))
-        if ends_in is AsState.EMERGENCY_BRAKE and torque_s is not None:
+        if first is AsState.EMERGENCY_BRAKE and torque_s is not None:
             self.note(f"{what}: the car stops itself", over_s, stated.CAR_STOPS_ITSELF_S, passed=over_s is not None)
         self.note(f"{what}: at rest", _rest_s(said, struck_ns), stated.AT_REST_S, passed=standing_at_the_end(said))
-        stays = watch.as_state is ends_in and not any(
-            in_state(*(state for state in AsState if state not in (ends_in, AsState.AS_DRIVING)))(each.image)
-            for each in said
-        )
+        elsewhere = in_state(*(state for state in AsState if state not in (first, ends_in, AsState.AS_DRIVING)))
+        came_first = first_s(said, struck_ns, in_state(first))
+        stays = watch.as_state is ends_in and came_first == over_s and not any(elsewhere(each.image) for each in said)
         words = "" if watch.as_state is None else watch.as_state.label
         self.note(f"{what}: ends in {ends_in.label} and does not drive on", None, passed=stays, words=words)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from fsai_hil.witness import STOOD_STILL_NS
 from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.runtime.loop import EDGE_HUNG_NS
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 _TIMES = BridgeConfig()
@@ -18,7 +19,7 @@ _CYCLE_S = (FALLBACK_AFTER_NS + STOOD_STILL_NS) / 1e9
 BOOT_S = 45.0  # from the kernel's start until all services are active
 START_TO_FIRST_FRAME_S = 6.0  # of the bridge, which listens for 200 ms first; on a normal machine 1 s (`make bench`)
 SERVICE_BACK_S = 20.0  # while the others drive on and take most of that processor; by itself a third of it
-HUNG_BACK_S = SERVICE_BACK_S + 3.0  # its watchdog
+HUNG_BACK_S = SERVICE_BACK_S + 3.0 + EDGE_HUNG_NS / 1e9  # its watchdog, and what the loop waits for a silent edge
 UNPLUGGED_S = 3.0
 PURGED_S = 90.0  # some ten thousand files
 RECORDS_AGAIN_S = 10.0

@@ -336,6 +336,8 @@ def _speeds_frame(rpm: tuple[int, int, int, int], now: int) -> _Said:
 class _PlainCodec:
     """The codec that hands on what a frame carries."""
 
+    unknown = ""
+
     def decode(self, frame: _Said) -> Decoded:
         return frame.decoded
 

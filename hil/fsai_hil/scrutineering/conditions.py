@@ -15,29 +15,47 @@ class Stance(Enum):
     DRIVING = "AS_DRIVING"
 
 
+class Load(Enum):
+    """What else the machine and the bus have to do."""
+
+    PROCESSORS = "every processor busy at normal priority"
+    DISK = "the disk written to without a pause"
+    BUS = "the bus filled to 500 kbit/s"
+    MEMORY = "a neighbour that takes, touches and gives back most of the free memory"
+
+
 @dataclass(frozen=True, slots=True)
 class Condition:
     """One row of the report."""
 
     name: str
-    words: str
     stance: Stance
-    processors_busy: bool = False
-    disk_busy: bool = False
-    bus_full: bool = False
+    load: tuple[Load, ...] = ()
+
+    @property
+    def words(self) -> str:
+        load = "all of it at once" if len(self.load) == len(Load) else ", ".join(each.value for each in self.load)
+        return _STANCES[self.stance] + (f"; {load}" if load else "")
 
 
-_EVERYTHING = "every processor busy, the disk written to, the bus full"
+_STANCES = {
+    Stance.ALONE: "the bridge alone, car in AS_OFF",
+    Stance.STANDING: "all nodes, car waiting for Go in AS_READY",
+    Stance.DRIVING: "all nodes, car driving laps",
+}
+_LOADS: dict[str, tuple[Load, ...]] = {
+    "": (),
+    "-busy": (Load.PROCESSORS,),
+    "-disk": (Load.DISK,),
+    "-full-bus": (Load.BUS,),
+    "-memory": (Load.MEMORY,),
+    "-loaded": tuple(Load),
+}
 
 CONDITIONS: tuple[Condition, ...] = (
-    Condition("idle", "the bridge alone, car in AS_OFF", Stance.ALONE),
-    Condition("idle-loaded", f"the bridge alone, car in AS_OFF; {_EVERYTHING}", Stance.ALONE, True, True, True),
-    Condition("standing", "all nodes, car waiting for Go in AS_READY", Stance.STANDING),
-    Condition("driving", "all nodes, car driving laps", Stance.DRIVING),
-    Condition("driving-busy", "driving; every processor busy at normal priority", Stance.DRIVING, processors_busy=True),
-    Condition("driving-disk", "driving; the disk written to without a pause", Stance.DRIVING, disk_busy=True),
-    Condition("driving-full-bus", "driving; the bus filled to 500 kbit/s", Stance.DRIVING, bus_full=True),
-    Condition("driving-loaded", f"driving; {_EVERYTHING}", Stance.DRIVING, True, True, True),
+    *(Condition(f"idle{name}", Stance.ALONE, load) for name, load in _LOADS.items()),
+    Condition("standing", Stance.STANDING),
+    *(Condition(f"driving{name}", Stance.DRIVING, load) for name, load in _LOADS.items()),
 )
 BY_NAME = {condition.name: condition for condition in CONDITIONS}
 SHORT = ("idle", "idle-loaded")  # what needs no drive

@@ -1,11 +1,12 @@
 """What else keeps a machine and a bus busy: as processes of their own, at normal priority.
 
-`python -m fsai_hil.scrutineering.load processor`, `… disk FILE` and `… file FILE` are such processes.
+`python -m fsai_hil.scrutineering.load processor`, `… memory`, `… disk FILE` and `… file FILE` are such processes.
 """
 
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from fsai_hil.scrutineering.conditions import Condition
+from fsai_hil.scrutineering.conditions import Condition, Load
 from fsai_hil.stack import Stack
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 
@@ -27,6 +28,8 @@ FILL_BURST: Final = 16  # frames a wake-up: sleeping for a single one takes long
 BLOCK_BYTES: Final = 1 << 18
 BLOCKS: Final = 256  # then from the start of the file again
 UNFORCED_PAUSE_S: Final = 0.01
+MEMORY_SHARE: Final = 0.6  # of what is available: nobody is to be ended for want of memory
+MEMORY_MOST_BYTES: Final = 4 << 30
 BUSY: Final = "load: at work"
 _START_S = 30.0
 _SIMULATED = (Flow.TO_VCU, Flow.FROM_VCU, Flow.FROM_SENSOR)
@@ -70,14 +73,16 @@ def loaded(
 
     try:
         own = (sys.executable, "-m", __name__)
-        if condition.processors_busy:
+        if Load.PROCESSORS in condition.load:
             for _ in range(os.cpu_count() or 1):
                 start("processor", *own, "processor")
-        if condition.disk_busy:
+        if Load.MEMORY in condition.load:
+            start("memory", *own, "memory")
+        if Load.DISK in condition.load:
             start("disk", *own, "disk" if force_disk else "file", str(disk_file))
         for name in names:
             stack.processes[name].await_log(BUSY, _START_S)
-        if condition.bus_full and (rate := fill_frames_per_s(car_bits)):
+        if Load.BUS in condition.load and (rate := fill_frames_per_s(car_bits)):
             gap_ms = f"{1000.0 * FILL_BURST / rate:.4f}"
             what = ("-I", f"{FILL_ID:X}", "-L", str(FILL_BYTES), "-D", "A5" * FILL_BYTES)
             start("bus", "cangen", stack.bus, "-g", gap_ms, "-c", str(FILL_BURST), *what, "-i")
@@ -98,6 +103,24 @@ def keep_processor_busy() -> None:
     number = 0
     while True:
         number = (number * 1_103_515_245 + 12_345) % 2_147_483_648
+
+
+def keep_memory_busy() -> None:
+    """Take the share, write to each of its pages twice, give it back, over and over."""
+    # Should memory run out all the same, it is this process that the kernel ends, and the measurement says so.
+    Path("/proc/self/oom_score_adj").write_text("1000")
+    pages = int(min(MEMORY_SHARE * _available_bytes(), MEMORY_MOST_BYTES)) // mmap.PAGESIZE
+    print(BUSY, flush=True)
+    while True:
+        with mmap.mmap(-1, pages * mmap.PAGESIZE) as memory:
+            for value in (b"\1", b"\2"):
+                memory[:: mmap.PAGESIZE] = value * pages
+
+
+def _available_bytes() -> int:
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    (kib,) = (int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+    return kib << 10
 
 
 def keep_disk_busy(path: Path, force: bool) -> None:
@@ -121,6 +144,8 @@ def main(argv: list[str]) -> None:
     with contextlib.suppress(KeyboardInterrupt):
         if argv[0] == "processor":
             keep_processor_busy()
+        elif argv[0] == "memory":
+            keep_memory_busy()
         else:
             keep_disk_busy(Path(argv[1]), force=argv[0] == "disk")
 

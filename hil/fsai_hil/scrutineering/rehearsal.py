@@ -3,6 +3,8 @@
 The simulated VCU measures, as the car's does: from the instant at which a toggled HANDSHAKE was due in a 0x520 to the
 arrival of its echo in a 0x510. So its own lateness is part of every figure; it is counted beside it, and the log of the
 bus, stamped by the kernel, shows the time between the two frames alone.
+
+Before that the same simulated car, under the same loads, is answered by `polling_loop.c`, a peer to compare with.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from typing import Any
 
 from fsai_hil.response import ResponseTimes
 from fsai_hil.ros_operator import RosOperator
-from fsai_hil.scrutineering.conditions import Condition, Stance
+from fsai_hil.scrutineering.conditions import Condition, Load, Stance
 from fsai_hil.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
 from fsai_hil.scrutineering.machine import machine, scheduling_of
 from fsai_hil.stack import NODES, RunningProcess, Stack, StackError, await_condition
@@ -29,6 +31,7 @@ from fsai_hil.witness import Witness
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.realtime import FIFO_PRIORITY
 
 START_S = 240.0  # interpreters that import ROS at once, on one slow processor
@@ -46,6 +49,8 @@ _LOG_PRIORITY = FIFO_PRIORITY - 20
 _MISSED_AT_THE_EDGES = 20  # echoes: log and measurement do not begin and end at the same instant
 _RULES_SHOWN = 20
 _LOGGED = "500:7C0"  # 0x500 to 0x53F: everything of bridge and VCU, and not the load
+_PEER = "c-loop"
+_PEER_SOURCE = Path(__file__).with_name("polling_loop.c")
 
 
 class _Car:
@@ -64,6 +69,13 @@ class _Car:
         assert self._process.popen.stdin is not None
         self._process.popen.stdin.write(line.encode() + b"\n")
         self._process.popen.stdin.flush()
+
+    def state(self) -> str:
+        """The AS state, as the car says it when it is asked."""
+        answers = self._process.log().count(" | ASSI ")
+        self.type("status")
+        await_condition(lambda: self._process.log().count(" | ASSI ") > answers, END_S, "the simulated car answers")
+        return self._process.log().rpartition(" | ASSI ")[0].splitlines()[-1].partition(" ")[0]
 
     def measure(self, name: str) -> None:
         """Returns once the car counts under that name."""
@@ -125,6 +137,7 @@ class Rehearsal:
                     Stack(self._bus, folder, slow_place=self._slow_place) as stack,
                     Witness(folder / "witness") as witness,
                 ):
+                    self._measure_peer(conditions, stack, witness)
                     return self._measure_all(conditions, stack, witness)
             finally:
                 self._keep(folder)
@@ -133,9 +146,31 @@ class Rehearsal:
         for path in sorted(folder.glob("*.log")):
             shutil.copyfile(path, self._folder / path.name)
 
+    def _measure_peer(self, conditions: Sequence[Condition], stack: Stack, witness: Witness) -> None:
+        """The C loop in AS_OFF, under each load that is asked for: it drives nothing."""
+        build = ["cc", "-O2", "-o", str(stack.folder / _PEER), str(_PEER_SOURCE)]
+        try:
+            subprocess.run(build, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise StackError(
+                f"{_PEER_SOURCE.name} cannot be compiled: {getattr(error, 'stderr', '') or error}"
+            ) from error
+        peer = stack.start(_PEER, [str(stack.folder / _PEER), self._bus])
+        car = self._switched_on(stack)
+        await_condition(lambda: car.state() == Stance.ALONE.value, POWER_UP_S, "AS_OFF with the C loop")
+        loads = list(dict.fromkeys(condition.load for condition in conditions))
+        for number, load in enumerate(loads, start=1):
+            condition = Condition(_of_peer(load), Stance.ALONE, load)
+            self._say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
+            self._measure(condition, stack, witness, (_PEER,), car.state)
+        self._end_car(stack)
+        self._lost_between = 0  # what follows is the bridge's
+        peer.stop()
+        del stack.processes[_PEER]
+
     def _measure_all(self, conditions: Sequence[Condition], stack: Stack, witness: Witness) -> dict[str, Any]:
         self._say("starting the bridge")
-        bridge = stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
+        stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = RosOperator(stack, "scrutineer")
         try:
             operator.await_bridge(START_S)
@@ -150,10 +185,12 @@ class Rehearsal:
                     # What has been measured is worth its report all the same.
                     self._say(f"    not measured: {self._out_of_reach[condition.stance]}")
                     continue
-                self._measure(condition, stack, operator, witness)
-            if not self._noted:
+                watched = NODES if set(NODES) <= set(stack.processes) else ("vcu_bridge",)
+                self._measure(condition, stack, witness, watched, lambda: _state(operator))
+            if not any(condition.name in self._noted for condition in conditions):
                 raise StackError(next(iter(self._out_of_reach.values())))
-            scheduling = {"bridge": scheduling_of(bridge.popen.pid)}
+            loop = holder_pid(self._bus)
+            scheduling = {} if loop is None else {"CAN loop": scheduling_of(loop)}
             if self._car is not None:
                 scheduling["vcu"] = scheduling_of(stack.processes[self._car.name].popen.pid)
             self._end_car(stack)
@@ -177,7 +214,15 @@ class Rehearsal:
     def _row(self, condition: Condition) -> dict[str, Any]:
         measured, noted = self._measured[condition.name], self._noted[condition.name]
         complete = noted["wire"]["count"] >= measured["response"]["count"] - _MISSED_AT_THE_EDGES
-        return {"name": condition.name, "words": condition.words, **measured, **noted, "log_complete": complete}
+        peer = self._measured[_of_peer(condition.load)], self._noted[_of_peer(condition.load)]
+        return {
+            "name": condition.name,
+            "words": condition.words,
+            **measured,
+            **noted,
+            "log_complete": complete,
+            "peer": {"response": peer[0]["response"], "comms_losses": peer[0]["comms_losses"], "wire": peer[1]["wire"]},
+        }
 
     # ------------------------------------------------------------ how far the car has come
 
@@ -231,6 +276,10 @@ class Rehearsal:
     def _power_up(self, stack: Stack, operator: RosOperator) -> None:
         self._end_car(stack)
         operator.state = None
+        self._switched_on(stack)
+        operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+
+    def _switched_on(self, stack: Stack) -> _Car:
         self._cars += 1
         gps, log = self._decimation
         arguments = ("--revision", self._revision, "--gps-decimation", str(gps), "--log-decimation", str(log))
@@ -238,7 +287,7 @@ class Rehearsal:
         self._car = _Car(stack, self._cars, arguments)
         self._car.measure(BETWEEN)
         self._car.type("on")
-        operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+        return self._car
 
     def _end_car(self, stack: Stack) -> None:
         car, self._car = self._car, None
@@ -253,11 +302,18 @@ class Rehearsal:
 
     # ------------------------------------------------------------ one condition
 
-    def _measure(self, condition: Condition, stack: Stack, operator: RosOperator, witness: Witness) -> None:
+    def _measure(
+        self,
+        condition: Condition,
+        stack: Stack,
+        witness: Witness,
+        watched: Sequence[str],
+        state: Callable[[], str],
+    ) -> None:
+        """`watched`: the processes that must live meanwhile. `state`: what the car shows, and why if it ended."""
         car = self._car
         assert car is not None
         car_bits = car_bits_per_s(self._revision, *self._decimation)
-        watched = NODES if set(NODES) <= set(stack.processes) else ("vcu_bridge",)
         ended = ""
         with loaded(stack, condition, self._folder / "disk-load", car_bits, force_disk=not self._slow_place):
             car.measure(condition.name)
@@ -266,11 +322,8 @@ class Rehearsal:
             while (left_s := until - time.monotonic()) > 0.0:
                 time.sleep(min(_LOOK_S, left_s))
                 stack.check_alive(*watched, car.name)
-                operator.spin()
-                state = operator.state
-                if state.as_state_label != condition.stance.value:
-                    why = state.emergency or state.stopping
-                    ended = f"the car went to {state.as_state_label}" + (f" ({why})" if why else "")
+                if not (shown := state()).startswith(condition.stance.value):
+                    ended = f"the car went to {shown}"
                     break
             after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
             self._windows.append((condition.name, began_wall_ns, time.time_ns()))
@@ -320,6 +373,18 @@ class Rehearsal:
         """Frames and payload bytes that have been sent on the interface, by everybody."""
         counters = Path("/sys/class/net") / self._bus / "statistics"
         return int((counters / "tx_packets").read_text()), int((counters / "tx_bytes").read_text())
+
+
+def _of_peer(load: tuple[Load, ...]) -> str:
+    """The name under which the peer's figures with that load are counted."""
+    return "-".join((_PEER, *(each.name.lower() for each in load)))
+
+
+def _state(operator: RosOperator) -> str:
+    operator.spin()
+    state = operator.state
+    why = state.emergency or state.stopping
+    return f"{state.as_state_label}" + (f" ({why})" if why else "")
 
 
 def _over(operator: RosOperator) -> bool:

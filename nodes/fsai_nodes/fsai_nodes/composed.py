@@ -15,6 +15,8 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
+from fsai_nodes.parameters import several_nodes
+
 # In the order in which they start.
 CLASSES = {
     "vcu_bridge": "VcuBridge",
@@ -28,7 +30,9 @@ DEFAULT = ("cone_detector", "path_planner", "vehicle_controller")
 
 def factories(names: list[str]) -> list[Callable[[], Node]]:
     """What makes the nodes called `names`, in order of CLASSES. Imports only those."""
-    return [getattr(importlib.import_module(f"fsai_nodes.{name}"), CLASSES[name]) for name in CLASSES if name in names]
+    modules = {name: importlib.import_module(f"fsai_nodes.{name}") for name in CLASSES if name in names}
+    several_nodes(module.SETTINGS for module in modules.values())
+    return [getattr(module, CLASSES[name]) for name, module in modules.items()]
 
 
 def main() -> int:

@@ -6,7 +6,9 @@ import math
 
 from fsai_msgs.msg import Cone, ConeArray
 from rclpy.node import Node
+from rclpy.timer import Timer
 
+from fsai_nodes.edge import WATCH_S, Clocks, Input
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 
@@ -34,13 +36,19 @@ class ConeDetector(Node):
         super().__init__("cone_detector", **options)
         self._settings = Settings(self, SETTINGS, self._on_change)
         self._on_change("confidence_threshold")
-        self._publisher = publisher(self, ConeArray, "/detected_cones")
-        self.create_subscription(ConeArray, "/raw_cones", self._on_cones, TOPICS["/raw_cones"])
+        self._clocks = Clocks(self)
+        self._raw = Input(self, "raw_cones")
+        self._publisher = publisher(self, ConeArray, "detected_cones")
+        self.create_subscription(ConeArray, "raw_cones", self._on_cones, TOPICS["raw_cones"])
+        self._watch: Timer | None = None
 
     def _on_change(self, _name: str) -> None:
         self._threshold = self._settings.number("confidence_threshold")
 
     def _on_cones(self, raw: ConeArray) -> None:
+        self._raw.heard(self._clocks.now_ns())
+        if self._watch is None:  # only who has spoken can fall silent
+            self._watch = self._clocks.every(WATCH_S, lambda: self._raw.watch(self._clocks.now_ns()))
         raw.cones = [cone for cone in raw.cones if believable(cone, self._threshold)]
         self._publisher.publish(raw)
 

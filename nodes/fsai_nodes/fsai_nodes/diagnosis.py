@@ -39,6 +39,7 @@ def _link(report: BridgeReport) -> DiagnosticStatus:
         **{f"age of {name} ms": _ms(age_ns) for name, age_ns in report.ages_ns.items()},
         **{f"received 0x{can_id:03X}": count for can_id, count in sorted(report.rx_counts.items())},
         **report.problem_counts,
+        **({"not known": report.unknown} if report.unknown else {}),
     }
     if report.bus_lost is not None:
         return _status("link", DiagnosticStatus.ERROR, f"bus lost: {report.bus_lost}", values)
@@ -83,10 +84,10 @@ def _car(report: BridgeReport) -> DiagnosticStatus:
     values: dict[str, object] = {
         "AS state": status.as_state.label,
         "AMI": status.ami.label,
-        "ASMS": status.as_switch,
-        "TSMS": status.ts_switch,
+        "ASMS": "unknown" if status.as_switch is None else status.as_switch,
+        "TSMS": "unknown" if status.ts_switch is None else status.ts_switch,
         "Go": status.go_signal,
-        "steering": status.steering_status.label,
+        "steering": "unknown" if status.steering_status is None else status.steering_status.label,
         "shutdown cause": cause,
         "battery temperature high": status.warn_batt_temp_high,
         "battery low": status.warn_batt_soc_low,

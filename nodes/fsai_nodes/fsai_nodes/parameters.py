@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import pairwise
+from pathlib import Path
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
+    ParameterNotDeclaredException,
     ParameterUninitializedException,
 )
 from rclpy.node import Node
@@ -78,6 +83,76 @@ class Setting:
 _TYPE_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
+@dataclass(frozen=True, slots=True)
+class Scattered:
+    """Parameters on a command line that name no node: a node that does not have one need not be meant."""
+
+    unnamed: frozenset[str]  # -p laps:=3
+    of_files: frozenset[str]  # under /** in a parameter file, which may be meant for anybody's nodes
+
+    @classmethod
+    def among(cls, arguments: Sequence[str]) -> Scattered:
+        """A file that cannot be read is left to ROS to complain of."""
+        unnamed: set[str] = set()
+        of_files: set[str] = set()
+        for option, value in pairwise(arguments):
+            if option in ("-p", "--param"):
+                node, colon, name = value.partition(":=")[0].rpartition(":")
+                if not colon or _is_wildcard(node):
+                    unnamed.add(name)
+            elif option == "--params-file":
+                of_files |= set(_for_everybody(_yaml_of(value)))
+        return cls(frozenset(unnamed), frozenset(of_files))
+
+
+def _is_wildcard(node: str) -> bool:
+    return node.rpartition("/")[2] in ("*", "**")
+
+
+def _yaml_of(file: str) -> object:
+    import yaml
+
+    try:
+        return yaml.safe_load(Path(file).read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        return None
+
+
+def _for_everybody(content: object, node: str = "") -> Iterable[str]:
+    """The parameters of a parameter file that stand under a wildcard instead of a node's name."""
+    if not isinstance(content, Mapping):
+        return
+    for key, below in content.items():
+        if key != "ros__parameters":
+            yield from _for_everybody(below, str(key))
+        elif _is_wildcard(node):
+            yield from _flat(below)
+
+
+def _flat(content: object, prefix: str = "") -> Iterable[str]:
+    if isinstance(content, Mapping):
+        for key, below in content.items():
+            yield from _flat(below, f"{prefix}.{key}" if prefix else str(key))
+    else:
+        yield prefix
+
+
+# Parameters of every node of this process, where it holds several: -p laps:=3 is meant for whichever has it.
+_of_this_process: set[str] = set()
+
+
+def several_nodes(tables: Iterable[Sequence[Setting]]) -> None:
+    """This process holds several nodes, which have these parameters."""
+    _of_this_process.update(setting.name for table in tables for setting in table)
+
+
+class _UnknownParameter(ParameterNotDeclaredException):  # type: ignore[misc]  # rclpy has no types
+    """rclpy answers a request with this error's words; its own name no parameter."""
+
+    def __init__(self, words: str) -> None:
+        Exception.__init__(self, words)
+
+
 class Settings:
     """The declared parameters of one node: typed reading, refusals with reasons, and a call when one has changed."""
 
@@ -91,7 +166,7 @@ class Settings:
         """Declares `table` on `node`.
 
         busy: why parameters that are not live cannot change now; None while they can.
-        Raises NodeError when a value given at start does not fit.
+        Raises NodeError when a value given at start does not fit, or a parameter given is none of the node's.
         """
         self._node = node
         self._table = {setting.name: setting for setting in table}
@@ -99,6 +174,8 @@ class Settings:
         self._busy = busy
         for setting in table:
             self._declare(setting)
+        self._refuse_unknown()
+        node.add_pre_set_parameters_callback(self._only_known)
         node.add_on_set_parameters_callback(self._accept)
         node.add_post_set_parameters_callback(self._changed)
 
@@ -126,6 +203,40 @@ class Settings:
         problem = setting.problem(parameter.value)
         if problem:
             raise NodeError(f"parameter {problem}")
+
+    def _unknown(self, name: str) -> str:
+        close = self._close_to(name)
+        words = f"did you mean {close}?" if close else f"{self._node.get_name()} has {', '.join(self._table)}"
+        return f"unknown parameter {name}: {words}"
+
+    def _close_to(self, name: str) -> str | None:
+        return next(iter(get_close_matches(name, self._table, n=1)), None)
+
+    def _refuse_unknown(self) -> None:
+        """Look at what was given at start; rclpy ignores what no node declares."""
+        given = [
+            name
+            for name in self._node._parameter_overrides
+            if not self._node.has_parameter(name) and not name.startswith("qos_overrides.")
+        ]
+        scattered = Scattered.among(sys.argv)
+        refused = []
+        for name in given:
+            if name in scattered.of_files:
+                # Other nodes read that file, too: only what is nearly a name of ours is likely to be meant for us.
+                if self._close_to(name):
+                    self._node.get_logger().warning(f"{self._unknown(name)} (under /** in a parameter file)")
+            elif name not in scattered.unnamed or name not in _of_this_process:
+                refused.append(self._unknown(name))
+        if refused:
+            raise NodeError("; ".join(refused))
+
+    def _only_known(self, parameters: list[Parameter]) -> list[Parameter]:
+        unknown = [self._unknown(each.name) for each in parameters if not self._node.has_parameter(each.name)]
+        if unknown:
+            self._node.get_logger().warning(f"parameter refused: {'; '.join(unknown)}")
+            raise _UnknownParameter("; ".join(unknown))
+        return parameters
 
     def _accept(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -10,10 +10,11 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 
 from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
-from fsai_nodes.edge import Clocks
+from fsai_nodes.edge import WATCH_S, Clocks, Input
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
-from fsai_vcu.core.driving import Run
+from fsai_vcu.core.control.controller import WITHOUT_PATH
+from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
@@ -60,13 +61,15 @@ class PathPlanner(Node):
         self._clocks = Clocks(self)
         self._planner = self._new_planner()
         self._run: Run | None = None
-        self._state: VehicleState | None = None
-        self._path = publisher(self, Path, "/path")
-        self._status = publisher(self, PlannerStatus, "/planner_status")
-        self._confirmation = publisher(self, ResetConfirmation, "/reset_confirmation")
-        self.create_subscription(RunState, "/run_state", self._on_run, TOPICS["/run_state"])
-        self.create_subscription(VehicleState, "/vehicle_state", self._on_state, TOPICS["/vehicle_state"])
-        self.create_subscription(ConeArray, "/detected_cones", self._on_cones, TOPICS["/detected_cones"])
+        self._motion: Motion | None = None
+        self._cones = Input(self, "detected_cones", note="it, or the sensors before it")
+        self._path = publisher(self, Path, "path")
+        self._status = publisher(self, PlannerStatus, "planner_status")
+        self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
+        self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
+        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
+        self.create_subscription(ConeArray, "detected_cones", self._on_cones, TOPICS["detected_cones"])
+        self._clocks.every(WATCH_S, self._watch)
 
     def _new_planner(self) -> Planner:
         number = self._settings.number
@@ -85,26 +88,39 @@ class PathPlanner(Node):
         # A new planner, not a cleaned one: parameters changed since the last run take effect, and nothing can be left.
         self._planner = self._new_planner()
         self._planner.reset(run)
-        self._state = None  # odometry began anew; what was received before is of the last run
+        self._cones.forget()
+        self._motion = None  # odometry began anew; what was received before is of the last run
         self._confirmation.publish(ResetConfirmation(role=ResetConfirmation.PLANNER, run_id=run.run_id))
         self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
 
     def _on_state(self, message: VehicleState) -> None:
-        if self._run is not None and message.run_id == self._run.run_id:
-            self._state = message
+        if self._run is None or message.run_id != self._run.run_id:
+            return
+        t_ns = self._clocks.measured_ns(message.header.stamp, "vehicle_state", self._clocks.now_ns())
+        if t_ns is not None:
+            self._motion = motion_from_state(message, t_ns)
+
+    def _watch(self) -> None:
+        """While driving, say whose silence it is that there is no path."""
+        run = self._run
+        if run is None or not run.may_move or run.mission in WITHOUT_PATH:
+            return
+        if late := self._cones.watch(self._clocks.now_ns()):
+            self._status.publish(PlannerStatus(run_id=run.run_id, mission=int(run.mission), late=late))
 
     def _on_cones(self, message: ConeArray) -> None:
-        state = self._state
-        if self._run is None or state is None:
-            return
         now_ns = self._clocks.now_ns()
-        seen_ns = self._clocks.steady_of(message.header.stamp, now_ns)
-        if now_ns - seen_ns >= _COLD_NS:
-            self.get_logger().warning(
-                f"cones are {(now_ns - seen_ns) / 1e6:.0f} ms old: not used", throttle_duration_sec=1.0
-            )
+        age_ns = now_ns - self._clocks.steady_of(message.header.stamp, now_ns)
+        self._cones.heard(now_ns, age_ns)
+        motion = self._motion
+        if self._run is None or motion is None:
             return
-        motion = motion_from_state(state, self._clocks.steady_of(state.header.stamp, now_ns))
+        seen_ns = self._clocks.measured_ns(message.header.stamp, "detected_cones", now_ns)
+        if seen_ns is None:
+            return
+        if age_ns >= _COLD_NS:
+            self.get_logger().warning(f"cones are {age_ns / 1e6:.0f} ms old: not used", throttle_duration_sec=1.0)
+            return
         plan = self._planner.on_cones(cones_from_msg(message, seen_ns), motion)
         if plan is None:
             # An empty path says: no way known. Silence would let the last path be driven on.

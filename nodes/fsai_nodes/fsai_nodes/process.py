@@ -22,6 +22,7 @@ from fsai_nodes.configured import Configured
 from fsai_nodes.edge import Clocks
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.runtime.notify import Notifier
+from fsai_vcu.runtime.transport import set_transport
 
 _STOP_SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
@@ -37,6 +38,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     stop_signals = _StopSignals()
     try:
         configured = Configured(sys.argv if arguments is None else arguments, name)
+        transport = set_transport(os.environ)
         rclpy.init(args=configured.arguments, signal_handler_options=SignalHandlerOptions.NO)
     except NodeError as error:
         print(f"{name}: {error}", file=sys.stderr)
@@ -54,7 +56,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
         for factory in factories:
             nodes.append(factory())
             executor.add_node(nodes[-1])
-        for line in configured.lines:
+        for line in filter(None, (*configured.lines, transport)):
             nodes[0].get_logger().info(line)
         if not any(getattr(node, "tells_systemd", False) for node in nodes):
             _tell_systemd(nodes[0])

@@ -39,6 +39,13 @@ SENSOR = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
+# Reliable, because RViz and others ask for that; a reader that asks for less gets it too.
+MOTION = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
 STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
@@ -60,20 +67,21 @@ DIAGNOSTICS = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 
+# By relative names, so that a namespace holds for all of them.
 TOPICS: Mapping[str, QoSProfile] = MappingProxyType(
     {
-        "/raw_cones": SENSOR,
-        "/detected_cones": SENSOR,
-        "/path": PLAN,
-        "/planner_status": PLAN,
-        "/vehicle_cmd": COMMAND,
-        "/vehicle_state": STATE,
-        "/run_state": STATE,
-        "/reset_confirmation": CONFIRMATION,
-        "/odometry": SENSOR,
-        "/imu": SENSOR,
-        "/gps/fix": SENSOR,
-        "/diagnostics": DIAGNOSTICS,
+        "raw_cones": SENSOR,
+        "detected_cones": SENSOR,
+        "path": PLAN,
+        "planner_status": PLAN,
+        "vehicle_cmd": COMMAND,
+        "vehicle_state": STATE,
+        "run_state": STATE,
+        "reset_confirmation": CONFIRMATION,
+        "odometry": MOTION,
+        "imu": MOTION,
+        "gps/fix": MOTION,
+        "diagnostics": DIAGNOSTICS,
     }
 )
 

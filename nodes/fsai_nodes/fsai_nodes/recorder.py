@@ -21,6 +21,7 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -75,15 +76,26 @@ class Heard:
 class TopicRecorder:
     """Hears topics from `start` to `stop`; `fetch` gives what was heard, `news` what people should know."""
 
-    def __init__(self, topics: Iterable[str] = PROJECT_TOPICS) -> None:
-        self._wanted = set(topics)
+    def __init__(self, topics: Iterable[str] = PROJECT_TOPICS, namespace: str = "/") -> None:
+        """A topic without a / at its beginning is one of `namespace`. Raises ValueError where that is none."""
         self._heard: deque[Heard] = deque()
         self._news: deque[str] = deque()
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("recorder", context=self._context, enable_rosout=False, start_parameter_services=False)
+        try:
+            self._node = Node(
+                "recorder",
+                context=self._context,
+                namespace=namespace,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+        except InvalidNamespaceException as error:
+            self._context.try_shutdown()
+            raise ValueError(f"{namespace} is no ROS namespace; one is like /car1") from error
+        self._wanted = {self._node.resolve_topic_name(topic) for topic in topics}
         self._node.create_timer(LOOK_AGAIN_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)

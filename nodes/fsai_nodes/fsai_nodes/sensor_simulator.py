@@ -66,7 +66,7 @@ class SensorSimulator(Node):
             ) from error
         self._sensor: ConeSensor | None = None
         self._seeing: tuple[str, int] | None = None  # track and seed that the sensor was made for
-        self._publisher = publisher(self, ConeArray, "/raw_cones")
+        self._publisher = publisher(self, ConeArray, "raw_cones")
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._look)
         self.get_logger().info(f"listening for the true pose on UDP port {port}")
 

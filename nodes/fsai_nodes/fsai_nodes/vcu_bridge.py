@@ -1,8 +1,9 @@
-"""vcu_bridge: between ROS and the car. The only node that knows the bus, and it knows it through a loop of its own.
+"""vcu_bridge: between ROS and the car. The only node that knows the bus, and it knows it through a process of its own.
 
-A managed (lifecycle) node that configures and activates itself unless told otherwise. Callbacks of topics only replace
-the latest command in the loop's slot; services ask the loop and wait for its answer; a timer publishes what the
-loop last reported. Nothing here decides anything about the car.
+A managed (lifecycle) node that configures and activates itself unless told otherwise. It is the edge of the CAN loop,
+which runs in a process without ROS: commands are handed to it without waiting, services ask it and wait for its answer
+for a limited time, a timer publishes what it last reported. Nothing here decides anything about the car, and nothing
+that happens here, in ROS or in its middleware stops the loop.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from __future__ import annotations
 import math
 import secrets
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path as FilePath
 
 from builtin_interfaces.msg import Time
@@ -21,6 +24,7 @@ from fsai_msgs.srv import SetMode
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
 from sensor_msgs.msg import Imu, NavSatFix
@@ -38,25 +42,22 @@ from fsai_nodes.conversions import (
     state_to_msg,
 )
 from fsai_nodes.diagnosis import diagnostics_of
-from fsai_nodes.edge import Clocks
+from fsai_nodes.edge import Clocks, Input
 from fsai_nodes.news import News
 from fsai_nodes.parameters import NodeError, Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_nodes.waiting import GoalError, Outcome, Waiting
-from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.database import DatabaseError
-from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.revisions import REVISIONS, Revision
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.wheels import WheelMapping
-from fsai_vcu.runtime.bus import BusError
 from fsai_vcu.runtime.configuration import BRAKE_RANGES_PCT
 from fsai_vcu.runtime.limits_file import read_limits
-from fsai_vcu.runtime.lock import AlreadyRunning
-from fsai_vcu.runtime.loop import BridgeLoop
+from fsai_vcu.runtime.link import LoopSettings
+from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process
 
 _CONFIG = BridgeConfig()
 _SAME_AS_REVISION = "same_as_revision"
@@ -140,17 +141,21 @@ SETTINGS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Configured:
-    """What configuring has read and checked; activation makes a loop of it."""
+_Transition = Callable[["VcuBridge", LifecycleState], TransitionCallbackReturn]
 
-    codec: Codec
-    revision: Revision
-    car_name: str
-    config: BridgeConfig
-    limits: OperationalLimits | None
-    bus: str
-    real_time: bool
+
+def _told(transition: _Transition) -> _Transition:
+    """A lifecycle transition whose error is said; rclpy takes it for a failure without a word."""
+
+    @wraps(transition)
+    def told(node: VcuBridge, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(node, state)
+        except Exception as error:
+            node._tell_failure(f"{type(error).__name__}: {error}")
+            raise
+
+    return told
 
 
 class VcuBridge(LifecycleNode):
@@ -162,37 +167,48 @@ class VcuBridge(LifecycleNode):
         super().__init__("vcu_bridge", **options)
         self._state_label = "unconfigured"
         self._trouble = ""  # why the last transition failed
+        self._starting = True  # this constructor runs
         self._last_answer = ""
         self._settings = Settings(self, SETTINGS, lambda _name: None, self._why_fixed)
         self._clocks = Clocks(self)
-        self._configured: _Configured | None = None
-        self._loop: BridgeLoop | None = None
+        self._configured: LoopSettings | None = None
+        self._process: LoopHandle | None = None  # of the loop, from configuring to cleaning up
+        self._loop: LoopHandle | None = None  # the same while the node is active
         self._news = News()
         self._last_run: tuple[object, str] | None = None
-        self._last_fix_ns = self._last_imu_ns = 0
+        self._last_motion_ns = self._last_fix_ns = self._last_imu_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
+        self._commands = Input(self, "vehicle_cmd", silent_ns=_CONFIG.command_stale_ns)
+        self._late = ""  # which input the last command was waiting for
+        self._deadline_missed = False  # and nothing has come since
         self._timers: list[Timer] = []
         self._goals: dict[bytes, _Following] = {}  # by goal id
         self._transforms = _TransformSender(self)
 
-        self._vehicle_state = publisher(self, VehicleState, "/vehicle_state")
-        self._run_state = publisher(self, RunState, "/run_state")
-        self._odometry = publisher(self, Odometry, "/odometry")
-        self._imu = publisher(self, Imu, "/imu")
-        self._fix = publisher(self, NavSatFix, "/gps/fix")
-        self._diagnostics = publisher(self, DiagnosticArray, "/diagnostics")
-        self.create_subscription(VehicleCommand, "/vehicle_cmd", self._on_command, TOPICS["/vehicle_cmd"])
+        self._vehicle_state = publisher(self, VehicleState, "vehicle_state")
+        self._run_state = publisher(self, RunState, "run_state")
+        self._odometry = publisher(self, Odometry, "odometry")
+        self._imu = publisher(self, Imu, "imu")
+        self._fix = publisher(self, NavSatFix, "gps/fix")
+        self._diagnostics = publisher(self, DiagnosticArray, "diagnostics")
         self.create_subscription(
-            ResetConfirmation, "/reset_confirmation", self._on_confirmation, TOPICS["/reset_confirmation"]
+            VehicleCommand,
+            "vehicle_cmd",
+            self._on_command,
+            TOPICS["vehicle_cmd"],
+            event_callbacks=SubscriptionEventCallbacks(deadline=self._on_deadline_missed),
         )
-        self.create_service(SetMode, "/set_mode", self._on_set_mode)
-        self.create_service(Trigger, "/emergency_brake", self._on_emergency_brake)
-        self.create_service(Trigger, "/reset", self._on_reset)
+        self.create_subscription(
+            ResetConfirmation, "reset_confirmation", self._on_confirmation, TOPICS["reset_confirmation"]
+        )
+        self.create_service(SetMode, "set_mode", self._on_set_mode)
+        self.create_service(Trigger, "emergency_brake", self._on_emergency_brake)
+        self.create_service(Trigger, "reset", self._on_reset)
         # A goal is followed by the publishing timer; its result is handed over when that timer has an outcome.
         self._missions = ActionServer(
             self,
             RunMission,
-            "/run_mission",
+            "run_mission",
             execute_callback=self._result_of,
             goal_callback=self._on_goal,
             handle_accepted_callback=self._follow,
@@ -204,38 +220,37 @@ class VcuBridge(LifecycleNode):
                     trouble = self._trouble or "cannot start"
                     self.destroy_node()
                     raise NodeError(trouble)
+        self._starting = False
 
     # ------------------------------------------------------------ lifecycle
 
+    @_told
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self._configured = self._configure()
-        except NodeError as error:
+            # It gets ready while ROS does; the database is read there, and nowhere else.
+            self._process = start_loop_process(self._configured.bus)
+            self._process.configure(self._configured)
+        except (NodeError, LoopError) as error:
+            self._end_process()
             return self._failed(str(error))
         self._state_label = "inactive"
         limits = self._configured.limits
         for line in limits.described() if limits is not None else ("none but the car's own",):
             self.get_logger().info(f"operational limits: {line}")
+        if self._configured.codec.unknown:
+            self.get_logger().warning(self._configured.codec.unknown)
         return super().on_configure(state)
 
+    @_told
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        configured = self._configured
-        assert configured is not None, "the lifecycle activates only what is configured"
-        bridge = Bridge(
-            configured.codec,
-            configured.revision,
-            CARS[configured.car_name],
-            configured.config,
-            configured.limits,
-            # Drawn anew, so that no planner or controller takes this bridge's first run for an old one's.
-            first_run_id=secrets.randbelow(2**30) + 1,
-            now_ns=self._clocks.now_ns(),
-        )
+        configured, loop = self._configured, self._process
+        assert configured is not None and loop is not None, "the lifecycle activates only what is configured"
         try:
-            loop = BridgeLoop(bridge, configured.codec, configured.bus, real_time=configured.real_time)
-        except (BusError, AlreadyRunning) as error:
+            # Drawn anew, so that no planner or controller takes this bridge's first run for an old one's.
+            loop.activate(secrets.randbelow(2**30) + 1)
+        except LoopError as error:
             return self._failed(str(error))
-        loop.start()
         self._loop = loop
         self._news, self._last_run = News(), None
         self._timers = [
@@ -245,24 +260,29 @@ class VcuBridge(LifecycleNode):
         self._state_label = "active"
         sends = "listens only: nothing is sent" if configured.config.listen_only else "drives the bus"
         self.get_logger().info(
-            f"active on {configured.bus}, interface revision {configured.revision.name}, "
-            f"car {configured.car_name}; {sends}"
+            f"active on {configured.bus}, interface revision {configured.revision}, car {configured.car}; {sends} "
+            f"(CAN loop: process {loop.pid})"
         )
         return super().on_activate(state)
 
+    @_told
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._end_loop()
         self._state_label = "inactive"
         self.get_logger().info("inactive: silent on the bus")
         return super().on_deactivate(state)
 
+    @_told
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._configured = None
+        self._end_process()
         self._state_label = "unconfigured"
         return super().on_cleanup(state)
 
+    @_told
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._end_loop()
+        self._end_process()
         self._state_label = "finalized"
         return super().on_shutdown(state)
 
@@ -272,15 +292,26 @@ class VcuBridge(LifecycleNode):
             self.trigger_deactivate()
 
     def destroy_node(self) -> None:
+        self._end_process()
         # rclpy destroys what a node made, but not an action server: it would stay in the ROS graph.
         self._missions.destroy()
         super().destroy_node()
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._end_loop()
+        self._end_process()
+        self._configured = None
+        self._state_label = "unconfigured"
+        return super().on_error(state)
+
     def _failed(self, why: str) -> TransitionCallbackReturn:
-        self._trouble = why
-        if not self._settings.flag("autostart"):  # else the process ends with this line
-            self.get_logger().error(why)
+        self._tell_failure(why)
         return TransitionCallbackReturn.FAILURE
+
+    def _tell_failure(self, why: str) -> None:
+        self._trouble = why
+        if not self._starting:  # else the process ends with this line
+            self.get_logger().error(f"the lifecycle transition failed: {why}")
 
     def _end_loop(self) -> None:
         loop, self._loop = self._loop, None
@@ -289,24 +320,30 @@ class VcuBridge(LifecycleNode):
         for timer in self._timers:
             self.destroy_timer(timer)
         self._timers = []
-        loop.stop()
+        if not loop.deactivate():
+            self.get_logger().error("the CAN loop does not answer, and its process is ended: silence stops the car")
+            self._end_process()
         report = loop.report()
         self._publish_state(report, self._clocks.now_ns())
         self._step_goals(report, Outcome(False, "bridge_stopped", "vcu_bridge was stopped"))
 
+    def _end_process(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.close()
+
     def _why_fixed(self) -> str | None:
         if self._state_label == "unconfigured":
             return None
-        return f"vcu_bridge is {self._state_label}; first: ros2 lifecycle set /vcu_bridge deactivate, then cleanup"
+        name = self.get_fully_qualified_name()
+        return f"vcu_bridge is {self._state_label}; first: ros2 lifecycle set {name} deactivate, then cleanup"
 
-    def _configure(self) -> _Configured:
+    def _configure(self) -> LoopSettings:
         """Read and check all parameters. Raises NodeError."""
         text, number = self._settings.text, self._settings.number
-        revision = REVISIONS[text("revision")]
-        files = [FilePath(name.strip()) for name in text("dbc_files").split(",") if name.strip()]
         try:
-            codec = Codec(revision, files or None, wheel_mapping_of(text("wheel_mapping")))
             limits = limits_of(text("limits"))
+            wheel_mapping = wheel_mapping_of(text("wheel_mapping"))
             config = BridgeConfig(
                 autonomous_at_power_up=self._settings.flag("autonomous_at_power_up"),
                 listen_only=self._settings.flag("listen_only"),
@@ -315,19 +352,22 @@ class VcuBridge(LifecycleNode):
                 stop_brake_pct=number("stop_brake_pct"),
                 **{f"{name}_ns": round(number(f"{name}_ms") * 1e6) for name, _, _ in _TIMES},
             )
-        except (DatabaseError, LimitsError, ValueError) as error:
+        except (LimitsError, ValueError) as error:
             raise NodeError(str(error)) from error
         if config.motor_brakes:
             config = official_simulator(config)
         car = text("car")
-        return _Configured(
-            codec,
-            revision,
-            revision.name if car == _SAME_AS_REVISION else car,
-            config,
-            limits,
-            text("can_interface"),
-            self._settings.flag("real_time"),
+        return LoopSettings(
+            bus=text("can_interface"),
+            revision=text("revision"),
+            car=text("revision") if car == _SAME_AS_REVISION else car,
+            dbc_files=tuple(FilePath(name.strip()) for name in text("dbc_files").split(",") if name.strip()),
+            wheel_mapping=wheel_mapping,
+            config=config,
+            limits=limits,
+            real_time=self._settings.flag("real_time"),
+            # A report is at most half as old as the pause between two publications when it is published.
+            report_period_ns=round(0.5e9 / number("publish_rate_hz")),
         )
 
     # ------------------------------------------------------------ from ROS to the car
@@ -336,9 +376,29 @@ class VcuBridge(LifecycleNode):
         loop = self._loop
         if loop is None:
             return
-        sensor_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
+        now_ns = self._clocks.now_ns()
+        # A stamp of the future is handed on as it is: the loop refuses the command, and counts it.
+        sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         self._sensor_ns = sensor_ns
+        self._commands.heard(now_ns, now_ns - sensor_ns)
+        self._late, self._deadline_missed = message.late, False
         loop.submit_command(command_from_msg(message, sensor_ns))
+
+    def _on_deadline_missed(self, _event: object) -> None:
+        """The middleware says it for as long as nothing comes; the log, once."""
+        if self._loop is None or self._deadline_missed:
+            return
+        self._deadline_missed = True
+        text = f"the deadline of 100 ms was missed: {self._whose_silence()}"
+        if self._loop.report().run.as_state is AsState.AS_DRIVING:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().warning(text)
+
+    def _whose_silence(self) -> str:
+        """Which input is missing, in words, where the vehicle command is stale."""
+        silence = self._commands.silence(self._clocks.now_ns())
+        return silence or self._late or self._commands.old_data() or "commands come, but late or refused"
 
     def _on_confirmation(self, message: ResetConfirmation) -> None:
         if self._loop is not None:
@@ -381,12 +441,15 @@ class VcuBridge(LifecycleNode):
         if loop is None:
             return
         if not loop.running:
+            self._publish_state(loop.report(), self._clocks.now_ns())
             raise NodeError(f"the CAN loop ended by itself: {loop.failure or 'no reason known'}")
         report = loop.report()
         now_ns = self._clocks.now_ns()
         logger = self.get_logger()
-        for line in self._news.of(report):
-            if line.warning:
+        for line in self._news.of(report, self._whose_silence):
+            if line.level == "error":
+                logger.error(line.text)
+            elif line.level == "warning":
                 logger.warning(line.text)
             else:
                 logger.info(line.text)
@@ -406,10 +469,12 @@ class VcuBridge(LifecycleNode):
 
     def _publish_motion(self, report: BridgeReport) -> None:
         stamp = self._clocks.stamp_of(report.motion.t_ns)
+        moved = report.motion.t_ns != self._last_motion_ns  # else the car is silent: what it did is said already
+        self._last_motion_ns = report.motion.t_ns
         # Making a message costs more than asking whether anybody wants it.
-        if self._odometry.get_subscription_count():
+        if moved and self._odometry.get_subscription_count():
             self._odometry.publish(odometry_to_msg(report.motion, stamp))
-        if self._settings.flag("publish_tf"):
+        if moved and self._settings.flag("publish_tf"):
             self._transforms.send(report, stamp)
         if self._imu.get_subscription_count():
             measured = report.gps.acceleration or report.gps.dynamics
@@ -428,8 +493,10 @@ class VcuBridge(LifecycleNode):
         loop = self._loop
         if loop is None:
             return
-        more: dict[str, object] = {"bus reopened": loop.reopened, "deadline misses": loop.deadline_misses}
-        for index, sentence in enumerate(loop.scheduling_refused, 1):
+        loop.alive()
+        newest = loop.loop_report()
+        more: dict[str, object] = {"bus reopened": newest.reopened, "deadline misses": newest.deadline_misses}
+        for index, sentence in enumerate(newest.scheduling_refused, 1):
             more[f"not real-time {index}"] = sentence
         stamp = self._clocks.stamp_of(self._clocks.now_ns())
         self._diagnostics.publish(diagnostics_of(loop.report(), stamp, more))

@@ -10,12 +10,12 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 
 from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
-from fsai_nodes.edge import Clocks, nanoseconds
+from fsai_nodes.edge import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import CONTROLLER_RANGES, ControllerSettings
-from fsai_vcu.core.driving import Plan, Run
+from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import CARS
 
 _DEFAULT = ControllerSettings()
@@ -58,16 +58,20 @@ class VehicleController(Node):
         self._clocks = Clocks(self)
         self._controller = Controller(CARS[self._settings.text("car")], self._controller_settings())
         self._run: Run | None = None
-        self._state: VehicleState | None = None
+        self._state: tuple[VehicleState, Motion] | None = None  # the newest, and the motion in it
         self._status: PlannerStatus | None = None
         self._pending: Path | None = None  # a path whose status has not come yet
         self._plan: Plan | None = None
-        self._command = publisher(self, VehicleCommand, "/vehicle_cmd")
-        self._confirmation = publisher(self, ResetConfirmation, "/reset_confirmation")
-        self.create_subscription(RunState, "/run_state", self._on_run, TOPICS["/run_state"])
-        self.create_subscription(VehicleState, "/vehicle_state", self._on_state, TOPICS["/vehicle_state"])
-        self.create_subscription(PlannerStatus, "/planner_status", self._on_status, TOPICS["/planner_status"])
-        self.create_subscription(Path, "/path", self._on_path, TOPICS["/path"])
+        self._states = Input(self, "vehicle_state")
+        self._paths = Input(self, "path")
+        self._planner_waits: tuple[str, int] = "", 0  # for what, and when it said so
+        self._is_late = False  # an input is, and the log has been told
+        self._command = publisher(self, VehicleCommand, "vehicle_cmd")
+        self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
+        self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
+        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
+        self.create_subscription(PlannerStatus, "planner_status", self._on_status, TOPICS["planner_status"])
+        self.create_subscription(Path, "path", self._on_path, TOPICS["path"])
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._tick)
 
     def _controller_settings(self) -> ControllerSettings:
@@ -90,18 +94,29 @@ class VehicleController(Node):
             return
         self._controller.reset(run)
         self._state = self._status = self._pending = self._plan = None
+        self._planner_waits = "", 0
         self._confirmation.publish(ResetConfirmation(role=ResetConfirmation.CONTROLLER, run_id=run.run_id))
         self.get_logger().info(f"reset for run {run.run_id}, mission {run.mission.label}")
 
     def _on_state(self, message: VehicleState) -> None:
-        if self._run is not None and message.run_id == self._run.run_id:
-            self._state = message
+        if self._run is None or message.run_id != self._run.run_id:
+            return
+        now_ns = self._clocks.now_ns()
+        self._states.heard(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
+        t_ns = self._clocks.measured_ns(message.header.stamp, "vehicle_state", now_ns)
+        if t_ns is not None:
+            self._state = message, motion_from_state(message, t_ns)
 
     def _on_status(self, message: PlannerStatus) -> None:
+        if message.late:
+            self._planner_waits = message.late, self._clocks.now_ns()
+            return
         self._status = message
         self._pair()
 
     def _on_path(self, message: Path) -> None:
+        now_ns = self._clocks.now_ns()
+        self._paths.heard(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
         self._pending = message
         if not message.poses:
             self._plan = self._pending = None
@@ -114,23 +129,45 @@ class VehicleController(Node):
         if status is None or path is None or nanoseconds(status.header.stamp) != nanoseconds(path.header.stamp):
             return
         self._pending = None
-        self._plan = plan_from_msgs(status, path, self._clocks.steady_of(path.header.stamp, self._clocks.now_ns()))
+        seen_ns = self._clocks.measured_ns(path.header.stamp, "path", self._clocks.now_ns())
+        if seen_ns is not None:
+            self._plan = plan_from_msgs(status, path, seen_ns)
 
     def _tick(self) -> None:
-        state, run = self._state, self._run
-        if state is None or run is None:
+        run = self._run
+        if self._state is None or run is None:
             return
+        state, motion = self._state
         now_ns = self._clocks.now_ns()
         command = self._controller.command(
             self._plan,
-            motion_from_state(state, self._clocks.steady_of(state.header.stamp, now_ns)),
+            motion,
             state.standing,
             tuple(float(rpm) for rpm in state.wheel_speed_rpm),
             math.degrees(state.steering_rad),
             run,
             now_ns,
         )
-        self._command.publish(command_to_msg(command, self._clocks.stamp_of(command.t_sensor_ns)))
+        message = command_to_msg(command, self._clocks.stamp_of(command.t_sensor_ns))
+        message.late = self._late_input(command.t_sensor_ns, run, now_ns)
+        self._command.publish(message)
+
+    def _late_input(self, sensor_ns: int, run: Run, now_ns: int) -> str:
+        """Whose silence makes the data behind a command old, in words; empty while they are fresh."""
+        if not run.may_move or now_ns - sensor_ns < LATE_NS:
+            late = ""
+        elif self._plan is None or sensor_ns != self._plan.t_sensor_ns:
+            late = self._states.late(now_ns)
+        else:
+            words, said_ns = self._planner_waits
+            late = words if now_ns - said_ns < LATE_NS else self._paths.late(now_ns)
+        if bool(late) != self._is_late:
+            self._is_late = bool(late)
+            if late:
+                self.get_logger().warning(f"the data behind the commands grow old: {late}")
+            else:
+                self.get_logger().info("the data behind the commands are fresh again")
+        return late
 
 
 def main() -> int:

@@ -22,6 +22,7 @@ from fsai_hil.wire import WireReport, check_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.lock import holder_pid
 
 REVISION = "2026"
 CODEC = Codec(revision(REVISION))
@@ -30,6 +31,7 @@ POWER_UP_S = 60.0
 DRIVE_S = 120.0
 STOP_S = 20.0
 TRACK = "small_oval"
+LAPS = 100  # of a trackdrive: more than any test takes, and the most there may be
 CRUISE_MPS = 3.0
 POWER_CYCLE_S = 1.0
 SLOW_PLACE = os.environ.get("FSAI_HIL_PLACE") == "uml"  # one slow processor
@@ -138,6 +140,13 @@ class Chain:
         self.driving(run, cruise_mps)
 
     @property
+    def pids(self) -> dict[str, int]:
+        """Of the nodes, and of the CAN loop, which has a process of its own and holds the interface."""
+        loop = holder_pid(self.stack.bus)
+        assert loop is not None, "nobody drives the interface"
+        return {**{name: self.stack.processes[name].popen.pid for name in NODES}, "CAN loop": loop}
+
+    @property
     def state(self) -> Any:
         return self.operator.state
 
@@ -150,7 +159,7 @@ class Chain:
 def chain(interface: str) -> Iterator[Chain]:
     folder = new_folder("chain")
     with Stack(interface, folder, slow_place=SLOW_PLACE) as stack:
-        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}})
+        stack.start_nodes({"vcu_bridge": {"revision": REVISION, "car": REVISION}, "path_planner": {"laps": LAPS}})
         operator = RosOperator(stack)
         try:
             operator.await_bridge(START_S)

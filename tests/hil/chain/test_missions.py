@@ -79,7 +79,7 @@ def test_manual_while_driving_is_a_controlled_stop_that_ends_finished(chain: Cha
 
 
 def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
-    pids = {name: chain.stack.processes[name].popen.pid for name in NODES}
+    pids = chain.pids
     with chain.car("lap") as run:
         chain.autonomous()
         chain.operator.await_state(lambda s: s.as_state == AsState.AS_DRIVING, POWER_UP_S, "AS_DRIVING")

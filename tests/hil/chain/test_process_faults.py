@@ -25,7 +25,7 @@ import pytest
 
 from chain.conftest import CODEC, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
 from conftest import BusLog, new_folder
-from fsai_hil.stack import NODES
+from fsai_hil.stack import NODES, await_condition
 from fsai_hil.vcan.network import TX_QUEUE_FRAMES
 from fsai_hil.wire import MS, checker_for
 from fsai_hil.witness import STOOD_STILL_NS
@@ -35,6 +35,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import open_bus
+from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 DEADLINES = BridgeConfig()
@@ -213,18 +214,30 @@ def test_a_controller_that_hangs_for_5_s_does_not_drive_on(chain: Chain, drive: 
     rules_kept(drive)
 
 
+def loop_of(chain: Chain) -> int:
+    """The process of the CAN loop: the one that holds the interface."""
+    pid = holder_pid(chain.stack.bus)
+    assert pid is not None, "nobody drives the interface"
+    assert pid != chain.stack.processes["vcu_bridge"].popen.pid, "the loop has a process of its own"
+    return pid
+
+
 @pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
-def test_a_bridge_that_hangs_is_silent_and_when_it_wakes_asks_for_the_emergency_brake(
-    chain: Chain, drive: Wire, hang_s: float
-) -> None:
-    bridge = chain.stack.processes["vcu_bridge"]
+def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire, hang_s: float) -> None:
+    loop = loop_of(chain)
     stopped_ns = time.time_ns()
-    bridge.signal(signal.SIGSTOP)
+    os.kill(loop, signal.SIGSTOP)
     try:
+        if hang_s > 1.0:
+            chain.operator.await_state(
+                lambda s: any("the CAN loop has reported nothing" in line for line in s.why_not_driving),
+                STOP_S,
+                "the edge names the silent loop",
+            )
         time.sleep(hang_s)  # the length of the hang is what is tested
     finally:
         woken_ns = time.time_ns()
-        bridge.signal(signal.SIGCONT)
+        os.kill(loop, signal.SIGCONT)
     comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
     spoken = [t_ns for t_ns, _ in drive.images(AiStatus, stopped_ns)]
     assert not [t_ns for t_ns in spoken if stopped_ns + CYCLE_NS < t_ns < woken_ns], "it is silent while it hangs"
@@ -233,8 +246,59 @@ def test_a_bridge_that_hangs_is_silent_and_when_it_wakes_asks_for_the_emergency_
     assert drive.images(AiStatus, woken_ns)[0][1].estop_request, "the first that it says is ESTOP_REQUEST"
     assert drive.torque_ends(woken_ns) == 0
     assert "late" in chain.state.emergency
-    # What it says in its first cycle is what it knew when it fell silent; the rest has yet to be received.
     rules_kept(drive, not_judged=(woken_ns, woken_ns + CYCLE_NS))
+
+
+@long
+def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: Wire) -> None:
+    bridge = chain.stack.processes["vcu_bridge"]
+    killed_ns = time.time_ns()
+    os.kill(loop_of(chain), signal.SIGKILL)
+    assert bridge.wait(STOP_S) == 1
+    assert "the CAN loop ended by itself: its process was killed by signal 9" in bridge.log()
+    chain.stack.start_node("vcu_bridge")
+    chain.operator.await_bridge(START_S)
+    chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "the car has stopped itself")
+    emergency = drive.first(VcuStatus, killed_ns, lambda s: s.as_state is AsState.EMERGENCY_BRAKE, "EMERGENCY_BRAKE")
+    assert emergency <= VCU_PATIENCE_NS + CYCLE_NS
+    assert drive.torque_ends(killed_ns + CYCLE_NS) == 0
+
+
+@long
+def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: Wire) -> None:
+    """No command reaches the loop, which answers the car all the while and brakes it to rest."""
+    edge = chain.stack.processes["vcu_bridge"]
+    stopped_ns = time.time_ns()
+    edge.signal(signal.SIGSTOP)
+    try:
+        time.sleep(5.0)  # the length of the hang is what is tested
+    finally:
+        woken_ns = time.time_ns()
+        edge.signal(signal.SIGCONT)
+    comes_to_rest(chain, AsState.AS_FINISHED)
+    assert chain.state.mode == "manual", "a stop for lost commands is latched"
+    assert drive.torque_ends(stopped_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(stopped_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    assert not drive.first_gap(stopped_ns, VCU_PATIENCE_NS), "the loop is never silent"
+    assert not any(status.estop_request for t_ns, status in drive.images(AiStatus, stopped_ns) if t_ns < woken_ns)
+    rules_kept(drive)
+
+
+def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: Wire) -> None:
+    """The loop brakes the car to rest, says FINISHED, and ends; the next bridge may start."""
+    loop = loop_of(chain)
+    killed_ns = time.time_ns()
+    chain.stack.processes["vcu_bridge"].signal(signal.SIGKILL)
+    await_condition(lambda: not Path(f"/proc/{loop}/root").exists(), STOP_S, "the loop's process ends by itself")
+    ended_ns = time.time_ns()
+    chain.stack.start_node("vcu_bridge")
+    chain.operator.await_bridge(START_S)
+    finished = drive.first(VcuStatus, killed_ns, lambda s: s.as_state is AsState.AS_FINISHED, "AS_FINISHED")
+    assert finished <= ended_ns - killed_ns
+    assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(killed_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    until_finished = [status for t_ns, status in drive.images(AiStatus, killed_ns) if t_ns < killed_ns + finished]
+    assert not any(status.estop_request for status in until_finished)
 
 
 def test_a_second_bridge_refuses_to_start_with_one_line_and_the_first_goes_on(chain: Chain) -> None:

@@ -45,7 +45,7 @@ def test_missions_one_after_another_leave_memory_descriptors_threads_and_respons
     """A mission that failed on a disturbed machine shows nothing: it is told and left out, and the next one counts."""
     minutes = float(os.environ.get("FSAI_HIL_SOAK_MINUTES", "0"))
     missions = 1 + math.ceil(60.0 * minutes / LAP_S)
-    pids = {name: chain.stack.processes[name].popen.pid for name in NODES}
+    pids = chain.pids
     left_out: list[Period] = []
     with chain.car("soak", "--mission", ",".join(["autocross"] * 2 * missions), only=HANDSHAKE_IDS) as run:
         pids[CAR] = run.vcu.popen.pid

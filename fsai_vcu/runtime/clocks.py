@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fsai_vcu.core.supervision.config import BridgeConfig
+
 WINDOW_NS = 1_000_000_000  # a stamp older than this is stale by any clock, so older offsets explain nothing
 SAME_OFFSET_NS = 1_000_000  # differences under this are slewing and reading noise, not a step
-AHEAD_NS = 5_000_000  # a stamp so little ahead of the clock is noise: it was made just now
+# A stamp no further ahead of the clock is noise: it was made just now. One further ahead would hide how old data are.
+AHEAD_NS = BridgeConfig().sensor_future_ns
 
 
 @dataclass(slots=True)
@@ -46,10 +49,14 @@ class StampConverter:
         ]
 
     def to_steady(self, stamp_ns: int, now_ns: int) -> int:
-        """Steady time of a stamp, never later than `now_ns` (steady): a stamp of the future counts as made now."""
-        ages_ns = (now_ns - (stamp_ns - offset.ros_minus_steady_ns) for offset in self._offsets)
+        """Steady time of a stamp.
+
+        Up to AHEAD_NS ahead of `now_ns` (steady) it is `now_ns`, and never later than that. Further ahead it is what
+        the stamp says, by the offset that puts it ahead the least: that is for the caller to refuse.
+        """
+        ages_ns = [now_ns - (stamp_ns - offset.ros_minus_steady_ns) for offset in self._offsets]
         believable_ns = [max(age_ns, 0) for age_ns in ages_ns if age_ns >= -AHEAD_NS]
-        return now_ns - min(believable_ns, default=0)
+        return now_ns - (min(believable_ns) if believable_ns else max(ages_ns, default=0))
 
     def to_ros(self, steady_ns: int) -> int:
         """ROS time of a steady instant, by today's offset; never before the epoch, which no stamp can express."""

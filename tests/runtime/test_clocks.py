@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsai_nodes.stamps import SAME_OFFSET_NS, WINDOW_NS, StampConverter
+from fsai_vcu.runtime.clocks import AHEAD_NS, SAME_OFFSET_NS, WINDOW_NS, StampConverter
 
 MS, S = 1_000_000, 1_000_000_000
 WALL = 1_800_000_000 * S  # what a wall clock shows
@@ -64,9 +64,31 @@ def test_the_offset_before_a_step_counts_from_the_step_even_if_nothing_was_conve
     assert stamps.to_steady(WALL + NOW - 20 * MS, NOW) == NOW - 20 * MS
 
 
-def test_a_stamp_of_the_future_counts_as_made_now() -> None:
+def test_a_stamp_more_than_20_ms_ahead_stays_ahead() -> None:
     stamps = converter_at(WALL, NOW)
-    assert stamps.to_steady(WALL + NOW + 3600 * S, NOW) == NOW
+    assert AHEAD_NS == 20 * MS
+    assert stamps.to_steady(WALL + NOW + AHEAD_NS, NOW) == NOW
+    assert stamps.to_steady(WALL + NOW + AHEAD_NS + 1, NOW) == NOW + AHEAD_NS + 1
+    assert stamps.to_steady(WALL + NOW + 3600 * S, NOW) == NOW + 3600 * S
+
+
+def test_a_fixed_stamp_never_becomes_younger_than_it_was() -> None:
+    """A sensor clock that is ahead and stands still: its data are refused, and then grow old."""
+    stamps = converter_at(WALL, NOW)
+    stamp_ns = WALL + NOW + 300 * MS
+    for later_ns in range(0, 2000 * MS, 10 * MS):
+        now_ns = NOW + later_ns
+        stamps.observe(WALL + now_ns, now_ns)
+        t_ns = stamps.to_steady(stamp_ns, now_ns)
+        assert t_ns == (now_ns if 280 * MS <= later_ns <= 300 * MS else NOW + 300 * MS)
+
+
+@pytest.mark.parametrize("step_ns", [3600 * S, -3600 * S, 50 * MS, -50 * MS])
+def test_a_stamp_ahead_by_both_clocks_of_a_step_stays_ahead(step_ns: int) -> None:
+    stamps = converter_at(WALL, NOW)
+    stamps.observe(WALL + step_ns + NOW, NOW)
+    ahead_by_both_ns = WALL + max(step_ns, 0) + NOW + 100 * MS
+    assert stamps.to_steady(ahead_by_both_ns, NOW) == NOW + 100 * MS
 
 
 def test_a_stamp_a_little_ahead_is_now_and_not_ancient_by_an_older_offset() -> None:

@@ -1,0 +1,9 @@
+"""The array types of planning and control, for those who import numpy anyway: the CAN loop's process does not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]

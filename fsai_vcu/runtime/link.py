@@ -1,0 +1,217 @@
+"""What the CAN loop's process and its edge say to each other: datagrams on a socket pair, and nobody waits for anybody.
+
+The loop shares no interpreter, lock or allocator with its edge (the ROS node). Each message is one datagram, sent
+without waiting: where the other side does not read, it is dropped, and the next report replaces it. The end of a
+process is seen at once, as the end of the stream. A command or a report costs 4 us like this; shared memory would cost
+3 us, and need polling, a guard against torn reads, and another way to notice a death.
+
+The pair is private to the two processes, so messages are pickled objects; a report's datagram is told from the others
+by its first byte, so that of several that wait only the newest is unpacked.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import logging
+import pickle
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
+
+_LARGEST_BYTES = 1 << 17  # a report has 2 to 20 kB
+_REPORT, _OTHER = b"R", b"M"
+
+
+# ---------------------------------------------------------------- from the edge to the loop
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """Everything that makes a bridge and its loop; the loop's process reads the database and opens the bus."""
+
+    bus: str
+    revision: str
+    car: str
+    dbc_files: tuple[Path, ...] = ()  # empty: the revision's own
+    wheel_mapping: WheelMapping = STRAIGHT
+    config: BridgeConfig = BridgeConfig()  # noqa: RUF009  immutable
+    limits: OperationalLimits | None = None
+    real_time: bool = True
+    report_period_ns: int = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Activate:
+    """Take the interface's lock, open the bus and run; the first run has this number."""
+
+    first_run_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Deactivate:
+    """Stop in order, fall silent, give lock and bus back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command(Immutable):
+    """The newest command. One datagram each; the loop takes the last of those that wait."""
+
+    command: VehicleCommand
+
+
+@dataclass(frozen=True, slots=True)
+class ResetConfirmed:
+    """`role` has forgotten the previous run and is ready for `run_id`."""
+
+    role: str
+    run_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """The edge still runs, whether it has anything else to say or not. Sent once a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """A request that wants an answer. After `until_ns` nobody waits any more: it is refused then, unless it is
+    `better_late` than never.
+    """
+
+    number: int
+    what: str  # set_mode, emergency_brake or reset
+    argument: str
+    until_ns: int
+    better_late: bool = False
+
+
+# ---------------------------------------------------------------- from the loop to the edge
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """To the Ask, Activate or Deactivate of that number (0 for the latter two, and for the settings)."""
+
+    number: int
+    accepted: bool
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopReport(Immutable):
+    """A snapshot of the bridge, and what the loop knows of itself."""
+
+    bridge: BridgeReport
+    reopened: int = 0  # how often a lost bus was opened again
+    deadline_misses: int = 0
+    scheduling_refused: tuple[str, ...] = ()  # what of real-time scheduling was not allowed, in words
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """For the edge's log."""
+
+    name: str
+    level: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The loop has ended by itself: why."""
+
+    failure: str
+
+
+# ---------------------------------------------------------------- the two ends
+
+
+def link_pair() -> tuple[socket.socket, socket.socket]:
+    """The two ends of a new link, neither of which ever blocks."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(False)
+    return ends
+
+
+class LinkEnd:
+    """One end: sends without waiting, and hands over all that has come."""
+
+    def __init__(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        self._socket = end
+        self._buffer = bytearray(_LARGEST_BYTES)
+        self._view = memoryview(self._buffer)
+        self.closed = False  # the other side is gone, or this one was closed
+        self.dropped = 0  # messages that found no room
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def send(self, message: object) -> bool:
+        """Whether it is on its way. Never waits and never raises: a full or dead link is the other side's trouble."""
+        if self.closed:
+            return False
+        kind = _REPORT if type(message) is LoopReport else _OTHER
+        try:
+            self._socket.send(kind + pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
+        except BlockingIOError:
+            self.dropped += 1
+            return False
+        except OSError:
+            self.dropped += 1
+            return False  # the end of the stream is for `receive` to see, after what had still come
+        return True
+
+    def receive(self) -> list[Any]:
+        """Everything that waits, in order; of several reports the newest, as the last element."""
+        messages: list[Any] = []
+        newest: bytes | None = None
+        while not self.closed:
+            try:
+                size = self._socket.recv_into(self._buffer)
+            except BlockingIOError:
+                break
+            except OSError:
+                size = 0
+            if size == 0:
+                self.closed = True
+                break
+            if self._buffer[:1] == _REPORT:
+                newest = bytes(self._view[1:size])
+            else:
+                messages.append(pickle.loads(self._view[1:size]))
+        if newest is not None:
+            messages.append(pickle.loads(newest))
+        return messages
+
+    def close(self) -> None:
+        self.closed = True
+        self._socket.close()
+
+
+class LinkHandler(logging.Handler):
+    """Hands log lines to the edge: the loop itself writes to no file, terminal or socket of a journal."""
+
+    def __init__(self, link: LinkEnd) -> None:
+        super().__init__()
+        self._link = link
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._link.send(LogLine(record.name, record.levelno, self.format(record)))
+
+
+def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+copyreg.pickle(MappingProxyType, lambda proxy: (_read_only, (dict(proxy),)))

@@ -1,0 +1,235 @@
+"""The edge's side of the CAN loop: starts its process, hands commands and requests in, and takes reports out.
+
+Nothing here waits for the loop but the answers to requests, and those have a deadline.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.runtime.link import (
+    Activate,
+    Alive,
+    Answer,
+    Ask,
+    Command,
+    Deactivate,
+    Ended,
+    LinkEnd,
+    LogLine,
+    LoopReport,
+    LoopSettings,
+    ResetConfirmed,
+    link_pair,
+)
+
+REQUEST_TIMEOUT_S = 2.0
+_START_TIMEOUT_S = 30.0  # an interpreter's start on a slow processor
+_STOP_TIMEOUT_S = 10.0
+LOOP_SILENT_NS = 100_000_000  # a loop that reports nothing for so long is, to the edge, a car that is silent
+
+_NOT_RUNNING = "the CAN loop does not run: nothing is sent"
+
+
+class LoopError(Exception):
+    """The loop cannot start; the message is one clear line."""
+
+
+class LoopHandle:
+    """The loop at the far end of a link. For one thread."""
+
+    def __init__(self, end: socket.socket, process: subprocess.Popen[bytes] | None = None) -> None:
+        """process: the one that has the other end; `start_loop_process` makes both."""
+        self._link = LinkEnd(end)
+        self._process = process
+        self._newest: LoopReport | None = None
+        self._answers: dict[int, Answer] = {}
+        self._number = 0
+        self._active = False
+        self.failure = ""  # why the loop ended by itself
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._process is None else self._process.pid
+
+    @property
+    def running(self) -> bool:
+        """Whether the loop runs, as far as is known."""
+        self._take()
+        return self._active and not self._link.closed
+
+    # ------------------------------------------------------------ life
+
+    def configure(self, settings: LoopSettings) -> None:
+        """Hand over the settings; the loop's process reads the database. Raises LoopError."""
+        self._link.send(settings)
+        self._settle("does not start")
+
+    def activate(self, first_run_id: int) -> None:
+        """Take the interface's lock, open the bus and run. Raises LoopError."""
+        self._newest, self.failure = None, ""
+        self._link.send(Activate(first_run_id))
+        self._settle("does not begin")
+        self._active = True
+        self._await(lambda: self._newest is not None or not self.running, _START_TIMEOUT_S)
+        if self._newest is None:
+            raise LoopError(f"the CAN loop ended at once: {self.failure or 'no reason known'}")
+
+    def deactivate(self) -> bool:
+        """Stop in order (at rest zeros and NEUTRAL; moving: brake and ESTOP_REQUEST), then silence. Idempotent.
+
+        False when the loop does not answer any more.
+        """
+        if not self.running:
+            return True
+        self._active = False
+        self._answers.pop(0, None)
+        self._link.send(Deactivate())
+        self._await(lambda: 0 in self._answers, _STOP_TIMEOUT_S)
+        return 0 in self._answers or self._link.closed
+
+    def close(self) -> None:
+        """End the process as well. One that hangs is killed: its silence stops the car."""
+        hangs = not self.deactivate()
+        self._link.close()
+        if self._process is not None:
+            try:
+                self._process.wait(0.0 if hangs else _STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+    def _settle(self, does_not: str) -> None:
+        self._answers.pop(0, None)
+        self._await(lambda: 0 in self._answers, _START_TIMEOUT_S)
+        answer = self._answers.pop(0, None)
+        if answer is None:
+            ended = self._link.closed
+            raise LoopError(
+                f"the process of the CAN loop {'has ended' if ended else does_not}"
+                + ("" if ended else f" within {_START_TIMEOUT_S:g} s")
+            )
+        if not answer.accepted:
+            raise LoopError(answer.message)
+
+    # ------------------------------------------------------------ what goes in
+
+    def submit_command(self, command: VehicleCommand) -> None:
+        """The newest command; the loop takes it in its next turn."""
+        self._link.send(Command(command))
+
+    def alive(self) -> None:
+        """To be called once a second: where nobody does, systemd's watchdog starts edge and loop anew."""
+        self._link.send(Alive())
+
+    def confirm_reset(self, role: str, run_id: int) -> None:
+        """`role` ('planner' or 'controller') has forgotten the previous run and is ready for `run_id`."""
+        self._link.send(ResetConfirmed(role, run_id))
+
+    def set_mode(self, mode: str) -> tuple[bool, str]:
+        return self._ask("set_mode", mode)
+
+    def emergency_brake(self, why: str) -> tuple[bool, str]:
+        return self._ask("emergency_brake", why, better_late=True)
+
+    def reset(self) -> tuple[bool, str]:
+        return self._ask("reset", "")
+
+    def _ask(self, what: str, argument: str, *, better_late: bool = False) -> tuple[bool, str]:
+        if not self.running:
+            return False, _NOT_RUNNING
+        self._number += 1
+        number, until_ns = self._number, time.monotonic_ns() + round(REQUEST_TIMEOUT_S * 1e9)
+        if not self._link.send(Ask(number, what, argument, until_ns, better_late)):
+            return False, "the CAN loop takes no requests"
+        self._await(lambda: number in self._answers or not self._active, REQUEST_TIMEOUT_S)
+        answer = self._answers.pop(number, None)
+        if answer is None:
+            return False, _NOT_RUNNING if self._link.closed else "the CAN loop does not answer"
+        return answer.accepted, answer.message
+
+    # ------------------------------------------------------------ what comes out
+
+    def report(self) -> BridgeReport:
+        """The newest report. Of a loop that is silent, or ended by itself: that nothing is known of the car."""
+        newest = self.loop_report().bridge
+        silent_ns = time.monotonic_ns() - newest.t_ns
+        if self.failure:
+            words = f"the CAN loop ended by itself: {self.failure}"
+        elif self._active and silent_ns >= LOOP_SILENT_NS:
+            words = f"the CAN loop has reported nothing for {silent_ns / 1e9:.1f} s: nothing is known of the car"
+        else:
+            return newest
+        return replace(
+            newest,
+            vcu_lost=True,
+            standing=False,
+            why_not_driving=(words,),
+            ages_ns={name: None if age is None else age + silent_ns for name, age in newest.ages_ns.items()},
+        )
+
+    def loop_report(self) -> LoopReport:
+        """The newest report as it came, with what the loop knows of itself."""
+        self._take()
+        assert self._newest is not None, "asked for before the loop was active"
+        return self._newest
+
+    def _take(self) -> None:
+        for message in self._link.receive():
+            match message:
+                case LoopReport():
+                    self._newest = message
+                case Answer():
+                    self._answers[message.number] = message
+                case LogLine():
+                    logging.getLogger(message.name).log(message.level, "%s", message.text)
+                case Ended():
+                    self.failure, self._active = message.failure, False
+        if self._link.closed and self._active:
+            self._active = False
+            self.failure = self.failure or self._how_it_ended()
+
+    def _how_it_ended(self) -> str:
+        """Of a process that ended without a word."""
+        if self._process is None:
+            return "its end of the link is closed"
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            status = self._process.wait(1.0)
+            return f"its process was killed by signal {-status}" if status < 0 else f"its process ended with {status}"
+        return "it has closed its link"
+
+    def _await(self, condition: Callable[[], bool], timeout_s: float) -> None:
+        """Until the condition holds, the link ends or the time is over."""
+        until = time.monotonic() + timeout_s
+        while True:
+            self._take()
+            left_s = until - time.monotonic()
+            if condition() or self._link.closed or left_s <= 0.0:
+                return
+            select.select([self._link], [], [], left_s)
+
+
+def start_loop_process(bus: str) -> LoopHandle:
+    """Start the loop's process. `bus` is for whoever lists processes; the settings name it for the loop."""
+    ours, theirs = link_pair()
+    environ = dict(os.environ, WATCHDOG_PID="")  # systemd named the edge; the watchdog is the loop's to feed
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "fsai_vcu.runtime.loop_process", str(theirs.fileno()), bus],
+            stdin=subprocess.DEVNULL,
+            pass_fds=[theirs.fileno()],
+            env=environ,
+            start_new_session=True,  # a Ctrl-C at the terminal is for the edge
+        )
+    return LoopHandle(ours, process)

@@ -1,0 +1,95 @@
+"""The process of the CAN loop: `python -m fsai_vcu.runtime.loop_process DESCRIPTOR BUS`, started by its edge.
+
+It imports neither ROS nor its middleware. The edge hands it one end of a link and the settings; it reads the database,
+and runs the loop from each Activate to the Deactivate that follows. It ends with the link: when its edge is gone, and
+the car does not drive any more.
+"""
+
+from __future__ import annotations
+
+import logging
+import select
+import signal
+import socket
+import sys
+import time
+
+from fsai_vcu.core.bridge import Bridge
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.database import DatabaseError
+from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.runtime.bus import BusError
+from fsai_vcu.runtime.link import Activate, Answer, LinkEnd, LinkHandler, LoopSettings
+from fsai_vcu.runtime.lock import AlreadyRunning
+from fsai_vcu.runtime.loop import BridgeLoop
+
+
+def serve(link: LinkEnd) -> None:
+    """Everything between the settings and the end of the link."""
+    settings: LoopSettings | None = None
+    codec: Codec | None = None
+    while not link.closed:
+        select.select([link], [], [])
+        for message in link.receive():
+            match message:
+                case LoopSettings():
+                    settings = message
+                    try:
+                        codec = _codec(settings)
+                    except (DatabaseError, ValueError) as error:
+                        link.send(Answer(0, False, str(error)))
+                    else:
+                        link.send(Answer(0, True))
+                case Activate() if settings is not None and codec is not None:
+                    _run(link, settings, codec, message.first_run_id)
+                case _:
+                    pass  # what was meant for a run that has ended
+
+
+def _codec(settings: LoopSettings) -> Codec:
+    return Codec(REVISIONS[settings.revision], list(settings.dbc_files) or None, settings.wheel_mapping)
+
+
+def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, first_run_id: int) -> None:
+    bridge = Bridge(
+        codec,
+        REVISIONS[settings.revision],
+        CARS[settings.car],
+        settings.config,
+        settings.limits,
+        first_run_id=first_run_id,
+        now_ns=time.monotonic_ns(),
+    )
+    try:
+        loop = BridgeLoop(
+            bridge,
+            codec,
+            settings.bus,
+            link,
+            real_time=settings.real_time,
+            report_period_ns=settings.report_period_ns,
+        )
+    except (BusError, AlreadyRunning) as error:
+        link.send(Answer(0, False, str(error)))
+        return
+    loop.run()
+    link.send(Answer(0, True))
+
+
+def main() -> int:
+    # Ctrl-C, and a service manager's SIGTERM, go to every process of a group: the edge decides what they mean, and
+    # without it the table of reactions does.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    link = LinkEnd(socket.socket(fileno=int(sys.argv[1])))
+    source = logging.getLogger("fsai_vcu")
+    source.setLevel(logging.INFO)
+    source.addHandler(LinkHandler(link))
+    source.propagate = False
+    serve(link)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,63 @@
+"""How the project's ROS 2 processes reach each other: by UDP on the loopback, never by shared memory.
+
+Fast DDS shares memory between processes unless it is told otherwise. A program that joins, hangs or is killed then
+holds up the others inside `publish`, and what it leaves locked in /dev/shm outlives it. UDP has neither. Each process
+sets this for itself before it initialises ROS 2, so it holds however the process was started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, MutableMapping
+from pathlib import Path
+from typing import Final
+
+PROFILE: Final = Path(__file__).with_name("dds_loopback.xml")
+_RANGE, _PROFILES, _BUILTIN = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+)
+_IMPLEMENTATION, _LOCALHOST_ONLY = "RMW_IMPLEMENTATION", "ROS_LOCALHOST_ONLY"
+_FAST_DDS: Final = "rmw_fastrtps_cpp"  # rmw_fastrtps_shared_cpp reads the profile and the variables below
+
+# With any other range than SYSTEM_DEFAULT rmw_fastrtps adds transports of its own, for LOCALHOST shared memory too.
+LOOPBACK: Final[Mapping[str, str]] = {_RANGE: "SYSTEM_DEFAULT", _PROFILES: str(PROFILE)}
+NETWORKS: Final[Mapping[str, str]] = {_RANGE: "SUBNET", _BUILTIN: "UDPv4"}
+VARIABLES: Final = (_RANGE, _PROFILES, _BUILTIN, _LOCALHOST_ONLY, _IMPLEMENTATION)  # all that choose a transport
+
+_THIS_MACHINE: Final = ("", "LOCALHOST", "SYSTEM_DEFAULT")
+
+
+def set_transport(environ: MutableMapping[str, str]) -> str:
+    """Put the transport into `environ`, before ROS 2 reads it; one line where it is not the loopback profile, or ''.
+
+    A profile, a transport or a middleware that the operator has chosen holds. ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET
+    opens the process to the networks, by UDP alone. Called again it changes nothing.
+    """
+    implementation = environ.get(_IMPLEMENTATION, "")
+    profile = environ.get(_PROFILES, "")
+    builtin = environ.get(_BUILTIN, "")
+    if implementation not in ("", _FAST_DDS):
+        return f"transport: that of {_IMPLEMENTATION}={implementation}, for which no profile is set"
+    if profile and profile != str(PROFILE):
+        return _own(f"{_PROFILES}={profile}", environ)
+    if not profile and builtin:
+        return "" if environ.items() >= NETWORKS.items() else _own(f"{_BUILTIN}={builtin}", environ)
+    if not profile and environ.get(_RANGE, "") not in _THIS_MACHINE:
+        environ[_BUILTIN] = NETWORKS[_BUILTIN]
+        return f"transport: UDP, on every network of this machine where {_RANGE}={environ[_RANGE]} says so"
+    environ.pop(_LOCALHOST_ONLY, None)  # it would go before the range
+    environ.update(LOOPBACK)
+    return ""
+
+
+def loopback_environment(environ: Mapping[str, str]) -> dict[str, str]:
+    """`environ` for the processes of a rehearsal: the loopback profile, whatever the caller has chosen for himself."""
+    return {**{name: value for name, value in environ.items() if name not in VARIABLES}, **LOOPBACK}
+
+
+def _own(chosen: str, environ: Mapping[str, str]) -> str:
+    line = f"transport: {chosen} of the environment holds, not the loopback profile"
+    if environ.get(_RANGE) == "LOCALHOST" or environ.get(_LOCALHOST_ONLY) == "1":
+        line += "; with the discovery range LOCALHOST shared memory is used all the same"
+    return line

@@ -1,0 +1,111 @@
+"""fsai-vcu mode, emergency-brake, reset, status: what they ask of a bridge, and the line when nobody answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import count
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
+pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
+
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.runtime.bus import open_bus
+
+LONG_S = 60.0
+_numbers = count()
+
+
+def verb(*arguments: str) -> subprocess.CompletedProcess[str]:
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", *arguments]
+    return subprocess.run(argv, capture_output=True, text=True, timeout=LONG_S)
+
+
+@pytest.fixture
+def bus() -> str:
+    return f"loopback:verbs-{os.getpid()}-{next(_numbers)}"
+
+
+@pytest.fixture
+def bridge(bus: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A bridge in the namespace /car1 that sends."""
+    argv = [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={bus}"]
+    with open_bus(bus) as listener:
+        process = subprocess.Popen([*argv, "-r", "__ns:=/car1"], stderr=subprocess.DEVNULL)
+        until = time.monotonic() + LONG_S
+        while listener.recv(0.1) is None:
+            assert time.monotonic() < until, "the bridge never sent"
+    yield process
+    process.send_signal(signal.SIGTERM)
+    process.wait(LONG_S)
+
+
+def test_the_emergency_brake_is_asked_for_and_reset_by_verbs(bridge: subprocess.Popen[bytes], bus: str) -> None:
+    from ros_rig import ScriptedVcu
+
+    with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)) as car:
+        asked = verb("emergency-brake", "--namespace", "/car1", "--json")
+        assert json.loads(asked.stdout) == {"success": True, "message": "ESTOP_REQUEST is latched"}
+        assert json.loads(verb("status", "--namespace", "car1", "--json").stdout)["emergency"]
+        assert car.last_status().estop_request
+        cleared = verb("reset", "--namespace", "/car1")
+        assert (cleared.returncode, cleared.stderr) == (0, "") and cleared.stdout
+        assert not json.loads(verb("status", "--namespace", "/car1", "--json").stdout)["emergency"]
+        assert json.loads(verb("reset", "--namespace", "/car1", "--json").stdout).keys() == {"success", "message"}
+        refused = verb("mode", "sport", "--namespace", "/car1")
+        assert refused.returncode == 1 and "autonomous" in refused.stderr
+
+
+def test_a_reset_that_is_refused_says_why_and_fails(bridge: subprocess.Popen[bytes]) -> None:
+    assert verb("emergency-brake", "--namespace", "/car1").returncode == 0
+    refused = verb("reset", "--namespace", "/car1")
+    assert refused.returncode == 1 and refused.stdout == ""
+    assert refused.stderr.count("\n") == 1 and refused.stderr.startswith("reset refused: ")
+
+
+def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
+    from ros_rig import RosRig
+
+    from fsai_nodes.vcu_bridge import VcuBridge
+
+    with RosRig() as rig:
+        rig.start(VcuBridge, can_interface=bus, real_time=False)
+        said = verb("reset", "--wait", "3")  # meanwhile nobody lets the node answer
+    assert said.returncode == 1
+    assert said.stderr == "fsai-vcu reset: the bridge offers /reset, but did not answer within 3 s; does it hang?\n"
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["mode", "manual"], "fsai-vcu mode: no bridge offers /set_mode (waited 0.5 s); is vcu_bridge running"),
+        (["emergency-brake"], "fsai-vcu emergency-brake: no bridge offers /emergency_brake (waited 0.5 s)"),
+        (["reset", "--namespace", "/car2"], "fsai-vcu reset: no bridge offers /car2/reset (waited 0.5 s)"),
+        (["status", "--namespace", "/car2"], "fsai-vcu status: nothing on /car2/vehicle_state for 0.5 s"),
+        (["reset", "--namespace", "car two"], "fsai-vcu reset: --namespace car two: that is no ROS namespace"),
+    ],
+)
+def test_without_a_bridge_every_verb_says_so_in_one_line(argv: list[str], words: str) -> None:
+    said = verb(*argv, "--wait", "0.5")
+    assert said.returncode == 1 and said.stdout == ""
+    assert said.stderr.startswith(words) and said.stderr.count("\n") == 1, said.stderr
+
+
+@pytest.mark.parametrize("name", ["reset", "status"])
+def test_ctrl_c_ends_the_waiting(name: str) -> None:
+    argv = [sys.executable, "-m", "fsai_vcu.cli.main", name, "--wait", "3600"]
+    from ros_rig import RosRig
+
+    with RosRig() as rig, subprocess.Popen(argv, stderr=subprocess.PIPE, text=True) as process:
+        rig.spin_until(lambda: "fsai_operator" in rig.tester.get_node_names(), "the verb's node", LONG_S)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=LONG_S)
+    assert (process.returncode, said) == (130, f"fsai-vcu {name}: interrupted\n")

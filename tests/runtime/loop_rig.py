@@ -1,0 +1,82 @@
+"""A loop on a stand-in bus, and what a test of it looks at."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from fsai_vcu.core.bridge import Bridge
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.images import AiStatus
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.bus import CanBus
+from fsai_vcu.runtime.link import LinkEnd, link_pair
+from fsai_vcu.runtime.loop import BridgeLoop
+from fsai_vcu.runtime.loop_handle import LoopHandle
+
+REVISION = revision("2026")
+CODEC = Codec(REVISION)
+WAIT_S = 10.0
+
+
+class ThreadedLoop(LoopHandle):
+    """A loop in a thread of this process, behind the handle that an edge has of one in a process of its own."""
+
+    def __init__(self, spec: str, config: BridgeConfig | None = None, *, real_time: bool = False) -> None:
+        ours, theirs = link_pair()
+        super().__init__(ours)
+        self.far_end = LinkEnd(theirs)
+        bridge = Bridge(CODEC, REVISION, CARS["2026"], config, now_ns=time.monotonic_ns())
+        self.loop = BridgeLoop(bridge, CODEC, spec, self.far_end, real_time=real_time)
+        self.thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        self.loop.run()
+        self.far_end.close()
+
+    def start(self) -> None:
+        self.thread.start()
+        self._active = True
+        assert eventually(lambda: self._newest is not None or not self.running)
+
+    def stop(self) -> None:
+        self.deactivate()
+        self.thread.join(WAIT_S)
+        assert not self.thread.is_alive()
+
+
+def make_loop(spec: str, config: BridgeConfig | None = None) -> ThreadedLoop:
+    return ThreadedLoop(spec, config)
+
+
+def eventually(condition: Callable[[], bool]) -> bool:
+    return eventually_within(WAIT_S, condition)
+
+
+def eventually_within(wait_s: float, condition: Callable[[], bool]) -> bool:
+    until = time.monotonic() + wait_s
+    while time.monotonic() < until:
+        if condition():
+            return True
+        threading.Event().wait(0.005)
+    return False
+
+
+def status_heard(bus: CanBus) -> AiStatus:
+    """The next 0x510 on the bus."""
+    until = time.monotonic() + WAIT_S
+    while time.monotonic() < until:
+        frame = bus.recv(0.5)
+        if frame is not None and frame.can_id == 0x510:
+            image = CODEC.decode(frame).image
+            assert isinstance(image, AiStatus)
+            return image
+    raise AssertionError("no 0x510 heard")
+
+
+def drop_all(bus: CanBus) -> None:
+    while bus.recv(0.0) is not None:
+        pass

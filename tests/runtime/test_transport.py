@@ -1,0 +1,56 @@
+"""Every start mode has the loopback profile, unless the operator has chosen otherwise."""
+
+from __future__ import annotations
+
+import pytest
+
+from fsai_vcu.runtime.transport import LOOPBACK, NETWORKS, PROFILE, loopback_environment, set_transport
+
+
+@pytest.mark.parametrize(
+    "environ",
+    [
+        {},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
+        {"ROS_LOCALHOST_ONLY": "1"},
+        {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"},
+        {**LOOPBACK, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        {**LOOPBACK, "FASTDDS_BUILTIN_TRANSPORTS": "SHM"},  # the profile has its own transports, and no built-in one
+    ],
+)
+def test_the_loopback_profile_holds_where_nothing_else_is_chosen(environ: dict[str, str]) -> None:
+    assert set_transport(environ) == ""
+    assert environ.items() >= LOOPBACK.items() and "ROS_LOCALHOST_ONLY" not in environ
+    assert PROFILE.is_file()
+
+
+@pytest.mark.parametrize(
+    ("environ", "words"),
+    [
+        ({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/home/me/dds.xml"}, "FASTRTPS_DEFAULT_PROFILES_FILE=/home/me/dds.xml of"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}, "FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA of"),
+    ],
+)
+def test_what_the_operator_has_chosen_holds_and_is_said(environ: dict[str, str], words: str) -> None:
+    before = dict(environ)
+    assert words in set_transport(environ) and environ == before
+
+
+@pytest.mark.parametrize("name", ["ROS_LOCALHOST_ONLY=1", "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"])
+def test_a_choice_that_shared_memory_defeats_is_said_to_be(name: str) -> None:
+    variable, _, value = name.partition("=")
+    assert "shared memory" in set_transport({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", variable: value})
+
+
+def test_subnet_opens_a_process_to_networks_without_shared_memory() -> None:
+    environ = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    assert "every network" in set_transport(environ)
+    assert environ == NETWORKS
+    assert set_transport(environ) == "" and environ == NETWORKS, "what the configuration says, too"
+
+
+def test_a_rehearsal_has_the_loopback_profile_whatever_its_caller_has() -> None:
+    caller = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", "ROS_LOCALHOST_ONLY": "1", "PATH": "/bin", **NETWORKS}
+    assert loopback_environment(caller) == {"PATH": "/bin", **LOOPBACK}
