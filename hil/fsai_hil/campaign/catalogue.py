@@ -1277,14 +1277,38 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     FaultKind(
         name="bridge_hung",
-        what="the bridge's process stands still for a while",
+        what="the loop's process stands still for a while, and the car's frames wait for it",
         begin=i.hung_bridge,
         draws=(between("hang", (5, 35), (70, 82), (130, 2500)),),
-        demanded="a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
+        demanded="a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops"
+        " itself",
         demand=lambda p: d.by_age(
             p["hang"],
             (50, d.estop(p["hang"], 0)),
             (100, ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+        ),
+    ),
+    FaultKind(
+        name="edge_hung",
+        what="the process between ROS and the loop stands still for a while",
+        begin=i.hung_edge,
+        draws=(between("hang", *COMMAND_BANDS),),
+        demanded="no command comes through. " + LOST_COMMAND_WORDS,
+        demand=by("hang", *LOST_COMMAND),
+    ),
+    FaultKind(
+        name="edge_killed",
+        what="the process between ROS and the loop is killed",
+        begin=i.killed_edge,
+        demanded=LOST_COMMAND_WORDS + "; at rest the loop ends, and the car takes the silence for an emergency",
+        demand=always(
+            ends(
+                End.STOP,
+                End.SELF,
+                no_torque_ms=d.COMMAND_STALE_MS + d.CONTROL_MS + d.SLACK_MS,
+                brake_ms=d.COMMAND_LOST_MS + d.CONTROL_MS + d.SLACK_MS,
+                safe_ms=d.COMMAND_LOST_MS + d.CONTROL_MS + d.STOP_MS + d.SLACK_MS,
+            )
         ),
     ),
     FaultKind(

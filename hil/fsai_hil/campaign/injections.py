@@ -786,6 +786,18 @@ def hung_bridge(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     return Injected()
 
 
+def hung_edge(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """The process between ROS and the loop stops for a while: no command comes through, no report gets out."""
+    rig.computer.hang_edge(now_ns + p["hang"] * MS)
+    return Injected()
+
+
+def killed_edge(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """The process between ROS and the loop ends without a word; the loop is left alone."""
+    rig.computer.kill_edge()
+    return Injected()
+
+
 def late_loop(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """The loop is late by `late` ms, once: it goes on so long after the instant at which a send was due."""
     rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS)
