@@ -30,8 +30,6 @@ from functools import cache
 from operator import attrgetter
 from typing import Any, Final, cast
 
-from fsai_vcu.core.supervision.wheel_speeds import Pulses, WheelBelief
-
 from fsai_hil.as_machine import Situation, Table, taken, transition_table
 from fsai_hil.evidence.invariants import Limits, Order, Witness
 from fsai_hil.evidence.rule_numbers import (
@@ -62,6 +60,7 @@ from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.gate import GateState
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.supervisor import Asked, Decision, Latch, SupervisorState
+from fsai_vcu.core.supervision.wheel_speeds import Pulses, WheelBelief
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, Decoded, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause

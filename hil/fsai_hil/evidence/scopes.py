@@ -186,7 +186,7 @@ def _messages() -> Scope:
     choices = [replace(GO, lost=lost, rpm=MOVING) for lost in pairs]
     choices += [replace(GO, lost=lost) for lost in pairs if len(lost) < 2]
     choices += [replace(GO, lost=lost, command="brake", rpm=MOVING) for lost in (frozenset(), frozenset((BRAKE,)))]
-    unreadable = _each(replace(GO, unreadable=True), {}, {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))})
+    unreadable = _each(replace(GO, unreadable=True), {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))})
     everywhere = [replace(GO, lost=frozenset((STATUS,))), replace(GO, unreadable=True), _CUT_OFF]
     return _scope(
         "messages",
@@ -248,8 +248,9 @@ def _said(state: AsState, **changes: object) -> Choice:
 
 
 def _any_car() -> Scope:
-    says = [_said(state, rpm=rpm) for state, rpm in product(AsState, (STANDING, MOVING))]
-    says += [_said(AsState.AS_DRIVING, go=False, rpm=rpm) for rpm in (STANDING, MOVING)]
+    says = [_said(state) for state in AsState]
+    says += [_said(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)]
+    says += [_said(AsState.AS_DRIVING, go=False, rpm=MOVING)]
     driving = replace(GO, says=AsState.AS_DRIVING, rpm=MOVING)
     return _scope(
         "any car",
@@ -272,9 +273,10 @@ def _restarts_any_car() -> Scope:
         "restarts, any car",
         "the process dies and comes back beside a VCU that goes on as if nothing had happened",
         [
-            *(_said(state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
+            *(_said(state) for state in states),
+            _said(AsState.AS_DRIVING, rpm=MOVING),
             *(_said(state, event=_RESTART) for state in states),
-            *(_said(state, request="autonomous") for state in states),
+            *(_said(state, request="autonomous") for state in states[:2]),
         ],
         endings=_INSISTING,
         bounds_ns=_INSISTING_NS,
