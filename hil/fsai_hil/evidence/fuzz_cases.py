@@ -435,7 +435,7 @@ def _speeds(chance: Random) -> list[Event]:
 
 def _counts(chance: Random) -> list[Event]:
     """Pulse counts that contradict the wheel speeds, on a car that drives or stops."""
-    how = chance.choice(({"how": "none"}, {"how": "more", "pulses": chance.choice((1, 2, 4, 7))}))
+    how = chance.choice(({"how": "none"}, {"how": "more", "pulses": chance.choice((0.05, 0.05, 1, 2, 7))}))
     reads = [event("speeds", rpm=[0] * 4)] if chance.random() < 0.5 else []
     stops = [event("service", name="mode", text="manual")] if chance.random() < 0.5 else []
     ends = [event("speeds", rpm=None), event("counts", how="pulses")]

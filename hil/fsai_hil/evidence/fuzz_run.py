@@ -101,7 +101,7 @@ class Played:
         self.raw_rpm: tuple[int, int, int, int] | None = None  # on the wire, whatever the wheels do
         self.turns = [0.0] * 4  # of the wheels, as their pulses count them
         self.counting: str = "pulses"
-        self.extra_pulses = 0
+        self.extra_pulses = 0.0
         self.angle_deg: float | None = None
         self.followed_deg = 0.0
         self.angle_max_deg = self.codec.revision.steer_limit_deg
@@ -222,7 +222,7 @@ class Played:
     def _do_speeds(self, rpm: list[int] | None) -> None:
         self.raw_rpm = None if rpm is None else (rpm[0], rpm[1], rpm[2], rpm[3])
 
-    def _do_counts(self, how: str, pulses: int = 0) -> None:
+    def _do_counts(self, how: str, pulses: float = 0.0) -> None:
         self.counting, self.extra_pulses = how, pulses
 
     def _do_steering(self, deg: float | None) -> None:

@@ -261,7 +261,13 @@ SEEDS: Final[tuple[Seed, ...]] = (
         _wrapped(supervisor, "on_status", _go_on_counts),
     ),
     Seed("AS_READY for 4.8 s is enough", "2", "beginnings", config={"ready_wait_ns": 4800 * MS}),
-    Seed("AS_READY is enough 1 ns early", "2", "beginnings", config={"ready_wait_ns": 4900 * MS - 1}),
+    Seed(
+        "AS_READY is enough 1 ns early",
+        "2",
+        "beginnings",
+        config={"ready_wait_ns": 4900 * MS - 1},
+        shows_in_fuzz=False,  # its AS_READY lasts whole cycles
+    ),
     Seed("a short sequence is only reported", "2", "beginnings", _reaction(Reason.SEQUENCE_SHORT, *_REPORTED)),
     Seed(
         "torque without a mission",
