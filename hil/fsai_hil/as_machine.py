@@ -162,14 +162,11 @@ class Row(Immutable):
 
 
 def _may_get_ready(s: Situation) -> bool:
-    return (
-        s.asms
-        and s.tsms
-        and s.ebs_armed
-        and s.ami is not Ami.NOT_SELECTED
-        and s.mission_status is MissionStatus.SELECTED
-        and not s.power_cycle_needed
-    )
+    return s.asms and s.tsms and s.ebs_armed and s.ami is not Ami.NOT_SELECTED and not s.power_cycle_needed
+
+
+def _acknowledged_and_may_get_ready(s: Situation) -> bool:
+    return s.mission_status is MissionStatus.SELECTED and _may_get_ready(s)
 
 
 def _may_start(s: Situation) -> bool:
@@ -240,7 +237,19 @@ ROWS: Final[tuple[Row, ...]] = (
         fault=AI_FAULTS[0],
         only="estop_request_in_as_off",
     ),
-    Row(AsState.AS_OFF, AsState.AS_READY, "mission chosen and acknowledged, EBS armed", _may_get_ready),
+    Row(
+        AsState.AS_OFF,
+        AsState.AS_READY,
+        "mission chosen and acknowledged, EBS armed",
+        _acknowledged_and_may_get_ready,
+    ),
+    Row(
+        AsState.AS_OFF,
+        AsState.AS_READY,
+        "mission chosen, EBS armed",
+        _may_get_ready,
+        only="ready_without_acknowledgement",
+    ),
     # ---- AS_READY
     *_resets(AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE),
     *_by_fault(AsState.AS_READY, CAR_FAULTS),

@@ -114,6 +114,7 @@ class Lockstep:
             limits=limits or UNLIMITED,
             from_start=True,
             motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
         )
         self.on_frame = on_frame
         self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames

@@ -195,6 +195,13 @@ class SimulatedVcu:
         self._ebs_closed_itself = False
         self._begin(now_ns)
 
+    def behave(self, profile: Profile) -> None:
+        """Behave otherwise from now on, as far as the state machine goes."""
+        self.profile = profile
+        self._table = transition_table(profile)
+        self._ai_faults = ai_faults(profile)
+        self._settled_until_ns = self._now_ns
+
     # ------------------------------------------------------------ what it hears
 
     def on_frame(self, frame: Frame) -> None:

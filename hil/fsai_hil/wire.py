@@ -11,9 +11,11 @@ Which safety rule is checked how, by frames alone:
 1. torque and brake: never above zero together in what the VCU saw last of each frame; torque rises from zero only after
    a whole cycle without both and a 0x524 after it that echoes zero, or two such cycles; brake rises only after a whole
    cycle without torque. A cycle that lacks a frame is not whole.
-2. each frame with torque against the 0x520 seen: AS_DRIVING, Go, its age, 3 s in AS_DRIVING, FORWARD, no ESTOP_REQUEST.
-   The mode and the command behind it are not on the wire: see `evidence/wire_rules.py`.
-3. NEUTRAL and FINISHED in AS_DRIVING against the wheel speeds seen.
+2. each frame with torque against the 0x520 seen: AS_DRIVING, Go, its age, 3 s in AS_DRIVING, FORWARD, no ESTOP_REQUEST;
+   an AS_STATE that is known, and a mission for which SELECTED was sent. The mode and the command behind it are not on
+   the wire: see `evidence/wire_rules.py`.
+3. NEUTRAL and FINISHED in AS_DRIVING against the wheel speeds and pulse counts seen; speeds that may not be believed
+   count as missing (`evidence/wheel_rules.py`).
 4. steering against the revision's limit, ANGLE_MAX and the operational limit, and its change against the car's steering
    rate; torque against 195 Nm, a live TRQ_MAX, the constant-power schedule and the operational limit, none on an axle
    without a motor; motor speed limit against the operational speed limit.
@@ -24,11 +26,12 @@ Which safety rule is checked how, by frames alone:
 8. no identifier that is not of this bus, none extended or remote. An intruder on the AI computer's own ids cannot be
    told apart on a log; whoever knows it keeps his frames from the checker.
 9. the handshake echo against the bits received.
-10. torque only after AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends: a pause in its frames
-    or a second without 0x520 (a power cycle) begins anew.
+10. torque only after AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends, 5 s of AS_READY with
+    Go off among them: a pause in its frames or a second without 0x520 (a power cycle) begins anew.
 
-And besides: two cycles are never closer than 8 ms, and what the output table says of each AS state as far as it is one
-value: MISSION_STATUS, direction, and no brake in AS_INIT, AS_OFF and EMERGENCY_BRAKE.
+And besides: no torque after a switch, SHUTDOWN_REQUEST, a fault bit or SHUTDOWN_CAUSE turned in AS_DRIVING; two cycles
+are never closer than 8 ms; and what the output table says of each AS state as far as it is one value: MISSION_STATUS,
+direction, and no brake in AS_INIT, AS_OFF and EMERGENCY_BRAKE.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ import gzip
 import math
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum, auto
 from pathlib import Path
 from typing import IO, Generic, TypeVar
@@ -50,17 +53,17 @@ from fsai_hil.evidence.rule_numbers import (
     MOST_MOTOR_RPM,
     MOST_TORQUE_NM,
     POWER_CYCLE_NS,
-    SPEEDS_FRESH_NS,
+    READY_SEEN_NS,
     STATUS_FRESH_NS,
     STILL_NS,
-    STILL_RPM,
     constant_power_nm,
 )
+from fsai_hil.evidence.wheel_rules import Belief, Wheels
 from fsai_hil.response import ResponseTimes
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiBrake,
@@ -68,12 +71,14 @@ from fsai_vcu.interface.images import (
     AiDriveRear,
     AiStatus,
     AiSteer,
+    Faults,
     Image,
     VcuBrake,
     VcuDriveFront,
     VcuDriveRear,
     VcuStatus,
     VcuSteer,
+    WheelCounts,
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS
@@ -88,6 +93,7 @@ RESOLUTION = 0.051  # half a raw step of torque and steering, and a float's roun
 OFF = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE = (*OFF, AsState.AS_READY)
 UNBRAKED = (*OFF, AsState.EMERGENCY_BRAKE)  # output table: the car holds or brakes itself there
+_TORQUE_KEYS = ("state", "wait", "go", "direction", "emergency", "age", "known", "mission")
 _KEPT = 1000  # violations kept as text; all are counted
 
 T = TypeVar("T")
@@ -158,6 +164,7 @@ class _Cycle:
     """The five frames of one cycle as they came."""
 
     ids: list[int] = field(default_factory=list)
+    selected: bool = False
     torque: bool = False
     brake: bool = False
 
@@ -189,6 +196,24 @@ class _Path(Enum):
         return _Path.GONE
 
 
+def turned(before: VcuStatus, now: VcuStatus) -> list[str]:
+    """What of 0x520 ends a drive by turning in AS_DRIVING, though FAULT_STATUS stays 0."""
+    found = []
+    if before.as_switch and not now.as_switch:
+        found.append("AS_SWITCH_STATUS falls")
+    if before.ts_switch and not now.ts_switch:
+        found.append("TS_SWITCH_STATUS falls")
+    if now.shutdown_request and not before.shutdown_request:
+        found.append("SHUTDOWN_REQUEST rises")
+    names = [bit.name for bit in fields(Faults)]
+    risen = [name for name in names if getattr(now.faults, name) and not getattr(before.faults, name)]
+    if risen:
+        found.append(f"fault bits rise: {', '.join(risen)}")
+    if before.shutdown_cause is ShutdownCause.NO_SHUTDOWN and now.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:
+        found.append("SHUTDOWN_CAUSE rises")
+    return found
+
+
 class WireChecker:
     """Feed it with `on_frame`; read `violations` at any time and `report()` at the end.
 
@@ -198,7 +223,7 @@ class WireChecker:
     `car` and `limits` add what rule 4 says of steering rate, driven axles and the venue. `from_start`: the first frame
     is the first that the sending process could hear, and `restarted` says when another takes its place; without it
     what was before the log is not judged. `motor_brakes`: the car on which torque against a motor speed limit of zero
-    is the brake, which rule 2 does not mean.
+    is the brake, which rule 2 does not mean. `short_sequence`: the car whose VCU does not keep to the 5 s in AS_READY.
     """
 
     def __init__(
@@ -212,6 +237,7 @@ class WireChecker:
         limits: OperationalLimits = UNLIMITED,
         from_start: bool = False,
         motor_brakes: bool = False,
+        short_sequence: bool = False,
     ) -> None:
         self.violations: list[str] = []
         self.violation_count = 0
@@ -222,6 +248,8 @@ class WireChecker:
         self._in_flight_ns = in_flight_ns
         self._from_start = from_start
         self._motor_brakes = motor_brakes
+        self._short_sequence = short_sequence
+        self._pulses_per_rev = max(one.wheel_pulses_per_rev for one in ((car,) if car else CARS.values()))
         self._driven = (True, True) if car is None else (car.driven_front, car.driven_rear)
         self._steer_rate_degps = math.inf if car is None else math.degrees(car.steer_rate_radps)
         self._steer_limit_deg = min(codec.revision.steer_limit_deg, limits.max_steer_deg)
@@ -262,6 +290,13 @@ class WireChecker:
     def _know_nothing(self) -> None:
         """Nothing has been heard yet, by the process that sends."""
         self._status: _Recent[VcuStatus] = _Recent(self._in_flight_ns)
+        self._known: _Recent[bool] = _Recent(self._in_flight_ns)  # of each 0x520: whether it is one
+        self._newest_status: VcuStatus | None = None
+        self._mission = Ami.NOT_SELECTED
+        self._acknowledged = not self._from_start  # SELECTED was sent for the mission; a log may begin after it
+        self._ready_ns: int | None = None  # since when it has been AS_READY
+        self._ready_seen_ns = 0  # until Go was last seen off
+        self.turned: tuple[int, str] | None = None  # what ended the drive by turning, and when
         self._front: _Recent[VcuDriveFront] = _Recent(self._in_flight_ns)
         self._rear: _Recent[VcuDriveRear] = _Recent(self._in_flight_ns)
         self._steer: _Recent[VcuSteer] = _Recent(self._in_flight_ns)
@@ -274,9 +309,7 @@ class WireChecker:
         self._silent = False
         self._car_was_off = False
         self._off_meanwhile = False  # AS_INIT or AS_OFF was the state at some time since the last 0x510
-        self._speeds_ns: int | None = None
-        self._slow_since_ns: int | None = None
-        self._slow_until: tuple[int, int] | None = None  # when standing ended, and since when it had lasted
+        self.wheels = Wheels(self._pulses_per_rev, self._in_flight_ns, self._slack_ns)
         self._bits: deque[tuple[int, bool]] = deque(maxlen=16)
         self._toggle: tuple[int, bool] | None = None
 
@@ -287,16 +320,30 @@ class WireChecker:
         """Whether AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends (safety rule 10)."""
         return self._came_by is _Path.DRIVING
 
+    @property
+    def acknowledged(self) -> bool:
+        """Whether there is a mission, and SELECTED was sent for it (safety rule 2)."""
+        return self._mission is not Ami.NOT_SELECTED and self._acknowledged
+
+    def unknown(self, t_ns: int) -> bool:
+        """Whether the last 0x520 that was received is none that anybody knows."""
+        known = self._known.at(t_ns)
+        return bool(known) and not any(known)
+
     def restarted(self) -> None:
         """Another process takes the sender's place: it knows nothing, the VCU keeps what it saw last."""
-        if self._cycle.ids:
-            self._end_cycle()
-        self._cycle = _Cycle()
+        self.cycle_over()
         self._cycle_start_ns = None
         self._ai = None
         self._steered = None
         self._quiet_cycles = 0
         self._know_nothing()
+
+    def cycle_over(self) -> None:
+        """No more frames of this cycle come; else the next cycle's first frame says so."""
+        if self._cycle.ids:
+            self._end_cycle()
+        self._cycle = _Cycle()
 
     def on_bus_lost(self) -> None:
         """The sender has lost the bus: whatever follows, its drive needs the whole way anew."""
@@ -320,6 +367,8 @@ class WireChecker:
         decoded = self._codec.decode(frame)
         for problem in decoded.problems:
             self._problems[problem] += 1
+        if frame.can_id == STATUS_ID:
+            self._known.add(frame.t_ns, decoded.image is not None)
         if decoded.handshake is not None:
             self._on_handshake(frame.t_ns, decoded.handshake)
         image = decoded.image
@@ -347,7 +396,10 @@ class WireChecker:
         elif isinstance(image, VcuBrake):
             self._brake_echo.add(frame.t_ns, image)
         elif isinstance(image, WheelSpeeds):
-            self._on_speeds(frame.t_ns, image)
+            if self.wheels.on_speeds(image.all_rpm, frame.t_ns) is not Belief.NO:
+                self._speeds.add(frame.t_ns, image)
+        elif isinstance(image, WheelCounts):
+            self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), frame.t_ns)
         return image
 
     def report(self) -> WireReport:
@@ -388,6 +440,11 @@ class WireChecker:
         self._status.add(t_ns, status)
         state = status.as_state
         self._off_meanwhile = self._off_meanwhile or state in OFF
+        entered_off = state in OFF and self._as_state is not None and (self._as_state not in OFF or self._car_was_off)
+        chosen = status.ami is not self._mission and (state in IDLE or self._as_state is None)
+        if entered_off or chosen:
+            first = self._as_state is None and not self._from_start
+            self._mission, self._acknowledged = status.ami, first
         silent = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
         if (silent and not self._silent and not self._from_start) or self._car_was_off:
             self._came_by = _Path.GONE  # safety rule 10: whoever speaks next must see the whole way anew
@@ -397,6 +454,8 @@ class WireChecker:
         self._came_by = self._came_by.then(state)
         anew = self._car_was_off or state is not self._as_state
         self._car_was_off = False
+        self._follow_ready(t_ns, status, anew)
+        self._follow_turns(t_ns, status, anew)
         if not anew:
             return
         if self._from_start:
@@ -408,24 +467,36 @@ class WireChecker:
         self._as_state = state
         self._as_states.append((t_ns, state))
 
-    def _on_speeds(self, t_ns: int, speeds: WheelSpeeds) -> None:
-        self._speeds.add(t_ns, speeds)
-        if self._speeds_ns is not None and t_ns - self._speeds_ns > SPEEDS_FRESH_NS + self._slack_ns:
-            self._slow_since_ns = None
-        self._speeds_ns = t_ns
-        if max(speeds.all_rpm) < STILL_RPM:
-            if self._slow_since_ns is None:
-                self._slow_since_ns = t_ns
-        else:
-            if self._slow_since_ns is not None:
-                self._slow_until = (t_ns, self._slow_since_ns)
-            self._slow_since_ns = None
+    def _follow_ready(self, t_ns: int, status: VcuStatus, anew: bool) -> None:
+        """AS_READY lasts 5 s before Go, which is off until then; what a log does not show is not judged."""
+        if status.as_state is AsState.AS_READY:
+            if anew:
+                self._ready_ns = t_ns if self._as_state is not None or self._from_start else None
+                self._ready_seen_ns = t_ns
+            if not status.go_signal:
+                self._ready_seen_ns = t_ns
+        elif status.as_state is AsState.AS_DRIVING and anew and self._ready_ns is not None:
+            waited_ns = self._ready_seen_ns - self._ready_ns + self._in_flight_ns
+            if waited_ns < READY_SEEN_NS and not self._short_sequence:
+                self._came_by = _Path.GONE
+        if status.as_state is not AsState.AS_READY:
+            self._ready_ns = None
+
+    def _follow_turns(self, t_ns: int, status: VcuStatus, anew: bool) -> None:
+        before, self._newest_status = self._newest_status, status
+        if anew:
+            self.turned = None
+        if status.as_state is AsState.AS_DRIVING and before is not None and self.turned is None:
+            what = turned(before, status)
+            if what:
+                self.turned = t_ns, "; ".join(what)
 
     # ------------------------------------------------------------ what the AI computer says
 
     def _on_ai_status(self, t_ns: int, ai: AiStatus) -> None:
         restarted = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
         self._begin_cycle(t_ns)
+        self._cycle.selected = ai.mission_status is MissionStatus.SELECTED
         self._check_echo(t_ns, ai.handshake)
         states = self._states(t_ns)
         self._check_latch(ai, states, restarted)
@@ -477,8 +548,7 @@ class WireChecker:
         self._rule("output table", "direction", not right_direction, f"direction {direction.label} in {where}")
 
     def _begin_cycle(self, t_ns: int) -> None:
-        if self._cycle.ids:
-            self._end_cycle()
+        self.cycle_over()
         if self._cycle_start_ns is not None:
             interval_ns = t_ns - self._cycle_start_ns
             self._shortest_ns = interval_ns if self._shortest_ns is None else min(self._shortest_ns, interval_ns)
@@ -496,6 +566,7 @@ class WireChecker:
         if not self._cycle.complete:
             self._incomplete += 1
             return
+        self._acknowledged = self._acknowledged or self._cycle.selected
         if not self._cycle.torque:
             self._torqueless_cycles += 1
             if not self._cycle.brake:
@@ -551,8 +622,8 @@ class WireChecker:
             f"{name} motor speed limit {motor_rpm} rpm above {self._motor_limit_rpm:.0f} rpm",
         )
         if torque_nm <= 0:
-            self._broken -= {f"rule 2 {name} {key}" for key in ("state", "wait", "go", "direction", "emergency", "age")}
-            self._broken.discard(f"rule 10 {name}")
+            self._broken -= {f"rule 2 {name} {key}" for key in _TORQUE_KEYS}
+            self._broken -= {f"rule 10 {name}", f"reactions {name}"}
             return
         if had_none:
             self._check_torque_may_rise(t_ns)
@@ -587,6 +658,25 @@ class WireChecker:
             not brakes and not any(status.go_signal for status in statuses),
             f"{name} torque without the Go signal",
         )
+        self._rule(
+            "rule 2",
+            f"{name} known",
+            self.unknown(t_ns),
+            f"{name} torque after a 0x520 whose AS_STATE no table knows",
+        )
+        self._rule(
+            "rule 2",
+            f"{name} mission",
+            newest.as_state is AsState.AS_DRIVING and not self.acknowledged and not brakes,
+            f"{name} torque without a mission that was acknowledged",
+        )
+        turned_by = self.turned
+        self._rule(
+            "reactions",
+            name,
+            turned_by is not None and t_ns - turned_by[0] >= self._in_flight_ns and not brakes,
+            f"{name} torque in a run that is over: {'' if turned_by is None else turned_by[1]}",
+        )
         age_ns = t_ns - newest.t_rx_ns
         self._rule(
             "rule 2",
@@ -598,7 +688,7 @@ class WireChecker:
             "rule 10",
             name,
             newest.as_state is AsState.AS_DRIVING and self._came_by is _Path.GONE and not brakes,
-            f"{name} torque though this process has not seen AS_OFF, AS_READY and AS_DRIVING in turn",
+            f"{name} torque though this process has not seen AS_OFF, 5 s of AS_READY before Go, and AS_DRIVING in turn",
         )
         if self._driving_since_ns is not None:
             waited_ns = t_ns - self._driving_since_ns
@@ -626,7 +716,7 @@ class WireChecker:
         elif self._from_start:
             limits.append(0.0)  # the car has not said yet what it takes
         speeds = self._speeds.at(t_ns)
-        if speeds:
+        if speeds and not self.wheels.open:
             fastest = min(max(one.all_rpm[2 * axle : 2 * axle + 2]) for one in speeds)
             limits.append(constant_power_nm(fastest))
         limit = min(limits)
@@ -714,18 +804,12 @@ class WireChecker:
         return [status.as_state for status in self._status.at(t_ns)]
 
     def _standing(self, t_ns: int) -> bool:
-        """Safety rule 3: fresh wheel speeds, all under 10 rpm for half a second."""
-        if self._speeds_ns is None or t_ns - self._speeds_ns > SPEEDS_FRESH_NS + self._slack_ns:
-            return False
-        since_ns = self._slow_since_ns
-        if since_ns is None and self._slow_until is not None and t_ns - self._slow_until[0] < self._in_flight_ns:
-            since_ns = self._slow_until[1]
-        return since_ns is not None and t_ns - since_ns >= STILL_NS - self._slack_ns
+        """Safety rule 3: fresh wheel speeds, all under 10 rpm for half a second, and pulse counts that do not run."""
+        return self.wheels.may_stand(t_ns)
 
     def _stood_before(self, t_ns: int) -> bool:
         """Whether a log that began less than half a second ago may have begun with a standing car."""
-        turning = self._slow_until is not None or (self._speeds_ns is not None and self._slow_since_ns is None)
-        return not self._from_start and not turning and t_ns - (self._start_ns or 0) < STILL_NS
+        return not self._from_start and not self.wheels.turned and t_ns - (self._start_ns or 0) < STILL_NS
 
     def _strange(self, frame: Frame) -> None:
         """Safety rule 8: a log does not name senders, so: what nobody on this bus should send."""

@@ -121,6 +121,10 @@ SEEDED: dict[str, tuple[str, Callable[[], tuple[tuple[Any, str, object], ...]]]]
             ("an intruder is only reported", "intruder:message=0x512,frames=1,payload=zeros"),
             ("a fault of the loop only stops", "loop_late:late=51"),
             ("Go off is only reported", "status_go_off:duration=500"),
+            ("an AS switch that falls is only reported", "status_as_switch_off:duration=500"),
+            ("a fault bit that rises is only reported", "status_one_fault_bit:duration=500,bit=bms"),
+            ("an AS_STATE that nobody knows is only reported", "status_undefined_as_state:duration=80,state=9"),
+            ("a pulse count contradicts no wheel speed", "wheels_dead:duration=2000"),
             ("a lost command is only held", "controller_silent:duration=1500"),
             ("odd wheels never ask for the emergency", "wheel_offset:wheel=fl,size=400"),
             ("a stop without effect goes unnoticed", "brakes_failing"),
@@ -198,7 +202,7 @@ def _case(spec: str) -> Case:
 
 
 def test_all_seeded_defects_were_found_by_name() -> None:
-    assert len(SEEDED) == 23
+    assert len(SEEDED) == 27
 
 
 @pytest.mark.parametrize("name", SEEDED)

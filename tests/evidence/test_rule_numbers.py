@@ -28,9 +28,15 @@ def test_the_bridge_is_delivered_with_the_times_that_the_evidence_holds_against_
         (config.implausible_ns, numbers.ODD_NS),
         (config.implausible_lost_ns, numbers.ODD_LOST_NS),
         (config.send_lost_ns, numbers.SEND_LOST_NS),
+        (config.ready_wait_ns, numbers.READY_SEEN_NS),
+        (config.standstill_ns, numbers.COUNTED_NS),
+        (config.backlog_ns, numbers.BACKLOG_NS),
     )
     assert [ours for ours, _ in times] == [theirs for _, theirs in times]
     assert (config.stop_cycles, config.standstill_rpm) == (numbers.STOP_CYCLES, numbers.STILL_RPM)
+    assert config.wheel_max_rpm == numbers.SPEED_MOST_RPM
+    assert config.wheel_rate_max_rpmps == numbers.SPEED_RATE_MOST_RPMPS
+    assert numbers.DOUBT_OPEN_TURNS < config.wheel_doubt_turns < numbers.DOUBT_SURE_TURNS
 
 
 def test_the_gate_has_the_limits_that_the_evidence_holds_against_it() -> None:

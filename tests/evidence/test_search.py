@@ -124,12 +124,14 @@ def test_every_field_of_the_searched_states_is_known_to_the_composition() -> Non
     """A new field must be thought of in `Composition`: is it part of the state, or may it be forgotten?"""
     assert {spec.name for spec in fields(SupervisorState)} == {
         "as_state", "go", "fault", "status_ns", "heard_ns", "was_silent", "sequence", "ready_since_ns",
-        "driving_since_ns", "speeds_ns", "fastest_rpm", "still_since_ns", "run_id", "mission", "confirmed", "mode",
-        "power_up", "stop", "emergency", "stop_window_ns", "stop_window_rpm", "both_pedals_since_ns",
+        "ready_waited_ns", "driving_since_ns", "speeds_ns", "fastest_rpm", "still_since_ns", "turning_ns", "run_id",
+        "mission", "confirmed", "selected_sent", "mode", "power_up", "stop", "emergency", "stop_window_ns",
+        "stop_window_rpm", "both_pedals_since_ns",
     }  # fmt: skip
     assert {spec.name for spec in fields(GateState)} == {
         "steer_deg", "brake", "cycle_ns", "torque_there", "zero_cycles", "zero_since_ns", "torque_running",
-        "tried_torque", "tried_brake", "awaiting", "run_id", "laps", "cones_actual", "cones_all",
+        "tried_torque", "tried_brake", "awaiting", "tried_selected", "acknowledged_run_id", "pulses", "run_id", "laps",
+        "cones_actual", "cones_all",
     }  # fmt: skip
 
 
@@ -147,7 +149,7 @@ def test_where_the_car_never_leaves_as_driving_the_end_is_that_it_has_been_told_
     assert all(0 < bound_ns <= 5_000_000_000 for bound_ns in found.bounds_ns.values())
 
 
-@pytest.mark.parametrize("name", ["run", "commands", "sends", "trouble", "power cycle"])
+@pytest.mark.parametrize("name", ["run", "commands", "sends", "trouble", "power cycle", "marks", "wheel speeds"])
 def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
     """A bridge that is saved and put back in each cycle sends what one that lives on sends, until an age is rounded."""
     chance = random.Random(name)
@@ -187,6 +189,15 @@ _QUICK = (
     "no command is out of order",
     "the echo follows believed frames only",
     "a new process believes that it saw AS_OFF and AS_READY",
+    "Go that was on all along counts as given",
+    "torque without a mission",
+    "an AS_STATE that nobody knows is only reported",
+    "pulse counts are not asked whether the wheels stand",
+    "a jump that no tyre can follow is believed",
+    "an AS switch that falls is only reported",
+    "one fault bit hides the others",
+    "what has been shown since before the run stops it",
+    "65535 rpm is believed",
     "a lost 0x520 is only held",
     "a lost bus and a broken sequence are only reported",
     "resets that nobody confirmed are no matter",
@@ -225,7 +236,7 @@ def test_a_lost_bus_ends_the_run_by_two_guards_of_which_either_is_enough() -> No
 
 def test_there_is_a_seed_for_every_rule_and_every_seed_names_a_scope_that_exists() -> None:
     assert {seed.rule for seed in SEEDS} == set(RULES)
-    assert {seed.scope for seed in SEEDS} <= {one.name for one in all_scopes()}
+    assert {seed.scope for seed in SEEDS if seed.scope or not seed.shows_in_fuzz} <= {one.name for one in all_scopes()}
     assert len({seed.name for seed in SEEDS}) == len(SEEDS)
 
 

@@ -11,9 +11,10 @@ from fsai_hil.wire import WireChecker
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.images import (
     AiCommand,
+    Faults,
     Image,
     VcuBrake,
     VcuDriveFront,
@@ -26,6 +27,7 @@ from fsai_vcu.interface.revisions import revision
 
 MS = 1_000_000
 CODEC = Codec(revision("2026"))
+SELECTED = AiCommand(mission_status=MissionStatus.SELECTED)
 RUNNING = AiCommand(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
 
 
@@ -43,7 +45,7 @@ class Sender:
             from_start=True,
             **options,
         )
-        self.status = VcuStatus(as_state=AsState.AS_OFF, go_signal=True)
+        self.status = VcuStatus(as_state=AsState.AS_OFF, ami=Ami.TRACKDRIVE)
         self.rpm = 0
         self.torque_max_nm = 195.0
         self.last = AiCommand()
@@ -69,11 +71,11 @@ class Sender:
         return self
 
     def state(self, as_state: AsState) -> Sender:
-        self.status = replace(self.status, as_state=as_state)
+        self.status = replace(self.status, as_state=as_state, go_signal=as_state is AsState.AS_DRIVING)
         return self
 
     def driving(self) -> Sender:
-        self.cycle(AiCommand(), 3).state(AsState.AS_READY).cycle(AiCommand(), 3)
+        self.cycle(SELECTED, 3).state(AsState.AS_READY).cycle(SELECTED, 495)
         return self.state(AsState.AS_DRIVING).cycle(RUNNING, 301)
 
     @property
@@ -167,7 +169,8 @@ def test_a_lost_bus_and_a_restart_break_the_sequence() -> None:
     assert lost.cycle(drive()).rules == ["rule 10"]
     restarted = Sender().driving()
     restarted.checker.restarted()
-    assert restarted.cycle(RUNNING, 301).cycle(drive()).rules == ["rule 10"]
+    # What was acknowledged by the process before it is not known to this one either.
+    assert restarted.cycle(RUNNING, 301).cycle(drive()).rules == ["rule 2", "rule 10"]
 
 
 def test_the_vcu_keeps_the_torque_of_a_process_that_died() -> None:
@@ -219,3 +222,56 @@ def test_in_emergency_brake_neutral_is_for_wheels_that_stand() -> None:
     moving = Sender().cycle(AiCommand(), 60).state(AsState.EMERGENCY_BRAKE)
     moving.rpm = 10
     assert moving.cycle(neutral).rules == ["output table"]
+
+
+# ---------------------------------------------------------------- how a drive begins, and what 0x520 shows
+
+
+def test_torque_without_a_mission_that_was_acknowledged_breaks_rule_2() -> None:
+    sender = Sender()
+    sender.status = replace(sender.status, ami=Ami.NOT_SELECTED)
+    assert sender.driving().cycle(drive()).rules == ["rule 2"]
+    unsaid = Sender().cycle(AiCommand(), 3).state(AsState.AS_READY).cycle(AiCommand(), 495)
+    assert unsaid.state(AsState.AS_DRIVING).cycle(RUNNING, 301).cycle(drive()).rules == ["rule 2"]
+
+
+@pytest.mark.parametrize(
+    ("cycles", "go", "rules"), [(491, False, []), (490, False, ["rule 10"]), (495, True, ["rule 10"])]
+)
+def test_as_driving_after_less_than_5_s_of_as_ready_without_go_is_no_sequence(
+    cycles: int, go: bool, rules: list[str]
+) -> None:
+    sender = Sender().cycle(SELECTED, 3).state(AsState.AS_READY)
+    sender.status = replace(sender.status, go_signal=go)
+    sender.cycle(SELECTED, cycles).state(AsState.AS_DRIVING).cycle(RUNNING, 301)
+    assert sender.cycle(drive()).rules == rules
+
+
+def test_torque_after_an_as_state_that_no_table_knows_breaks_rule_2() -> None:
+    sender = Sender().driving().cycle(drive())
+    sender.now_ns += 10 * MS
+    frame = CODEC.encode(replace(sender.status, t_rx_ns=sender.now_ns))
+    sender.checker.on_frame(replace(frame, data=frame.data[:2] + b"\x4f" + frame.data[3:]))
+    assert sender.cycle(drive(), car=False).rules == ["rule 2"]
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        {"as_switch": False},
+        {"ts_switch": False},
+        {"shutdown_request": True},
+        {"faults": Faults(ebs=True)},
+        {"shutdown_cause": ShutdownCause.EBS_FAULT},
+    ],
+    ids=lambda shown: next(iter(shown)),
+)
+def test_torque_after_a_mark_turned_in_as_driving_breaks_a_rule(shown: dict[str, Any]) -> None:
+    turning = Sender()
+    turning.status = replace(turning.status, as_switch=True, ts_switch=True)
+    turning.driving().cycle(drive())
+    turning.status = replace(turning.status, **shown)
+    assert turning.cycle(drive()).rules == ["reactions"]
+    old = Sender()
+    old.status = replace(old.status, **{"as_switch": True, "ts_switch": True, **shown})
+    assert old.driving().cycle(drive()).rules == []

@@ -12,7 +12,7 @@ import pytest
 from fsai_hil.wire import LogError, WireChecker, WireReport, check_candump, read_candump
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiCommand,
@@ -38,7 +38,7 @@ class Bus:
     def __init__(self) -> None:
         self.t_ns = 1_000 * MS
         self.frames: list[Frame] = []
-        self.status = VcuStatus(as_state=AsState.AS_OFF)
+        self.status = VcuStatus(as_state=AsState.AS_OFF, ami=Ami.TRACKDRIVE)
         self.speeds = WheelSpeeds()
         self.angle_max_deg = 30.0
         self.torque_max_nm = 195.0
@@ -99,7 +99,7 @@ class Bus:
 
     def ready(self) -> Bus:
         self.car(as_state=AsState.AS_READY).run(0.05)
-        return self.says(front_brake_pct=20.0, rear_brake_pct=20.0).run(0.1)
+        return self.says(front_brake_pct=20.0, rear_brake_pct=20.0).run(4.9)
 
     def go(self) -> Bus:
         self.car(as_state=AsState.AS_DRIVING, go_signal=True)
@@ -261,7 +261,7 @@ def test_torque_outside_as_driving_breaks_rule_2(state: AsState) -> None:
 
 def test_torque_in_the_first_three_seconds_breaks_rule_2() -> None:
     def torque_after(seconds: float) -> WireReport:
-        bus = Bus().off().car(as_state=AsState.AS_READY).run(0.1).go().run(seconds)
+        bus = Bus().off().car(as_state=AsState.AS_READY).run(5.0).go().run(seconds)
         return bus.says(rear_torque_nm=10.0).run(0.05).check()
 
     early = torque_after(2.98)

@@ -158,7 +158,9 @@ def case_of(seed: int, index: int, selection: Selection, *, full: bool = False) 
     mission = rng.choice(missions)
     revision = rng.choice(selection.revisions_of(kind))
     world_seed = rng.randrange(selection.world_seeds)
-    if full:
+    if kind.from_start:
+        since, after_ms = Since.START, 0
+    elif full:
         since, low, high = rng.choice(PHASES_MS)
         after_ms = rng.randint(low, high)
     else:
@@ -175,7 +177,8 @@ def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, 
     kind = kind_named(name)
     draws = {draw.name: draw for draw in kind.draws}
     given: dict[str, Any] = {}
-    since, after_ms = Since.DRIVING, None
+    after_ms: int | None
+    since, after_ms = (Since.START, 0) if kind.from_start else (Since.DRIVING, None)
     for part in filter(None, rest.split(",")):
         key, equals, value = part.partition("=")
         if not equals:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -17,7 +17,8 @@ from fsai_hil.campaign import injections as i
 from fsai_hil.campaign.demands import ANY, CAR_STOPS, MAY_STOP_ITSELF, NOTHING, Demand, End, Onset, ends
 from fsai_hil.campaign.injections import Injection, Params
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.enums import Ami, ShutdownCause
+from fsai_vcu.interface.images import Faults
 from fsai_vcu.interface.reserved import AI_IDS
 
 PATH_MISSIONS: Final = frozenset({Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE})
@@ -86,6 +87,7 @@ class FaultKind:
     missions: frozenset[Ami] = EVERY_MISSION
     revisions: tuple[str, ...] = BOTH
     gps: bool = False
+    from_start: bool = False  # there from power-up on: such a run begins there, and the demand holds for all of it
 
 
 def always(demand: Demand) -> Callable[[Params], Demand]:
@@ -147,7 +149,25 @@ WHEEL_OFF = Demand(
     onset=Onset.WHEEL,
 )
 WHEEL_OFF_WORDS = "once beyond what slip explains: 300 ms service-brake stop, 600 ms ESTOP_REQUEST"
+COUNTS_OFF = Demand(
+    frozenset((End.ON, End.HELD, End.STOP, End.ESTOP)),
+    brake_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
+    estop_ms=d.FEEDBACK_LOST_MS + d.SLACK_MS,
+    onset=Onset.COUNTS,
+)
+COUNTS_OFF_WORDS = (
+    "once speed and pulse count contradict each other the speeds are not believed: 100 ms service-brake stop, 300 ms"
+    " ESTOP_REQUEST"
+)
 NOISE_WORDS = "noise comes and goes: drives on, and stops only where it is off for 300 ms without a break"
+
+# Rules of the bus that hold in AS_DRIVING, and what an AS_STATE that nobody knows brings.
+UNKNOWN_STATE = ((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))
+UNKNOWN_STATE_WORDS = "torque 0 at once, then on; 100 ms ESTOP_REQUEST"
+EDGE_WORDS = "torque 0 and brake at once"
+NO_DRIVE = ends(End.STOP, no_torque_ms=0)
+NO_DRIVE_WORDS = "no torque ever; in AS_DRIVING at once a stop, FINISHED"
+FAST_CLOCK_MS = 110 + 20  # the age of the oldest data behind a command, and how far ahead a stamp may be
 
 ITSELF = ends(End.SELF, no_torque_ms=10 + d.SLACK_MS, safe_ms=2 * d.SLACK_MS)
 ITSELF_WORDS = "the car stops itself; torque 0 at once"
@@ -164,6 +184,14 @@ MAY_WORDS = "drives on, or the car stops itself (the bus showed it nothing wrong
 MAY_MEET_WORDS = "drives on, or the car stops itself where torque meets brake there"
 
 EACH_WHEEL = one_of("wheel", *i.WHEELS)
+OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "switches": {"as_switch": False, "ts_switch": False},
+        "shutdown_request": {"shutdown_request": True},
+        "faults": {"faults": Faults(*(True for _ in fields(Faults)))},
+        "cause": {"shutdown_cause": ShutdownCause.AI_COMMS_FAULT},
+    }
+)
 
 
 def _message(
@@ -279,7 +307,9 @@ def _limit(prefix: str, can_id: int, of: str) -> tuple[FaultKind, ...]:
     )
 
 
-def _needless(prefix: str, can_id: int, of: str, words: str) -> tuple[FaultKind, ...]:
+def _needless(
+    prefix: str, can_id: int, of: str, words: str, frozen: Demand = NOTHING, frozen_words: str = NOTHING_WORDS
+) -> tuple[FaultKind, ...]:
     """What the car can be driven without."""
     return _message(
         prefix,
@@ -289,8 +319,8 @@ def _needless(prefix: str, can_id: int, of: str, words: str) -> tuple[FaultKind,
         lost_words=words,
         lost_ms=((20, 2500),),
         late_ms=((5, 800),),
-        frozen=always(NOTHING),
-        frozen_words=NOTHING_WORDS,
+        frozen=always(frozen),
+        frozen_words=frozen_words,
         frozen_ms=((50, 2500),),
         corrupted=NOTHING,
         corrupted_words=NOTHING_WORDS,
@@ -367,6 +397,78 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         demand=always(d.stop(10)),
     ),
     FaultKind(
+        name="status_undefined_as_state",
+        what="0x520 shows an AS_STATE that no table knows, the car drives",
+        begin=i.from_car({i.STATUS}, i.UNDEFINED_AS_STATE),
+        draws=(lasts((10, 40), (60, 86), (130, 2500)), between("state", (6, 15))),
+        demanded=UNKNOWN_STATE_WORDS,
+        demand=by("duration", *UNKNOWN_STATE),
+    ),
+    *(
+        FaultKind(
+            name=f"status_{name}",
+            what=f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives",
+            begin=i.says({i.STATUS}, values),
+            draws=(lasts((15, 1500)), *draws),
+            demanded=EDGE_WORDS,
+            demand=always(d.stop(10)),
+        )
+        for name, what, values, draws in (
+            ("as_switch_off", "AS_SWITCH_STATUS 0", lambda p: {"as_switch": False}, ()),
+            ("ts_switch_off", "TS_SWITCH_STATUS 0", lambda p: {"ts_switch": False}, ()),
+            ("shutdown_request", "SHUTDOWN_REQUEST 1", lambda p: {"shutdown_request": True}, ()),
+            (
+                "one_fault_bit",
+                "one fault bit",
+                lambda p: {"faults": Faults(**{p["bit"]: True})},
+                (one_of("bit", *(bit.name for bit in fields(Faults))),),
+            ),
+            (
+                "shutdown_cause",
+                "a SHUTDOWN_CAUSE",
+                lambda p: {"shutdown_cause": ShutdownCause[p["cause"]]},
+                (one_of("cause", *(cause.name for cause in ShutdownCause if cause)),),
+            ),
+        )
+    ),
+    FaultKind(
+        name="status_old_marks",
+        what="0x520 shows switches off, SHUTDOWN_REQUEST, fault bits or a SHUTDOWN_CAUSE since before the run",
+        begin=i.says({i.STATUS}, lambda p: OLD_MARKS[p["mark"]]),
+        draws=(one_of("mark", *OLD_MARKS),),
+        demanded=NOTHING_WORDS,
+        demand=always(NOTHING),
+        from_start=True,
+    ),
+    FaultKind(
+        name="vcu_drives_without_mission",
+        what="the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING",
+        begin=i.together(
+            i.says({i.STATUS}, lambda p: {"ami": Ami.NOT_SELECTED}),
+            i.vcu_differs(ready_without_acknowledgement=lambda p: True),
+        ),
+        demanded=NO_DRIVE_WORDS,
+        demand=always(NO_DRIVE),
+        from_start=True,
+    ),
+    FaultKind(
+        name="vcu_hasty",
+        what="the VCU takes Go so many ms after AS_READY began, not after 5 s",
+        begin=i.together(i.vcu_differs(ready_wait_ns=lambda p: i.MS), i.hasty_go),
+        draws=(between("ready", (20, 60), (500, 4700)),),
+        demanded=NO_DRIVE_WORDS,
+        demand=always(NO_DRIVE),
+        from_start=True,
+    ),
+    FaultKind(
+        name="vcu_shows_go_all_along",
+        what="0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen",
+        begin=i.says({i.STATUS}, lambda p: {"go_signal": True}),
+        demanded=NO_DRIVE_WORDS,
+        demand=always(NO_DRIVE),
+        from_start=True,
+    ),
+    FaultKind(
         name="handshake_inverted",
         what="HANDSHAKE toggles wrong on its way: inverted",
         begin=i.wild_handshake,
@@ -403,7 +505,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_feedback("steering", i.STEER, "the steering angle", STEERING_OFF, STEERING_OFF_WORDS),
     *_needless("brakes", i.BRAKE, "brake feedback", "drives on: two complete zero cycles stand for its echo"),
     *_feedback("speeds", i.SPEEDS, "wheel speeds", ANY, ANY_WORDS),
-    *_needless("counts", i.COUNTS, "wheel pulses", NOTHING_WORDS),
+    *_needless("counts", i.COUNTS, "wheel pulses", NOTHING_WORDS, COUNTS_OFF, COUNTS_OFF_WORDS),
     FaultKind(
         name="logging_corrupted",
         what="bits of the logging frames (0x120, 0x500, 0x502) are flipped",
@@ -558,6 +660,26 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         demand=always(NOTHING),
     ),
     FaultKind(
+        name="speeds_impossible",
+        what="wheel speeds above what the signal database allows: they are not believed",
+        begin=i.from_car({i.SPEEDS}, i.IMPOSSIBLE_SPEEDS),
+        draws=(
+            lasts(*FEEDBACK_BANDS),
+            one_of("wheel", *i.WHEELS, "all"),
+            one_of("rpm", "1251", "1300", "65535"),
+        ),
+        demanded="as if none had come. " + LOST_FEEDBACK_WORDS,
+        demand=by("duration", *LOST_FEEDBACK),
+    ),
+    FaultKind(
+        name="wheel_spiking",
+        what="one wheel speed jumps in every so many frames by more than any tyre can follow",
+        begin=i.spiking_speed,
+        draws=(EACH_WHEEL, between("every", (2, 6))),
+        demanded="such a frame is not believed: drives on",
+        demand=always(NOTHING),
+    ),
+    FaultKind(
         name="wheels_stuck",
         what="all wheel speeds stand still",
         begin=i.every_wheel(i.stuck),
@@ -570,8 +692,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         what="all wheel speeds read 0",
         begin=i.every_wheel(i.dead),
         draws=(lasts((100, 4000)),),
-        demanded=ANY_WORDS,
-        demand=always(ANY),
+        demanded=COUNTS_OFF_WORDS,
+        demand=always(COUNTS_OFF),
     ),
     FaultKind(
         name="wheels_swapped",
@@ -587,8 +709,16 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         what="wheel pulses stand still, run double, or are chance",
         begin=i.pulses,
         draws=(one_of("way", "stuck", "double", "random"),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+        demanded=NOTHING_WORDS + "; " + COUNTS_OFF_WORDS,
+        demand=lambda p: COUNTS_OFF if p["way"] == "stuck" else NOTHING,
+    ),
+    FaultKind(
+        name="pulses_running_on",
+        what="the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
+        begin=i.together(i.pulses, i.asked(lambda rig, t: rig.bridge.set_mode("manual", t))),
+        draws=(one_of("way", "running"), between("rate", (30, 400))),
+        demanded="it stops, and never says FINISHED; " + COUNTS_OFF_WORDS,
+        demand=always(replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)))),
     ),
     *(
         FaultKind(
@@ -1027,6 +1157,25 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         demand=by("duration", *LOST_COMMAND),
     ),
     FaultKind(
+        name="controller_fixed_future_stamp",
+        what="every command carries one stamp of the future, so many ms ahead of the fault's beginning",
+        begin=i.fixed_stamp,
+        draws=(lasts(*COMMAND_BANDS), between("ahead", (450, 6000))),
+        demanded="refused whole: as if none had come. " + LOST_COMMAND_WORDS,
+        demand=by("duration", *LOST_COMMAND),
+    ),
+    FaultKind(
+        name="sensor_clock_fast",
+        what="the sensors' clock gains so many ms on every ms: its stamps lie more and more ahead of now",
+        begin=i.fast_sensor_clock,
+        draws=(between("gain", (0.2, 3.0)),),
+        demanded="a stamp over 20 ms ahead is refused: once they all are, " + LOST_COMMAND_WORDS,
+        demand=lambda p: d.stop(
+            FAST_CLOCK_MS / p["gain"] + d.COMMAND_LOST_MS + d.CONTROL_MS,
+            FAST_CLOCK_MS / p["gain"] + d.COMMAND_STALE_MS + d.CONTROL_MS,
+        ),
+    ),
+    FaultKind(
         name="controller_frozen",
         what="one command is repeated, stamp and all",
         begin=i.frozen_command,
@@ -1128,14 +1277,38 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     FaultKind(
         name="bridge_hung",
-        what="the bridge's process stands still for a while",
+        what="the loop's process stands still for a while, and the car's frames wait for it",
         begin=i.hung_bridge,
         draws=(between("hang", (5, 35), (70, 82), (130, 2500)),),
-        demanded="a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
+        demanded="a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops"
+        " itself",
         demand=lambda p: d.by_age(
             p["hang"],
             (50, d.estop(p["hang"], 0)),
             (100, ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+        ),
+    ),
+    FaultKind(
+        name="edge_hung",
+        what="the process between ROS and the loop stands still for a while",
+        begin=i.hung_edge,
+        draws=(between("hang", *COMMAND_BANDS),),
+        demanded="no command comes through. " + LOST_COMMAND_WORDS,
+        demand=by("hang", *LOST_COMMAND),
+    ),
+    FaultKind(
+        name="edge_killed",
+        what="the process between ROS and the loop is killed",
+        begin=i.killed_edge,
+        demanded=LOST_COMMAND_WORDS + "; at rest the loop ends, and the car takes the silence for an emergency",
+        demand=always(
+            ends(
+                End.STOP,
+                End.SELF,
+                no_torque_ms=d.COMMAND_STALE_MS + d.CONTROL_MS + d.SLACK_MS,
+                brake_ms=d.COMMAND_LOST_MS + d.CONTROL_MS + d.SLACK_MS,
+                safe_ms=d.COMMAND_LOST_MS + d.CONTROL_MS + d.STOP_MS + d.SLACK_MS,
+            )
         ),
     ),
     FaultKind(

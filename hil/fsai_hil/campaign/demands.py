@@ -53,6 +53,7 @@ class Onset(Enum):
     FAULT = "the fault"
     STEERING = "the steering surely being off its request"
     WHEEL = "one wheel surely being off the other three"
+    COUNTS = "a wheel speed and its pulse count surely contradicting each other"
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,7 +107,20 @@ def _not_a_number(window: Window, p: Params) -> FrameFault:
     return Overwrite(window, 0, struct.pack("<f", {"nan": math.nan, "inf": math.inf, "huge": 3e38}[p["value"]]))
 
 
-LOST, THINNED, LATE, JITTERING, FROZEN, TWICE, FLIPPED, CUT, NOT_A_NUMBER = (
+def _impossible_speeds(window: Window, p: Params) -> FrameFault:
+    """What no wheel of this car can turn at, on one wheel or on all: more than the signal database allows."""
+    raw = struct.pack("<H", int(p["rpm"]))
+    return (
+        Overwrite(window, 0, raw * 4) if p["wheel"] == "all" else Overwrite(window, 2 * WHEELS.index(p["wheel"]), raw)
+    )
+
+
+def _undefined_as_state(window: Window, p: Params) -> FrameFault:
+    """0x520 with an AS_STATE that no table knows; HANDSHAKE stays what it is."""
+    return Overwrite(window, 2, bytes([p["state"]]))
+
+
+LOST, THINNED, LATE, JITTERING, FROZEN, TWICE, FLIPPED, CUT, NOT_A_NUMBER, IMPOSSIBLE_SPEEDS, UNDEFINED_AS_STATE = (
     _lost,
     _thinned,
     _late,
@@ -117,6 +130,8 @@ LOST, THINNED, LATE, JITTERING, FROZEN, TWICE, FLIPPED, CUT, NOT_A_NUMBER = (
     _flipped,
     _cut,
     _not_a_number,
+    _impossible_speeds,
+    _undefined_as_state,
 )
 
 
@@ -168,6 +183,32 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             return ()
 
     made = Wild()
+    wire.add(made)
+    return Injected(lambda end_ns: wire.remove(made))
+
+
+def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """Every so many frames one wheel speed jumps by more than any tyre can follow, for that one frame."""
+    codec, wire = rig.world.codec, rig.world.vcu.outgoing
+    name = f"{p['wheel']}_rpm"
+    seen = 0
+
+    class Spikes:
+        def frames(self, frame: Frame) -> Iterable[Frame]:
+            nonlocal seen
+            if frame.can_id != SPEEDS:
+                return (frame,)
+            seen += 1
+            image = codec.decode(frame).image
+            if seen % p["every"] or image is None:
+                return (frame,)
+            spike = 1250 if getattr(image, name) < 600 else 0
+            return (replace(frame, data=codec.encode(replace(image, **{name: spike})).data),)  # type: ignore[arg-type]
+
+        def uncalled(self, to_ns: int) -> Iterable[Frame]:
+            return ()
+
+    made = Spikes()
     wire.add(made)
     return Injected(lambda end_ns: wire.remove(made))
 
@@ -295,19 +336,21 @@ def swapped_wheels(rig: Lockstep, p: Params, now_ns: int) -> Injected:
 
 
 def pulses(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """Pulse counters stand still, jump, or run double."""
+    """Pulse counters stand still, run double, are chance, or run on by themselves at `rate` pulses/s."""
     rng = random.Random(p["chance"])
     before = rig.world.car.feedback().pulses
 
-    def count(now: int, then: int) -> int:
+    def count(now: int, then: int, t_ns: int) -> int:
         if p["way"] == "stuck":
             return then
         if p["way"] == "double":
             return (2 * now - then) & 0xFFFF
+        if p["way"] == "running":
+            return (then + round(p["rate"] * (t_ns - now_ns) / 1e9)) & 0xFFFF
         return rng.randrange(0x10000)
 
     def read(real: CarFeedback, t_ns: int) -> CarFeedback:
-        fl, fr, rl, rr = (count(now, then) for now, then in zip(real.pulses, before, strict=True))
+        fl, fr, rl, rr = (count(now, then, t_ns) for now, then in zip(real.pulses, before, strict=True))
         return replace(real, pulses=(fl, fr, rl, rr))
 
     return _sensed(rig, read)
@@ -479,6 +522,29 @@ def switched(name: str, value: object = True) -> Injection:
     return begin
 
 
+def vcu_differs(**differences: Callable[[Params], object]) -> Injection:
+    """The VCU's state machine differs from the specification's, by fields of `Profile`."""
+
+    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+        vcu = rig.world.vcu
+        values: dict[str, Any] = {name: value(p) for name, value in differences.items()}
+        vcu.behave(replace(vcu.profile, **values))
+        return Injected()
+
+    return begin
+
+
+def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """Go comes `ready` ms after AS_READY began."""
+    vcu = rig.world.vcu
+
+    def tick(t_ns: int) -> None:
+        if vcu.state is AsState.AS_READY and vcu.in_state_ns >= p["ready"] * MS:
+            vcu.switches.go = True
+
+    return Injected(tick=tick)
+
+
 def derated(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """The car lowers a limit of its own while it drives."""
     switches = rig.world.vcu.switches
@@ -530,6 +596,20 @@ def frozen_command(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         if not kept:
             kept.append(command)
         return kept[0]
+
+    return _filtered(rig, change)
+
+
+def fixed_stamp(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """Every command carries the same stamp, which lies `ahead` ms in the future when it begins."""
+    return _filtered(rig, lambda command, t_ns: replace(command, t_sensor_ns=now_ns + p["ahead"] * MS))
+
+
+def fast_sensor_clock(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """The sensor's clock gains `gain` ms on every ms: its stamps look younger and younger, then lie ahead of now."""
+
+    def change(command: VehicleCommand, t_ns: int) -> VehicleCommand:
+        return replace(command, t_sensor_ns=command.t_sensor_ns + round(p["gain"] * (t_ns - now_ns)))
 
     return _filtered(rig, change)
 
@@ -703,6 +783,18 @@ def swapped_colours(seen: ConeObservation, p: Params, rng: random.Random) -> Con
 def hung_bridge(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """The bridge's process stops for a while; frames wait for it in the socket."""
     rig.computer.hang_bridge(now_ns + p["hang"] * MS)
+    return Injected()
+
+
+def hung_edge(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """The process between ROS and the loop stops for a while: no command comes through, no report gets out."""
+    rig.computer.hang_edge(now_ns + p["hang"] * MS)
+    return Injected()
+
+
+def killed_edge(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    """The process between ROS and the loop ends without a word; the loop is left alone."""
+    rig.computer.kill_edge()
     return Injected()
 
 

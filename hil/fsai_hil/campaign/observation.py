@@ -20,6 +20,7 @@ from fsai_vcu.interface.images import (
     AiStatus,
     AiSteer,
     VcuSteer,
+    WheelCounts,
     WheelSpeeds,
 )
 
@@ -48,6 +49,7 @@ class Observation:
     requests: list[tuple[int, float]] = field(default_factory=list)  # steering, deg
     angles: list[tuple[int, float]] = field(default_factory=list)  # steering as measured, deg
     wheels: list[tuple[int, tuple[int, int, int, int]]] = field(default_factory=list)
+    counts: list[tuple[int, tuple[int, int, int, int]]] = field(default_factory=list)
     moving: list[tuple[int, bool]] = field(default_factory=list)  # the car's true motion
     states: list[tuple[int, AsState]] = field(default_factory=list)  # true AS states and when they began
     speed_mps: float = 0.0  # at the fault
@@ -100,7 +102,7 @@ class Observer:
 
     def _on_frame(self, frame: Frame) -> None:
         can_id = frame.can_id
-        if not (0x510 <= can_id <= 0x514 or can_id in (0x523, 0x525)) or frame.extended or frame.error:
+        if not (0x510 <= can_id <= 0x514 or can_id in (0x523, 0x525, 0x526)) or frame.extended or frame.error:
             return
         image = self._rig.world.codec.decode(frame).image
         seen = self.seen
@@ -113,6 +115,8 @@ class Observer:
             seen.angles.append((frame.t_ns, image.angle_deg))
         elif isinstance(image, WheelSpeeds):
             seen.wheels.append((frame.t_ns, image.all_rpm))
+        elif isinstance(image, WheelCounts):
+            seen.counts.append((frame.t_ns, (image.fl, image.fr, image.rl, image.rr)))
         elif seen.cycles:
             cycle = seen.cycles[-1]
             if isinstance(image, AiDriveFront | AiDriveRear):

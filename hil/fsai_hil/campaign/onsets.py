@@ -9,6 +9,7 @@ import math
 from typing import Final
 
 from fsai_hil.campaign.observation import Observation
+from fsai_hil.evidence.wheel_rules import Belief, Wheels
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState
 
@@ -83,6 +84,23 @@ def wheel_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> li
             if sure_ns < end_ns:
                 found.append((sure_ns, end_ns))
     return sorted(found)
+
+
+def count_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
+    """When, in AS_DRIVING, wheel speeds came that surely may not be believed."""
+    wheels = Wheels(car.wheel_pulses_per_rev)
+    streaks: list[Streak] = []
+    frames = [(t_ns, 0, rpm) for t_ns, rpm in seen.wheels] + [(t_ns, 1, counts) for t_ns, counts in seen.counts]
+    for t_ns, kind, values in sorted(frames):
+        if kind:
+            wheels.on_counts(values, t_ns)
+        elif (
+            wheels.on_speeds(values, t_ns) is Belief.NO
+            and t_ns >= from_ns
+            and (seen.state_at(t_ns) is AsState.AS_DRIVING)
+        ):
+            _extend(streaks, t_ns)
+    return streaks
 
 
 def _factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from fsai_hil.campaign.cases import Case, Since
 from fsai_hil.campaign.injections import Injected
 from fsai_hil.campaign.observation import Observation, Observer
-from fsai_hil.campaign.verdict import Verdict, as_record, judge
+from fsai_hil.campaign.verdict import SUPERVISED_MS, Verdict, as_record, judge
 from fsai_hil.judge import JudgeSettings
 from fsai_hil.lockstep import Lockstep
 from fsai_hil.world import WorldSetup
@@ -157,7 +157,11 @@ class Scenario:
             return False  # until it stands
         if self.case.full:
             return False
-        if now_ns < self._began_ns + self._window_ms * MS:
+        from_ns: int | None = self._began_ns
+        if self.case.kind.from_start:
+            driving_ns = moment_ns(self.rig, Since.DRIVING)
+            from_ns = None if driving_ns is None else driving_ns + SUPERVISED_MS * MS
+        if from_ns is None or now_ns < from_ns + self._window_ms * MS:
             return False
         if now_ns >= end_ns + AFTERMATH_MS * MS:
             return True

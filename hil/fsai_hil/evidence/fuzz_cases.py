@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from random import Random
 from typing import Any, Final
 
 from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, event
 from fsai_vcu.interface.bus_table import BUS_TABLE
+from fsai_vcu.interface.images import Faults
 from fsai_vcu.interface.reserved import AI_IDS
 
 # Cycles of 10 ms about the times at which something runs out, and far from them.
@@ -29,6 +31,8 @@ _AGES_MS: Final = (
     0.0, 0.0, 10.0, 99.0, 400.0, 499.999999, 500.0, 500.000001, 700.0, 5000.0, 1e12, -10.0, -20.0, -20.000001, -50.0,
     -400.0, -1e12,
 )  # fmt: skip
+_READY_CYCLES: Final = 495  # of AS_READY with Go off, before a drive counts as begun in order
+_FAULT_BITS: Final = tuple(bit.name for bit in fields(Faults))
 _STATE_WALK: Final = (1, 2, 3, 5, 1, 4, 0)
 _CAR_IDS: Final = tuple(one.can_id for one in BUS_TABLE if one.can_id not in AI_IDS)
 _VITAL_IDS: Final = (0x520, 0x521, 0x522, 0x523, 0x524, 0x525, 0x526)
@@ -50,6 +54,9 @@ _FIELDS: Final[dict[str, tuple[tuple[str, tuple[Any, ...]], ...]]] = {
         ("go_signal", (False, True)),
         ("fault", (False, True)),
         ("shutdown_request", (False, True)),
+        ("as_switch", (False, True)),
+        ("ts_switch", (False, True)),
+        ("shutdown_cause", (0, 1, 11)),
         ("handshake", (False, True)),
     ),
     "VcuDriveFront": (("torque_max_nm", (0.0, 0.1, 50.0, 195.0)), ("torque_nm", (-195.0, 195.0))),
@@ -101,7 +108,7 @@ def _next_run(chance: Random) -> list[Event]:
         event("service", name="mode", text="autonomous"),
         event("run", cycles=3),
         event("car", as_state=2),
-        event("run", cycles=chance.choice((1, 3, 10))),
+        event("run", cycles=_READY_CYCLES),
         event("car", as_state=3, go=True),
         event("run", cycles=305),
         event("run", cycles=20),
@@ -322,7 +329,8 @@ def _at_the_edge(chance: Random) -> list[Event]:
     off_ns = chance.choice((-1, 0, 1))
     match chance.randrange(4):
         case 0:
-            way = (event("car", as_state=1), event("run", cycles=3), event("car", as_state=2), event("run", cycles=3))
+            way = (event("car", as_state=1, go=False), event("run", cycles=3), event("car", as_state=2),
+                   event("run", cycles=_READY_CYCLES))  # fmt: skip
             drive = event("command", throttle=0.5, brake=0.0, speed_limit_mps=8.0, age_ms=0.0, run_offset=0)
             return [*way, event("car", as_state=3, go=True), drive, event("run", cycles=2),
                     event("aim", ms=3000.0, ns=off_ns), event("run", cycles=5)]  # fmt: skip
@@ -400,13 +408,64 @@ def _unbelieved(chance: Random) -> list[Event]:
     return [event("frame", id=0x520, data=data.hex(), kind="standard"), event("run", cycles=chance.choice((1, 2)))]
 
 
+def _turned(chance: Random) -> list[Event]:
+    """What ends a drive by turning, though FAULT_STATUS stays 0; for a moment or for good."""
+    says = chance.choice(
+        (
+            {"switches": [False, True]},
+            {"switches": [True, False]},
+            {"shutdown": True},
+            {"bits": [chance.choice(_FAULT_BITS)]},
+            {"cause": chance.randrange(1, 12)},
+        )
+    )
+    events = [event("car", **says), event("run", cycles=chance.choice((1, 2, 40)))]
+    back = event("car", switches=[True, True], shutdown=False, bits=[], cause=0)
+    return [*events, back] if chance.random() < 0.6 else events
+
+
+def _speeds(chance: Random) -> list[Event]:
+    """0x525 says what no wheel of this car turns at, or jumps."""
+    rpm = [chance.choice((65535, 1251, 1300, 1250, 700, 0))] * 4
+    if chance.random() < 0.5:
+        rpm[chance.randrange(4)] = chance.choice((0, 65535, 1251))
+    cycles = chance.choice((1, 2, 9, 10, 11, 29, 30, 31, 60))
+    return [event("speeds", rpm=rpm), event("run", cycles=cycles), event("speeds", rpm=None)]
+
+
+def _counts(chance: Random) -> list[Event]:
+    """Pulse counts that contradict the wheel speeds, on a car that drives or stops."""
+    how = chance.choice(({"how": "none"}, {"how": "more", "pulses": chance.choice((0.05, 0.05, 1, 2, 7))}))
+    reads = [event("speeds", rpm=[0] * 4)] if chance.random() < 0.5 else []
+    stops = [event("service", name="mode", text="manual")] if chance.random() < 0.5 else []
+    ends = [event("speeds", rpm=None), event("counts", how="pulses")]
+    return [*reads, *stops, event("counts", **how), event("run", cycles=chance.choice((20, 60, 120))), *ends]
+
+
+def _hasty(chance: Random) -> list[Event]:
+    """AS_DRIVING too soon after AS_OFF, without an edge of Go, or without a mission."""
+    ready = chance.choice((2, 100, 489, 490, 491, 492, _READY_CYCLES))
+    return [
+        event("car", as_state=1, go=False, ami=chance.choice((4, 4, 0))),
+        event("run", cycles=chance.choice((2, 5))),
+        event("service", name="reset"),
+        event("service", name="mode", text="autonomous"),
+        event("run", cycles=2),
+        event("car", as_state=2, go=chance.random() < 0.3),
+        event("run", cycles=ready),
+        event("command", throttle=0.5, brake=0.0, speed_limit_mps=8.0, age_ms=0.0, run_offset=0),
+        event("car", as_state=3, go=True),
+        event("run", cycles=310),
+    ]
+
+
 def _restart_on_the_way(chance: Random) -> list[Event]:
     """The process is killed before AS_DRIVING, and everybody goes on as if nothing had happened."""
     return [
         event("car", as_state=1, go=False),
         event("run", cycles=3),
         event("car", as_state=2),
-        event("run", cycles=3),
+        event("run", cycles=_READY_CYCLES),
         event("restart"),
         event("run", cycles=25),
         event("service", name="mode", text="autonomous"),
@@ -432,6 +491,7 @@ _MAKERS: Final[tuple[tuple[int, Maker], ...]] = (
     (2, _pace), (1, _handshake), (1, _echo), (1, _restart), (1, _end), (1, _pedals),
     (2, _stops_itself), (5, _at_the_edge), (2, _unbelieved), (2, _intruder), (2, _restart_on_the_way),
     (1, _beyond), (1, _other_run), (1, _finish), (1, _emergency_to_rest),
+    (4, _turned), (4, _speeds), (4, _counts), (2, _hasty),
 )  # fmt: skip
 _WEIGHTS: Final = [weight for weight, _ in _MAKERS]
 _STATION_NAMES: Final = tuple(STATIONS)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import copy
 import math
 import random
-from collections.abc import Callable, Iterable
+import struct
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any, Final
@@ -24,7 +25,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface import images
 from fsai_vcu.interface.codec import Codec, EncodeError, command_of
-from fsai_vcu.interface.enums import Ami, AsState, BrakeStatus, CarEnum, EbsStatus
+from fsai_vcu.interface.enums import Ami, AsState, BrakeStatus, CarEnum, EbsStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiBrake,
@@ -86,6 +87,7 @@ class Played:
             # A car that brakes by its motors alone is given longer; the table's 3 s are everybody else's.
             config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS,
             config.stop_brake_pct,
+            config.short_sequence_allowed,
         )
         self.oracle = WireOracle(self.codec, terms)
         self._first_run_id = 1
@@ -96,6 +98,10 @@ class Played:
         self.status = VcuStatus(as_switch=True, ts_switch=True, as_state=AsState.AS_OFF, ami=Ami.TRACKDRIVE)
         self.rpm: tuple[int, int, int, int] | None = None
         self.speed_rpm = 0.0
+        self.raw_rpm: tuple[int, int, int, int] | None = None  # on the wire, whatever the wheels do
+        self.turns = [0.0] * 4  # of the wheels, as their pulses count them
+        self.counting: str = "pulses"
+        self.extra_pulses = 0.0
         self.angle_deg: float | None = None
         self.followed_deg = 0.0
         self.angle_max_deg = self.codec.revision.steer_limit_deg
@@ -202,9 +208,22 @@ class Played:
             self.status = replace(self.status, fault=says["fault"])
         if "shutdown" in says:
             self.status = replace(self.status, shutdown_request=says["shutdown"])
+        if "switches" in says:
+            asms, tsms = says["switches"]
+            self.status = replace(self.status, as_switch=asms, ts_switch=tsms)
+        if "bits" in says:
+            self.status = replace(self.status, faults=images.Faults(**dict.fromkeys(says["bits"], True)))
+        if "cause" in says:
+            self.status = replace(self.status, shutdown_cause=ShutdownCause(says["cause"]))
 
     def _do_wheels(self, rpm: list[int] | None) -> None:
         self.rpm = None if rpm is None else (rpm[0], rpm[1], rpm[2], rpm[3])
+
+    def _do_speeds(self, rpm: list[int] | None) -> None:
+        self.raw_rpm = None if rpm is None else (rpm[0], rpm[1], rpm[2], rpm[3])
+
+    def _do_counts(self, how: str, pulses: float = 0.0) -> None:
+        self.counting, self.extra_pulses = how, pulses
 
     def _do_steering(self, deg: float | None) -> None:
         self.angle_deg = None if deg is None else self._measurable(deg)
@@ -323,7 +342,7 @@ class Played:
             VcuSteer(angle, self.angle_max_deg, self.request_deg),
             VcuBrake(echo[0], echo[0], echo[1], echo[1], BrakeStatus.READY, EbsStatus.ARMED),
             WheelSpeeds(rpm[0], rpm[1], rpm[2], rpm[3]),
-            WheelCounts(),
+            WheelCounts(*(int(turns * self.car.wheel_pulses_per_rev) % 0x10000 for turns in self.turns)),
         )
 
     def _speak(self) -> None:
@@ -338,6 +357,7 @@ class Played:
             self.speed_rpm = max(0.0, self.speed_rpm - 3.0 * share)
         elif self.brake_pct[0] > 0.0 or (driving and self.motor_brakes):
             self.speed_rpm = max(0.0, self.speed_rpm - 2.0 * share)
+        self._count(self.rpm or (round(self.speed_rpm),) * 4)
         step = math.degrees(self.car.steer_rate_radps) * self.period_ns / 1e9
         target = self.request_deg if driving else 0.0
         self.followed_deg += max(-step, min(step, target - self.followed_deg))
@@ -347,6 +367,8 @@ class Played:
         for one in said:
             frame = self.codec.encode(one)
             data = frame.data
+            if self.raw_rpm is not None and frame.can_id == 0x525:
+                data = struct.pack("<4H", *self.raw_rpm)
             bit = self.flips.pop(frame.can_id, None) if self.flips else None
             if bit is not None:
                 flipped = int.from_bytes(data, "little") ^ 1 << bit % (8 * len(data))
@@ -354,6 +376,15 @@ class Played:
             self._deliver(Frame(frame.can_id, data, self.now_ns))
             if self.answered and frame.can_id == 0x520:
                 self._turn()
+
+    def _count(self, rpm: Sequence[int]) -> None:
+        """The wheels turn, and their pulses count: as they turn, not at all, or some on top."""
+        if self.counting == "pulses":
+            for wheel in range(4):
+                self.turns[wheel] += rpm[wheel] / 60.0 * self.period_ns / 1e9
+        elif self.counting == "more":
+            for wheel in range(4):
+                self.turns[wheel] += self.extra_pulses / self.car.wheel_pulses_per_rev
 
     def _mute(self, one: Image) -> bool:
         if not self.muted:

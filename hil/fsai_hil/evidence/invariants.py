@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 from fsai_hil.evidence.rule_numbers import (
     COMMAND_FRESH_NS,
     COMMAND_LOST_NS,
+    COUNTED_NS,
     CYCLE_NS,
     DATA_FRESH_NS,
     FEEDBACK_LOST_NS,
@@ -24,13 +25,17 @@ from fsai_hil.evidence.rule_numbers import (
     ODD_NS,
     PEDALS_NS,
     POWER_CYCLE_NS,
+    READY_SEEN_NS,
     SEND_LOST_NS,
+    SPEED_MOST_RPM,
+    SPEED_RATE_MOST_RPMPS,
     SPEEDS_FRESH_NS,
     STATUS_FRESH_NS,
     STATUS_LOST_NS,
     STILL_NS,
     STILL_RPM,
     STOP_CYCLES,
+    S,
     constant_power_nm,
 )
 from fsai_hil.evidence.search import Problem
@@ -87,12 +92,14 @@ class Limits:
     may_send: bool = True
     autonomous_at_power_up: bool = False
     stop_cycles: int = STOP_CYCLES
+    short_sequence: bool = False  # AS_DRIVING may come sooner than after 5 s in AS_READY, and without an edge of Go
 
 
 class Witness:
     """What has been seen on the bus and heard from people. Times are ns; None: never."""
 
     __slots__ = (
+        "acknowledged",
         "alarm",
         "angle_max_deg",
         "as_state",
@@ -114,6 +121,7 @@ class Witness:
         "handshake",
         "heard_ns",
         "latched",
+        "marks",
         "mission",
         "no_more_torque",
         "order",
@@ -121,6 +129,7 @@ class Witness:
         "path",
         "pedals_ns",
         "power_up",
+        "ready_ns",
         "reopening",
         "restarted",
         "rpm",
@@ -135,6 +144,9 @@ class Witness:
         "torque_max_nm",
         "torque_may_be_there",
         "torque_runs",
+        "turning_ns",
+        "unknown",
+        "waited",
         "wheel_odd_ns",
         "zeros",
     )
@@ -147,11 +159,16 @@ class Witness:
         self.heard_ns: int | None = None  # any 0x520, believed or not
         self.mission = Ami.NOT_SELECTED
         self.silence = False  # the car was silent for as long as a power cycle takes, and was not believed since
+        self.unknown = False  # the last 0x520 is none that anybody knows
+        self.marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
+        self.ready_ns: int | None = None  # since when it has been AS_READY
+        self.waited = False  # for 5 s before Go
         self.path = 0  # 1 AS_OFF, 2 then AS_READY, 3 then AS_DRIVING; 0 anything else
         self.driving_ns: int | None = None
         self.rpm: tuple[int, int, int, int] | None = None
         self.speeds_ns: int | None = None
         self.still_ns: int | None = None
+        self.turning_ns: int | None = None  # a wheel turned then, by its pulse count
         self.angle_max_deg: float | None = None
         self.steer_ns: int | None = None
         self.torque_max_nm: float | None = None
@@ -161,6 +178,7 @@ class Witness:
         self.autonomous = False
         self.power_up = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
         self.confirmed: frozenset[str] = frozenset()  # who has reset himself for this mission
+        self.acknowledged = False  # SELECTED went out whole for it
         self.latched = False
         self.order: Order | None = None  # the newest command in order
         self.command_ns: int | None = None
@@ -197,12 +215,17 @@ class Witness:
             self.silence = True
         self.heard_ns = now_ns
 
-    def on_status(self, as_state: AsState, go: bool, fault: bool, ami: Ami, now_ns: int) -> None:
+    def on_unknown_status(self, now_ns: int) -> None:
         self.on_any_status(now_ns)
+        self.unknown = True
+
+    def on_status(self, as_state: AsState, go: bool, fault: bool, ami: Ami, marks: frozenset[str], now_ns: int) -> None:
+        self.on_any_status(now_ns)
+        self.unknown = False
         idle = as_state in (*OFF, AsState.AS_READY)
         entered_off = as_state in OFF and self.as_state is not None and (self.as_state not in OFF or self.silence)
         if entered_off or (ami is not self.mission and (idle or self.as_state is None)):
-            self.mission, self.confirmed = ami, frozenset()
+            self.mission, self.confirmed, self.acknowledged = ami, frozenset(), False
             self.order, self.command_ns = None, None  # of the run before
         anew = as_state is not self.as_state or self.silence
         if self.silence:
@@ -213,6 +236,14 @@ class Witness:
         if anew and ami is not self.mission:
             self.path = 0  # the car enters a state for a mission that nobody has acknowledged
         self.silence = False
+        if as_state is AsState.AS_READY:
+            if anew or self.ready_ns is None:
+                self.ready_ns, self.waited = now_ns, False
+            if not go:
+                self.waited = now_ns - self.ready_ns >= READY_SEEN_NS
+        else:
+            self.ready_ns = None
+            self.waited = self.waited and as_state is AsState.AS_DRIVING
         if as_state in OFF:
             self.path = 1
             self.restarted = False
@@ -231,12 +262,20 @@ class Witness:
         elif anew:
             self.driving_ns = now_ns
             self.no_more_torque = False
-        if as_state is AsState.AS_DRIVING and (not go or fault):
+        new_marks = self.marks is not None and bool(marks - self.marks)
+        if as_state is AsState.AS_DRIVING and (not go or fault or new_marks):
             self.no_more_torque = True
+        self.marks = marks
         self.reopening = False
         self.as_state, self.go, self.status_ns = as_state, go, now_ns
 
     def on_speeds(self, rpm: tuple[int, int, int, int], now_ns: int) -> None:
+        if max(rpm) > SPEED_MOST_RPM:
+            return
+        if self.rpm is not None and self.speeds_ns is not None:
+            most_rpm = SPEED_RATE_MOST_RPMPS * max(now_ns - self.speeds_ns, CYCLE_NS) / S
+            if any(abs(now - then) > most_rpm for now, then in zip(rpm, self.rpm, strict=True)):
+                return
         gap = self.speeds_ns is None or now_ns - self.speeds_ns >= SPEEDS_FRESH_NS
         if max(rpm) >= STILL_RPM:
             self.still_ns = None
@@ -283,9 +322,10 @@ class Witness:
     # ------------------------------------------------------------ what is due
 
     def at_rest(self, now_ns: int) -> bool:
-        """All four wheel speeds are fresh and have been seen under 10 rpm for 0.5 s (safety rule 3)."""
+        """All wheel speeds are fresh and have been seen under 10 rpm for 0.5 s, and no count ran (safety rule 3)."""
         return (
-            self.speeds_ns is not None
+            (self.turning_ns is None or now_ns - self.turning_ns >= COUNTED_NS)
+            and self.speeds_ns is not None
             and self.still_ns is not None
             and now_ns - self.speeds_ns < SPEEDS_FRESH_NS
             and self.speeds_ns - self.still_ns >= STILL_NS
@@ -311,7 +351,7 @@ class Witness:
         self.told = self.order if age_ns is not None and age_ns < COMMAND_FRESH_NS else None
         may_turn_manual = must_turn_manual = False
         if self.as_state is AsState.AS_DRIVING and self.driving_ns is not None:
-            lost = self._look_at_the_clock(age_ns, now_ns)
+            lost = self._look_at_the_clock(limits, age_ns, now_ns)
             # Once an emergency is latched nobody asks what becomes of the commands.
             may_turn_manual = lost or self.latched
             must_turn_manual = lost and not self.over and not self.latched
@@ -331,13 +371,18 @@ class Witness:
             self.no_more_torque = True
         return found
 
-    def _look_at_the_clock(self, age_ns: int | None, now_ns: int) -> bool:
+    def _began_in_order(self, limits: Limits) -> bool:
+        """AS_OFF, AS_READY and AS_DRIVING in turn, 5 s before Go, for a mission that was acknowledged."""
+        whole = self.path == 3 and (self.waited or limits.short_sequence)
+        return whole and self.mission is not Ami.NOT_SELECTED and self.acknowledged
+
+    def _look_at_the_clock(self, limits: Limits, age_ns: int | None, now_ns: int) -> bool:
         """The graded reactions in AS_DRIVING: what stops the run, and what asks for the emergency brake.
 
         Returns whether the command is lost.
         """
         assert self.driving_ns is not None
-        if self.path != 3 or len(self.confirmed) < 2 or self.ended is not None:
+        if not self._began_in_order(limits) or len(self.confirmed) < 2 or self.ended is not None:
             self.no_more_torque = True
         if self.status_ns is None or now_ns - self.status_ns >= STATUS_LOST_NS:
             self.due = "0x520 is lost for 100 ms"
@@ -531,7 +576,7 @@ class Witness:
         turn_deg = max(-most_turn_deg, min(most_turn_deg, self.told.steer_deg - self.steer_deg))
         wanted_deg = max(-most_deg, min(most_deg, self.steer_deg + turn_deg))
         obeyed = abs(asked.steer_deg - wanted_deg) <= STEER_STEP_DEG
-        stale = status_age is None or status_age >= STATUS_FRESH_NS
+        stale = self.unknown or status_age is None or status_age >= STATUS_FRESH_NS
         if not obeyed and not (held and (stopping or stale)):
             wrong("output table", f"steering {asked.steer_deg} deg, and the command asks for {self.told.steer_deg:.2f}")
 
@@ -563,6 +608,7 @@ class Witness:
                 wrong("output table", "no holding brake " + ("at rest" if self.no_more_torque else "in the first 3 s"))
         elif (
             self.told is not None
+            and not self.unknown
             and status_age is not None
             and status_age < STATUS_FRESH_NS
             and abs(front - 100.0 * self.told.brake) > BRAKE_STEP_PCT / 2
@@ -578,7 +624,7 @@ class Witness:
         due = self.as_state is AsState.AS_DRIVING and self.no_more_torque and not self.latched
         known = all(
             t_ns is not None and now_ns - t_ns < FEEDBACK_STALE_NS for t_ns in (self.speeds_ns, self.axle_ns)
-        ) and (status_age is not None and status_age < STATUS_FRESH_NS)
+        ) and (not self.unknown and status_age is not None and status_age < STATUS_FRESH_NS)
         may_rise = self.torque_runs or self.zeros >= 2 or (self.zeros == 1 and self.echoed)
         if not (due and known and may_rise) or self.at_rest(now_ns):
             return
@@ -601,6 +647,8 @@ class Witness:
             wrong("2", "torque and the last AS state seen is not AS_DRIVING")
         if status_age is None or status_age >= STATUS_FRESH_NS:
             wrong("2", "torque on a 0x520 older than 50 ms")
+        if self.unknown:
+            wrong("2", "torque, and the last 0x520 has an AS_STATE that no table knows")
         if asked.direction is not Direction.FORWARD:
             wrong("2", "torque without FORWARD")
         if asked.estop_request or self.latched:
@@ -610,6 +658,10 @@ class Witness:
                 wrong("10", "torque after a restart without AS_OFF seen anew")
             if self.path != 3:
                 wrong("2", "torque without AS_OFF, AS_READY, AS_DRIVING seen by this process")
+            if not self.waited and not limits.short_sequence:
+                wrong("2", "torque without 5 s in AS_READY before Go")
+            if self.mission is Ami.NOT_SELECTED or not self.acknowledged:
+                wrong("2", "torque without a mission that was acknowledged")
             if not supervised:
                 wrong("2", "torque in the first 3 s of AS_DRIVING")
             if not self.go:
@@ -645,6 +697,7 @@ class Witness:
 
     def on_sent(self, asked: AiCommand, complete: bool, now_ns: int) -> None:
         """Whether all five frames of that cycle went out."""
+        self.acknowledged = self.acknowledged or (complete and asked.mission_status is MissionStatus.SELECTED)
         if complete or self.complete_ns is None:
             self.complete_ns = now_ns
         elif now_ns - self.complete_ns >= SEND_LOST_NS and self.as_state is AsState.AS_DRIVING:

@@ -6,6 +6,8 @@ This module saves its state, puts it back, and says what the environment may do.
 - the codec hands images on as they are (each command is encoded by the real one, once per different command);
 - odometry is left out: it fills a logging field;
 - the plausibility checks' verdicts are the environment's choice (the checks have tests of their own);
+- so is whether a wheel turns by the pulse counts, which are not sent: what they say of a wheel speed shows in nothing
+  but that it is not believed, and speeds that may not be believed are sent;
 - wheels may change their speed from one cycle to the next: more than any car can do.
 
 Time. A state holds ages, not times, and an age is rounded down to the nearest point that the rules can tell apart:
@@ -31,8 +33,10 @@ from typing import Any, Final, cast
 from fsai_hil.as_machine import Situation, Table, taken, transition_table
 from fsai_hil.evidence.invariants import Limits, Order, Witness
 from fsai_hil.evidence.rule_numbers import (
+    BACKLOG_NS,
     CAR_PATIENCE_NS,
     COMMAND_FRESH_NS,
+    COUNTED_NS,
     CYCLE_NS,
     DATA_FRESH_NS,
     FUTURE_NS,
@@ -41,6 +45,7 @@ from fsai_hil.evidence.rule_numbers import (
     MOST_MOTOR_RPM,
     MOST_TORQUE_NM,
     MS,
+    READY_SEEN_NS,
     SPEEDS_FRESH_NS,
     S,
 )
@@ -55,12 +60,14 @@ from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.gate import GateState
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.supervisor import Asked, Decision, Latch, SupervisorState
+from fsai_vcu.core.supervision.wheel_speeds import Pulses, WheelBelief
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, Decoded, EncodeError
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiCommand,
+    Faults,
     Image,
     VcuBrake,
     VcuDriveFront,
@@ -125,6 +132,13 @@ COMMANDS: Final[Mapping[str, Ask]] = {
 }
 
 
+_SWITCHES: Final = ("AS_SWITCH_STATUS 0", "TS_SWITCH_STATUS 0")
+_REQUEST: Final = "SHUTDOWN_REQUEST 1"
+_BITS: Final[Mapping[str, str]] = {"BMS_FAULT 1": "bms", "EBS_FAULT 1": "ebs"}
+_CAUSE: Final = "a SHUTDOWN_CAUSE"
+MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)
+
+
 @dataclass(frozen=True, slots=True)
 class Choice:
     """What the environment does in one cycle. The defaults: a car that is well and at rest, a planner that drives."""
@@ -132,6 +146,8 @@ class Choice:
     command: str = "drive"
     lost: frozenset[str] = frozenset()  # messages of the car that do not come
     unreadable: bool = False  # 0x520 comes, but its AS_STATE is none
+    marks: frozenset[str] = frozenset()  # of MARKS: what 0x520 shows besides, FAULT_STATUS stays 0
+    counting: bool = False  # a wheel turns by the pulse counts
     rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
     go: bool = False
     asms: bool = True
@@ -173,6 +189,9 @@ class Choice:
                 parts.append("the shutdown circuit opens")
             if self.fault:
                 parts.append("FAULT_STATUS 1")
+            parts += [mark for mark in MARKS if mark in self.marks]
+            if self.counting:
+                parts.append("a pulse count runs")
             if self.ami is not Ami.TRACKDRIVE:
                 parts.append(f"the AMI shows {self.ami.label}")
             if self.lost:
@@ -221,7 +240,7 @@ _CLOCKS: Final = (
     "said status", "said speeds", "said steer", "said axles",
     "VCU state", "VCU hears", "VCU echo",
     "witness driving", "witness still", "witness command", "witness heard", "witness pedals", "witness listening",
-    "witness complete",
+    "witness complete", "ready", "turning", "witness ready", "witness turning",
 )  # fmt: skip
 
 
@@ -240,6 +259,7 @@ def _edges(c: BridgeConfig) -> tuple[tuple[int, ...], ...]:
         vcu, speeds, steer, (c.feedback_stale_ns,),
         (5 * S, 15 * S), (100 * MS,), (100 * MS,),
         launch, (c.standstill_ns,), command, heard, (c.both_pedals_ns,), (c.listen_first_ns,), (c.send_lost_ns,),
+        (c.ready_wait_ns,), (c.standstill_ns,), (READY_SEEN_NS,), (COUNTED_NS,),
     )  # fmt: skip
 
 
@@ -264,8 +284,20 @@ def _frame(can_id: int, image: Image | None, now: int, handshake: bool | None = 
 
 # The same few frames come again and again.
 @cache
-def _status_frame(bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, now: int) -> _Said:
-    image = VcuStatus(handshake=bit, go_signal=go, as_state=state, ami=ami, fault=fault, t_rx_ns=now)
+def _status_frame(bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int) -> _Said:
+    image = VcuStatus(
+        handshake=bit,
+        shutdown_request=_REQUEST in marks,
+        as_switch=_SWITCHES[0] not in marks,
+        ts_switch=_SWITCHES[1] not in marks,
+        go_signal=go,
+        as_state=state,
+        ami=ami,
+        fault=fault,
+        faults=Faults(**{field: mark in marks for mark, field in _BITS.items()}),
+        shutdown_cause=ShutdownCause.BMS_FAULT if _CAUSE in marks else ShutdownCause.NO_SHUTDOWN,
+        t_rx_ns=now,
+    )
     return _frame(0x520, image, now, bit)
 
 
@@ -483,6 +515,7 @@ class Composition:
             may_send=not setting.config.listen_only,
             autonomous_at_power_up=setting.config.autonomous_at_power_up and not setting.config.listen_only,
             stop_cycles=setting.config.stop_cycles,
+            short_sequence=setting.config.short_sequence_allowed,
         )
         self._sends_fail = any(choice.frames < 5 for choice in scope.choices)
         self._leaves_emergency = any(not choice.asms or choice.car_off for choice in scope.choices)
@@ -602,14 +635,18 @@ class Composition:
         disc = (
             # supervisor
             (s.as_state, s.go and driving, s.fault and driving, s.was_silent, s.sequence, s.fastest_rpm, s.mission,
-             s.confirmed, s.mode, s.power_up and c.autonomous_at_power_up, steers, s.emergency is not None, window),
+             s.confirmed, s.selected_sent, s.ready_waited_ns >= c.ready_wait_ns, s.mode,
+             s.power_up and c.autonomous_at_power_up, steers, s.emergency is not None, window),
             # gate
             (g.steer_deg, g.brake if driving else 0.0, g.torque_there, g.zero_cycles, g.torque_running,
-             g.tried_torque and g.awaiting, g.tried_brake and g.awaiting, g.awaiting, brake_newer),
+             g.tried_torque and g.awaiting, g.tried_brake and g.awaiting, g.awaiting, brake_newer,
+             g.tried_selected and g.awaiting, g.acknowledged_run_id == s.run_id),
             # the bridge's shell
-            (b._handshake != silent_bit, content, b._bus_lost is not None, b._stop_cycles_left),
+            (b._handshake != silent_bit, content, b._bus_lost is not None, b._stop_cycles_left,
+             bool(b._status_doubt)),
             # what the car has said
-            (None if status is None else (status.as_state, status.go_signal and driving, status.fault and driving),
+            (None if status is None else (status.as_state, status.go_signal and driving, status.fault and driving,
+                                          _marks_of(status)),
              None if speeds is None else speeds.all_rpm, None if steer is None else steer.angle_max_deg,
              None if axle is None else axle.torque_max_nm, echoed),
             # VCU
@@ -619,7 +656,7 @@ class Composition:
             (w.silence, w.path, w.handshake != silent_bit, w.autonomous, w.latched, w_order, w.alarm,
              w.no_more_torque, w.restarted, w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed and w.zeros == 1,
              w.torque_runs, w.steer_deg, w.mission, w.confirmed, w.power_up and c.autonomous_at_power_up,
-             w.reopening, w.ended, w.brake_pct if w_driving else 0.0),
+             w.reopening, w.ended, w.brake_pct if w_driving else 0.0, w.acknowledged, w.waited, w.unknown),
         )  # fmt: skip
         vcu_age = NEVER
         if v.state is AsState.AS_READY:
@@ -657,6 +694,10 @@ class Composition:
             age(w.pedals_ns) if in_hand and not w.no_more_torque else NEVER,
             NEVER if w.began_ns is None else min(age(w.began_ns), LISTEN_FIRST_NS),
             NEVER if w.complete_ns is None else age(w.complete_ns) if driving and self._sends_fail else 0,
+            age(s.ready_since_ns),
+            NEVER if age(s.turning_ns) >= c.standstill_ns else age(s.turning_ns),
+            age(w.ready_ns),
+            NEVER if age(w.turning_ns) >= COUNTED_NS else age(w.turning_ns),
         ]
         return disc, raw
 
@@ -666,9 +707,9 @@ class Composition:
         b, v, w, c = self._bridge, self._vcu, self._witness, self.config
         t = [None if age < 0 else NOW - age for age in ages]
         speeds_ns, still = t[3], ages[4]
-        steers = sup[10]
+        steers = sup[12]
         stop = None if steers is None else Latch(_STEERED_STOP if steers else _HELD_STOP, cast(int, t[5]))
-        window = sup[12]
+        window = sup[14]
         b._state = SupervisorState(
             as_state=sup[0],
             go=sup[1],
@@ -677,18 +718,21 @@ class Composition:
             heard_ns=t[1],
             was_silent=sup[3],
             sequence=sup[4],
-            ready_since_ns=NOW if sup[0] is AsState.AS_READY else None,
+            ready_since_ns=t[29],
+            ready_waited_ns=c.ready_wait_ns if sup[9] else 0,
             driving_since_ns=t[2],
             speeds_ns=speeds_ns,
             fastest_rpm=sup[5],
             still_since_ns=None if still < 0 else cast(int, speeds_ns) - still,
+            turning_ns=t[30],
             run_id=2,
             mission=sup[6],
             confirmed=sup[7],
-            mode=sup[8],
-            power_up=sup[9],
+            selected_sent=sup[8],
+            mode=sup[10],
+            power_up=sup[11],
             stop=stop,
-            emergency=_EMERGENCY if sup[11] else None,
+            emergency=_EMERGENCY if sup[13] else None,
             stop_window_ns=0 if window is None else cast(int, t[6]),
             stop_window_rpm=window,
             both_pedals_since_ns=t[7],
@@ -705,6 +749,9 @@ class Composition:
             tried_torque=gat[5],
             tried_brake=gat[6],
             awaiting=gat[7],
+            tried_selected=gat[9],
+            acknowledged_run_id=2 if gat[10] else None,
+            pulses=_turning_since(t[30]),
             run_id=2,
         )
         b._decision = _NO_DECISION
@@ -720,6 +767,7 @@ class Composition:
             b._command_ns = cast(int, t[9])
         b._bus_lost = "the interface is gone" if shell[2] else None
         b._stop_cycles_left = shell[3]
+        b._status_doubt = "it cannot be read" if shell[4] else ""
         b._listening_until_ns = None if t[10] is None else t[10] + c.listen_first_ns
         b._reopened_until_ns = None if t[11] is None else t[11] + c.vcu_lost_ns
         b._last_complete_ns = t[12]
@@ -729,10 +777,12 @@ class Composition:
         images: dict[str, Any] = {}
         status, rpm, angle_max, torque_max, zero = said
         if status is not None:
-            as_state, go, fault = status
-            images["status"] = _status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, t[15]).decoded.image
+            as_state, go, fault, marks = status
+            images["status"] = _status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, marks, t[15]).decoded.image
+        b._belief = _NO_BELIEF
         if rpm is not None:
-            images["speeds"] = _speeds_frame(rpm, t[16]).decoded.image
+            images["speeds"] = speeds = _speeds_frame(rpm, t[16]).decoded.image
+            b._belief = WheelBelief(cast(WheelSpeeds, speeds), t[16])
         if angle_max is not None:
             images["steer"] = _steer_frame(angle_max, t[17]).decoded.image
         if torque_max is not None:
@@ -751,9 +801,11 @@ class Composition:
 
         (w.silence, w.path, w.handshake, w.autonomous, w.latched, w.order, w.alarm, w.no_more_torque, w.restarted,
          w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed, w.torque_runs, w.steer_deg, w.mission,
-         w.confirmed, w.power_up, w.reopening, w.ended, w.brake_pct) = wit  # fmt: skip
+         w.confirmed, w.power_up, w.reopening, w.ended, w.brake_pct, w.acknowledged, w.waited,
+         w.unknown) = wit  # fmt: skip
         w.as_state = None if status is None else status[0]
         w.go = False if status is None else status[1]
+        w.marks = None if status is None else status[3]
         w.status_ns = t[15]
         w.rpm, w.speeds_ns = rpm, t[16]
         w.angle_max_deg, w.steer_ns = angle_max, t[17]
@@ -766,6 +818,7 @@ class Composition:
         w.began_ns, w.complete_ns = t[27], t[28]
         w.cycle_ns = t[8]  # when the last cycle was made is no judgement of the bridge's
         w.steer_odd_ns, w.wheel_odd_ns = t[13], t[14]
+        w.ready_ns, w.turning_ns = t[31], t[32]
 
     # ------------------------------------------------------------ moves
 
@@ -943,12 +996,12 @@ class Composition:
         if STATUS not in lost:
             w.handshake = v.bit
             if choice.unreadable:
-                w.on_any_status(now)
+                w.on_unknown_status(now)
                 say(_unreadable_frame(v.bit, now))
             else:
                 fault = choice.fault
-                w.on_status(v.state, choice.go, fault, choice.ami, now)
-                say(_status_frame(v.bit, choice.go, v.state, choice.ami, fault, now))
+                w.on_status(v.state, choice.go, fault, choice.ami, choice.marks, now)
+                say(_status_frame(v.bit, choice.go, v.state, choice.ami, fault, choice.marks, now))
         if AXLES not in lost:
             w.torque_max_nm, w.axle_ns = choice.torque_max_nm, now
             say(_front_frame(choice.torque_max_nm, now))
@@ -962,6 +1015,11 @@ class Composition:
         if SPEEDS not in lost:
             w.on_speeds(choice.rpm, now)
             say(_speeds_frame(choice.rpm, now))
+        if choice.counting:
+            w.turning_ns = now
+            b = self._bridge
+            b._state = supervisor.on_pulses(b._state, now)
+            b._gate = replace(b._gate, pulses=_turning_since(now))
 
     # ------------------------------------------------------------ people, planner and loop
 
@@ -986,6 +1044,8 @@ class Composition:
             case "the software is stopped":
                 b.begin_stop(now)
                 w.on_end()
+            case "frames waited for 20 ms":
+                b.backlog(BACKLOG_NS, now)
 
     def _requested(self, request: str, now: int, problems: list[Problem]) -> None:
         b, w = self._bridge, self._witness
@@ -1119,6 +1179,22 @@ class Composition:
         return lines
 
 
+@cache
+def _turning_since(t_ns: int | None) -> Pulses:
+    return Pulses(turning_ns=t_ns)
+
+
+def _marks_of(status: VcuStatus) -> frozenset[str]:
+    """What it shows besides, of `MARKS`."""
+    shown = (
+        not status.as_switch, not status.ts_switch, status.shutdown_request, status.faults.bms, status.faults.ebs,
+        status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN,
+    )  # fmt: skip
+    return frozenset(mark for mark, there in zip(MARKS, shown, strict=True) if there) if any(shown) else _NO_MARKS
+
+
+_NO_MARKS: Final[frozenset[str]] = frozenset()
+_NO_BELIEF: Final = WheelBelief()
 _SPENT: Final = (0.0, 0.0, 0.0, False, False)  # a command that can only be lost
 _EMERGENCY: Final = Latch(Asked.OPERATOR, 0)
 _NO_DECISION: Final = Decision()

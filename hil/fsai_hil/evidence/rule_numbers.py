@@ -24,10 +24,22 @@ COMMAND_FRESH_NS: Final = 100 * MS
 DATA_FRESH_NS: Final = 500 * MS
 FUTURE_NS: Final = 20 * MS  # a stamp further ahead than clocks and rounding explain hides how old the data is
 
+# A whole sequence: 5 s in AS_READY and Go rising after them, less the 100 ms that 0x520 may be missing
+READY_SEEN_NS: Final = 4900 * MS
+
 # Safety rule 3
 SPEEDS_FRESH_NS: Final = 100 * MS
 STILL_NS: Final = 500 * MS
 STILL_RPM: Final = 10
+COUNTED_NS: Final = 500 * MS
+TURNING_PULSES: Final = 2  # one pulse may be an edge at rest
+
+# Wheel speeds that are not believed
+SPEED_MOST_RPM: Final = 1250  # signal database: 0 … 1250
+SPEED_RATE_MOST_RPMPS: Final = 30_000  # no tyre follows more
+COUNT_SLACK: Final = 2  # a count that moves by so much more than the highest speed explains has started anew
+DOUBT_SURE_TURNS: Final = 0.75  # speed and count that contradict each other by so many turns of the wheel
+DOUBT_OPEN_TURNS: Final = 0.25  # from here on it may be taken for a contradiction
 
 # Safety rule 6
 POWER_CYCLE_NS: Final = 1 * S
@@ -42,6 +54,7 @@ ODD_LOST_NS: Final = 600 * MS
 PEDALS_NS: Final = 100 * MS
 SEND_LOST_NS: Final = 50 * MS  # so long without one complete cycle counts as bus loss
 STOP_TIMEOUT_NS: Final = 3 * S  # still moving so long after a stop began
+BACKLOG_NS: Final = 20 * MS  # frames of the car that waited so long before they were read are named
 DEADLINE_MISS_NS: Final = 50 * MS  # a deadline missed by so much is a fault of the loop
 
 # Interface specification v4.0

@@ -17,6 +17,7 @@ from fsai_hil.evidence.model import (
     BRAKE,
     CAR_MESSAGES,
     COMMANDS,
+    MARKS,
     NOBODY,
     SPEEDS,
     STATUS,
@@ -34,6 +35,8 @@ from fsai_vcu.interface.enums import Ami, AsState
 STANDING: Final = (0, 0, 0, 0)
 ROLLING: Final = (100, 100, 100, 100)
 MOVING: Final = (200, 200, 200, 200)
+TOO_FAST: Final = (1200, 1200, 1200, 1200)  # no tyre follows in one cycle
+IMPOSSIBLE: Final = (65535, 65535, 65535, 65535)
 
 _WELL = Choice()
 _WAITING = replace(_WELL, request="autonomous")
@@ -183,7 +186,7 @@ def _messages() -> Scope:
     choices = [replace(GO, lost=lost, rpm=MOVING) for lost in pairs]
     choices += [replace(GO, lost=lost) for lost in pairs if len(lost) < 2]
     choices += [replace(GO, lost=lost, command="brake", rpm=MOVING) for lost in (frozenset(), frozenset((BRAKE,)))]
-    unreadable = _each(replace(GO, unreadable=True), {}, {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))})
+    unreadable = _each(replace(GO, unreadable=True), {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))})
     everywhere = [replace(GO, lost=frozenset((STATUS,))), replace(GO, unreadable=True), _CUT_OFF]
     return _scope(
         "messages",
@@ -213,6 +216,7 @@ _TROUBLE: Final = (
     "the bus is lost",
     "the bus is back",
     "the software is stopped",
+    "frames waited for 20 ms",
 )
 _TROUBLES: Final[tuple[dict[str, object], ...]] = tuple({"event": event} for event in _TROUBLE)
 _RESTART: Final = "restart"
@@ -221,7 +225,7 @@ _RESTART: Final = "restart"
 def _trouble() -> Scope:
     return _scope(
         "trouble",
-        "intruder, fault of the loop, bus lost and back, orderly end, in any order and at any time",
+        "intruder, fault of the loop, bus lost and back, orderly end, frames that waited, in any order and at any time",
         _each(GO, *_TROUBLES),
         _each(replace(GO, rpm=MOVING), {}, *_TROUBLES),
         setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, stop_cycles=2)),
@@ -237,11 +241,16 @@ def _restarts() -> Scope:
     )
 
 
+def _said(state: AsState, **changes: object) -> Choice:
+    """A VCU that says this AS state whatever came before; Go is on in AS_DRIVING, off before it."""
+    said = replace(_WELL, says=state, go=state not in (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY))
+    return replace(said, **changes)  # type: ignore[arg-type]
+
+
 def _any_car() -> Scope:
-    says = [
-        replace(GO, says=state, go=go, rpm=rpm)
-        for state, go, rpm in product(AsState, (True, False), (STANDING, MOVING))
-    ]
+    says = [_said(state) for state in AsState]
+    says += [_said(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)]
+    says += [_said(AsState.AS_DRIVING, go=False, rpm=MOVING)]
     driving = replace(GO, says=AsState.AS_DRIVING, rpm=MOVING)
     return _scope(
         "any car",
@@ -250,7 +259,7 @@ def _any_car() -> Scope:
             *says,
             *_each(driving, {"fault": True}, {"request": "manual"}, {"lost": frozenset((STATUS,))}),
             *_each(replace(driving, says=AsState.AS_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
-            replace(GO, says=AsState.AS_READY, request="autonomous"),
+            _said(AsState.AS_READY, request="autonomous"),
         ],
         endings=_INSISTING,
         bounds_ns=_INSISTING_NS,
@@ -264,13 +273,61 @@ def _restarts_any_car() -> Scope:
         "restarts, any car",
         "the process dies and comes back beside a VCU that goes on as if nothing had happened",
         [
-            *(replace(GO, says=state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
-            *(replace(GO, says=state, event=_RESTART) for state in states),
-            *(replace(GO, says=state, request="autonomous") for state in states),
+            *(_said(state) for state in states),
+            _said(AsState.AS_DRIVING, rpm=MOVING),
+            *(_said(state, event=_RESTART) for state in states),
+            *(_said(state, request="autonomous") for state in states[:2]),
         ],
         endings=_INSISTING,
         bounds_ns=_INSISTING_NS,
         from_start=True,
+    )
+
+
+def _beginnings() -> Scope:
+    off, ready, driving = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
+    return _scope(
+        "beginnings",
+        "a VCU that comes to AS_DRIVING after any time, with Go on or off before it, with no mission on the AMI, and "
+        "with SELECTED that never went out whole",
+        [
+            *_each(_said(off), {"request": "autonomous"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+            *_each(_said(ready), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+            *_each(_said(driving), {}, {"rpm": MOVING}),
+        ],
+        endings=_INSISTING,
+        bounds_ns=_INSISTING_NS,
+        from_start=True,
+    )
+
+
+def _marks() -> Scope:
+    every = frozenset(MARKS)
+    each = [frozenset((mark,)) for mark in MARKS]
+    return _scope(
+        "marks",
+        "switches, SHUTDOWN_REQUEST, fault bits and SHUTDOWN_CAUSE in 0x520 while FAULT_STATUS stays 0: there since "
+        "before the run, and turning in AS_DRIVING, each and all of them",
+        [replace(_WELL, marks=every), replace(GO, marks=every), replace(_WELL, marks=each[3])],
+        [
+            *(replace(GO, rpm=MOVING, marks=marks) for marks in (NOBODY, every, *each, every - each[3])),
+            replace(GO, marks=each[0]),
+        ],
+    )
+
+
+def _wheel_speeds() -> Scope:
+    return _scope(
+        "wheel speeds",
+        "wheel speeds beyond the database and beyond what a tyre can follow, on all wheels and on one; pulse counts "
+        "that run while the wheels stand",
+        _each(GO, {"rpm": IMPOSSIBLE}, {"counting": True}),
+        [
+            *_each(
+                GO, {"rpm": MOVING}, {"rpm": TOO_FAST}, {"rpm": (200, 200, 1251, 200)}, {"rpm": (200, 200, 1200, 200)}
+            ),
+            *_each(GO, {"command": "finished"}, {"command": "finished", "counting": True}),
+        ],
     )
 
 
@@ -331,7 +388,7 @@ def _power_up_any_car() -> Scope:
         "power-up, any car",
         "the same beside a VCU that says any of its states from the start, wheels standing and turning",
         [
-            *(replace(GO, says=state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
+            *(_said(state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
         ],
         setting=setting,
         endings=_INSISTING,
@@ -360,7 +417,7 @@ def _listening() -> Scope:
         "listen only",
         "a process that only listens: nothing that happens makes it send",
         [
-            *(replace(GO, says=state) for state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)),
+            *(_said(state) for state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)),
             *_each(
                 replace(GO, says=AsState.AS_DRIVING, rpm=MOVING),
                 {"event": "an intruder sends 0x511"},
@@ -368,7 +425,7 @@ def _listening() -> Scope:
                 {"event": "the software is stopped"},
                 {"request": "the emergency brake"},
             ),
-            replace(GO, says=AsState.AS_OFF, request="autonomous"),
+            _said(AsState.AS_OFF, request="autonomous"),
         ],
         setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, listen_only=True)),
         endings={},
@@ -390,6 +447,9 @@ def all_scopes() -> tuple[Scope, ...]:
         _restarts(),
         _power_cycle(),
         _any_car(),
+        _beginnings(),
+        _marks(),
+        _wheel_speeds(),
         _restarts_any_car(),
         _plausibility(),
         _limits(),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from fsai_hil.evidence.search import Search, explore
 from fsai_vcu.core import bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import gate as gating
-from fsai_vcu.core.supervision import supervisor
+from fsai_vcu.core.supervision import supervisor, wheel_speeds
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import (
     OUTPUT,
@@ -33,13 +33,16 @@ from fsai_vcu.core.supervision.supervisor import (
     SupervisorState,
 )
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuSteer
+from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.images import Faults, VcuStatus, VcuSteer
 
 
 @dataclass(frozen=True, slots=True)
 class Seed:
-    """One mistake: where to look for its harm, the rule it breaks, and how it is made."""
+    """One mistake: where to look for its harm, the rule it breaks, and how it is made.
+
+    Without a scope it is for the fuzz alone: what the pulse counts say of a wheel speed is no part of the search.
+    """
 
     name: str
     rule: str
@@ -103,6 +106,39 @@ def _only_fast(config: Any, state: Any, now_ns: int) -> bool:
     return state.speeds_ns is not None and state.fastest_rpm < config.standstill_rpm
 
 
+def _go_on_counts(original: Callable[..., Any], config: Any, state: Any, status: Any) -> Any:
+    after = original(config, state, status)
+    if after.ready_since_ns is None:
+        return after
+    return replace(after, ready_waited_ns=status.t_rx_ns - after.ready_since_ns)
+
+
+def _cut_short_counts(original: Callable[..., Any], instance: Any, complete: bool, now_ns: int) -> None:
+    original(instance, complete, now_ns)
+    if instance._asked.mission_status is MissionStatus.SELECTED:
+        run_id = instance._decision.run_id
+        instance._state = supervisor.on_selected_sent(instance._state, run_id)
+        instance._gate = replace(instance._gate, acknowledged_run_id=run_id)
+
+
+def _gate_knows(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any, vehicle: Any,
+                *rest: Any) -> Any:  # fmt: skip
+    return original(config, state, decision, command, replace(vehicle, status_known=True), *rest)
+
+
+def _gate_acknowledged(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
+    return original(config, replace(state, acknowledged_run_id=decision.run_id), decision, *rest)
+
+
+def _levels_for_edges(original: Callable[..., Any], before: Any, now: Any) -> Any:
+    return original(_NOTHING_SHOWN, now)
+
+
+def _one_bit_hides_others(original: Callable[..., Any], before: Any, now: Any) -> Any:
+    shown = any(getattr(before.faults, bit.name) for bit in fields(Faults))
+    return original(before, replace(now, faults=before.faults) if shown else now)
+
+
 def _believed_bit(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any, vehicle: Any,
                   *rest: Any) -> Any:  # fmt: skip
     after, asked, reasons = original(config, state, decision, command, vehicle, *rest)
@@ -156,6 +192,7 @@ def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, com
     return (*frames, replace(last, can_id=last.can_id + 1))
 
 
+_NOTHING_SHOWN: Final = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
 _REPORTED: Final = (Step(None, Consequence.REPORT),)
 _FULL_ANGLE: Final = VcuSteer(0.0, 30.0, 0.0)
 
@@ -217,11 +254,63 @@ SEEDS: Final[tuple[Seed, ...]] = (
             ),
         ),
     ),
+    Seed(
+        "Go that was on all along counts as given",
+        "2",
+        "beginnings",
+        _wrapped(supervisor, "on_status", _go_on_counts),
+    ),
+    Seed("AS_READY for 4.8 s is enough", "2", "beginnings", config={"ready_wait_ns": 4800 * MS}),
+    Seed(
+        "AS_READY is enough 1 ns early",
+        "2",
+        "beginnings",
+        config={"ready_wait_ns": 4900 * MS - 1},
+        shows_in_fuzz=False,  # its AS_READY lasts whole cycles
+    ),
+    Seed("a short sequence is only reported", "2", "beginnings", _reaction(Reason.SEQUENCE_SHORT, *_REPORTED)),
+    Seed(
+        "torque without a mission",
+        "2",
+        "beginnings",
+        lambda: (
+            *_reaction(Reason.NO_MISSION, *_REPORTED)(),
+            (bridge, "gate", partial(_gate_acknowledged, gating.gate)),
+        ),
+    ),
+    Seed(
+        "SELECTED counts though its cycle was cut short",
+        "2",
+        "beginnings",
+        _method(bridge.Bridge, "on_sent", _cut_short_counts),
+        shows_in_fuzz=False,  # SELECTED goes out again and again: that no cycle was whole for 5 s is too rare
+    ),
+    Seed(
+        "an AS_STATE that nobody knows is only reported",
+        "2",
+        "messages",
+        lambda: (
+            *_reaction(Reason.AS_STATE_UNKNOWN, *_REPORTED)(),
+            (bridge, "gate", partial(_gate_knows, gating.gate)),
+        ),
+    ),
     # ---- rest
     Seed("one look at the wheels proves rest", "3", "run", lambda: ((supervisor, "standing", _only_fast),)),
     Seed("rest is proven after 400 ms", "3", "run", config={"standstill_ns": 400 * MS}),
     Seed("a wheel under 301 rpm stands", "3", "limits", config={"standstill_rpm": 301}),
+    Seed(
+        "pulse counts are not asked whether the wheels stand",
+        "3",
+        "wheel speeds",
+        lambda: ((supervisor, "turning", lambda *_: False), (gating, "turning", lambda *_: False)),
+    ),
     # ---- limits
+    Seed(
+        "a jump that no tyre can follow is believed",
+        "4",
+        "limits",
+        config={"wheel_rate_max_rpmps": 1e6},
+    ),
     Seed("ANGLE_MAX is not looked at", "4", "limits", _wrapped(gating, "_steering", _unlimited_steering)),
     Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
     Seed("TRQ_MAX is believed for ever", "4", "messages", _wrapped(gating, "_axle_limit_nm", _believes_old_limits)),
@@ -334,6 +423,37 @@ SEEDS: Final[tuple[Seed, ...]] = (
             Reason.COMMAND_STALE, Step("command_stale_ns", Consequence.ESTOP), REACTIONS[Reason.COMMAND_STALE][1]
         ),
         shows_in_fuzz=False,  # who looks at frames alone takes any ESTOP_REQUEST
+    ),
+    *(
+        Seed(f"{words} is only reported", "reactions", "marks", _reaction(reason, *_REPORTED))
+        for reason, words in (
+            (Reason.AS_SWITCH_OFF, "an AS switch that falls"),
+            (Reason.TS_SWITCH_OFF, "a TS switch that falls"),
+            (Reason.SHUTDOWN_REQUESTED, "SHUTDOWN_REQUEST that rises"),
+            (Reason.FAULT_BIT, "a fault bit that rises"),
+            (Reason.SHUTDOWN_CAUSE, "a SHUTDOWN_CAUSE that rises"),
+        )
+    ),
+    Seed(
+        "one fault bit hides the others",
+        "reactions",
+        "marks",
+        _wrapped(bridge, "changes", _one_bit_hides_others),
+        shows_in_fuzz=False,  # two bits one after the other, and no other stop before, are too rare
+    ),
+    Seed(
+        "what has been shown since before the run stops it",
+        "output table",
+        "marks",
+        _wrapped(bridge, "changes", _levels_for_edges),
+        shows_in_fuzz=False,  # who looks at frames alone takes any stop
+    ),
+    Seed("65535 rpm is believed", "reactions", "wheel speeds", config={"wheel_max_rpm": 65535}),
+    Seed(
+        "a pulse count contradicts no wheel speed",
+        "reactions",
+        "",
+        _always(wheel_speeds, "_contradicted", ""),
     ),
     Seed("Go off is only reported", "reactions", "any car", _reaction(Reason.GO_OFF, Step(None, Consequence.REPORT))),
     Seed(

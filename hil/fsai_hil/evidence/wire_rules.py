@@ -8,7 +8,8 @@ own times.
 
 What is added to each rule:
 
-2.  torque needs autonomous accepted (or entered by itself at power-up: in AS_INIT and AS_OFF, at proven rest), neither
+2.  torque needs a mission for which SELECTED went out whole, and
+    autonomous accepted (or entered by itself at power-up: in AS_INIT and AS_OFF, at proven rest), neither
     manual asked for since nor a command lost for 300 ms, which turns the mode to manual; and a command that was in
     order, of the run in hand, younger than 100 ms on data younger than 500 ms, that pushes and does not brake; never
     more than its share. The mode that the process shows is held against the same.
@@ -50,7 +51,6 @@ from fsai_hil.evidence.rule_numbers import (
     POWER_CYCLE_NS,
     SEND_LOST_NS,
     STATUS_LOST_NS,
-    STILL_NS,
     STILL_RPM,
     STOP_CYCLES,
     STOP_TIMEOUT_NS,
@@ -74,7 +74,6 @@ from fsai_vcu.interface.images import (
     AiSteer,
     VcuStatus,
     VcuSteer,
-    WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS
 
@@ -98,6 +97,7 @@ class Terms:
     motor_brakes: bool = False
     stop_timeout_ns: int = STOP_TIMEOUT_NS
     service_brake_pct: float = 80.0  # what a stop is made with
+    short_sequence: bool = False  # AS_DRIVING may come sooner than after 5 s in AS_READY, and without an edge of Go
 
 
 class WireOracle:
@@ -117,6 +117,7 @@ class WireOracle:
             limits=terms.limits,
             from_start=True,
             motor_brakes=terms.motor_brakes,
+            short_sequence=terms.short_sequence,
         )
         self._steer_limit_deg = min(codec.revision.steer_limit_deg, terms.limits.max_steer_deg)
         self._torque_limit_nm = min(MOST_TORQUE_NM, terms.car.axle_torque_max_nm, terms.limits.max_axle_torque_nm)
@@ -135,9 +136,6 @@ class WireOracle:
         self._driving_ns: int | None = None
         self._supervised_ns = 0  # when supervision of command, wheels and steering begins
         self._mission = Ami.NOT_SELECTED
-        self._rpm: tuple[int, int, int, int] | None = None
-        self._speeds_ns: int | None = None
-        self._still_ns: int | None = None
         self._angle_deg = 0.0
         self._angle_max_deg = 0.0
         self._steer_ns: int | None = None
@@ -192,8 +190,6 @@ class WireOracle:
         image = self._wire.on_frame(frame)
         if isinstance(image, VcuStatus):
             self._on_status(image, now_ns)
-        elif isinstance(image, WheelSpeeds):
-            self._on_speeds(image, now_ns)
         elif isinstance(image, VcuSteer):
             self._angle_deg, self._angle_max_deg = image.angle_deg, max(0.0, image.angle_max_deg)
             self._steer_ns = now_ns
@@ -218,15 +214,6 @@ class WireOracle:
             self._alarm = None
         self._was_off = False
         self._as_state, self._go, self._fault, self._status_ns = state, status.go_signal, status.fault, now_ns
-
-    def _on_speeds(self, speeds: WheelSpeeds, now_ns: int) -> None:
-        gap = self._speeds_ns is None or now_ns - self._speeds_ns >= FEEDBACK_STALE_NS
-        rpm = speeds.all_rpm
-        if max(rpm) >= STILL_RPM:
-            self._still_ns = None
-        elif self._still_ns is None or gap:
-            self._still_ns = now_ns
-        self._rpm, self._speeds_ns = rpm, now_ns
 
     # ------------------------------------------------------------ what it is told
 
@@ -324,7 +311,12 @@ class WireOracle:
         if self._first_poll_ns is None:
             self._first_poll_ns = now_ns
         self._cycle = []
-        if self._power_up and not self._terms.listen_only and self._as_state in OFF and self._surely_stands(now_ns):
+        if (
+            self._power_up
+            and not self._terms.listen_only
+            and self._as_state in OFF
+            and self._wire.wheels.may_stand(now_ns)
+        ):
             self._autonomous, self._power_up = True, False
         self._age(now_ns)
 
@@ -356,6 +348,7 @@ class WireOracle:
 
     def after_cycle(self, made: bool, now_ns: int) -> None:
         """All of the cycle's frames that were taken have gone out; `made`: it was to be sent at all."""
+        self._wire.cycle_over()
         whole = tuple(self._cycle) == AI_IDS
         self._whole_in_a_row = self._whole_in_a_row + 1 if whole else 0
         if whole:
@@ -386,7 +379,11 @@ class WireOracle:
         if state is not AsState.AS_DRIVING or self._driving_ns is None:
             return
         if not self._wire.came_the_whole_way:
-            self._stop("AS_OFF, AS_READY and AS_DRIVING were not seen in turn", now_ns)
+            self._stop("AS_OFF, AS_READY for 5 s before Go, and AS_DRIVING were not seen in turn", now_ns)
+        if not self._wire.acknowledged:
+            self._stop("no mission was acknowledged", now_ns)
+        if self._wire.turned is not None:
+            self._stop(f"in AS_DRIVING {self._wire.turned[1]}", now_ns)
         if not self._go:
             self._stop("Go is off", now_ns)
         if self._fault:
@@ -399,24 +396,25 @@ class WireOracle:
             self._supervise(now_ns)
         if self._stopped is not None:
             self._brake_due = self._stopped[1]
+            wheels = self._wire.wheels
             slow = (
-                self._rpm is not None
-                and max(self._rpm) < STILL_RPM
-                and self._speeds_ns is not None
-                and now_ns - self._speeds_ns < FEEDBACK_STALE_NS
+                wheels.rpm is not None
+                and (max(wheels.rpm) < STILL_RPM or wheels.open)
+                and wheels.may_count_ns is not None
+                and now_ns - wheels.may_count_ns < FEEDBACK_STALE_NS
             )
             # A stop began no later than it is known here, but what began it may have been seen a cycle before.
             if now_ns - self._stopped[0] >= self._terms.stop_timeout_ns + 100 * MS and not slow:
                 self._alarm = self._alarm or "the car still moves long after the stop began"
         emergency = self._latched or self._alarm is not None
-        self._service_due = emergency or (self._stopped is not None and not self._surely_stands(now_ns))
+        self._service_due = emergency or (self._stopped is not None and not self._wire.wheels.may_stand(now_ns))
         if emergency:
             self._brake_due = self._alarm or "an emergency is latched"
         if now_ns - self._driving_ns < LAUNCH_NS:
             self._brake_due = "the first 3 s of AS_DRIVING"
 
     def _supervise(self, now_ns: int) -> None:
-        for name, t_ns in (("wheel speeds", self._speeds_ns), ("steering feedback", self._steer_ns)):
+        for name, t_ns in (("wheel speeds", self._wire.wheels.may_count_ns), ("steering feedback", self._steer_ns)):
             age_ns = FEEDBACK_LOST_NS if t_ns is None else now_ns - t_ns
             if age_ns >= FEEDBACK_STALE_NS:
                 self._stop(f"{name} missing for 100 ms", now_ns)
@@ -459,7 +457,8 @@ class WireOracle:
 
     def _look_at_wheels(self, now_ns: int) -> None:
         """One wheel without a motor spins while the three others nearly stand: nothing explains that."""
-        rpm, fresh = self._rpm, self._speeds_ns is not None and now_ns - self._speeds_ns < FEEDBACK_STALE_NS
+        wheels = self._wire.wheels
+        rpm, fresh = wheels.rpm, wheels.believed_ns is not None and now_ns - wheels.believed_ns < FEEDBACK_STALE_NS
         odd = False
         if rpm is not None and fresh and not self._terms.car.driven_front:
             odd = any(
@@ -530,7 +529,11 @@ class WireOracle:
             self._wrong("reactions", f"no ESTOP_REQUEST: {self._alarm}")
         if ai.mission_status is MissionStatus.SELECTED:
             self._check_selected(state)
-        if state is AsState.EMERGENCY_BRAKE and ai.direction is Direction.FORWARD and self._surely_stands(now_ns):
+        if (
+            state is AsState.EMERGENCY_BRAKE
+            and ai.direction is Direction.FORWARD
+            and self._wire.wheels.surely_stand(now_ns)
+        ):
             self._wrong("output table", "FORWARD in EMERGENCY_BRAKE though the wheels have stood for 0.5 s")
         if self._end_cycles is not None:
             self._end_cycles += 1
@@ -633,14 +636,6 @@ class WireOracle:
         """No stop or emergency has begun, for a reason seen here or not: there would be a brake."""
         unbraked = self._whole_in_a_row > 2 and self._brake_sent == 0.0 and not self._terms.motor_brakes
         return unbraked and self._stopped is None and not self._latched and self._alarm is None
-
-    def _surely_stands(self, now_ns: int) -> bool:
-        return (
-            self._speeds_ns is not None
-            and self._still_ns is not None
-            and now_ns - self._speeds_ns < FEEDBACK_STALE_NS
-            and self._speeds_ns - self._still_ns >= STILL_NS
-        )
 
     def _wrong(self, rule: str, words: str) -> None:
         self.problems.append(Problem(rule, words))
