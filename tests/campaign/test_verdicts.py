@@ -192,7 +192,7 @@ def test_a_moment_that_never_came_does_not_excuse_a_car_that_still_moves() -> No
 def test_a_car_that_leaves_the_course_is_worse_than_allowed_where_nothing_may_change(fault: str, worse: bool) -> None:
     seen = observed()
     seen.left_course = 1
-    verdict = judge(case(fault, way="stuck", duration=500), seen, FAULT_NS, ())
+    verdict = judge(case(fault, way="double", duration=500), seen, FAULT_NS, ())
     assert verdict.ok is not worse
     assert not worse or "left the course" in verdict.faults[0]
 
@@ -273,3 +273,16 @@ def test_a_steering_that_is_surely_off_must_stop_the_car_in_its_times(
             cycle.finished = True
     verdict = judge(case("steering_stuck_rack"), seen, FAULT_NS, ())
     assert verdict.ok is ok, verdict.faults
+
+
+@pytest.mark.parametrize(("runs_for_ms", "ok"), [(150, True), (400, False)])
+def test_speeds_that_their_counts_contradict_for_long_must_stop_the_car(runs_for_ms: int, ok: bool) -> None:
+    """At 4 turns/s the contradiction is sure after 200 ms; a stop is due 100 ms later."""
+    seen = observed()
+    for step in range(-50, 200):
+        t_ns = FAULT_NS + step * 10 * MS
+        runs = 0 <= step < runs_for_ms // 10
+        pulses = round(0.8 * (step if runs else 0 if step < 0 else runs_for_ms // 10))
+        seen.wheels.append((t_ns, (0, 0, 0, 0)))
+        seen.counts.append((t_ns, (pulses % 65536,) * 4))
+    assert judge(case("wheels_dead", duration=4000), seen, FAULT_NS, ()).ok is ok

@@ -49,11 +49,7 @@ def test_the_short_form_goes_deep() -> None:
     # are too rare for seconds.
     rare = {
         "backlog",
-        "shutdown_cause",
-        "fault_bit",
-        "ts_switch_off",
         "as_switch_off",
-        "shutdown_requested",
         "stillness_unproven",
         "torque_blocked",
         "not_confirmed",

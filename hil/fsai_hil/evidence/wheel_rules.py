@@ -126,6 +126,8 @@ class Wheels:
         self._ahead[wheel] = ahead = max(-DOUBT_SURE_TURNS, min(DOUBT_SURE_TURNS, ahead))
         if abs(ahead) >= DOUBT_SURE_TURNS and (ahead > 0.0 or self._has_counted[wheel]):
             self._doubt[wheel] = Belief.NO
+        elif self._doubt[wheel] is Belief.NO and abs(ahead) >= DOUBT_SURE_TURNS - DOUBT_OPEN_TURNS:
+            pass  # a pause between two pulses dispels no doubt
         elif abs(ahead) >= DOUBT_OPEN_TURNS:
             self._doubt[wheel] = Belief.OPEN
         elif ahead == 0.0:
