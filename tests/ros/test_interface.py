@@ -21,7 +21,7 @@ from ros_rig import RosRig
 
 from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller
 from fsai_nodes.composed import CLASSES
-from fsai_nodes.parameters import NodeError, Scattered
+from fsai_nodes.parameters import NodeError, Scattered, misspelt
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 
 CHECKOUT = Path(__file__).parents[2]
@@ -359,6 +359,12 @@ def test_launch_file_and_parameter_files_name_nodes_and_parameters_that_exist() 
         for node in ast.literal_eval(entry.elts[0]):
             assert ast.literal_eval(entry.elts[1]) in known[node]
     assert set(CLASSES) == set(MODULES)
+
+
+def test_a_misspelt_launch_argument_is_named_with_the_right_one() -> None:
+    known = ["laps", "max_speed", "composed"]
+    assert misspelt(["lapz", "max_speed"], known) == "unknown argument lapz: did you mean laps?"
+    assert misspelt(["laps", "composed", "robot_name_of_another_file"], known) == ""
 
 
 def test_the_values_of_the_parameter_files_are_accepted() -> None:

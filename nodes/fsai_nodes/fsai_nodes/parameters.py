@@ -153,6 +153,13 @@ class _UnknownParameter(ParameterNotDeclaredException):  # type: ignore[misc]  #
         Exception.__init__(self, words)
 
 
+def misspelt(given: Iterable[str], known: Iterable[str]) -> str:
+    """Which of the names `given` are nearly one of `known`, and which; empty where all are right, or quite others."""
+    known = list(known)
+    close = {name: get_close_matches(name, known, n=1) for name in given if name not in known}
+    return "; ".join(f"unknown argument {name}: did you mean {meant[0]}?" for name, meant in close.items() if meant)
+
+
 class Settings:
     """The declared parameters of one node: typed reading, refusals with reasons, and a call when one has changed."""
 

@@ -8,6 +8,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from fsai_nodes.parameters import misspelt
 from launch import LaunchDescription
 
 # launch argument -> (nodes, parameter, type, what it is)
@@ -46,6 +47,10 @@ def typed(text, kind):
 
 def start(context):
     """The nodes, with the parameter file first and the arguments given on top."""
+    # ROS ignores an argument that nobody declares; those of a launch file that includes this one are seen here, too.
+    wrong = misspelt(context.launch_configurations, [*ARGUMENTS, "params_file", "simulated", "composed"])
+    if wrong:
+        raise ValueError(wrong)
     parameters = {name: {} for name in NODES}
     for argument, (nodes, parameter, kind, _) in ARGUMENTS.items():
         text = LaunchConfiguration(argument).perform(context)
