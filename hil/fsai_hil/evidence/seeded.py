@@ -238,6 +238,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "2",
         "any car",
         _follows(Sequence.OFF_SEEN, AsState.AS_DRIVING, Sequence.COMPLETE),
+        config={"short_sequence_allowed": True},  # else the 5 s in AS_READY are missed as well
     ),
     Seed(
         "autonomous is accepted in every state", "2", "run", lambda: ((supervisor, "IDLE_STATES", frozenset(AsState)),)
@@ -469,7 +470,15 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "trouble",
         _reactions({Reason.BUS_LOST: _REPORTED, Reason.NOT_SEEN: _REPORTED}),
     ),
-    Seed("resets that nobody confirmed are no matter", "reactions", "confirmations", _reaction(Reason.NOT_CONFIRMED)),
+    Seed(
+        "resets that nobody confirmed are no matter",
+        "reactions",
+        "confirmations",
+        lambda: (  # SELECTED waits for them: two more guards miss it
+            *_reactions({Reason.NOT_CONFIRMED: (), Reason.NO_MISSION: _REPORTED})(),
+            (bridge, "gate", partial(_gate_acknowledged, gating.gate)),
+        ),
+    ),
     # ---- the output table
     Seed("a stop without the brake", "output table", "run", _output(Phase.STOPPING, brake=Brake.ZERO)),
     Seed(
