@@ -46,6 +46,7 @@ CAUSES_OF = {
         "status_finished",
         "power_cycle",
     },
+    "mission chosen, EBS armed": {"asms", "tsms", "ebs_not_armed", "no_mission", "power_cycle"},
     "Go": {
         "go_too_early",
         "torque_requested",
