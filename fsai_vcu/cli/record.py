@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import re
 import signal
 import sys
@@ -280,9 +281,14 @@ def _check_mcap() -> None:
 def _topics(args: argparse.Namespace) -> Any | None:
     """What hears the nodes; None where that is not asked for."""
     from fsai_vcu.cli.main import UserError
+    from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
 
     if not args.ros:
         return None
+    try:
+        os.environ.update(usual_environment())
+    except ConfigurationError as error:
+        raise UserError(str(error)) from error
     try:
         recorder: Any = import_module("fsai_nodes.recorder")
     except ImportError as error:

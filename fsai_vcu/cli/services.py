@@ -14,7 +14,7 @@ from typing import Any
 
 from fsai_vcu.cli.main import UserError
 
-ASK_AGAIN_S = 1.0
+ASK_AGAIN_S = 1.0  # the bridge has an answer in half of that, of a hanging loop, too
 _TURN_S = 0.1  # within a wait of the middleware nobody hears Ctrl-C
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (

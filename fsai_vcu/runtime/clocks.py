@@ -1,4 +1,4 @@
-"""ROS time at the edge: header stamps to the monotonic clock and back, through steps of the wall clock.
+"""Wall-clock stamps of ROS messages and received frames to the monotonic clock and back, through steps of that clock.
 
 Header stamps are wall-clock time, because that is what other people's nodes and recordings use; decisions are made
 by the monotonic clock only (safety: a clock step never does anything). Pure: both clocks' readings are arguments.

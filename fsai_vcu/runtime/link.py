@@ -15,6 +15,7 @@ import copyreg
 import logging
 import pickle
 import socket
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -50,15 +51,26 @@ class LoopSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Activate:
-    """Take the interface's lock, open the bus and run; the first run has this number."""
+class Configure:
+    """Read the database. Like each request it has a number, which its Answer has, too."""
 
+    number: int
+    settings: LoopSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Activate:
+    """Take the interface's lock, open the bus and run."""
+
+    number: int
     first_run_id: int
 
 
 @dataclass(frozen=True, slots=True)
 class Deactivate:
-    """Stop in order, fall silent, give lock and bus back."""
+    """Stop in order, fall silent, give lock and bus back; answered then."""
+
+    number: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +111,7 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """To the Ask, Activate or Deactivate of that number (0 for the latter two, and for the settings)."""
+    """To the request of that number."""
 
     number: int
     accepted: bool
@@ -132,6 +144,10 @@ class Ended:
     failure: str
 
 
+_REPLACED_BY_THE_NEXT = (LoopReport, Command, Alive)
+_MOST_KEPT = 100  # messages
+
+
 # ---------------------------------------------------------------- the two ends
 
 
@@ -151,25 +167,41 @@ class LinkEnd:
         self._socket = end
         self._buffer = bytearray(_LARGEST_BYTES)
         self._view = memoryview(self._buffer)
+        self._waiting: deque[bytes] = deque(maxlen=_MOST_KEPT)  # what found no room and must not be lost
         self.closed = False  # the other side is gone, or this one was closed
-        self.dropped = 0  # messages that found no room
+        self.dropped = 0  # reports and commands that found no room: the next one replaces them
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def send(self, message: object) -> bool:
-        """Whether it is on its way. Never waits and never raises: a full or dead link is the other side's trouble."""
+        """Whether it is on its way. Never waits and never raises: a full or dead link is the other side's trouble.
+
+        What must not be lost goes out with a later one where there is no room now.
+        """
         if self.closed:
             return False
         kind = _REPORT if type(message) is LoopReport else _OTHER
+        datagram = kind + pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        if self.flush() and self._sent(datagram):
+            return True
+        if isinstance(message, _REPLACED_BY_THE_NEXT):
+            self.dropped += 1
+        else:
+            self._waiting.append(datagram)
+        return False
+
+    def flush(self) -> bool:
+        """Send what has been waiting for room. Whether nothing waits any more."""
+        while self._waiting and self._sent(self._waiting[0]):
+            self._waiting.popleft()
+        return not self._waiting
+
+    def _sent(self, datagram: bytes) -> bool:
         try:
-            self._socket.send(kind + pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
-        except BlockingIOError:
-            self.dropped += 1
+            self._socket.send(datagram)
+        except OSError:  # full; or dead, which is for `receive` to see, after what had still come
             return False
-        except OSError:
-            self.dropped += 1
-            return False  # the end of the stream is for `receive` to see, after what had still come
         return True
 
     def receive(self) -> list[Any]:

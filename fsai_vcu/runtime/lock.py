@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import socket
 import struct
 
 from fsai_vcu.runtime.bus import BusError, split_spec
+
+_PROBES = 64  # who may ask for the holder between two calls of `answer_probes`
 
 
 class AlreadyRunning(Exception):
@@ -37,7 +40,14 @@ class InterfaceLock:
             raise AlreadyRunning(
                 f"another bridge{holder} already drives '{spec}'; stop it first (one bridge per interface)"
             ) from error
-        self._socket.listen(1)
+        self._socket.setblocking(False)
+        self._socket.listen(_PROBES)
+
+    def answer_probes(self) -> None:
+        """Let go of those who have asked who holds the interface; to be called now and then."""
+        with contextlib.suppress(OSError):
+            while True:
+                self._socket.accept()[0].close()
 
     def release(self) -> None:
         self._socket.close()

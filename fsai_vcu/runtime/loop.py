@@ -68,6 +68,7 @@ class BridgeLoop:
         self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
         self._edge_ns = time.monotonic_ns()  # when the edge last said anything
         self._stopping = False
+        self._stop_number: int | None = None  # of the request to stop
         self._cycles = 0  # sent or not
         self._report_ns = self._watchdog_ns = 0  # when it was last sent, and fed
         self._pause_s = _REOPEN_FIRST_S  # before the next try to open a lost bus
@@ -75,8 +76,11 @@ class BridgeLoop:
         self._reopened = 0
         self._deadline_misses = 0
 
-    def run(self) -> None:
-        """Until the end. An exception is told to the edge and ends it; nothing is raised."""
+    def run(self, number: int) -> None:
+        """Until the end. An exception is told to the edge and ends it; nothing is raised.
+
+        number: of the request to run, which is answered once it does.
+        """
         try:
             if self._real_time:
                 self._refused = go_real_time()
@@ -87,7 +91,7 @@ class BridgeLoop:
             gc.freeze()
             gc.disable()
             self._engine = self._new_engine()
-            self._link.send(Answer(0, True))
+            self._link.send(Answer(number, True))
             self._notifier.send("READY=1")
             while self._turn():
                 pass
@@ -104,6 +108,8 @@ class BridgeLoop:
             self._notifier.send("STOPPING=1")
             self._close_bus()
             self._lock.release()
+            if self._stop_number is not None:
+                self._link.send(Answer(self._stop_number, True))
 
     # ------------------------------------------------------------ a turn
 
@@ -152,6 +158,7 @@ class BridgeLoop:
                 case Ask():
                     self._answer(message, now_ns)
                 case Deactivate():
+                    self._stop_number = message.number
                     self._begin_stop(now_ns)
                 case _:
                     logger.error("the edge says what nobody understands here: %r", message)
@@ -178,9 +185,13 @@ class BridgeLoop:
 
     def _edge_is_gone(self, now_ns: int) -> None:
         """Its commands get old, and the table of reactions stops the car. When that is over there is nothing to do."""
-        report = self._bridge.report(now_ns)
-        if report.run.as_state is not AsState.AS_DRIVING or report.vcu_lost:
+        if not self._drives(now_ns):
             self._begin_stop(now_ns)
+
+    def _drives(self, now_ns: int) -> bool:
+        """Whether the car is in AS_DRIVING, and is received."""
+        report = self._bridge.report(now_ns)
+        return report.run.as_state is AsState.AS_DRIVING and not report.vcu_lost
 
     def _begin_stop(self, now_ns: int) -> None:
         if not self._stopping:
@@ -217,7 +228,10 @@ class BridgeLoop:
         """What may take its time, right after a send."""
         self._tell_report(time.monotonic_ns())
         self._cycles += 1
-        gc.collect(2 if self._cycles % _FULL_COLLECTION_EVERY == 0 else 0)
+        full = self._cycles % _FULL_COLLECTION_EVERY == 0
+        gc.collect(2 if full else 0)
+        if full:
+            self._lock.answer_probes()
 
     def _tell_report(self, now_ns: int, *, at_once: bool = False) -> None:
         if at_once or now_ns - self._report_ns >= self._report_period_ns:
@@ -227,9 +241,9 @@ class BridgeLoop:
 
     def _feed_watchdog(self, now_ns: int) -> None:
         period_ns = self._notifier.watchdog_period_ns
-        if now_ns - self._edge_ns >= EDGE_HUNG_NS and self._bridge.run.as_state is not AsState.AS_DRIVING:
-            return  # both are started anew; but a car that drives is braked to rest before
         if period_ns and now_ns - self._watchdog_ns >= period_ns:
+            if now_ns - self._edge_ns >= EDGE_HUNG_NS and not self._drives(now_ns):
+                return  # both are started anew; but a car that drives is braked to rest before
             self._watchdog_ns = now_ns
             self._notifier.send("WATCHDOG=1")
 
@@ -278,6 +292,7 @@ class BridgeLoop:
         self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
         while (left_ns := until_ns - (now_ns := time.monotonic_ns())) > 0:
             self._hear_edge(now_ns)
+            self._tell_report(now_ns)
             if self._stopping:
                 logger.info("stopped while the bus was gone")
                 return False

@@ -24,6 +24,7 @@ from fsai_vcu.runtime.link import (
     Answer,
     Ask,
     Command,
+    Configure,
     Deactivate,
     Ended,
     LinkEnd,
@@ -34,7 +35,7 @@ from fsai_vcu.runtime.link import (
     link_pair,
 )
 
-REQUEST_TIMEOUT_S = 2.0
+REQUEST_TIMEOUT_S = 0.5  # the loop answers in its next turn; meanwhile the edge does nothing else
 _START_TIMEOUT_S = 30.0  # an interpreter's start on a slow processor
 _STOP_TIMEOUT_S = 10.0
 LOOP_SILENT_NS = 100_000_000  # a loop that reports nothing for so long is, to the edge, a car that is silent
@@ -54,9 +55,11 @@ class LoopHandle:
         self._link = LinkEnd(end)
         self._process = process
         self._newest: LoopReport | None = None
-        self._answers: dict[int, Answer] = {}
-        self._number = 0
+        self._number = 0  # of the last request
+        self._awaited: int | None = None  # the request whose answer somebody waits for
+        self._answer: Answer | None = None
         self._active = False
+        self._hangs = False  # it did not end when it was told to
         self.failure = ""  # why the loop ended by itself
 
     @property
@@ -73,14 +76,12 @@ class LoopHandle:
 
     def configure(self, settings: LoopSettings) -> None:
         """Hand over the settings; the loop's process reads the database. Raises LoopError."""
-        self._link.send(settings)
-        self._settle("does not start")
+        self._settle(Configure(self._next(), settings), "does not start")
 
     def activate(self, first_run_id: int) -> None:
         """Take the interface's lock, open the bus and run. Raises LoopError."""
         self._newest, self.failure = None, ""
-        self._link.send(Activate(first_run_id))
-        self._settle("does not begin")
+        self._settle(Activate(self._next(), first_run_id), "does not begin")
         self._active = True
         self._await(lambda: self._newest is not None or not self.running, _START_TIMEOUT_S)
         if self._newest is None:
@@ -91,13 +92,11 @@ class LoopHandle:
 
         False when the loop does not answer any more.
         """
-        if not self.running:
-            return True
-        self._active = False
-        self._answers.pop(0, None)
-        self._link.send(Deactivate())
-        self._await(lambda: 0 in self._answers, _STOP_TIMEOUT_S)
-        return 0 in self._answers or self._link.closed
+        if self.running:
+            self._active = False
+            answer = self._answer_to(Deactivate(self._next()), _STOP_TIMEOUT_S)
+            self._hangs = answer is None and not self._link.closed
+        return not self._hangs
 
     def close(self) -> None:
         """End the process as well. One that hangs is killed: its silence stops the car."""
@@ -110,10 +109,8 @@ class LoopHandle:
                 self._process.kill()
                 self._process.wait()
 
-    def _settle(self, does_not: str) -> None:
-        self._answers.pop(0, None)
-        self._await(lambda: 0 in self._answers, _START_TIMEOUT_S)
-        answer = self._answers.pop(0, None)
+    def _settle(self, request: Configure | Activate, does_not: str) -> None:
+        answer = self._answer_to(request, _START_TIMEOUT_S)
         if answer is None:
             ended = self._link.closed
             raise LoopError(
@@ -149,15 +146,24 @@ class LoopHandle:
     def _ask(self, what: str, argument: str, *, better_late: bool = False) -> tuple[bool, str]:
         if not self.running:
             return False, _NOT_RUNNING
-        self._number += 1
-        number, until_ns = self._number, time.monotonic_ns() + round(REQUEST_TIMEOUT_S * 1e9)
-        if not self._link.send(Ask(number, what, argument, until_ns, better_late)):
-            return False, "the CAN loop takes no requests"
-        self._await(lambda: number in self._answers or not self._active, REQUEST_TIMEOUT_S)
-        answer = self._answers.pop(number, None)
+        until_ns = time.monotonic_ns() + round(REQUEST_TIMEOUT_S * 1e9)
+        answer = self._answer_to(Ask(self._next(), what, argument, until_ns, better_late), REQUEST_TIMEOUT_S)
         if answer is None:
-            return False, _NOT_RUNNING if self._link.closed else "the CAN loop does not answer"
+            return False, "the CAN loop does not answer" if self._active else _NOT_RUNNING
         return answer.accepted, answer.message
+
+    def _next(self) -> int:
+        self._number += 1
+        return self._number
+
+    def _answer_to(self, request: Configure | Activate | Deactivate | Ask, timeout_s: float) -> Answer | None:
+        """The answer of that number; None where none comes. One that comes later is for nobody."""
+        self._awaited, self._answer = request.number, None
+        active = self._active
+        self._link.send(request)
+        self._await(lambda: self._answer is not None or self._active is not active, timeout_s)
+        self._awaited = None
+        return self._answer
 
     # ------------------------------------------------------------ what comes out
 
@@ -167,7 +173,7 @@ class LoopHandle:
         silent_ns = time.monotonic_ns() - newest.t_ns
         if self.failure:
             words = f"the CAN loop ended by itself: {self.failure}"
-        elif self._active and silent_ns >= LOOP_SILENT_NS:
+        elif self.silent:
             words = f"the CAN loop has reported nothing for {silent_ns / 1e9:.1f} s: nothing is known of the car"
         else:
             return newest
@@ -178,6 +184,11 @@ class LoopHandle:
             why_not_driving=(words,),
             ages_ns={name: None if age is None else age + silent_ns for name, age in newest.ages_ns.items()},
         )
+
+    @property
+    def silent(self) -> bool:
+        """Whether the loop should report and does not."""
+        return self._active and time.monotonic_ns() - self.loop_report().bridge.t_ns >= LOOP_SILENT_NS
 
     def loop_report(self) -> LoopReport:
         """The newest report as it came, with what the loop knows of itself."""
@@ -190,8 +201,8 @@ class LoopHandle:
             match message:
                 case LoopReport():
                     self._newest = message
-                case Answer():
-                    self._answers[message.number] = message
+                case Answer() if message.number == self._awaited:
+                    self._answer = message
                 case LogLine():
                     logging.getLogger(message.name).log(message.level, "%s", message.text)
                 case Ended():

@@ -20,11 +20,13 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import DatabaseError
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.runtime.bus import BusError
-from fsai_vcu.runtime.link import Activate, Answer, LinkEnd, LinkHandler, LoopSettings
+from fsai_vcu.runtime.link import Activate, Answer, Configure, LinkEnd, LinkHandler, LoopSettings
 from fsai_vcu.runtime.lock import AlreadyRunning
 from fsai_vcu.runtime.loop import BridgeLoop
 
 logger = logging.getLogger("fsai_vcu.runtime.loop_process")  # started as a program it has another name
+
+_FLUSH_AGAIN_S = 0.1
 
 
 def serve(link: LinkEnd) -> None:
@@ -32,21 +34,22 @@ def serve(link: LinkEnd) -> None:
     settings: LoopSettings | None = None
     codec: Codec | None = None
     while not link.closed:
-        select.select([link], [], [])
+        # What found no room on the link is tried again: the reason of an end, above all.
+        select.select([link], [], [], None if link.flush() else _FLUSH_AGAIN_S)
         for message in link.receive():
             match message:
-                case LoopSettings():
-                    settings = message
+                case Configure():
+                    settings = message.settings
                     try:
                         codec = _codec(settings)
                     except (DatabaseError, ValueError) as error:
-                        link.send(Answer(0, False, str(error)))
+                        link.send(Answer(message.number, False, str(error)))
                     else:
                         if codec.unknown:
                             logger.warning("%s", codec.unknown)
-                        link.send(Answer(0, True))
+                        link.send(Answer(message.number, True))
                 case Activate() if settings is not None and codec is not None:
-                    _run(link, settings, codec, message.first_run_id)
+                    _run(link, settings, codec, message)
                 case _:
                     pass  # what was meant for a run that has ended
 
@@ -55,14 +58,14 @@ def _codec(settings: LoopSettings) -> Codec:
     return Codec(REVISIONS[settings.revision], list(settings.dbc_files) or None, settings.wheel_mapping)
 
 
-def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, first_run_id: int) -> None:
+def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, activate: Activate) -> None:
     bridge = Bridge(
         codec,
         REVISIONS[settings.revision],
         CARS[settings.car],
         settings.config,
         settings.limits,
-        first_run_id=first_run_id,
+        first_run_id=activate.first_run_id,
         now_ns=time.monotonic_ns(),
     )
     try:
@@ -75,10 +78,9 @@ def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, first_run_id: int)
             report_period_ns=settings.report_period_ns,
         )
     except (BusError, AlreadyRunning) as error:
-        link.send(Answer(0, False, str(error)))
+        link.send(Answer(activate.number, False, str(error)))
         return
-    loop.run()
-    link.send(Answer(0, True))
+    loop.run(activate.number)
 
 
 def main() -> int:

@@ -34,7 +34,7 @@ class ThreadedLoop(LoopHandle):
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self) -> None:
-        self.loop.run()
+        self.loop.run(0)
         self.far_end.close()
 
     def start(self) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.runtime.bus import BusError
-from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock
+from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock, holder_pid
 from fsai_vcu.runtime.notify import Notifier
 
 
@@ -20,6 +20,17 @@ def test_a_second_bridge_on_the_same_interface_is_refused_and_told_who_holds_it(
             InterfaceLock("test-if")
     finally:
         lock.release()
+
+
+def test_who_holds_an_interface_can_be_asked_again_and_again() -> None:
+    lock = InterfaceLock("test-if")
+    try:
+        assert [holder_pid("test-if") for _ in range(20)] == [os.getpid()] * 20
+        lock.answer_probes()
+        assert holder_pid("test-if") == os.getpid()
+    finally:
+        lock.release()
+    assert holder_pid("test-if") is None
 
 
 def test_one_interface_has_one_lock_however_it_is_spelt() -> None:

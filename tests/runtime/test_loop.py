@@ -24,6 +24,7 @@ from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime import loop as loop_module
 from fsai_vcu.runtime import loop_handle as handle_module
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
+from fsai_vcu.runtime.link import Ended
 from fsai_vcu.runtime.lock import AlreadyRunning
 from fsai_vcu.runtime.pacing import MIN_GAP_NS
 
@@ -350,7 +351,11 @@ def test_while_the_bus_is_gone_the_watchdog_is_fed_and_a_stop_does_not_hang(
         systemd.setblocking(True)
         systemd.settimeout(WAIT_S)
         assert systemd.recv(64) == b"WATCHDOG=1"
-        assert loop.report().bus_lost == "Network is down"
+        # In the longest pause between two tries to open it, too.
+        assert eventually(lambda: loop.loop._pause_s == loop_module._REOPEN_MOST_S)
+        for _ in range(20):
+            assert any("the bus is lost: Network is down" in line for line in loop.report().why_not_driving)
+            threading.Event().wait(0.02)
         loop.stop()
         assert not loop.running and loop.failure == ""
 
@@ -658,6 +663,21 @@ def test_an_edge_that_does_not_read_keeps_the_loop_from_nothing(loop: ThreadedLo
                 pass
         assert eventually(lambda: loop.far_end.dropped > 0)
     assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
+
+
+def test_why_it_ended_is_not_lost_on_a_full_link(loop: ThreadedLoop, spec: str) -> None:
+    """An edge that hung while the loop failed reads everything in the end, the reason included."""
+    with open_bus(spec) as car:
+        for _ in range(500):
+            car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_OFF)))
+            status_heard(car)
+    assert eventually(lambda: loop.far_end.dropped > 0)
+    assert not loop.far_end.send(Ended("RuntimeError: a bug"))
+    loop._take()
+    assert loop.failure == ""
+    assert eventually(lambda: not loop.running)
+    assert loop.failure == "RuntimeError: a bug"
+    loop._link.close()
 
 
 def test_a_loop_that_is_silent_looks_like_a_silent_car(loop: ThreadedLoop, monkeypatch: pytest.MonkeyPatch) -> None:

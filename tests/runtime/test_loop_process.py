@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -137,7 +138,10 @@ def test_a_hanging_loop_is_killed_in_the_end(process: LoopHandle, spec: str, mon
     process.configure(settings(spec))
     process.activate(1)
     os.kill(process_of(process).pid, signal.SIGSTOP)
+    assert not process.deactivate()
+    began = time.monotonic()
     process.close()
+    assert time.monotonic() - began < 0.2, "it has been waited for already"
     assert process_of(process).returncode == -signal.SIGKILL
 
 

@@ -29,6 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from fsai_nodes.qos import TOPICS
+from fsai_vcu.runtime.transport import set_transport
 
 LOOK_AGAIN_S = 0.5  # for topics that were not there before
 DEPTH = 200
@@ -83,6 +84,7 @@ class TopicRecorder:
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         self._context = Context()
+        set_transport(os.environ)
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         try:
             self._node = Node(

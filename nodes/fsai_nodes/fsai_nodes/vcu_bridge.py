@@ -45,7 +45,7 @@ from fsai_nodes.diagnosis import diagnostics_of
 from fsai_nodes.edge import Clocks, Input
 from fsai_nodes.news import News
 from fsai_nodes.parameters import NodeError, Setting, Settings
-from fsai_nodes.qos import TOPICS, publisher
+from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
 from fsai_nodes.waiting import GoalError, Outcome, Waiting
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
@@ -174,11 +174,12 @@ class VcuBridge(LifecycleNode):
         self._configured: LoopSettings | None = None
         self._process: LoopHandle | None = None  # of the loop, from configuring to cleaning up
         self._loop: LoopHandle | None = None  # the same while the node is active
+        self._loop_silent = False  # it should report and does not
         self._news = News()
         self._last_run: tuple[object, str] | None = None
         self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
-        self._commands = Input(self, "vehicle_cmd", silent_ns=_CONFIG.command_stale_ns)
+        self._commands = Input(self, "vehicle_cmd")
         self._late = ""  # which input the last command was waiting for
         self._deadline_missed = False  # and nothing has come since
         self._timers: list[Timer] = []
@@ -250,6 +251,8 @@ class VcuBridge(LifecycleNode):
         except LoopError as error:
             return self._failed(str(error))
         self._loop = loop
+        self._loop_silent = False
+        self._commands = Input(self, "vehicle_cmd", silent_ns=configured.config.command_stale_ns)
         self._news, self._last_run = News(), None
         self._timers = [
             self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
@@ -322,8 +325,9 @@ class VcuBridge(LifecycleNode):
             self.get_logger().error("the CAN loop does not answer, and its process is ended: silence stops the car")
             self._end_process()
         report = loop.report()
-        self._publish_state(report, self._clocks.now_ns())
-        self._step_goals(report, Outcome(False, "bridge_stopped", "vcu_bridge was stopped"))
+        now_ns = self._clocks.now_ns()
+        self._publish_state(report, now_ns)
+        self._step_goals(report, now_ns, Outcome(False, "bridge_stopped", "vcu_bridge was stopped"))
 
     def _end_process(self) -> None:
         process, self._process = self._process, None
@@ -387,7 +391,7 @@ class VcuBridge(LifecycleNode):
         if self._loop is None or self._deadline_missed:
             return
         self._deadline_missed = True
-        text = f"{self._commands.who()} missed its deadline of 100 ms"
+        text = f"{self._commands.who()} missed its deadline of {COMMAND_DEADLINE_MS} ms"
         if self._loop.report().run.as_state is AsState.AS_DRIVING:
             self.get_logger().error(text)
         else:
@@ -451,9 +455,15 @@ class VcuBridge(LifecycleNode):
                 logger.warning(line.text)
             else:
                 logger.info(line.text)
+        if loop.silent is not self._loop_silent:
+            self._loop_silent = loop.silent
+            if self._loop_silent:
+                logger.error("the CAN loop reports nothing: it hangs, and nothing is known of the car")
+            else:
+                logger.warning("the CAN loop reports again")
         self._publish_state(report, now_ns)
         self._publish_motion(report)
-        self._step_goals(report, None)
+        self._step_goals(report, now_ns)
 
     def _publish_state(self, report: BridgeReport, now_ns: int) -> None:
         # The run goes out before the first state that belongs to it, so that nobody drives a new run with old memory.
@@ -517,7 +527,7 @@ class VcuBridge(LifecycleNode):
         waiting = Waiting(goal.mission, goal.until, goal.timeout_s, self._clocks.now_ns())
         self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
 
-    def _step_goals(self, report: BridgeReport, ending: Outcome | None) -> None:
+    def _step_goals(self, report: BridgeReport, now_ns: int, ending: Outcome | None = None) -> None:
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
@@ -526,12 +536,12 @@ class VcuBridge(LifecycleNode):
             if handle.is_cancel_requested:
                 outcome = Outcome(False, "cancelled", "cancelled; the car goes on as it was")
             if outcome is None:
-                outcome = following.waiting.step(report.run.as_state, _mission_shown(report), report.t_ns)
+                outcome = following.waiting.step(report.run.as_state, _mission_shown(report), now_ns)
             if outcome is not None:
-                following.outcome, following.report = outcome, report
+                following.outcome, following.report, following.ended_ns = outcome, report, now_ns
                 handle.execute()
-            elif report.t_ns >= following.feedback_due_ns:
-                following.feedback_due_ns = report.t_ns + _FEEDBACK_PERIOD_NS
+            elif now_ns >= following.feedback_due_ns:
+                following.feedback_due_ns = now_ns + _FEEDBACK_PERIOD_NS
                 handle.publish_feedback(_feedback(report))
 
     def _result_of(self, handle: ServerGoalHandle) -> RunMission.Result:
@@ -554,7 +564,7 @@ class VcuBridge(LifecycleNode):
             shutdown_cause="" if cause is None else cause.label,
             laps=report.command.lap_counter,
             distance_m=float(report.motion.distance_m),
-            duration_s=following.waiting.duration_s(report.t_ns),
+            duration_s=following.waiting.duration_s(following.ended_ns),
         )
 
 
@@ -567,6 +577,7 @@ class _Following:
     feedback_due_ns: int = 0
     outcome: Outcome | None = None
     report: BridgeReport | None = None
+    ended_ns: int = 0
 
 
 def _mission_shown(report: BridgeReport) -> Ami:

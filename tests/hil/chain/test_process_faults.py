@@ -140,19 +140,17 @@ def comes_to_rest(chain: Chain, *states: AsState) -> None:
     assert chain.state.as_state in states, chain.operator.describe()
 
 
-def rules_kept(wire: Wire, *, lost_ns: int | None = None, not_judged: tuple[int, int] = (0, 0)) -> None:
+def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
     """The rules that a log shows. Frames of those who do not belong there are no part of it.
 
-    lost_ns: when the bus was lost. not_judged: between these instants what the AI computer says is left out.
+    lost_ns: when the bus was lost.
     """
-    begin_ns, end_ns = not_judged
     checker = checker_for(CODEC, busy_machine=True)
     for frame in wire.frames:
         if lost_ns is not None and frame.t_ns >= lost_ns:
             checker.on_bus_lost()
             lost_ns = None
-        left_out = frame.can_id in AI_IDS and begin_ns <= frame.t_ns < end_ns
-        if not (left_out or frame.can_id == FLOOD_ID or frame.error or frame.data == INTRUDER):
+        if not (frame.can_id == FLOOD_ID or frame.error or frame.data == INTRUDER):
             checker.on_frame(frame)
     report = checker.report()
     assert report.ok, report
@@ -246,7 +244,7 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire
     assert drive.images(AiStatus, woken_ns)[0][1].estop_request, "the first that it says is ESTOP_REQUEST"
     assert drive.torque_ends(woken_ns) == 0
     assert "late" in chain.state.emergency
-    rules_kept(drive, not_judged=(woken_ns, woken_ns + CYCLE_NS))
+    rules_kept(drive)
 
 
 @long
