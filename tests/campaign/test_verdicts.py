@@ -276,7 +276,7 @@ def test_a_steering_that_is_surely_off_must_stop_the_car_in_its_times(
 
 
 @pytest.mark.parametrize(("runs_for_ms", "ok"), [(150, True), (400, False)])
-def test_speeds_that_their_counts_contradict_for_long_must_stop_the_car(runs_for_ms: int, ok: bool) -> None:
+def test_speeds_contradicted_by_counts_must_stop_the_car(runs_for_ms: int, ok: bool) -> None:
     """At 4 turns/s the contradiction is sure after 200 ms; a stop is due 100 ms later."""
     seen = observed()
     for step in range(-50, 200):

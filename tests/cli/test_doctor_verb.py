@@ -213,7 +213,7 @@ def test_what_could_not_be_looked_at_is_not_called_right(machine: Machine) -> No
     assert said.level == "note" and "not looked at: run with sudo" in said.words
 
 
-def test_what_killed_programs_left_in_memory_is_named_with_the_command_that_removes_it() -> None:
+def test_leftovers_of_killed_programs_are_named_with_a_remedy() -> None:
     left = ("/dev/shm/fastrtps_0a", "/dev/shm/fastrtps_0a_el")
     (said,) = [finding for finding in examine(replace(WELL, dds_leftovers=left)) if "killed" in finding.words]
     assert (said.topic, said.level) == ("DDS", "note") and said.words.startswith("2 files in /dev/shm")

@@ -436,7 +436,7 @@ def unknown_state(rig: Rig) -> None:
     rig.bridge.on_frame(Frame(0x520, bytes(data), rig.now_ns))
 
 
-def test_an_as_state_that_no_table_knows_takes_torque_away_at_once() -> None:
+def test_an_unknown_as_state_takes_torque_away_at_once() -> None:
     rig = Rig().driving()
     rig.now_ns += CYCLE
     rig.speak()

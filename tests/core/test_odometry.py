@@ -184,7 +184,7 @@ def test_what_was_driven_unheard_is_added_whole() -> None:
     assert (stood.position_sd_m, stood.yaw_sd_rad) == (0.0, 0.0)
 
 
-def test_speed_is_as_sure_as_its_resolution_and_the_wheels_radius() -> None:
+def test_speed_is_as_sure_as_resolution_and_radius() -> None:
     slow, fast = drive(Odometry(CAR), 0.5, 0.0, 1.0), drive(Odometry(CAR), 20.0, 0.0, 1.0)
     assert slow.speed_sd_mps == pytest.approx(SURE.speed_sd_mps, rel=0.1)
     assert fast.speed_sd_mps == pytest.approx(SURE.speed_sd_share * 20.0, rel=0.01)

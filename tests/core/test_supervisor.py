@@ -375,13 +375,13 @@ def entered(state: SupervisorState, t_ns: int, config: BridgeConfig = CONFIG) ->
 
 
 @pytest.mark.parametrize(("wait_ns", "short"), [(4900 * MS - 1, True), (4900 * MS, False), (5 * S, False)])
-def test_as_driving_needs_5_s_in_as_ready_less_what_0x520_may_miss(wait_ns: int, short: bool) -> None:
+def test_as_driving_needs_5_s_in_as_ready_less_lost_frames(wait_ns: int, short: bool) -> None:
     decision = entered(ready(T0, wait_ns=wait_ns), T0 + 10 * MS)[1]
     assert (decision.phase is Phase.STOPPING) == short
     assert decision.reasons == ({Reason.SEQUENCE_SHORT} if short else frozenset())
 
 
-def test_a_stay_in_as_ready_that_was_too_short_is_told_in_seconds() -> None:
+def test_too_short_a_stay_in_as_ready_is_told_in_seconds() -> None:
     state, _ = entered(ready(T0, wait_ns=20 * MS), T0 + 10 * MS)
     assert state.stop is not None
     assert state.stop.detail == "AS_DRIVING, but the car was in AS_READY with Go off for only 0.02 s"

@@ -206,7 +206,7 @@ def test_a_wheel_that_locks_or_spins_is_no_contradiction(delay: int) -> None:
         assert wheels.step(course[n], course[max(0, n - delay)]) == "", n
 
 
-def test_a_reading_that_rests_at_9_rpm_after_the_stop_is_believed() -> None:
+def test_a_reading_that_rests_at_9_rpm_is_believed() -> None:
     wheels = Wheels().roll(100)
     for _ in range(200):
         assert wheels.step(9, 0) == ""

@@ -40,7 +40,7 @@ def test_a_car_that_rolls_and_stops_is_believed_all_along() -> None:
 
 
 @pytest.mark.parametrize("rpm", [1251, 1300, 65535])
-def test_more_than_the_database_allows_on_one_wheel_is_not_believed(rpm: int) -> None:
+def test_more_than_the_database_allows_is_not_believed(rpm: int) -> None:
     car = Car().rolling()
     read: Rpm = (200, 200, 200, rpm)
     assert car.wheels.on_speeds(read, car.now_ns + 10 * MS) is Belief.NO
@@ -52,13 +52,13 @@ def test_a_jump_that_no_tyre_follows_in_10_ms_is_not_believed(rpm: int, belief: 
     assert car.wheels.on_speeds((200, rpm, 200, 200), car.now_ns + 10 * MS) is belief
 
 
-def test_speeds_of_0_while_the_counts_run_are_not_believed_and_the_car_does_not_stand() -> None:
+def test_speeds_of_0_while_counts_run_are_no_standing_car() -> None:
     car = Car().rolling()
     assert car.cycle(0, 200, cycles=60) is Belief.NO
     assert not car.wheels.may_stand(car.now_ns)
 
 
-def test_speeds_while_the_counts_stand_are_not_believed_once_they_were_seen_to_run() -> None:
+def test_speeds_while_running_counts_stand_are_not_believed() -> None:
     assert Car().rolling().cycle(200, 0, cycles=60) is Belief.NO
     assert Car().cycle(200, 0, cycles=60) is not Belief.NO, "this VCU never counts"
 
@@ -72,9 +72,7 @@ def test_counts_that_wrap_or_start_anew_contradict_nothing() -> None:
 
 
 @pytest.mark.parametrize(("pulses", "stands"), [(1, True), (2, False)])
-def test_one_pulse_may_be_an_edge_at_rest_two_within_half_a_second_are_a_wheel_that_turns(
-    pulses: int, stands: bool
-) -> None:
+def test_one_pulse_is_an_edge_at_rest_two_are_a_turning_wheel(pulses: int, stands: bool) -> None:
     car = Car()
     car.cycle(0, cycles=100)
     car.pulses += pulses

@@ -227,7 +227,7 @@ def test_in_emergency_brake_neutral_is_for_wheels_that_stand() -> None:
 # ---------------------------------------------------------------- how a drive begins, and what 0x520 shows
 
 
-def test_torque_without_a_mission_that_was_acknowledged_breaks_rule_2() -> None:
+def test_torque_without_an_acknowledged_mission_breaks_rule_2() -> None:
     sender = Sender()
     sender.status = replace(sender.status, ami=Ami.NOT_SELECTED)
     assert sender.driving().cycle(drive()).rules == ["rule 2"]
@@ -238,16 +238,14 @@ def test_torque_without_a_mission_that_was_acknowledged_breaks_rule_2() -> None:
 @pytest.mark.parametrize(
     ("cycles", "go", "rules"), [(491, False, []), (490, False, ["rule 10"]), (495, True, ["rule 10"])]
 )
-def test_as_driving_after_less_than_5_s_of_as_ready_without_go_is_no_sequence(
-    cycles: int, go: bool, rules: list[str]
-) -> None:
+def test_less_than_5_s_of_as_ready_without_go_is_no_sequence(cycles: int, go: bool, rules: list[str]) -> None:
     sender = Sender().cycle(SELECTED, 3).state(AsState.AS_READY)
     sender.status = replace(sender.status, go_signal=go)
     sender.cycle(SELECTED, cycles).state(AsState.AS_DRIVING).cycle(RUNNING, 301)
     assert sender.cycle(drive()).rules == rules
 
 
-def test_torque_after_an_as_state_that_no_table_knows_breaks_rule_2() -> None:
+def test_torque_after_an_unknown_as_state_breaks_rule_2() -> None:
     sender = Sender().driving().cycle(drive())
     sender.now_ns += 10 * MS
     frame = CODEC.encode(replace(sender.status, t_rx_ns=sender.now_ns))

@@ -70,7 +70,7 @@ def mapped(pid: int) -> set[str]:
     return {line[5] for line in words if len(line) > 5 and line[5].startswith("/dev/shm/") and "fastrtps_" in line[5]}
 
 
-def test_what_killed_programs_leave_in_dev_shm_is_named_and_keeps_no_node_from_starting(
+def test_leftovers_in_dev_shm_keep_no_node_from_starting(
     request: pytest.FixtureRequest,
 ) -> None:
     victim = started("visitor", "stays")

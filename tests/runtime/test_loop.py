@@ -57,7 +57,7 @@ def test_the_handshake_bit_is_echoed_in_the_answer(loop: ThreadedLoop, spec: str
             assert eventually(lambda bit=bit: status_heard(car).handshake is bit)
 
 
-def test_a_question_is_answered_between_two_cycles_and_shows_in_the_next_report(loop: ThreadedLoop, spec: str) -> None:
+def test_a_request_is_answered_and_shows_in_the_next_report(loop: ThreadedLoop, spec: str) -> None:
     with open_bus(spec) as car:
         car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_OFF, ami=Ami.AUTOCROSS)))
         assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
@@ -72,12 +72,12 @@ def test_an_unknown_mode_is_refused_with_the_valid_ones(loop: ThreadedLoop) -> N
     assert "autonomous" in message and "manual" in message and "sport" in message
 
 
-def test_a_command_that_is_not_finite_is_refused_whole_and_reported(loop: ThreadedLoop) -> None:
+def test_a_command_that_is_not_finite_is_refused_whole(loop: ThreadedLoop) -> None:
     loop.submit_command(VehicleCommand(time.monotonic_ns(), loop.report().run.run_id, throttle=float("nan")))
     assert eventually(lambda: any("refused" in name for name in loop.report().reason_counts))
 
 
-def test_selected_is_sent_once_planner_and_controller_have_confirmed(loop: ThreadedLoop, spec: str) -> None:
+def test_selected_is_sent_once_both_roles_have_confirmed(loop: ThreadedLoop, spec: str) -> None:
     with open_bus(spec) as car:
         silent = threading.Event()
 
@@ -443,7 +443,7 @@ def test_the_loops_own_bus_takes_no_other_id_than_the_five(loop: ThreadedLoop) -
             loop.loop._bus.send(Frame(can_id, b"\x00"))
 
 
-def test_somebody_else_on_our_ids_is_heard_and_its_own_frames_are_not(loop: ThreadedLoop, spec: str) -> None:
+def test_others_on_our_ids_are_received_and_own_frames_not(loop: ThreadedLoop, spec: str) -> None:
     with open_bus(spec) as other:
         status_heard(other)
         assert "intruder" not in loop.report().reason_counts
@@ -532,7 +532,7 @@ def test_the_watchdog_is_not_fed_by_cycles_that_missed_their_deadline(
         loop.stop()
 
 
-def test_a_silent_edge_ends_the_watchdogs_food_but_not_in_a_drive(
+def test_a_silent_edge_starves_the_watchdog_but_in_a_drive(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:

@@ -44,13 +44,13 @@ def test_a_choice_that_shared_memory_defeats_is_said_to_be(name: str) -> None:
     assert "shared memory" in set_transport({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", variable: value})
 
 
-def test_subnet_opens_a_process_to_networks_without_shared_memory() -> None:
+def test_subnet_opens_a_process_without_shared_memory() -> None:
     environ = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     assert "every network" in set_transport(environ)
     assert environ == NETWORKS
     assert set_transport(environ) == "" and environ == NETWORKS, "what the configuration says, too"
 
 
-def test_a_rehearsal_has_the_loopback_profile_whatever_its_caller_has() -> None:
+def test_a_rehearsal_has_the_loopback_profile_in_any_shell() -> None:
     caller = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", "ROS_LOCALHOST_ONLY": "1", "PATH": "/bin", **NETWORKS}
     assert loopback_environment(caller) == {"PATH": "/bin", **LOOPBACK}

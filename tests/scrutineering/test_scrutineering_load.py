@@ -59,7 +59,7 @@ def test_a_busy_machine_is_busy_while_it_is_measured_and_not_after(tmp_path: Pat
         assert not disk_file.exists()
 
 
-def test_a_memory_hungry_neighbour_takes_a_bounded_share_and_gives_it_back(tmp_path: Path) -> None:
+def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path) -> None:
     condition = Condition("driving-memory", Stance.DRIVING, (Load.MEMORY,))
 
     def resident_bytes(pid: int) -> int:

@@ -50,7 +50,7 @@ def test_a_condition_that_could_not_be_measured_is_no_pass_and_spoils_no_other()
     assert "| idle | 2000 |" in markdown(whole)
 
 
-def test_a_car_that_was_braked_to_rest_is_measured_so_far_and_is_no_pass() -> None:
+def test_a_car_braked_to_rest_is_measured_and_is_no_pass() -> None:
     whole = measured(row("driving-busy", ended_early="the car went to AS_FINISHED (the command is stale)"))
     assert failures(whole) == []
     (left_out,) = not_measured(whole)

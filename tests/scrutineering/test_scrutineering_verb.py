@@ -61,7 +61,7 @@ def test_a_vcu_that_timed_out_fails_the_command_and_the_report_is_written_all_th
     assert "**FAIL" in (tmp_path / "response-time.md").read_text()
 
 
-def test_what_could_not_be_measured_is_said_and_fails_the_command(
+def test_what_could_not_be_measured_fails_the_command(
     place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place.result = measured(not_measured={"driving": "the car does not come as far as AS_DRIVING"})

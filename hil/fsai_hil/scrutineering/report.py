@@ -12,6 +12,7 @@ from fsai_hil.scrutineering.machine import scheduling_in_words
 ECHO_LIMIT_MS = SPECIFICATION.echo_timeout_ns // MS
 MESSAGE_LIMIT_MS = SPECIFICATION.message_timeout_ns // MS
 IDLE_P50_MS, IDLE_P99_MS = 1.0, 3.0
+MOST_MS = 20.0  # under any load
 PEER_SHARE = 0.5  # of the C loop's p99
 _IDLE, _EMERGENCY = "idle", "EMERGENCY_BRAKE"
 _FEW = 1000  # under so many echoes a p99.9 is the maximum by another name
@@ -59,6 +60,8 @@ def _slow(row: Mapping[str, Any]) -> Iterator[str]:
         for key, limit_ms in (("p50_ms", IDLE_P50_MS), ("p99_ms", IDLE_P99_MS)):
             if ours[key] > limit_ms:
                 yield f"{key.removesuffix('_ms')} is {ours[key]:.2f} ms, above {limit_ms:g} ms"
+    if ours["max_ms"] > MOST_MS:
+        yield f"the maximum is {ours['max_ms']:.2f} ms, above {MOST_MS:g} ms"
     if ours["max_ms"] > peer["max_ms"]:
         yield f"the maximum is {ours['max_ms']:.2f} ms, the C loop's {peer['max_ms']:.2f} ms"
     if ours["p99_ms"] > PEER_SHARE * peer["p99_ms"]:
@@ -89,7 +92,8 @@ def verdict(measured: Mapping[str, Any]) -> str:
         f"{'INCOMPLETE' if left_out else 'PASS'}. In every condition measured the VCU was answered in time: of {count} "
         f"echoes it saw the slowest took {worst['response']['max_ms']:.2f} ms ({worst['name']}), where it allows "
         f"{ECHO_LIMIT_MS} ms, and it never raised AI_COMMS_LOST. Between the two frames on the bus no maximum was "
-        f"above the C loop's under the same load and no p99 above half of its; idle p50 is to be at most "
+        f"above {MOST_MS:g} ms or above the C loop's under the same load, and no p99 above half of its; "
+        f"idle p50 is to be at most "
         f"{IDLE_P50_MS:g} ms and p99 {IDLE_P99_MS:g} ms.{missing}"
     )
 
