@@ -162,6 +162,20 @@ def test_each_wheels_reading_is_held_against_its_own_count(wheel: int) -> None:
         assert wheels.doubts[-1].startswith(f"the {names[wheel]} wheel")
 
 
+def test_a_wheel_that_starts_to_read_alone_is_held_against_its_count() -> None:
+    wheels = Wheels().roll(200)
+    for _ in range(20):
+        wheels.step(0)
+    assert wheels.until_doubted(but(1, 200, 0), 0) is not None
+
+
+def test_a_doubted_wheel_is_believed_when_it_reads_near_standing() -> None:
+    for reads, counts, believed_rpm in ((200, 0, 19), (0, 200, 10)):
+        wheels = Wheels().roll(200)
+        assert wheels.until_doubted(reads, counts) is not None
+        assert wheels.step(believed_rpm, counts) == ""
+
+
 @pytest.mark.parametrize("wheel", range(4))
 def test_each_wheel_must_have_been_seen_to_count_itself(wheel: int) -> None:
     wheels = Wheels()
