@@ -859,3 +859,10 @@ def test_a_single_pulse_may_be_an_edge_at_rest() -> None:
     state, _, _ = gate(CAR, FREE, decision(), None, car(rpm=0, counts=counted(4, NOW - 10 * MS)), NOW - 10 * MS)
     asked, _ = asks(state, decision(Phase.STOPPED), vehicle=car(rpm=0, counts=counted(5, NOW)))
     assert asked.mission_status is MissionStatus.FINISHED
+
+
+def test_without_counts_the_wheel_speeds_alone_say_standing() -> None:
+    """Those that were known before are not forgotten: they have been the same since."""
+    state, _, _ = gate(CAR, FREE, decision(), None, car(rpm=0, counts=counted(4, NOW - S)), NOW - S)
+    asked, reasons = asks(state, decision(Phase.STOPPED), vehicle=car(rpm=0))
+    assert asked.mission_status is MissionStatus.FINISHED and Reason.STILLNESS_UNPROVEN not in reasons

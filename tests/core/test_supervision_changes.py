@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import pytest
+from supervision_rig import codec_of
 
 from fsai_vcu.core.supervision.changes import FAULT_NAMES, changes
 from fsai_vcu.core.supervision.reasons import Reason
@@ -37,8 +38,12 @@ def test_each_fault_bit_is_named_as_in_the_database(field: str, name: str, befor
     assert changes(risen, risen) == changes(risen, clear) == []
 
 
-def test_every_fault_bit_has_a_name() -> None:
+def test_every_fault_bit_has_its_name_in_the_database() -> None:
     assert [field for field, _ in FAULT_NAMES] == [spec.name for spec in fields(Faults)]
+    codec = codec_of("2026")
+    for field, name in FAULT_NAMES:
+        frame = codec.encode(VcuStatus(faults=Faults(**{field: True})))
+        assert codec.database.decode_message(frame.can_id, frame.data, decode_choices=False)[name] == 1
 
 
 def test_a_fault_that_rises_beside_an_old_one_is_named_alone() -> None:

@@ -385,6 +385,8 @@ def test_too_short_a_stay_in_as_ready_is_told_in_seconds() -> None:
     state, _ = entered(ready(T0, wait_ns=20 * MS), T0 + 10 * MS)
     assert state.stop is not None
     assert state.stop.detail == "AS_DRIVING, but the car was in AS_READY with Go off for only 0.02 s"
+    state, _ = entered(ready(T0, wait_ns=375 * MS), T0 + 10 * MS)
+    assert state.stop is not None and state.stop.detail.endswith("only 0.38 s")
 
 
 @pytest.mark.parametrize(("off_ns", "short"), [(4900 * MS - 1, True), (4900 * MS, False)])
@@ -412,6 +414,13 @@ def test_each_stay_in_as_ready_counts_for_itself(between: AsState) -> None:
 
 def test_a_power_cycle_ends_the_stay_in_as_ready() -> None:
     assert hear(ready(T0), READY, T0 + 1 * S).ready_waited_ns == 0
+    assert hear(ready(T0), READY, T0 + 1 * S, go_signal=True).ready_waited_ns == 0
+
+
+def test_a_stay_in_as_ready_begun_with_go_has_not_waited() -> None:
+    state = confirmed(hear(ready(T0), OFF, T0 + 10 * MS))
+    state = ready(T0 + 10 * S, state, 9 * S, go_signal=True)
+    assert entered(state, T0 + 10 * S)[1].reasons == {Reason.SEQUENCE_SHORT}
 
 
 def test_where_a_short_sequence_is_allowed_it_stops_nothing() -> None:
@@ -1201,6 +1210,7 @@ def test_what_says_all_by_itself_is_told_in_its_own_words(reason: Reason, happen
     ("silent_ns", "data_ns", "detail"),
     [
         (300 * MS, 310 * MS, "no command for 300 ms"),
+        (100 * MS, 700 * MS, "no command for 100 ms"),
         (10 * MS, 700 * MS, "commands keep coming, but the data behind them is 700 ms old"),
         (None, None, "no command has come in run 2"),
     ],
@@ -1216,6 +1226,13 @@ def test_a_stale_command_is_told_by_what_is_missing(silent_ns: int | None, data_
     state, decision = supervise(CONFIG, state, inputs)
     assert dict(decision.details) == {Reason.COMMAND_STALE: detail}
     assert state.stop is not None and state.stop.words == f"{Reason.COMMAND_STALE.words}: {detail}"
+
+
+def test_a_command_of_an_earlier_run_is_none_in_words_too() -> None:
+    state, inputs = driving()
+    assert inputs.command is not None
+    inputs = replace(inputs, command=replace(inputs.command, run_id=state.run_id - 1))
+    assert dict(decide(state, inputs).details) == {Reason.COMMAND_STALE: "no command has come in run 2"}
 
 
 def test_wheel_speeds_not_believed_are_told_with_the_stop() -> None:

@@ -116,6 +116,16 @@ def test_the_time_since_the_last_frame_believed_counts(gap_ns: int, believed: bo
 # ---------------------------------------------------------------- readings against counts
 
 
+def counting(car: VehicleParameters, counts: tuple[int, ...], gap_ns: int, rpm: int) -> WheelBelief:
+    """The front left wheel counts so, `gap_ns` apart, the last at T0; all wheels read `rpm` just before each."""
+    belief = WheelBelief()
+    for n, fl in enumerate(counts):
+        t_ns = T0 - (len(counts) - 1 - n) * gap_ns
+        belief, _ = on_speeds(CONFIG, belief, speeds(rpm, t_ns - 1))
+        belief = on_counts(CONFIG, car, belief, WheelCounts(fl=fl, t_rx_ns=t_ns))
+    return belief
+
+
 @pytest.mark.parametrize(("rpm", "most_ms"), [(60, 1000), (200, 250), (500, 110), (1000, 80)])
 @pytest.mark.parametrize("reads", [0, 9])
 def test_a_reading_that_stands_while_its_count_runs(rpm: int, most_ms: int, reads: int) -> None:
@@ -137,13 +147,105 @@ def test_a_reading_that_runs_while_its_count_stands(rpm: int, most_ms: int) -> N
         assert wheels.step(rpm, (rpm, rpm, 0, rpm))
 
 
+def but(wheel: int, rpm: int, others_rpm: int) -> Four:
+    """`rpm` for one wheel and `others_rpm` for the others."""
+    fl, fr, rl, rr = (rpm if n == wheel else others_rpm for n in range(4))
+    return fl, fr, rl, rr
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_each_wheels_reading_is_held_against_its_own_count(wheel: int) -> None:
+    names = ("front left", "front right", "rear left", "rear right")
+    for reads, counts in ((but(wheel, 200, 0), 0), (200, but(wheel, 0, 200)), (but(wheel, 0, 200), 200)):
+        wheels = Wheels().roll(200)
+        assert wheels.until_doubted(reads, counts) is not None
+        assert wheels.doubts[-1].startswith(f"the {names[wheel]} wheel")
+
+
+def test_a_wheel_that_starts_to_read_alone_is_held_against_its_count() -> None:
+    wheels = Wheels().roll(200)
+    for _ in range(20):
+        wheels.step(0)
+    assert wheels.until_doubted(but(1, 200, 0), 0) is not None
+
+
+def test_a_doubted_wheel_is_believed_when_it_reads_near_standing() -> None:
+    for reads, counts, believed_rpm in ((200, 0, 19), (0, 200, 10)):
+        wheels = Wheels().roll(200)
+        assert wheels.until_doubted(reads, counts) is not None
+        assert wheels.step(believed_rpm, counts) == ""
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_each_wheel_must_have_been_seen_to_count_itself(wheel: int) -> None:
+    wheels = Wheels()
+    for _ in range(14):  # too short for a doubt
+        wheels.step(200, but(wheel, 0, 200))
+    assert wheels.belief.has_counted == tuple(n != wheel for n in range(4))
+    assert wheels.until_doubted(but(wheel, 200, 0), 0) is None
+
+
+def test_a_wheel_may_run_for_half_a_turn_without_its_count() -> None:
+    """At 600 rpm that is 50 ms, to the nanosecond."""
+    for gap_ns, doubted in ((50 * MS - 1, False), (50 * MS, True)):
+        belief = counting(CAR, (0, 2), PERIOD, 600)
+        assert belief.doubted == (0, 0, 0, 0)
+        belief = on_counts(CONFIG, CAR, belief, WheelCounts(fl=2, t_rx_ns=T0 + gap_ns))
+        assert belief.doubted == ((-1, 0, 0, 0) if doubted else (0, 0, 0, 0))
+
+
+@pytest.mark.parametrize(("pulses", "doubted"), [(5299, False), (5301, True)])
+def test_a_count_may_run_half_a_turn_ahead_of_20_rpm(pulses: int, doubted: bool) -> None:
+    car = replace(CAR, wheel_pulses_per_rev=10_000)  # 300 of them are 20 rpm for 90 ms
+    assert counting(car, (0, pulses), 90 * MS, 0).doubted == ((1, 0, 0, 0) if doubted else (0, 0, 0, 0))
+
+
+def test_two_pulses_at_once_show_that_a_wheel_counts() -> None:
+    assert counting(CAR, (0, 2), PERIOD, 0).has_counted == (True, False, False, False)
+    assert counting(CAR, (0, 1), PERIOD, 0).has_counted == (False, False, False, False)
+    assert counting(CAR, (0, 1, 2), PERIOD, 0).has_counted == (True, False, False, False)
+
+
+@pytest.mark.parametrize("counts", [0, 200])
+@pytest.mark.parametrize("reads", [10, 19])
+def test_what_is_read_near_standing_is_held_against_no_wheel(reads: int, counts: int) -> None:
+    wheels = Wheels().roll(100)
+    assert wheels.until_doubted(reads, counts) is None
+    assert wheels.step(30 if counts == 0 else 0, counts) == ""
+
+
+@pytest.mark.parametrize(("between", "reads", "counts"), [(5, 100, 0), (100, 0, 100)])
+def test_every_reading_between_two_counts_counts(between: int, reads: int, counts: int) -> None:
+    wheels = Wheels().roll(100)
+    for _ in range(200):
+        wheels.belief, doubt = on_speeds(CONFIG, wheels.belief, speeds(between, wheels.t_ns + 5 * MS))
+        assert doubt == "" == wheels.step(reads, counts)
+
+
+def test_the_reading_before_the_last_count_counts_too() -> None:
+    """What a wheel reads between two counts it may have left, or come to, at once after the first."""
+    wheels = Wheels().roll(200)
+    for _ in range(50):
+        wheels.step(200, 200)
+        wheels.step(0, 200)
+        assert wheels.belief.ahead == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_long_doubt_ends_as_soon_as_a_short_one() -> None:
+    wheels = Wheels().roll(200)
+    for _ in range(500):
+        wheels.step(0, 200)
+    after_ms = next(n * 10 for n in range(1, 1000) if wheels.step(0, 0) == "")
+    assert 500 <= after_ms <= 2000
+
+
 @pytest.mark.parametrize("rpm", [10, 19])
 def test_a_reading_near_standing_is_no_contradiction(rpm: int) -> None:
     wheels = Wheels().roll(100)
     assert wheels.until_doubted(rpm, 0) is None
 
 
-@pytest.mark.parametrize("rpm", [5, 10, 19])
+@pytest.mark.parametrize("rpm", [5, 10, 19, 20])
 def test_a_count_that_crawls_contradicts_no_standing_wheel(rpm: int) -> None:
     assert Wheels().until_doubted(0, rpm) is None
 
@@ -231,6 +333,30 @@ def test_a_doubt_ends_with_the_counts_it_came_from() -> None:
     assert doubted == [True] * 9 + [False] * 3  # counts of 100 ms say nothing any more
 
 
+@pytest.mark.parametrize(("gap_ns", "compared"), [(100 * MS - 1, True), (100 * MS, False)])
+def test_counts_100_ms_apart_contradict_nothing(gap_ns: int, compared: bool) -> None:
+    belief = counting(CAR, (0, 40), gap_ns, 0)
+    assert belief.doubted == ((1, 0, 0, 0) if compared else (0, 0, 0, 0))
+
+
+@pytest.mark.parametrize(("age_ns", "compared"), [(100 * MS - 1, True), (100 * MS, False)])
+def test_a_reading_of_100_ms_contradicts_nothing(age_ns: int, compared: bool) -> None:
+    belief, _ = on_speeds(CONFIG, WheelBelief(), speeds(0, T0 - age_ns))
+    for count, t_ns in ((0, T0 - 50 * MS), (20, T0)):
+        belief = on_counts(CONFIG, CAR, belief, WheelCounts(fl=count, t_rx_ns=t_ns))
+    assert belief.doubted == ((1, 0, 0, 0) if compared else (0, 0, 0, 0))
+
+
+@pytest.mark.parametrize("lost", [WheelCounts, WheelSpeeds])
+def test_before_both_signals_came_nothing_contradicts(lost: type) -> None:
+    wheels = Wheels()
+    wheels.lost = {lost}
+    for _ in range(100):
+        assert wheels.step(200, 100) == ""
+    wheels.lost = set()
+    assert wheels.step(0 if lost is WheelSpeeds else 200, 100) == ""
+
+
 def test_frames_lost_now_and_then_change_nothing() -> None:
     wheels = Wheels().roll(250)
     for n in range(400):
@@ -279,6 +405,16 @@ def test_a_pulse_of_each_wheel_is_an_edge_of_each() -> None:
     assert pulses.turning_ns is None
 
 
+def test_the_latest_turning_of_all_wheels_counts() -> None:
+    pulses = NO_PULSES
+    turned = []
+    for n, counts in enumerate(((0, 0, 0, 0), (0, 0, 1, 0), (2, 0, 1, 0), (2, 1, 1, 0), (2, 1, 2, 0), (2, 2, 2, 0))):
+        pulses = pulses_of(PER_S, pulses, WheelCounts(*counts, t_rx_ns=T0 + n * PERIOD))
+        turned.append(pulses.turning_ns)
+    # The first pulse of a wheel is an edge; the one before the rear left wheel's second is older than the front's two.
+    assert turned == [None, None, T0 + 2 * PERIOD, T0 + 2 * PERIOD, T0 + 2 * PERIOD, T0 + 3 * PERIOD]
+
+
 @pytest.mark.parametrize("wheel", range(4))
 def test_each_wheel_alone_is_turning(wheel: int) -> None:
     counts = [0, 0, 0, 0]
@@ -287,11 +423,22 @@ def test_each_wheel_alone_is_turning(wheel: int) -> None:
     assert pulses_of(PER_S, pulses, WheelCounts(*counts, t_rx_ns=T0)).turning_ns == T0
 
 
-@pytest.mark.parametrize(("step", "restart"), [(6, False), (7, True), (40000, True), (65535, True)])
+@pytest.mark.parametrize(("step", "restart"), [(6, False), (7, True), (32769, True), (65535, True)])
 def test_a_count_that_no_speed_explains_has_started_anew(step: int, restart: bool) -> None:
     pulses = frames(30000, (30000 + step) % 65536)
     assert (pulses.steps is None) == restart == (pulses.turning_ns is None)
     assert pulses.counts is not None and pulses.counts.fl == (30000 + step) % 65536
+
+
+def test_as_many_pulses_as_the_speed_explains_are_believed() -> None:
+    for step, restart in ((6, False), (7, True)):  # 4 in a period, and 2 more
+        before = WheelCounts(t_rx_ns=T0 - PERIOD)
+        pulses = pulses_of(400.0, Pulses(before), WheelCounts(fl=step, t_rx_ns=T0))
+        assert (pulses.steps is None) == restart
+
+
+def test_frames_read_close_together_were_measured_apart() -> None:
+    assert frames(0, 6, step_ns=MS).turning_ns == T0
 
 
 def test_a_longer_gap_explains_more_pulses() -> None:

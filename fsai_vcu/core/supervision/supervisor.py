@@ -355,7 +355,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
 
     driving, ready = now is AsState.AS_DRIVING, now is AsState.AS_READY
     ready_since_ns = (t_ns if anew else state.ready_since_ns) if ready else None
-    waited_ns = state.ready_waited_ns if driving or (ready and not anew) else 0
+    waited_ns = state.ready_waited_ns if driving or not anew else 0
     if ready_since_ns is not None and not status.go_signal:
         waited_ns = t_ns - ready_since_ns
     return replace(
@@ -661,8 +661,7 @@ def _ages(
     autonomous = state.mode is Mode.AUTONOMOUS
     if autonomous and running:
         age_ns = _command_age_ns(config, state, inputs, supervised_ns)
-        words = _command_age_words(config, state, inputs) if age_ns >= config.command_stale_ns else ""
-        found.append((Reason.COMMAND_STALE, age_ns, words))
+        found.append((Reason.COMMAND_STALE, age_ns, _command_age_words(config, state, inputs)))
         both_since = state.both_pedals_since_ns
         if command is not None and command.throttle > 0.0 and command.brake > 0.0:
             if both_since is None:

@@ -21,9 +21,8 @@ _COUNTS = 1 << 16  # interface specification v4.0: 16-bit counters that wrap
 _SLACK = 2  # pulses more than the highest speed explains: an edge to either side of the period
 _CLEARLY = 2  # times the speed under which a wheel stands
 
-Rpm = tuple[int, int, int, int]
-Steps = tuple[int, int, int, int]
-_NO_STEPS: Steps = (0, 0, 0, 0)
+Wheels = tuple[int, ...]  # FL, FR, RL, RR
+_ZEROS: Wheels = (0, 0, 0, 0)
 _LEVEL = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -35,8 +34,8 @@ class Pulses(Immutable):
     """When the wheels' pulse counts last advanced. Times are of the monotonic clock, None: never."""
 
     counts: WheelCounts | None = None
-    steps: Steps | None = None  # pulses between the last two frames (FL, FR, RL, RR); None: not to be compared
-    newest_ns: tuple[int | None, int | None, int | None, int | None] = (None, None, None, None)
+    steps: Wheels | None = None  # pulses between the last two frames; None: not to be compared
+    newest_ns: tuple[int | None, ...] = (None, None, None, None)
     turning_ns: int | None = None  # of the newest two pulses of one wheel the older; the latest of all four wheels
 
 
@@ -51,7 +50,7 @@ def pulses_of(most_per_s: float, pulses: Pulses, counts: WheelCounts) -> Pulses:
     if before is None:
         return Pulses(counts)
     if before.fl == counts.fl and before.fr == counts.fr and before.rl == counts.rl and before.rr == counts.rr:
-        return Pulses(counts, _NO_STEPS, pulses.newest_ns, pulses.turning_ns)
+        return Pulses(counts, _ZEROS, pulses.newest_ns, pulses.turning_ns)
     steps = (
         (counts.fl - before.fl) % _COUNTS,
         (counts.fr - before.fr) % _COUNTS,
@@ -66,9 +65,9 @@ def pulses_of(most_per_s: float, pulses: Pulses, counts: WheelCounts) -> Pulses:
         if step:
             older_ns = t_ns if step > 1 else newest[wheel]
             newest[wheel] = t_ns
-            if older_ns is not None and (turning_ns is None or older_ns > turning_ns):
-                turning_ns = older_ns
-    return Pulses(counts, steps, (newest[0], newest[1], newest[2], newest[3]), turning_ns)
+            if older_ns is not None:
+                turning_ns = older_ns if turning_ns is None else max(older_ns, turning_ns)
+    return Pulses(counts, steps, tuple(newest), turning_ns)
 
 
 def turning(standstill_ns: int, turning_ns: int | None, now_ns: int) -> bool:
@@ -89,15 +88,15 @@ class WheelBelief(Immutable):
 
     speeds: WheelSpeeds | None = None  # the last frame that was believed
     reading_ns: int | None = None  # the last frame within the database's range, believed or not
-    least_rpm: Rpm = (0, 0, 0, 0)  # readings since the last 0x526, with the one before it
-    most_rpm: Rpm = (0, 0, 0, 0)
-    newest_rpm: Rpm = (0, 0, 0, 0)
+    least_rpm: Wheels = _ZEROS  # readings since the last 0x526, with the one before it
+    most_rpm: Wheels = _ZEROS
+    newest_rpm: Wheels = _ZEROS
     pulses: Pulses = NO_PULSES
-    has_counted: tuple[bool, bool, bool, bool] = (False, False, False, False)
+    has_counted: tuple[bool, ...] = (False, False, False, False)
     # By how many turns the count is ahead of a reading that says standing; below 0 the reading is ahead of the count.
-    ahead: tuple[float, float, float, float] = _LEVEL
+    ahead: tuple[float, ...] = _LEVEL
     # Wheels whose count is ahead (1) or behind (-1) by too much, until it is ahead no more.
-    doubted: tuple[int, int, int, int] = _NO_STEPS
+    doubted: Wheels = _ZEROS
 
 
 def on_counts(config: BridgeConfig, car: VehicleParameters, belief: WheelBelief, counts: WheelCounts) -> WheelBelief:
@@ -113,11 +112,11 @@ def on_counts(config: BridgeConfig, car: VehicleParameters, belief: WheelBelief,
         or t_ns - belief.reading_ns >= config.feedback_stale_ns
     ):
         return WheelBelief(
-            belief.speeds, belief.reading_ns, newest, newest, newest, pulses, belief.has_counted, _LEVEL, _NO_STEPS
+            belief.speeds, belief.reading_ns, newest, newest, newest, pulses, belief.has_counted, _LEVEL, _ZEROS
         )
     stands_rpm = config.standstill_rpm
     has_counted, ahead, doubted = belief.has_counted, belief.ahead, belief.doubted
-    if pulses.steps is not _NO_STEPS or ahead is not _LEVEL or max(belief.most_rpm) >= stands_rpm:
+    if pulses.steps is not _ZEROS or ahead is not _LEVEL or max(belief.most_rpm) >= stands_rpm:
         dt_s = (t_ns - before.counts.t_rx_ns) / 1e9
         explained = _CLEARLY * stands_rpm / 60.0 * dt_s
         limit = config.wheel_doubt_turns
@@ -128,16 +127,15 @@ def on_counts(config: BridgeConfig, car: VehicleParameters, belief: WheelBelief,
             counted[wheel] = counted[wheel] or step > 1 or (step == 1 and before.newest_ns[wheel] is not None)
             if belief.most_rpm[wheel] < stands_rpm:
                 turned = step / car.wheel_pulses_per_rev
-                level = max(0.0, min(limit, max(0.0, level) + turned - explained))
+                level = max(0.0, min(limit, level + turned - explained))
             elif step == 0 and counted[wheel] and least_rpm >= _CLEARLY * stands_rpm:
-                level = max(-limit, min(0.0, level) - least_rpm / 60.0 * dt_s)
+                level -= least_rpm / 60.0 * dt_s
             else:
                 level = 0.0
             levels[wheel] = level
             doubts[wheel] = 1 if level >= limit else -1 if level <= -limit else doubts[wheel] if level else 0
-        has_counted = (counted[0], counted[1], counted[2], counted[3])
-        ahead = (levels[0], levels[1], levels[2], levels[3]) if any(levels) else _LEVEL
-        doubted = (doubts[0], doubts[1], doubts[2], doubts[3])
+        has_counted, doubted = tuple(counted), tuple(doubts)
+        ahead = tuple(levels) if any(levels) else _LEVEL
     return WheelBelief(belief.speeds, belief.reading_ns, newest, newest, newest, pulses, has_counted, ahead, doubted)
 
 
@@ -147,11 +145,8 @@ def on_speeds(config: BridgeConfig, belief: WheelBelief, speeds: WheelSpeeds) ->
     if max(rpm) > config.wheel_max_rpm:
         return belief, f"the {WHEEL_NAMES[rpm.index(max(rpm))]} wheel reads more than {config.wheel_max_rpm} rpm"
     least, most = belief.least_rpm, belief.most_rpm
-    if belief.reading_ns is None:
-        least = most = rpm
-    elif rpm != belief.newest_rpm:
-        least = min(least[0], rpm[0]), min(least[1], rpm[1]), min(least[2], rpm[2]), min(least[3], rpm[3])
-        most = max(most[0], rpm[0]), max(most[1], rpm[1]), max(most[2], rpm[2]), max(most[3], rpm[3])
+    if rpm != belief.newest_rpm:
+        least, most = tuple(map(min, least, rpm)), tuple(map(max, most, rpm))
     doubt = _too_fast(config, belief.speeds, speeds) or _contradicted(config, belief, rpm, t_ns)
     believed = belief.speeds if doubt else speeds
     pulses, has_counted = belief.pulses, belief.has_counted
@@ -169,14 +164,14 @@ def _too_fast(config: BridgeConfig, before: WheelSpeeds | None, speeds: WheelSpe
     return ""
 
 
-def _contradicted(config: BridgeConfig, belief: WheelBelief, rpm: Rpm, t_ns: int) -> str:
+def _contradicted(config: BridgeConfig, belief: WheelBelief, rpm: Wheels, t_ns: int) -> str:
     """A wheel whose pulse count says the opposite."""
     counts = belief.pulses.counts
-    if belief.doubted == _NO_STEPS or counts is None or t_ns - counts.t_rx_ns >= config.feedback_stale_ns:
+    if belief.doubted == _ZEROS or counts is None or t_ns - counts.t_rx_ns >= config.feedback_stale_ns:
         return ""
     for wheel, doubt in enumerate(belief.doubted):
-        if doubt > 0 and rpm[wheel] < config.standstill_rpm:
+        if doubt == 1 and rpm[wheel] < config.standstill_rpm:
             return f"the {WHEEL_NAMES[wheel]} wheel reads under {config.standstill_rpm} rpm while its pulse count runs"
-        if doubt < 0 and rpm[wheel] >= _CLEARLY * config.standstill_rpm:
+        if doubt == -1 and rpm[wheel] >= _CLEARLY * config.standstill_rpm:
             return f"the {WHEEL_NAMES[wheel]} wheel reads a speed while its pulse count stands still"
     return ""

@@ -40,6 +40,8 @@ MODULES: Final = (
     "supervision.gate",
     "supervision.plausibility",
     "supervision.readiness",
+    "supervision.wheel_speeds",
+    "supervision.changes",
 )
 """What is mutated."""
 
@@ -51,6 +53,8 @@ KILLERS: Final = (
     "test_gate.py",
     "test_supervision_plausibility.py",
     "test_supervision_readiness.py",
+    "test_wheel_speeds.py",
+    "test_supervision_changes.py",
     "test_limits.py",
     "test_bridge.py",
 )
