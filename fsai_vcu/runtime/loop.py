@@ -120,9 +120,8 @@ class BridgeLoop:
         try:
             self._sleep((self._engine.due_ns() - time.monotonic_ns()) / 1e9)
             # Before anything is read: a deadline was missed in the state that the car was known to be in.
-            now_ns = time.monotonic_ns()
-            missed = self._missed(self._engine.due_ns(), now_ns)
-            self._update(self._bus.drain(), now_ns)
+            missed = self._missed(self._engine.due_ns(), time.monotonic_ns())
+            self._update(self._bus.drain())
             sent = self._write(missed)
         except BusLost as lost:
             self._lose_bus(str(lost))
@@ -136,17 +135,19 @@ class BridgeLoop:
         if most_s > 0.0:
             select.select(self._inputs, [], [], min(most_s, self._longest_wait_s))
 
-    def _update(self, frames: list[Frame], now_ns: int) -> None:
+    def _update(self, frames: list[Frame]) -> None:
         """Everything that has come goes into the bridge: the car's frames, then the edge's words."""
-        self._engine.on_frames(frames, now_ns)
-        self._hear_edge(now_ns)
+        self._engine.on_frames(frames, time.monotonic_ns())
+        self._hear_edge()
 
-    def _hear_edge(self, now_ns: int) -> None:
+    def _hear_edge(self) -> None:
         if self._link.closed:
-            self._edge_is_gone(now_ns)
+            self._edge_is_gone(time.monotonic_ns())
             return
+        messages = self._link.receive()
+        now_ns = time.monotonic_ns()  # not before: what was handed over meanwhile would be of the future
         command: VehicleCommand | None = None
-        for message in self._link.receive():
+        for message in messages:
             self._edge_ns = now_ns
             match message:
                 case Alive():
@@ -291,7 +292,7 @@ class BridgeLoop:
         until_ns = time.monotonic_ns() + round(self._pause_s * 1e9)
         self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
         while (left_ns := until_ns - (now_ns := time.monotonic_ns())) > 0:
-            self._hear_edge(now_ns)
+            self._hear_edge()
             self._tell_report(now_ns)
             if self._stopping:
                 logger.info("stopped while the bus was gone")
