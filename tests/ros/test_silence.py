@@ -186,9 +186,16 @@ class Driving:
         from fsai_msgs.msg import ResetConfirmation
 
         self.rig = rig
-        # As for the official simulator: this car does not stay in AS_READY for 5 s.
         self.node = rig.start(
-            VcuBridge, can_interface=bus, real_time=False, autonomous_at_power_up=True, service_brake="motor"
+            VcuBridge,
+            can_interface=bus,
+            real_time=False,
+            autonomous_at_power_up=True,
+            # As for the official simulator: this car does not stay in AS_READY for 5 s.
+            service_brake="motor",
+            # A machine that pauses is not the silence that is meant here.
+            command_stale_ms=1000.0,
+            command_lost_ms=2000.0,
         )
         confirmations = rig.tester.create_publisher(ResetConfirmation, "/reset_confirmation", qos.CONFIRMATION)
         self.commands = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
