@@ -19,10 +19,12 @@ from fsai_vcu.core.supervision.supervisor import (
     Consequence,
     Decision,
     Inputs,
+    Latch,
     Mode,
     Phase,
     Sequence,
     Steer,
+    Step,
     SupervisorState,
     supervise,
 )
@@ -107,6 +109,33 @@ def decide(state: SupervisorState, inputs: Inputs, config: BridgeConfig = CONFIG
 
 def test_every_phase_has_a_row_in_the_output_table() -> None:
     assert set(OUTPUT) == set(Phase)
+
+
+def test_a_process_that_starts_has_waited_for_and_sent_nothing() -> None:
+    state = SupervisorState()
+    assert (state.ready_waited_ns, state.selected_sent) == (0, False)
+
+
+@pytest.mark.parametrize(
+    "reason",
+    [
+        Reason.AS_SWITCH_OFF,
+        Reason.TS_SWITCH_OFF,
+        Reason.SHUTDOWN_REQUESTED,
+        Reason.FAULT_BIT,
+        Reason.SHUTDOWN_CAUSE,
+    ],
+)
+def test_an_edge_in_0x520_while_driving_stops_at_once(reason: Reason) -> None:
+    assert REACTIONS[reason] == (Step(None, Consequence.STOP),)
+    state = supervisor.strike(driving()[0], reason, "as told", NOW)
+    assert (state.stop, state.emergency, state.mode) == (Latch(reason, NOW, "as told"), None, Mode.AUTONOMOUS)
+
+
+def test_a_backlog_of_20_ms_is_reported_and_no_more() -> None:
+    assert REACTIONS[Reason.BACKLOG] == (Step("backlog_ns", Consequence.REPORT),)
+    state = driving()[0]
+    assert supervisor.strike(state, Reason.BACKLOG, "20 ms", NOW) == state
 
 
 @pytest.mark.parametrize(
