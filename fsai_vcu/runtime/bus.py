@@ -73,7 +73,9 @@ class CanBus:
         self._may_send = _allowed(may_send)
         self._stamped = wall_clock_stamps
         self._clocks = StampConverter()
-        self._observe()
+        # When nothing waited last. What is read later came later, whatever a wall clock that is just being set makes
+        # of its stamp.
+        self._emptied_ns = self._observe()
         self.spec = spec
 
     def send(self, frame: Frame) -> bool:
@@ -100,6 +102,7 @@ class CanBus:
         while len(frames) < _MOST_WAITING:
             taken = self._taken(0.0)
             if taken is None:
+                self._emptied_ns = now_ns
                 break
             frames.append(self._frame_of(taken, now_ns, bus_off_is_lost=True))
         return frames
@@ -110,9 +113,11 @@ class CanBus:
         Whoever only listens may take a bus-off for the error frame that it is: `bus_off_is_lost=False`.
         """
         taken = self._taken(timeout_s)
+        now_ns = self._observe()
         if taken is None:
+            self._emptied_ns = now_ns
             return None
-        return self._frame_of(taken, self._observe(), bus_off_is_lost=bus_off_is_lost), taken[2]
+        return self._frame_of(taken, now_ns, bus_off_is_lost=bus_off_is_lost), taken[2]
 
     def _taken(self, timeout_s: float) -> _Taken | None:
         try:
@@ -124,7 +129,9 @@ class CanBus:
         can_id, data, stamp_ns, extended, remote, is_error = taken
         if bus_off_is_lost and is_error and can_id & _ERROR_BUS_OFF:
             raise BusLost(f"{self.spec}: bus-off")
-        t_ns = min(now_ns, self._clocks.to_steady(stamp_ns, now_ns)) if self._stamped else now_ns
+        t_ns = now_ns
+        if self._stamped:
+            t_ns = max(self._emptied_ns, min(now_ns, self._clocks.to_steady(stamp_ns, now_ns)))
         return Frame(can_id, data, t_ns, extended, remote, is_error)
 
     def _observe(self) -> int:

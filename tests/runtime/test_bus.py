@@ -18,6 +18,7 @@ from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
+from fsai_vcu.runtime.clocks import StampConverter
 
 
 def test_an_absent_interface_is_one_clear_line_that_names_it() -> None:
@@ -203,6 +204,22 @@ def test_a_step_of_the_wall_clock_makes_no_frame_old(
         assert 0 <= time.monotonic_ns() - frame.t_ns < 1_000_000_000
         monkeypatch.setattr("time.time_ns", wall_ns)
         bus.drain()
+
+
+@pytest.mark.parametrize("step_s", [3600, -3600])
+def test_a_step_that_only_the_kernel_knows_makes_no_frame_old(
+    kernel_pair: tuple[CanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, step_s: int
+) -> None:
+    """Set between the reading of the clock and the stamp: by this clock the frame is an hour old, or of the future."""
+    bus, far = kernel_pair
+    assert bus.drain() == []
+    emptied_ns = time.monotonic_ns()
+    wall_ns = time.time_ns
+    bus._clocks = StampConverter()
+    monkeypatch.setattr("time.time_ns", lambda: wall_ns() + step_s * 1_000_000_000)
+    far.send(bytes.fromhex(FRAMES[0][1]))
+    (frame,) = bus.drain()
+    assert emptied_ns - 1_000_000 <= frame.t_ns <= time.monotonic_ns()
 
 
 def test_a_full_socketcan_queue_drops_the_frame(kernel_pair: tuple[CanBus, socket.socket]) -> None:
