@@ -189,7 +189,7 @@ class Driving:
         self.node = rig.start(
             VcuBridge,
             can_interface=bus,
-            real_time=False,
+            real_time=True,
             autonomous_at_power_up=True,
             # As for the official simulator: this car does not stay in AS_READY for 5 s.
             service_brake="motor",
