@@ -95,10 +95,9 @@ class Witness:
                 self.pulses += [(image.t_rx_ns, wheel)] * min(step, 2)
             self.counts = image
         elif isinstance(image, WheelSpeeds):
-            if self.speeds is not None:
-                most = 30 * max(10, (image.t_rx_ns - self.speeds.t_rx_ns) // MS)  # 30000 rpm/s
+            if self.speeds is not None and image.t_rx_ns - self.speeds.t_rx_ns < 150 * MS:
                 jumps = [abs(a - b) for a, b in zip(image.all_rpm, self.speeds.all_rpm, strict=True)]
-                if max(jumps) > most:
+                if max(jumps) > 300:
                     return  # no tyre can follow
             if max(image.all_rpm) > 1250:
                 return

@@ -370,8 +370,10 @@ def test_in_static_inspections_each_wheel_turns_for_itself() -> None:
     rig = Rig()
     rig.status = replace(rig.status, ami=Ami.STATIC_INSPECTION_A)
     rig.driving(rpm=200)
-    rig.rpm = (0, 0, 1000, 0)
     rig.command = replace(rig.command, throttle=0.0)  # type: ignore[type-var]
+    for rpm in (250, 500, 750, 1000):
+        rig.rpm = (0, 0, rpm, 0)
+        rig.step()
     rig.run_ms(2500)
     assert rig.report.stopping is None and dict(rig.report.reason_counts) == {}
 
@@ -529,6 +531,15 @@ def test_a_jump_that_no_tyre_can_follow_is_passed_over() -> None:
     assert rig.report.problem_counts == {
         "VCU2AI_Speeds is not believed: the rear left wheel changed faster than a tyre can follow": 1
     }
+
+
+def test_a_jump_that_stays_is_a_missing_speed_and_stops_the_car() -> None:
+    rig = Rig().driving(rpm=200)
+    since_ns = rig.now_ns
+    rig.rpm = (200, 200, 900, 200)
+    rig.run_ms(200)
+    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS
+    assert set(rig.report.reason_counts) == {"wheels_stale"} and "rear left wheel" in (rig.report.stopping or "")
 
 
 def test_wheels_that_read_0_while_their_counts_run_never_finish() -> None:

@@ -35,7 +35,8 @@ def test_the_bridge_is_delivered_with_the_times_that_the_evidence_holds_against_
     assert [ours for ours, _ in times] == [theirs for _, theirs in times]
     assert (config.stop_cycles, config.standstill_rpm) == (numbers.STOP_CYCLES, numbers.STILL_RPM)
     assert config.wheel_max_rpm == numbers.SPEED_MOST_RPM
-    assert config.wheel_rate_max_rpmps == numbers.SPEED_RATE_MOST_RPMPS
+    assert config.wheel_change_max_rpm == numbers.SPEED_CHANGE_MOST_RPM
+    assert config.wheel_jump_ns == numbers.SPEED_JUMP_NS
     assert numbers.DOUBT_OPEN_TURNS < config.wheel_doubt_turns < numbers.DOUBT_SURE_TURNS
 
 

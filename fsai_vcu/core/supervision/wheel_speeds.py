@@ -147,19 +147,21 @@ def on_speeds(config: BridgeConfig, belief: WheelBelief, speeds: WheelSpeeds) ->
     least, most = belief.least_rpm, belief.most_rpm
     if rpm != belief.newest_rpm:
         least, most = tuple(map(min, least, rpm)), tuple(map(max, most, rpm))
-    doubt = _too_fast(config, belief.speeds, speeds) or _contradicted(config, belief, rpm, t_ns)
+    doubt = _contradicted(config, belief, rpm, t_ns) or _too_fast(config, belief.speeds, speeds)
     believed = belief.speeds if doubt else speeds
     pulses, has_counted = belief.pulses, belief.has_counted
     return WheelBelief(believed, t_ns, least, most, rpm, pulses, has_counted, belief.ahead, belief.doubted), doubt
 
 
 def _too_fast(config: BridgeConfig, before: WheelSpeeds | None, speeds: WheelSpeeds) -> str:
-    """A wheel that has changed its speed by more than a tyre can follow since the last frame believed."""
-    if before is None or speeds.all_rpm == before.all_rpm:
+    """A wheel whose speed is further from the last one believed than a tyre can follow.
+
+    What stays there is believed again after `wheel_jump_ns`, when it has been reacted to as a missing frame.
+    """
+    if before is None or speeds.all_rpm == before.all_rpm or speeds.t_rx_ns - before.t_rx_ns >= config.wheel_jump_ns:
         return ""
-    most_rpm = config.wheel_rate_max_rpmps * max(speeds.t_rx_ns - before.t_rx_ns, _PERIOD_NS) / 1e9
     for wheel, (now, then) in enumerate(zip(speeds.all_rpm, before.all_rpm, strict=True)):
-        if abs(now - then) > most_rpm:
+        if abs(now - then) > config.wheel_change_max_rpm:
             return f"the {WHEEL_NAMES[wheel]} wheel changed faster than a tyre can follow"
     return ""
 

@@ -680,6 +680,22 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         demand=always(NOTHING),
     ),
     FaultKind(
+        name="wheels_jumping",
+        what="all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there",
+        begin=i.every_wheel(i.offset),
+        draws=(between("size", (400, 800)),),
+        demanded="as if none came: 100 ms service-brake stop, where it cannot be shown to stand ESTOP_REQUEST",
+        demand=always(
+            ends(
+                End.STOP,
+                End.ESTOP,
+                no_torque_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
+                brake_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
+                safe_ms=d.FEEDBACK_STALE_MS + d.STOP_MS + d.SLACK_MS,
+            )
+        ),
+    ),
+    FaultKind(
         name="wheels_stuck",
         what="all wheel speeds stand still",
         begin=i.every_wheel(i.stuck),

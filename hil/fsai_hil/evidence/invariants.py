@@ -27,15 +27,15 @@ from fsai_hil.evidence.rule_numbers import (
     POWER_CYCLE_NS,
     READY_SEEN_NS,
     SEND_LOST_NS,
+    SPEED_CHANGE_MOST_RPM,
+    SPEED_JUMP_NS,
     SPEED_MOST_RPM,
-    SPEED_RATE_MOST_RPMPS,
     SPEEDS_FRESH_NS,
     STATUS_FRESH_NS,
     STATUS_LOST_NS,
     STILL_NS,
     STILL_RPM,
     STOP_CYCLES,
-    S,
     constant_power_nm,
 )
 from fsai_hil.evidence.search import Problem
@@ -272,10 +272,13 @@ class Witness:
     def on_speeds(self, rpm: tuple[int, int, int, int], now_ns: int) -> None:
         if max(rpm) > SPEED_MOST_RPM:
             return
-        if self.rpm is not None and self.speeds_ns is not None:
-            most_rpm = SPEED_RATE_MOST_RPMPS * max(now_ns - self.speeds_ns, CYCLE_NS) / S
-            if any(abs(now - then) > most_rpm for now, then in zip(rpm, self.rpm, strict=True)):
-                return
+        if (
+            self.rpm is not None
+            and self.speeds_ns is not None
+            and now_ns - self.speeds_ns < SPEED_JUMP_NS
+            and any(abs(now - then) > SPEED_CHANGE_MOST_RPM for now, then in zip(rpm, self.rpm, strict=True))
+        ):
+            return
         gap = self.speeds_ns is None or now_ns - self.speeds_ns >= SPEEDS_FRESH_NS
         if max(rpm) >= STILL_RPM:
             self.still_ns = None

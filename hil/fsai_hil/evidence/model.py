@@ -256,7 +256,7 @@ def _edges(c: BridgeConfig) -> tuple[tuple[int, ...], ...]:
     return (
         vcu, heard, launch, speeds, (c.standstill_ns,), (c.stop_timeout_ns,), (c.stop_window_ns,), (c.both_pedals_ns,),
         (), command, (c.listen_first_ns,), (c.vcu_lost_ns,), (c.send_lost_ns,), odd, odd,
-        vcu, speeds, steer, (c.feedback_stale_ns,),
+        vcu, (*speeds, c.wheel_jump_ns - CYCLE_NS, c.wheel_jump_ns), steer, (c.feedback_stale_ns,),
         (5 * S, 15 * S), (100 * MS,), (100 * MS,),
         launch, (c.standstill_ns,), command, heard, (c.both_pedals_ns,), (c.listen_first_ns,), (c.send_lost_ns,),
         (c.ready_wait_ns,), (c.standstill_ns,), (READY_SEEN_NS,), (COUNTED_NS,),

@@ -18,8 +18,9 @@ from fsai_hil.evidence.rule_numbers import (
     DOUBT_OPEN_TURNS,
     DOUBT_SURE_TURNS,
     FEEDBACK_STALE_NS,
+    SPEED_CHANGE_MOST_RPM,
+    SPEED_JUMP_NS,
     SPEED_MOST_RPM,
-    SPEED_RATE_MOST_RPMPS,
     SPEEDS_FRESH_NS,
     STILL_NS,
     STILL_RPM,
@@ -165,8 +166,8 @@ class Wheels:
                         return Belief.NO
                     worst = Belief.OPEN
         if self.rpm is not None and self.believed_ns is not None:
-            most = SPEED_RATE_MOST_RPMPS * max(t_ns - self.believed_ns, CYCLE_NS) / 1e9
-            if max(abs(now - then) for now, then in zip(rpm, self.rpm, strict=True)) > most:
+            jump_rpm = max(abs(now - then) for now, then in zip(rpm, self.rpm, strict=True))
+            if jump_rpm > SPEED_CHANGE_MOST_RPM and t_ns - self.believed_ns < SPEED_JUMP_NS + self._slack_ns:
                 # What it is compared with may be another frame where the last one was left open, or not yet received.
                 return Belief.OPEN if self.open or self._in_flight_ns else Belief.NO
         return worst
