@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 LINTED := fsai_vcu hil nodes tests
 # Tests that live in real time get the machine to themselves; all others share its processors.
-REAL_TIME := tests/runtime tests/ros tests/vcan tests/scrutineering $(wildcard tests/hil_sim/test_*_process.py) \
+REAL_TIME := tests/runtime tests/nodes tests/vcan tests/rehearsal $(wildcard tests/simulator/test_*_process.py) \
   $(addprefix tests/cli/test_,send_verb.py replay_verb.py)
 
 .PHONY: help setup demo test verify mutation fuzz campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
@@ -20,13 +20,13 @@ setup-for-tests:
 	@scripts/setup --for-tests
 
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
-	@$(BIN)/python -m fsai_hil.demo
+	@$(BIN)/python -m fsai_hil.rehearsal.demo
 
 test: setup-for-tests lint  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	$(BIN)/pytest -q -n auto --dist worksteal --ignore=tests/hil $(REAL_TIME:%=--ignore=%)
 	$(BIN)/pytest -q $(REAL_TIME)
 	$(BIN)/fsai-vcu hil
-	$(BIN)/python -m fsai_hil.carpc --short
+	$(BIN)/python -m fsai_hil.rehearsal.carpc --short
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
@@ -51,10 +51,10 @@ scrutineering: setup  ## the handshake's response time on a real vcan0, idle and
 	$(BIN)/fsai-vcu scrutineering
 
 bench: setup  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks
-	$(BIN)/python -m fsai_hil.bench
+	$(BIN)/python -m fsai_hil.rehearsal.bench
 
 rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
-	$(BIN)/python -m fsai_hil.carpc
+	$(BIN)/python -m fsai_hil.rehearsal.carpc
 
 install:  ## install as the car's software, as root (or below DESTDIR=...); docs/car.md says what comes next
 	@scripts/install-car install

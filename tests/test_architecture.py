@@ -1,91 +1,171 @@
-"""The house has one direction: nodes -> runtime -> core -> interface. Nothing imports anything to its left."""
+"""The rooms of the house and the arrows between them: what a module may import, and that no imports go in a circle."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-CHECKOUT = Path(__file__).parents[1]
-ROOMS = {
-    "interface": CHECKOUT / "fsai_vcu" / "interface",
-    "core": CHECKOUT / "fsai_vcu" / "core",
-    "runtime": CHECKOUT / "fsai_vcu" / "runtime",
-    "diagnostics": CHECKOUT / "fsai_vcu" / "diagnostics",
-    "cli": CHECKOUT / "fsai_vcu" / "cli",
-    "hil": CHECKOUT / "hil" / "fsai_hil",
-    "evidence": CHECKOUT / "hil" / "fsai_hil" / "evidence",
-    "nodes": CHECKOUT / "nodes" / "fsai_nodes",
+from fsai_hil import CHECKOUT
+
+PACKAGES = {
+    "fsai_vcu": CHECKOUT / "fsai_vcu",
+    "fsai_hil": CHECKOUT / "hil" / "fsai_hil",
+    "fsai_nodes": CHECKOUT / "nodes" / "fsai_nodes" / "fsai_nodes",
 }
 
-# room -> what its modules must not import
-CLOCKS_AND_IO = {"can", "rclpy", "time", "threading", "socket", "asyncio", "selectors", "subprocess", "multiprocessing"}
+# room -> the rooms that its modules may import, besides itself. A module belongs to the longest name that fits.
+DIAGNOSTICS = "fsai_vcu.diagnostics"
+ARROWS: dict[str, set[str]] = {
+    "fsai_vcu": set(),
+    "fsai_vcu.interface": set(),
+    "fsai_vcu.core": {"fsai_vcu.interface"},
+    "fsai_vcu.runtime": {"fsai_vcu.core", "fsai_vcu.interface"},
+    DIAGNOSTICS: set(),
+    f"{DIAGNOSTICS}.log": {"fsai_vcu.runtime"},
+    f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
+    | {"fsai_vcu.core", "fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")},
+    f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
+    | {"fsai_vcu.interface", "fsai_vcu.runtime"},
+    f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
+    | {"fsai_vcu.interface", "fsai_vcu.runtime"},
+    f"{DIAGNOSTICS}.recorder": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "export", "log")}
+    | {"fsai_vcu.interface", "fsai_vcu.runtime"},
+    f"{DIAGNOSTICS}.monitor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
+    | {"fsai_vcu.core", "fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
+    | {"fsai_vcu.core", "fsai_vcu.interface"},
+    "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", DIAGNOSTICS},
+    "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},
+    "fsai_nodes.sensor_simulator": {"fsai_nodes", "fsai_hil.simulator"},
+    "fsai_hil": set(),
+    "fsai_hil.vcan": {"fsai_hil"},
+    "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.statistics"},
+    "fsai_hil.simulator": {"fsai_hil.rules", "fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime"},
+    "fsai_hil.evidence": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_vcu"},
+    "fsai_hil.rehearsal": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_hil.vcan", "fsai_vcu"},
+    "fsai_hil.cli": {"fsai_hil", "fsai_vcu"},
+}
+
+CLOCKS_AND_IO = {"can", "time", "threading", "socket", "asyncio", "selectors", "subprocess", "multiprocessing"}
 ROS = {"rclpy", "fsai_msgs", "fsai_nodes"}
-OUTER = {"fsai_vcu.runtime", "fsai_vcu.diagnostics", "fsai_vcu.cli", "fsai_hil"}
+# room, with all that is in it -> what it must not import besides
 FORBIDDEN = {
-    "interface": CLOCKS_AND_IO | ROS | {"fsai_vcu.core", *OUTER},
-    "core": CLOCKS_AND_IO | ROS | {"os", "pathlib", "random", *OUTER},
-    "runtime": ROS | {"fsai_vcu.diagnostics", "fsai_vcu.cli", "fsai_hil"},
-    "diagnostics": ROS | {"fsai_vcu.cli", "fsai_hil"},
-    "hil": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate", "fsai_nodes"},
-    # The evidence searches the supervisor and the gate from within; nothing else in hil may know them.
-    "evidence": ROS | {"fsai_vcu.runtime", "fsai_vcu.cli"},
+    "fsai_vcu.interface": CLOCKS_AND_IO | ROS,
+    "fsai_vcu.core": CLOCKS_AND_IO | ROS | {"os", "pathlib", "random"},
+    "fsai_vcu.runtime": ROS,
+    # Of the runtime the diagnostics know the bus and the log's writer.
+    DIAGNOSTICS: ROS | {f"fsai_vcu.runtime.{name}" for name in ("loop", "loop_handle", "engine", "configuration")},
+    "fsai_hil.rules": CLOCKS_AND_IO | ROS | {"fsai_vcu.core.supervision", "fsai_vcu.core.bridge"},
+    "fsai_hil.simulator": ROS | {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},
+    "fsai_hil.rehearsal": {"fsai_vcu.core.supervision.supervisor", "fsai_vcu.core.supervision.gate"},
+    "fsai_hil.evidence": ROS | {"fsai_vcu.cli"},
 }
-APART = {"hil": "evidence"}  # a room within the room, with rules of its own
 
 
-def imports_of(path: Path) -> Iterator[str]:
-    """Every module that the file at `path` imports, wherever in it."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+@cache
+def modules() -> dict[str, Path]:
+    """Every module of ours and its file."""
+    found = {}
+    for package, folder in PACKAGES.items():
+        for path in folder.rglob("*.py"):
+            parts = (package, *path.relative_to(folder).with_suffix("").parts)
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
 
 
-def violations(room: str) -> list[str]:
-    return sorted(
-        {
-            f"{path.relative_to(CHECKOUT)} imports {name}"
-            for path in ROOMS[room].rglob("*.py")
-            if "evidence" not in path.parts  # proofs stand beside both sides and look into each
-            for name in imports_of(path)
-            if any(name == wall or name.startswith(wall + ".") for wall in FORBIDDEN[room])
-        }
-    )
+@cache
+def imports_of(module: str) -> frozenset[str]:
+    """What a module imports, wherever in it: modules and names of ours, and other packages."""
+
+    def names() -> Iterator[str]:
+        for node in ast.walk(ast.parse(modules()[module].read_text())):
+            if isinstance(node, ast.Import):
+                yield from (alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                yield node.module
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+    return frozenset(names())
 
 
-@pytest.mark.parametrize("room", sorted(FORBIDDEN))
+def arrows_from(module: str) -> set[str]:
+    """The modules of ours that it imports; a package counts only where a name of its own is taken."""
+    found = set()
+    for name in imports_of(module):
+        parent = name.rpartition(".")[0]
+        if name in modules() and not any(other.startswith(name + ".") for other in imports_of(module)):
+            found.add(name)
+        elif name not in modules() and parent in modules():
+            found.add(parent)
+    return found - {module}
+
+
+def below(name: str, room: str) -> bool:
+    return name == room or name.startswith(room + ".")
+
+
+def room_of(module: str) -> str:
+    return max((room for room in ARROWS if below(module, room)), key=len)
+
+
+@pytest.mark.parametrize("room", ARROWS)
+def test_each_arrow_between_rooms_is_in_the_table(room: str) -> None:
+    inside = [module for module in modules() if room_of(module) == room]
+    assert inside, f"the room {room} is empty: this test would see nothing"
+    wide = {to for to in ARROWS[room] if to in (DIAGNOSTICS, "fsai_vcu", "fsai_hil") and room != "fsai_hil.vcan"}
+    for module in inside:
+        for target in arrows_from(module):
+            allowed = room_of(target) in ARROWS[room] | {room} or any(below(target, to) for to in wide)
+            assert allowed, f"{module} imports {target}"
+
+
+@pytest.mark.parametrize("room", FORBIDDEN)
 def test_no_room_imports_what_it_must_not_know(room: str) -> None:
-    assert list(ROOMS[room].rglob("*.py")), f"the room {room} is empty: this test would see nothing"
-    assert violations(room) == []
+    for module in modules():
+        if below(module, room):
+            for name in imports_of(module):
+                assert not any(below(name, wall) for wall in FORBIDDEN[room]), f"{module} imports {name}"
 
 
-def test_of_the_runtime_the_diagnostics_know_the_bus_and_the_log_writer_only() -> None:
-    known = {
-        name
-        for path in ROOMS["diagnostics"].rglob("*.py")
-        for name in imports_of(path)
-        if name.startswith("fsai_vcu.runtime.") and name.count(".") == 2
-    }
-    assert known <= {"fsai_vcu.runtime.bus", "fsai_vcu.runtime.recording"}
+def test_no_imports_run_in_a_circle() -> None:
+    done: set[str] = set()
+    for start in modules():
+        path: list[str] = []
+        walk: list[tuple[str, Iterator[str]]] = [(start, iter(sorted(arrows_from(start))))] if start not in done else []
+        path.extend(module for module, _ in walk)
+        while walk:
+            module, rest = walk[-1]
+            following = next(rest, None)
+            if following is None:
+                done.add(module)
+                walk.pop()
+                path.pop()
+            elif following in path:
+                raise AssertionError(" -> ".join([*path[path.index(following) :], following]))
+            elif following not in done:
+                path.append(following)
+                walk.append((following, iter(sorted(arrows_from(following)))))
 
 
 def test_only_the_command_line_and_the_nodes_know_ros() -> None:
     knowing = {
-        path.relative_to(CHECKOUT).parts[:2]
-        for path in (CHECKOUT / "fsai_vcu").rglob("*.py")
-        if any(name.split(".")[0] in ROS for name in imports_of(path))
+        module
+        for module in modules()
+        if below(module, "fsai_vcu") and any(n.split(".")[0] in ROS for n in imports_of(module))
     }
-    assert knowing <= {("fsai_vcu", "cli")}
+    assert all(below(module, "fsai_vcu.cli") for module in knowing)
 
 
 def test_every_verb_of_the_command_line_has_its_file_and_an_example() -> None:
-    from fsai_vcu.cli.main import VERBS
+    from fsai_vcu.cli.main import all_verbs, module_of
 
-    for module, _ in VERBS.values():
-        text = (ROOMS["cli"] / f"{module}.py").read_text()
-        assert "EXAMPLE =" in text, f"{module}.py has no example"
+    assert set(all_verbs()) >= {"drive", "vcu", "hil", "campaign", "scrutineering", "decode", "explain"}
+    for verb in all_verbs():
+        assert module_of(verb).EXAMPLE

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments, report_problems
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.frames import Frames
+    from fsai_vcu.diagnostics.log.frames import Frames
 
 EXAMPLE = "fsai-vcu decode run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
 _AT_ONCE = 60_000  # frames: many of one message are decoded together, and their text still fits a processor's cache
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.sharing import processes_for
+    from fsai_vcu.diagnostics.decode.sharing import processes_for
 
     decoding = Decoding("decode", args)
     processes = processes_for(args.log)
@@ -35,8 +35,8 @@ def run(args: argparse.Namespace) -> int:
 def _pieces(args: argparse.Namespace, decoding: Decoding, processes: int) -> int:
     """A candump log, on all processors."""
     from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.printing import Printer
-    from fsai_vcu.diagnostics.sharing import LARGE_PIECE_BYTES, PIECE_BYTES, write_all, write_lines
+    from fsai_vcu.diagnostics.decode.printing import Printer
+    from fsai_vcu.diagnostics.decode.sharing import LARGE_PIECE_BYTES, PIECE_BYTES, write_all, write_lines
 
     path = Path(args.log)
     try:
@@ -55,7 +55,7 @@ def _pieces(args: argparse.Namespace, decoding: Decoding, processes: int) -> int
 
 
 def _chunks(args: argparse.Namespace, decoding: Decoding) -> int:
-    from fsai_vcu.diagnostics.frames import joined
+    from fsai_vcu.diagnostics.log.frames import joined
 
     sources = Sources("decode", [args.log], decoding)
     output = Output()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.frames import Frames
+    from fsai_vcu.diagnostics.log.frames import Frames
 
 EXAMPLE = "fsai-vcu dump can0,520:7FF,510:7FF,#FFFFFFFF -t z"
 _TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
@@ -85,8 +85,8 @@ class _Lines:
         self._last_ns: int | None = None
 
     def block(self, frames: Frames) -> bytes:
-        from fsai_vcu.diagnostics.candump import log_lines, screen_lines
-        from fsai_vcu.diagnostics.frames import EXTENDED
+        from fsai_vcu.diagnostics.log.candump import log_lines, screen_lines
+        from fsai_vcu.diagnostics.log.frames import EXTENDED
 
         if not len(frames):
             return b""
@@ -128,7 +128,7 @@ class _Lines:
         return frames.at(np.maximum(shown, 0))
 
     def _colors(self, frames: Frames) -> list[bytes]:
-        from fsai_vcu.diagnostics.frames import ERROR
+        from fsai_vcu.diagnostics.log.frames import ERROR
         from fsai_vcu.interface.bus_table import BY_ID, Flow
 
         which = self._decoding.decoder.which(frames)

@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import WrongUse
-    from fsai_vcu.diagnostics.story import tell
-    from fsai_vcu.diagnostics.story.telling import cut, json_lines, text_lines
+    from fsai_vcu.diagnostics.explain import tell
+    from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
 
     for name, value in (("--from", args.from_s), ("--to", args.to_s)):
         if value is not None and not math.isfinite(value):

@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError, WrongUse
-    from fsai_vcu.diagnostics.exporting.wide import raster_ns
-    from fsai_vcu.diagnostics.exporting.writing import ExportError, check_format, export
+    from fsai_vcu.diagnostics.export.wide import raster_ns
+    from fsai_vcu.diagnostics.export.writing import ExportError, check_format, export
 
     if args.raster is not None and not args.wide:
         raise WrongUse("--raster goes with --wide")

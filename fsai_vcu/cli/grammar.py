@@ -67,9 +67,11 @@ _FILE_WORDS: Final = ("FILE", "LOG", "RECORD", "PATH")
 
 def verbs() -> tuple[Verb, ...]:
     """Every verb of the command line, in the order of its help."""
-    from fsai_vcu.cli.main import VERBS, parser_of
+    from fsai_vcu.cli.main import all_verbs, parser_of
 
-    return tuple(verb for name, (_, summary) in VERBS.items() for verb in _verbs_of(name, summary, parser_of(name)))
+    return tuple(
+        verb for name, (_, summary) in all_verbs().items() for verb in _verbs_of(name, summary, parser_of(name))
+    )
 
 
 def examples_of(parser: argparse.ArgumentParser) -> tuple[str, ...]:
@@ -150,7 +152,7 @@ def _known_words(dest: str) -> tuple[str, ...]:
 
         return tuple(mode.value for mode in Mode)
     if dest == "message":
-        from fsai_vcu.diagnostics.databases import load_databases
+        from fsai_vcu.diagnostics.decode.databases import load_databases
 
         return tuple(sorted(layout.name for layout in load_databases().layouts.values()))
     return ()

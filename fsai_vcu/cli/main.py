@@ -8,38 +8,52 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from functools import cache
 from types import ModuleType
 from typing import NoReturn
 
-# verb -> (module, what it does in one line)
-VERBS: dict[str, tuple[str, str]] = {
-    "drive": ("drive", "drive a mission against the simulated car, in lockstep, without ROS or hardware"),
-    "campaign": ("campaign", "drive thousands of runs with a fault in each, judged by the safety rules"),
-    "vcu": ("vcu", "run the simulated VCU and car as a process on a bus"),
-    "hil": ("hil", "run the hardware-in-the-loop suite on a real vcan0"),
-    "scrutineering": ("scrutineering", "measure the handshake's response time on a real vcan0, and report it"),
-    "mode": ("mode", "set the mode: autonomous or manual"),
-    "emergency-brake": ("emergency_brake", "request an emergency brake"),
-    "reset": ("reset", "clear a latched emergency request, in AS_OFF and AS_INIT"),
-    "status": ("status", "show mode, AS state, and what stands between now and driving"),
-    "config": ("config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to"),
-    "doctor": ("doctor", "say what is right and what is wrong on this machine, and check the wheels"),
-    "enclaves": ("enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)"),
-    "dump": ("dump", "show the frames of a bus or a log as candump does, with their signals"),
-    "decode": ("decode", "decode every frame of a log"),
-    "stats": ("stats", "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict"),
-    "check": ("check", "say what is wrong on a bus or in a log, and nothing else"),
-    "monitor": ("monitor", "watch a bus live: AS state, why it is not driving, what is asked and given; never sends"),
-    "explain": ("explain", "tell the story of a recorded run: why it braked, or why it did not start"),
-    "report": ("report", "turn a recorded run into one page: plots, story and figures"),
-    "send": ("send", "send a frame by its signals, for the bench; never beside a live bridge"),
-    "record": ("record", "record a bus, safe on the disk within a second; also as MCAP"),
-    "recorder": ("recorder", "record the bus as the service does: within the bounds of the configuration"),
-    "export": ("export", "turn a log into tables: CSV, Parquet, MCAP, MF4"),
-    "replay": ("replay", "send a log onto a bus again"),
-    "completion": ("completion", "print a script with which bash, zsh or fish complete this command"),
-    "reference": ("reference", "write the reference of all verbs, as Markdown or as a manual page"),
+Verbs = dict[str, tuple[str, str]]
+"""Verb -> (module, as `import_module` takes it within this package, and what it does in one line)."""
+
+OWN_VERBS: Verbs = {
+    "mode": (".mode", "set the mode: autonomous or manual"),
+    "emergency-brake": (".emergency_brake", "request an emergency brake"),
+    "reset": (".reset", "clear a latched emergency request, in AS_OFF and AS_INIT"),
+    "status": (".status", "show mode, AS state, and what stands between now and driving"),
+    "config": (".config", "check the car's configuration, /etc/fsai/fsai.toml, or show what it comes to"),
+    "doctor": (".doctor", "say what is right and what is wrong on this machine, and check the wheels"),
+    "enclaves": (".enclaves", "make the keys and permissions with which the nodes' DDS is encrypted (SROS2)"),
+    "dump": (".dump", "show the frames of a bus or a log as candump does, with their signals"),
+    "decode": (".decode", "decode every frame of a log"),
+    "stats": (".stats", "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict"),
+    "check": (".check", "say what is wrong on a bus or in a log, and nothing else"),
+    "monitor": (".monitor", "watch a bus live: AS state, why it is not driving, what is asked and given; never sends"),
+    "explain": (".explain", "tell the story of a recorded run: why it braked, or why it did not start"),
+    "report": (".report", "turn a recorded run into one page: plots, story and figures"),
+    "send": (".send", "send a frame by its signals, for the bench; never beside a live bridge"),
+    "record": (".record", "record a bus, safe on the disk within a second; also as MCAP"),
+    "recorder": (".recorder", "record the bus as the service does: within the bounds of the configuration"),
+    "export": (".export", "turn a log into tables: CSV, Parquet, MCAP, MF4"),
+    "replay": (".replay", "send a log onto a bus again"),
+    "completion": (".completion", "print a script with which bash, zsh or fish complete this command"),
+    "reference": (".reference", "write the reference of all verbs, as Markdown or as a manual page"),
 }
+
+
+@cache
+def all_verbs() -> Verbs:
+    """All verbs: those that other packages add by an entry point `fsai_vcu.verbs`, which is such a table, and ours."""
+    from importlib.metadata import entry_points
+
+    added: Verbs = {}
+    for entry in entry_points(group="fsai_vcu.verbs"):
+        added |= entry.load()
+    return added | OWN_VERBS
+
+
+def _entry(verb: str) -> tuple[str, str]:
+    """The table's entry of a verb; who asks for one of ours does not wait for the others to be found."""
+    return OWN_VERBS.get(verb) or all_verbs()[verb]
 
 
 class UserError(Exception):
@@ -76,12 +90,12 @@ def _columns() -> int:
 
 def module_of(verb: str) -> ModuleType:
     """The module of a verb: EXAMPLE, add_arguments(parser), run(args), and parse(parser, argv) where it has its own."""
-    return importlib.import_module(f"fsai_vcu.cli.{VERBS[verb][0]}")
+    return importlib.import_module(_entry(verb)[0], __package__)
 
 
 def parser_of(verb: str) -> Parser:
     """The parser of a verb, whole: help, completion and the reference are all made from it."""
-    module, summary = module_of(verb), VERBS[verb][1]
+    module, summary = module_of(verb), _entry(verb)[1]
     parser = Parser(
         prog=f"fsai-vcu {verb}",
         description=summary[0].upper() + summary[1:] + ".",
@@ -130,8 +144,8 @@ def _run(arguments: list[str]) -> int:
         print(f"fsai-vcu {version('fsai-vcu')}")
         return 0
     verb = arguments[0]
-    if verb not in VERBS:
-        print(f"fsai-vcu: no verb '{verb}'; there are: {', '.join(VERBS)}", file=sys.stderr)
+    if verb not in OWN_VERBS and verb not in all_verbs():
+        print(f"fsai-vcu: no verb '{verb}'; there are: {', '.join(all_verbs())}", file=sys.stderr)
         return 2
     module = module_of(verb)
     parser = parser_of(verb)
@@ -148,14 +162,14 @@ def _run(arguments: list[str]) -> int:
 
 
 def _print_help() -> None:
-    width = max(len(verb) for verb in VERBS)
+    width = max(len(verb) for verb in all_verbs())
     print("usage: fsai-vcu VERB [options]\n\nThe software between a Formula Student AI stack and the ADS-DV's VCU.\n")
     print("verbs:")
-    for verb, (_, summary) in VERBS.items():
+    for verb, (_, summary) in all_verbs().items():
         print(f"  {verb:<{width}}  {summary}")
     print("\n`fsai-vcu VERB --help` shows the options and an example:\n  fsai-vcu drive --mission trackdrive --laps 2")
 
 
 if __name__ == "__main__":
     # Run as `python -m`, this file is another module than the one from which the verbs import UserError.
-    sys.exit(importlib.import_module("fsai_vcu.cli.main").main())
+    sys.exit(importlib.import_module(".main").main())

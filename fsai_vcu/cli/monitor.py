@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.frames import Frames
-    from fsai_vcu.diagnostics.monitor.picture import Picture
+    from fsai_vcu.diagnostics.log.frames import Frames
+    from fsai_vcu.diagnostics.monitor.snapshot import Picture
     from fsai_vcu.diagnostics.monitor.view import View
 
 EXAMPLE = "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2"

@@ -20,8 +20,8 @@ from fsai_vcu.cli.sources import add_database_arguments, decoder_of
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.recorder.listening import Listener
-    from fsai_vcu.diagnostics.recorder.places import Bounds
     from fsai_vcu.diagnostics.recorder.recording import Recording
+    from fsai_vcu.diagnostics.recorder.segments import Bounds
 
 EXAMPLE = (
     "fsai-vcu record -i can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
@@ -85,8 +85,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.recorder.listening import Listener
-    from fsai_vcu.diagnostics.recorder.places import Place, PlaceError
     from fsai_vcu.diagnostics.recorder.recording import Recording
+    from fsai_vcu.diagnostics.recorder.segments import Place, PlaceError
     from fsai_vcu.runtime.bus import BusError
 
     if args.seconds is not None and not 0.0 <= args.seconds < float("inf"):
@@ -196,7 +196,7 @@ def _say(text: str) -> None:
 
 def _bounds(args: argparse.Namespace) -> Bounds:
     from fsai_vcu.cli.main import WrongUse
-    from fsai_vcu.diagnostics.recorder.places import Bounds
+    from fsai_vcu.diagnostics.recorder.segments import Bounds
 
     single = args.output.suffix != "" and not args.output.is_dir()
     if single:
@@ -270,7 +270,7 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
 
 def _check_mcap() -> None:
     from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.exporting.writing import ExportError, check_format
+    from fsai_vcu.diagnostics.export.writing import ExportError, check_format
 
     try:
         check_format("mcap")
@@ -304,7 +304,7 @@ def _topics(args: argparse.Namespace) -> Any | None:
 
 def _messages(topics: Any) -> list[Any]:
     """What was heard, as an MCAP keeps it."""
-    from fsai_vcu.diagnostics.exporting.mcap_file import RosMessage, RosTopic
+    from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
 
     return [
         RosMessage(

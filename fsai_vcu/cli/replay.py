@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 from fsai_vcu.cli.sources import Sources
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.frames import Frames
-    from fsai_vcu.diagnostics.replaying import Player
+    from fsai_vcu.diagnostics.log.frames import Frames
+    from fsai_vcu.diagnostics.transmit.replaying import Player
 
 EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
 _PROGRESS_S: Final = 1.0
@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError, WrongUse
-    from fsai_vcu.diagnostics.frames import joined
-    from fsai_vcu.diagnostics.replaying import Player, ReplayError, between, choose, is_physical
+    from fsai_vcu.diagnostics.log.frames import joined
+    from fsai_vcu.diagnostics.transmit.replaying import Player, ReplayError, between, choose, is_physical
     from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
 
     _check(args)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from fsai_vcu.cli.sources import add_database_arguments
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.sending import Outgoing
+    from fsai_vcu.diagnostics.transmit.sending import Outgoing
     from fsai_vcu.runtime.bus import CanBus
 
 EXAMPLE = (
@@ -58,8 +58,8 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError, WrongUse
-    from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
-    from fsai_vcu.diagnostics.sending import SendingError, outgoing
+    from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
+    from fsai_vcu.diagnostics.transmit.sending import SendingError, outgoing
 
     _check(args)
     try:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.databases import Databases
-    from fsai_vcu.diagnostics.decode import Decoder
-    from fsai_vcu.diagnostics.filters import FrameFilter
-    from fsai_vcu.diagnostics.frames import Frames
-    from fsai_vcu.diagnostics.lines import LineWriter
-    from fsai_vcu.diagnostics.log_files import Problems
+    from fsai_vcu.diagnostics.decode.databases import Databases
+    from fsai_vcu.diagnostics.decode.decoder import Decoder
+    from fsai_vcu.diagnostics.decode.lines import LineWriter
+    from fsai_vcu.diagnostics.log.files import Problems
+    from fsai_vcu.diagnostics.log.filters import FrameFilter
+    from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.interface.revisions import Revision
 
 SOURCE_HELP: Final = "a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input) or a CAN interface"
@@ -79,7 +79,7 @@ class Decoding:
     @property
     def decoder(self) -> Decoder:
         """With the databases of now."""
-        from fsai_vcu.diagnostics.decode import Decoder
+        from fsai_vcu.diagnostics.decode.decoder import Decoder
 
         if self._decoder is None:
             self._decoder = Decoder(self.databases)
@@ -88,7 +88,7 @@ class Decoding:
     @property
     def writer(self) -> LineWriter:
         """Prints as --json and --numbers ask for, with the decoder of now."""
-        from fsai_vcu.diagnostics.lines import LineWriter
+        from fsai_vcu.diagnostics.decode.lines import LineWriter
 
         if self._writer is None:
             self._writer = LineWriter(self.decoder, as_json=self._args.json, words=not self._args.numbers)
@@ -96,16 +96,16 @@ class Decoding:
 
     def hear(self, frames: Frames) -> None:
         """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
-        from fsai_vcu.diagnostics.revision import told_revision
+        from fsai_vcu.diagnostics.decode.revision import told_revision
 
         if not self.told and len(frames):
             self._learn(told_revision(frames))
 
     def hear_log(self, path: Path) -> None:
         """The same from the beginning of a candump log: as much of it as it takes."""
-        from fsai_vcu.diagnostics.quick_lines import payloads
-        from fsai_vcu.diagnostics.revision import revision_of
-        from fsai_vcu.diagnostics.sharing import pieces_of
+        from fsai_vcu.diagnostics.decode.quick_lines import payloads
+        from fsai_vcu.diagnostics.decode.revision import revision_of
+        from fsai_vcu.diagnostics.decode.sharing import pieces_of
 
         for block in pieces_of(path, _FEW_BYTES):
             if self.told:
@@ -126,7 +126,7 @@ class Decoding:
 
     def _loaded(self) -> Databases:
         from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.databases import DatabasesError, load_databases
+        from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
 
         try:
             return load_databases(self._files, self.revision)
@@ -147,7 +147,7 @@ class Sources:
         Raises UserError.
         """
         from fsai_vcu.cli.main import WrongUse
-        from fsai_vcu.diagnostics.filters import split_source
+        from fsai_vcu.diagnostics.log.filters import split_source
 
         self.verb = verb
         self.status = 0
@@ -174,7 +174,7 @@ class Sources:
 
         `heard` is told again and again how many frames there are.
         """
-        from fsai_vcu.diagnostics.frames import joined, renumbered
+        from fsai_vcu.diagnostics.log.frames import joined, renumbered
 
         channels: list[str] = []
         parts: list[Frames] = []
@@ -195,7 +195,7 @@ class Sources:
 
     def _log_chunks(self) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.logs import LogError, open_log
+        from fsai_vcu.diagnostics.log.reader import LogError, open_log
 
         for name, rule in self._rules:
             try:
@@ -213,8 +213,8 @@ class Sources:
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.filters import filtered
-        from fsai_vcu.diagnostics.live import LiveSource
+        from fsai_vcu.diagnostics.log.filters import filtered
+        from fsai_vcu.diagnostics.log.live import LiveSource
         from fsai_vcu.runtime.bus import BusError
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C

@@ -19,7 +19,7 @@ from fsai_vcu.cli.sources import (
 )
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.statistics import BusStatistics, Finding, MessageStatistics
+    from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, MessageStatistics
 
 EXAMPLE = "fsai-vcu stats can0 --seconds 10"
 ABOUT = """\
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
     from fsai_vcu.cli.main import WrongUse
-    from fsai_vcu.diagnostics.statistics import judge, measure, verdict
+    from fsai_vcu.diagnostics.statistics.measure import judge, measure, verdict
 
     check_seconds(args)
     if args.bitrate is not None and args.bitrate < 1:

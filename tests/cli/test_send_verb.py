@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.databases import load_databases
-from fsai_vcu.diagnostics.sending import SendingError, outgoing
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.transmit.sending import SendingError, outgoing
 from fsai_vcu.interface.bus_table import BUS_TABLE
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS

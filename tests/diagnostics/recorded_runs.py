@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fsai_hil.lockstep import Lockstep
-from fsai_hil.world import WorldSetup
+from rerun import rerun
+
+from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.diagnostics.logs import read_log
+from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.recording import CandumpWriter
-from fsai_vcu.runtime.rerun import rerun
 
 MS = 1_000_000
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from multiprocessing.connection import Connection
 
-from fsai_hil.faults import FaultyWire, FrameFault
-from fsai_hil.lockstep import Lockstep
-from fsai_hil.world import WorldSetup
-from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of, joined
+from fsai_hil.simulator.faults import FaultyWire, FrameFault
+from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.world import WorldSetup
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 

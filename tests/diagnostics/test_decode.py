@@ -18,12 +18,12 @@ from cantools.database.can import Database
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics import layout_cache
-from fsai_vcu.diagnostics.candump import log_lines
-from fsai_vcu.diagnostics.databases import DatabasesError, databases_of, load_databases
-from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of
-from fsai_vcu.diagnostics.lines import LineWriter
+from fsai_vcu.diagnostics.decode import layout_cache
+from fsai_vcu.diagnostics.decode.databases import DatabasesError, databases_of, load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.log.candump import log_lines
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
 
 
@@ -290,7 +290,7 @@ def test_decode_prints_what_the_command_line_of_cantools_prints(wild_log: Path, 
 
 def test_each_line_of_json_is_one_object_with_cantools_values(wild_log: Path) -> None:
     decoder = Decoder(load_databases())
-    from fsai_vcu.diagnostics.logs import read_log
+    from fsai_vcu.diagnostics.log.reader import read_log
 
     frames = read_log(wild_log)[0].head(15_000)
     lines = LineWriter(decoder, as_json=True).block(frames).splitlines()

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import pytest
 from story_runs import MS, Act, Run, S, branch, driving, off, parked, ready
 
-from fsai_hil.faults import Drop, Freeze, Window, WrongLength, WrongValues
-from fsai_hil.vcu import Actuation, CarFeedback
-from fsai_vcu.diagnostics.story import Kind, tell
+from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_hil.simulator.faults import Drop, Freeze, Window, WrongLength, WrongValues
+from fsai_vcu.diagnostics.explain import Kind, tell
 from fsai_vcu.interface.enums import Ami, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 

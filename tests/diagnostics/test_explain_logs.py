@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from story_runs import MS, Run, S, after, branch, cut, driving, hand_made, log_of, ready, setup
 
-from fsai_hil.faults import Drop, Window, WrongValues
+from fsai_hil.simulator.faults import Drop, Window, WrongValues
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.candump import log_lines
-from fsai_vcu.diagnostics.databases import load_databases
-from fsai_vcu.diagnostics.frames import RECEIVED, SENT, Frames
-from fsai_vcu.diagnostics.revision import guess_revision
-from fsai_vcu.diagnostics.story import Kind, tell
-from fsai_vcu.diagnostics.story.incident import Sureness
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain import Kind, tell
+from fsai_vcu.diagnostics.explain.incident import Sureness
+from fsai_vcu.diagnostics.log.candump import log_lines
+from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsStatus, MissionStatus, ShutdownCause, SteeringStatus

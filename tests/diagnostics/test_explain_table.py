@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_hil.as_machine import ROWS, Row
+from fsai_hil.simulator.as_machine import ROWS, Row
 from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
-from fsai_vcu.diagnostics.story.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
-from fsai_vcu.diagnostics.story.signals import FAULTS
-from fsai_vcu.diagnostics.story.starting import TO_DRIVING, TO_READY
+from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
+from fsai_vcu.diagnostics.explain.signals import FAULTS
+from fsai_vcu.diagnostics.explain.starting import TO_DRIVING, TO_READY
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 
 # What brings a simulated car from one state to another, and the causes that name it. A row of its state machine that is

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from fsai_vcu.diagnostics.databases import load_databases
-from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.exporting.wide import raster_ns
-from fsai_vcu.diagnostics.exporting.writing import export
-from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of
-from fsai_vcu.diagnostics.lines import LineWriter
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.export.wide import raster_ns
+from fsai_vcu.diagnostics.export.writing import export
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 
 UNUSUAL = """VERSION ""
 
@@ -342,7 +342,7 @@ def test_several_buses_have_tables_of_their_own(tmp_path: Path, decoder: Decoder
 def test_mf4_has_a_group_per_message_where_asammdf_is_installed_and_else_one_line_says_how_to_install_it(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
-    from fsai_vcu.diagnostics.exporting.writing import ExportError
+    from fsai_vcu.diagnostics.export.writing import ExportError
 
     path = tmp_path / "run.mf4"
     try:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_vcu.diagnostics.filters import FrameFilter, filtered, split_source
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 
 HEARD = frames_of(
     [

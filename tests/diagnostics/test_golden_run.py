@@ -17,14 +17,14 @@ from pathlib import Path
 
 import pytest
 from recorded_runs import MS, Recorded, read_frames, record
+from rerun import compare
 
-from fsai_hil.tracks import load_track
-from fsai_hil.world import WorldSetup
+from fsai_hil.simulator.tracks import load_track
+from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.runtime.rerun import compare
 
 LOG = Path(__file__).parent / "golden" / "bends.log.gz"
 COMMANDS = LOG.with_name("bends.commands.gz")

@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.candump import log_lines, parse_line, screen_lines
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.logs import LogError, open_log, read_log
+from fsai_vcu.diagnostics.log.candump import log_lines, parse_line, screen_lines
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.reader import LogError, open_log, read_log
 
 T0_NS = 1_436_509_053_850_870_000
 
@@ -191,7 +191,7 @@ def test_reading_many_lines_at_once_is_reading_each_line(
 @given(st.lists(st.sampled_from(list(" ()#.:0123456789ABCDEFabcdefgRTXcan\t\r\n\0\xff")), max_size=80).map("".join))
 @settings(max_examples=100, deadline=None)
 def test_whatever_stands_in_a_line_the_fast_reader_believes_no_more_than_the_careful_one(text: str) -> None:
-    from fsai_vcu.diagnostics.candump import parse_block
+    from fsai_vcu.diagnostics.log.candump import parse_block
 
     lines = (f"(1.000000) can0 520#01A5\n(1.000000) can0 {text}\n(1.000001) can0 520#{text}\n" + text + "\n").encode(
         "latin-1"

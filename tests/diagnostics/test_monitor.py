@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from story_runs import Ended, branch, driving, off, ready
 
-from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.monitor.drawing import plain_line, screen_lines
-from fsai_vcu.diagnostics.monitor.memory import LONG_NS
-from fsai_vcu.diagnostics.monitor.picture import Freshness, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, Picture
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS

@@ -15,13 +15,13 @@ from cantools.database.can import Database
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.candump import log_lines, parse_block
-from fsai_vcu.diagnostics.databases import Databases, databases_of, load_databases
-from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.lines import LineWriter
-from fsai_vcu.diagnostics.printing import Printer
-from fsai_vcu.diagnostics.quick_lines import QuickWriter, payloads
+from fsai_vcu.diagnostics.decode.databases import Databases, databases_of, load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.decode.printing import Printer
+from fsai_vcu.diagnostics.decode.quick_lines import QuickWriter, payloads
+from fsai_vcu.diagnostics.log.candump import log_lines, parse_block
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 
 TEXT = """VERSION ""
 

@@ -15,14 +15,14 @@ from typing import Any
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from fsai_vcu.diagnostics.databases import load_databases
-from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.exporting.mcap_file import RosMessage, RosTopic
-from fsai_vcu.diagnostics.logs import read_log
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
+from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.recorder.durable import DurableFile
-from fsai_vcu.diagnostics.recorder.places import Bounds, NoRoomError, Place, PlaceError
 from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
+from fsai_vcu.diagnostics.recorder.segments import Bounds, NoRoomError, Place, PlaceError
 from fsai_vcu.interface.frames import Frame
 
 S = 1_000_000_000

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 from recorded_runs import MS, Recorded, record
+from rerun import compare
 
-from fsai_hil.tracks import load_track
-from fsai_hil.world import WorldSetup
+from fsai_hil.simulator.tracks import load_track
+from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.runtime.rerun import compare
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.replaying import LAP_GAP_NS, Player, ReplayError, between, choose, is_physical
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, ReplayError, between, choose, is_physical
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 

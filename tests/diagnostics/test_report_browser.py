@@ -58,7 +58,7 @@ COLOURED = """
 @pytest.fixture(scope="module")
 def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of a run that ended in an emergency brake: it has everything on it."""
-    from fsai_hil.faults import Window, WrongValues
+    from fsai_hil.simulator.faults import Window, WrongValues
 
     def spoil(run: Any) -> None:
         values = {"mission_status": MissionStatus.FINISHED}

@@ -15,12 +15,12 @@ import pytest
 from story_runs import MS, S, branch, driving, log_of
 
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.candump import log_lines
-from fsai_vcu.diagnostics.frames import Frames, joined
+from fsai_vcu.diagnostics.explain import record_for
+from fsai_vcu.diagnostics.explain.record import Series
+from fsai_vcu.diagnostics.log.candump import log_lines
+from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.report import page
 from fsai_vcu.diagnostics.report.curves import BUCKETS, Curve, lanes, packed, plots, thinned
-from fsai_vcu.diagnostics.story import record_for
-from fsai_vcu.diagnostics.story.record import Series
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsai_vcu.diagnostics.candump import log_lines, parse_block
-from fsai_vcu.diagnostics.frames import Frames, LogFrame, frames_of
-from fsai_vcu.diagnostics.logs import open_log
-from fsai_vcu.diagnostics.printing import Printed
-from fsai_vcu.diagnostics.sharing import PIECE_BYTES, processes_for, write_all, write_lines
+from fsai_vcu.diagnostics.decode.printing import Printed
+from fsai_vcu.diagnostics.decode.sharing import PIECE_BYTES, processes_for, write_all, write_lines
+from fsai_vcu.diagnostics.log.candump import log_lines, parse_block
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
+from fsai_vcu.diagnostics.log.reader import open_log
 
 
 def lines_of(frames: Frames) -> bytes:

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsai_hil.wire import WireChecker
+from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.databases import load_databases
-from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.logs import read_log
-from fsai_vcu.diagnostics.quantiles import quantile
-from fsai_vcu.diagnostics.statistics import BusStatistics, Finding, judge, measure, verdict
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.log.reader import read_log
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure, verdict
+from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame

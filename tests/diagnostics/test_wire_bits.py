@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.wire_bits import wire_bits
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 
 
 def bits_sent(frame: LogFrame) -> str:

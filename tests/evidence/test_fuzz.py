@@ -18,7 +18,7 @@ from fsai_hil.evidence.fuzz_events import EVENTS, SETUPS, STATIONS, Case, CaseEr
 from fsai_hil.evidence.fuzz_run import Played, at_station, forget_stations, play
 from fsai_hil.evidence.fuzz_search import Failure, Tally, described, fuzz, minimised, unreached
 from fsai_hil.evidence.model import patched, swift_copies
-from fsai_hil.evidence.search import Problem
+from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision import gate as gating
 from fsai_vcu.core.supervision.reasons import Reason
@@ -220,7 +220,7 @@ def test_an_exception_of_the_process_is_found_cut_down_told_and_kept(tmp_path: P
         forget_stations()
         case = Case("2026", "off", events, "made-by-hand")
         _, problems = play(case)
-        assert problems == [Problem("never an exception", "ZeroDivisionError: seeded")]
+        assert problems == [Violation("never an exception", "ZeroDivisionError: seeded")]
         small = minimised(Failure(case, problems[0]))
         assert small.case.events == (event("once", throttle=1.0),)
         path = command.keep(small, tmp_path)

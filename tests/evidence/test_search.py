@@ -11,11 +11,12 @@ import pytest
 
 from fsai_hil.evidence import __main__ as command
 from fsai_hil.evidence.__main__ import main
-from fsai_hil.evidence.invariants import RULES
 from fsai_hil.evidence.model import CYCLE_NS, NOW, Composition, Scope, State, patched, swift_copies
 from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
-from fsai_hil.evidence.search import Move, Problem, explore
+from fsai_hil.evidence.search import Move, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
+from fsai_hil.rules.invariants import RULES
+from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.gate import GateState
 from fsai_vcu.core.supervision.reasons import Reason
@@ -38,7 +39,7 @@ class Counter:
             target = min(10, state + step)
             if self.stuck and state == 4 and label == 0:
                 target = 4
-            problems = (Problem("nine", "it is nine"),) if self.bad and target == 9 else ()
+            problems = (Violation("nine", "it is nine"),) if self.bad and target == 9 else ()
             yield Move(label, step, target, problems)
 
     def safe(self, state: int) -> bool:

@@ -1,8 +1,8 @@
 """Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
 
-The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus. A witness
-watches the machine: what fails while it stood still or was too slow is run again, and that is said
-(`fsai_hil.undisturbed`).
+The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus. A stall
+monitor watches the machine: what fails while it stood still or was too slow is run again, and that is said
+(`fsai_hil.rehearsal.undisturbed`).
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.stack import Stack, await_condition
-from fsai_hil.undisturbed import Undisturbed
-from fsai_hil.witness import Witness
+from fsai_hil.rehearsal.stack import Stack, await_condition
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
+from fsai_hil.rehearsal.undisturbed import Undisturbed
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
 SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
 LOG_BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
 LOG_DRAINED_S = 0.1
-WITNESS = pytest.StashKey[Witness]()
+STALL_MONITOR = pytest.StashKey[StallMonitor]()
 _LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if "FSAI_CAN_INTERFACE" in os.environ and not config.option.collectonly:
-        witness = Witness(Path("/tmp") / f"fsai-witness-{os.getpid()}")
-        config.add_cleanup(witness.stop)
-        config.stash[WITNESS] = witness
+        stall_monitor = StallMonitor(Path("/tmp") / f"fsai-stall-monitor-{os.getpid()}")
+        config.add_cleanup(stall_monitor.stop)
+        config.stash[STALL_MONITOR] = stall_monitor
         put_off = os.environ.get("FSAI_HIL_PUT_OFF")
-        config.pluginmanager.register(Undisturbed(witness, put_off=Path(put_off) if put_off else None))
+        config.pluginmanager.register(Undisturbed(stall_monitor, put_off=Path(put_off) if put_off else None))
     config.addinivalue_line("markers", "long: only with `fsai-vcu hil --all`: the suite itself is to stay short")
 
 
@@ -54,9 +54,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 @pytest.fixture(scope="session")
-def witness(pytestconfig: pytest.Config) -> Witness:
+def stall_monitor(pytestconfig: pytest.Config) -> StallMonitor:
     """Who watches the machine."""
-    return pytestconfig.stash[WITNESS]
+    return pytestconfig.stash[STALL_MONITOR]
 
 
 @pytest.fixture(scope="session")

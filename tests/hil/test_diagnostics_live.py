@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from conftest import BusLog
-from fsai_hil.stack import await_condition
+from fsai_hil.rehearsal.stack import await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus
 

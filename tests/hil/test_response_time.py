@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.scrutineering.conditions import SHORT, conditions_named
-from fsai_hil.scrutineering.rehearsal import Rehearsal
-from fsai_hil.scrutineering.report import failures, summary
+from fsai_hil.rehearsal.scrutineering.conditions import SHORT, conditions_named
+from fsai_hil.rehearsal.scrutineering.measurement import Measurement
+from fsai_hil.rehearsal.scrutineering.report import failures, summary
 
 pytestmark = pytest.mark.long  # minutes: with `fsai-vcu hil --all`
 
@@ -18,7 +18,7 @@ SECONDS = 3.0
 
 def test_the_vcu_is_answered_in_time_on_an_idle_machine_and_under_full_load(interface: str, results: Path) -> None:
     in_uml = os.environ.get("FSAI_HIL_PLACE") == "uml"
-    measured = Rehearsal(interface, results, seconds=SECONDS, slow_place=in_uml).run(conditions_named(SHORT))
+    measured = Measurement(interface, results, seconds=SECONDS, slow_place=in_uml).run(conditions_named(SHORT))
     print(summary(measured))
     assert failures(measured) == [], summary(measured)
     for row in measured["conditions"]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from conftest import BusLog
-from fsai_hil.stack import await_condition
+from fsai_hil.rehearsal.stack import await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 

@@ -17,7 +17,7 @@ import pytest
 from mcap.reader import NonSeekingReader
 
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.logs import open_log, read_log
+from fsai_vcu.diagnostics.log.reader import open_log, read_log
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 from fsai_vcu.runtime.recording import CandumpWriter, candump_line

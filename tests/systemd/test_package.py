@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from install_rig import install_car
 
-from fsai_hil.carpc import package as rehearsed
+from fsai_hil.rehearsal.carpc import package as rehearsed
 from fsai_hil.vcan import VcanError
 
 TOOLS = ("dpkg", "dpkg-deb", "systemctl", "systemd-sysusers", "systemd-tmpfiles")

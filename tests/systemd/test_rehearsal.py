@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.carpc import __main__ as rehearsal
-from fsai_hil.carpc import inside, probe, wifi
-from fsai_hil.carpc.watching import CODEC, Said, car_was_deaf, longest_gap_s, standing, torque_ends_s
-from fsai_hil.witness import RUNS, Stall
+from fsai_hil.rehearsal.carpc import __main__ as rehearsal
+from fsai_hil.rehearsal.carpc import probe, scenes, wifi
+from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Said, car_was_deaf, longest_gap_s, standing, torque_ends_s
+from fsai_hil.rehearsal.stall_monitor import RUNS, Stall
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
@@ -28,7 +28,7 @@ MS = 1_000_000
 
 
 class Remembers:
-    """A witness to a machine of which each run of a scene was disturbed or not, as told."""
+    """A stall monitor to a machine of which each run of a scene was disturbed or not, as told."""
 
     def __init__(self, *disturbed: bool) -> None:
         self._disturbed = list(disturbed)
@@ -37,13 +37,13 @@ class Remembers:
         return [Stall(since_ns, 80 * MS)] if self._disturbed.pop(0) else []
 
 
-def rehearsed(*disturbed: bool) -> inside.Rehearsal:
-    return inside.Rehearsal("vcan0", 1, Remembers(*disturbed))
+def rehearsed(*disturbed: bool) -> scenes.Rehearsal:
+    return scenes.Rehearsal("vcan0", 1, Remembers(*disturbed))
 
 
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> inside.Rehearsal:
-    monkeypatch.setattr(inside, "RESULTS", tmp_path)
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> scenes.Rehearsal:
+    monkeypatch.setattr(scenes, "RESULTS", tmp_path)
     return rehearsed()
 
 
@@ -73,14 +73,14 @@ def test_a_pace_that_no_machine_keeps_is_refused_with_one_line(
 
 @pytest.mark.parametrize(("seconds", "passed"), [(10.0, True), (10.1, False), (None, False)])
 def test_a_step_that_takes_longer_than_is_stated_or_never_ends_is_wrong(
-    machine: inside.Rehearsal, tmp_path: Path, seconds: float | None, passed: bool
+    machine: scenes.Rehearsal, tmp_path: Path, seconds: float | None, passed: bool
 ) -> None:
     machine.note("back", seconds, 10.0)
     (step,) = json.loads((tmp_path / "report.json").read_text())
     assert step["passed"] is passed
 
 
-def test_after_the_reboot_the_report_goes_on_where_it_was(machine: inside.Rehearsal) -> None:
+def test_after_the_reboot_the_report_goes_on_where_it_was(machine: scenes.Rehearsal) -> None:
     machine.note("before", 1.0)
     again = rehearsed()
     again.note("after", 1.0)
@@ -100,7 +100,7 @@ def test_torque_of_either_axle_counts_and_its_last_frame_is_what_is_measured() -
 def test_a_car_of_which_one_wheel_turns_does_not_stand() -> None:
     assert standing(WheelSpeeds(rr_rpm=9))
     assert not standing(WheelSpeeds(rr_rpm=10))
-    assert not inside.standing_at_the_end([])
+    assert not scenes.standing_at_the_end([])
 
 
 def test_the_longest_pause_is_between_frames_of_the_ai_computer_whatever_the_car_says_meanwhile() -> None:
@@ -118,7 +118,7 @@ def test_a_bus_log_that_breaks_a_rule_is_wrong(tmp_path: Path, capsys: pytest.Ca
 class Scene:
     """One that notes a failure, or breaks off, in its first runs."""
 
-    def __init__(self, machine: inside.Rehearsal, failures: int, *, breaks_off: bool = False) -> None:
+    def __init__(self, machine: scenes.Rehearsal, failures: int, *, breaks_off: bool = False) -> None:
         self.runs = 0
         self._machine, self._failures, self._breaks_off = machine, failures, breaks_off
 
@@ -127,7 +127,7 @@ class Scene:
         fails = self.runs <= self._failures
         self._machine.note(f"run {self.runs}", None, passed=not fails or self._breaks_off)
         if fails and self._breaks_off:
-            raise inside.CannotGoOn
+            raise scenes.CannotGoOn
 
 
 @pytest.mark.usefixtures("machine")
@@ -195,7 +195,7 @@ tcp   LISTEN 0 128         [::]:22        [::]:*
 
 def test_the_probe_runs_with_all_that_restricts_the_bridge_and_with_nothing_that_restarts_it() -> None:
     unit = (Path(__file__).parents[2] / "systemd/units/fsai-bridge@.service").read_text()
-    text = inside.in_its_place(unit, "/opt/fsai/bin/python probe", Path("/run/printed"))
+    text = scenes.in_its_place(unit, "/opt/fsai/bin/python probe", Path("/run/printed"))
     lines = text.splitlines()
     assert "ExecStart=/opt/fsai/bin/python probe" in lines and "Type=oneshot" in lines
     kept = [line for line in unit.splitlines() if line.startswith(("RestrictAddressFamilies", "UMask", "Limit", "CPU"))]

@@ -20,10 +20,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Scheduling, Wanted
-from fsai_vcu.diagnostics.frames import Frames
-from fsai_vcu.diagnostics.live import LiveSource
-from fsai_vcu.diagnostics.revision import guess_revision
+from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.diagnostics.log.live import LiveSource
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import WheelCounts, WheelSpeeds

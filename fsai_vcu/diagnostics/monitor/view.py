@@ -6,21 +6,16 @@ from collections.abc import Mapping
 from typing import Final
 
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
-from fsai_vcu.diagnostics.databases import Databases
-from fsai_vcu.diagnostics.errors import error_words
-from fsai_vcu.diagnostics.frames import ERROR, Frames
-from fsai_vcu.diagnostics.layouts import EXTENDED_KEY
-from fsai_vcu.diagnostics.monitor.memory import LONG_NS, WINDOW_NS, Memory
-from fsai_vcu.diagnostics.monitor.picture import Actuator, Freshness, MessagePicture, Picture
-from fsai_vcu.diagnostics.monitor.waiting import mode, why_not_driving
-from fsai_vcu.diagnostics.revision import guess_revision
-from fsai_vcu.diagnostics.statistics import BusStatistics, MessageStatistics, expected_period_ns, measure
-from fsai_vcu.diagnostics.story.emergencies import emergencies
-from fsai_vcu.diagnostics.story.evidence import intrusion_words
-from fsai_vcu.diagnostics.story.incident import Incident
-from fsai_vcu.diagnostics.story.link import ms
-from fsai_vcu.diagnostics.story.record import Record, Signal, record_of
-from fsai_vcu.diagnostics.story.signals import (
+from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.decode.error_frames import error_words
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
+from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain.emergencies import emergencies
+from fsai_vcu.diagnostics.explain.evidence import intrusion_words
+from fsai_vcu.diagnostics.explain.incident import Incident
+from fsai_vcu.diagnostics.explain.link import ms
+from fsai_vcu.diagnostics.explain.record import Record, Signal, record_of
+from fsai_vcu.diagnostics.explain.signals import (
     AMI,
     ANGLE,
     ANGLE_MAX,
@@ -54,6 +49,11 @@ from fsai_vcu.diagnostics.story.signals import (
     S,
     label,
 )
+from fsai_vcu.diagnostics.log.frames import ERROR, Frames
+from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Picture
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory
+from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics, expected_period_ns, measure
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision

@@ -17,17 +17,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fsai_vcu.diagnostics.decode import Decoder
-from fsai_vcu.diagnostics.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
 from fsai_vcu.diagnostics.recorder.listening import Heard
-from fsai_vcu.diagnostics.recorder.places import Place
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
+from fsai_vcu.diagnostics.recorder.segments import Place
 from fsai_vcu.runtime.recording import candump_line
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.exporting.mcap_file import McapTables, RosMessage
-    from fsai_vcu.diagnostics.exporting.tables import Tables
+    from fsai_vcu.diagnostics.export.mcap_file import McapTables, RosMessage
+    from fsai_vcu.diagnostics.export.tables import Tables
 
 AGAIN_NS: Final = 1_000_000_000
 """After a write that failed, the next one is tried so much later."""
@@ -161,8 +161,8 @@ class Recording:
         log = DurableFile(place.file(".log"))
         if self._decoder is None:
             return _Segment(log, None, None, None, about, place.file(".json"), now_ns)
-        from fsai_vcu.diagnostics.exporting.mcap_file import McapTables
-        from fsai_vcu.diagnostics.exporting.tables import Tables
+        from fsai_vcu.diagnostics.export.mcap_file import McapTables
+        from fsai_vcu.diagnostics.export.tables import Tables
 
         try:
             mcap = DurableFile(place.file(".mcap"))

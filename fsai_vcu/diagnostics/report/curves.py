@@ -9,10 +9,8 @@ import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
-from fsai_vcu.diagnostics.frames import Ints
-from fsai_vcu.diagnostics.statistics import BITRATE, LOAD_WINDOW_NS
-from fsai_vcu.diagnostics.story.record import Record, Series, Signal, Values
-from fsai_vcu.diagnostics.story.signals import (
+from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
+from fsai_vcu.diagnostics.explain.signals import (
     AMI,
     ANGLE,
     AS_STATE,
@@ -41,7 +39,9 @@ from fsai_vcu.diagnostics.story.signals import (
     label,
     like_official_simulator,
 )
-from fsai_vcu.diagnostics.wire_bits import wire_bits
+from fsai_vcu.diagnostics.log.frames import Ints
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, LOAD_WINDOW_NS
+from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
 

@@ -11,14 +11,14 @@ from html import escape
 from importlib.resources import files
 from typing import Any, Final
 
-from fsai_vcu.diagnostics.databases import Databases
-from fsai_vcu.diagnostics.frames import Frames
+from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.explain import Incident, Story, record_for, story_of
+from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
+from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds, verdict
+from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots
-from fsai_vcu.diagnostics.statistics import BusStatistics, measure
-from fsai_vcu.diagnostics.story import Incident, Story, record_for, story_of
-from fsai_vcu.diagnostics.story.incident import Candidate, Sureness, Weight
-from fsai_vcu.diagnostics.story.record import Record
-from fsai_vcu.diagnostics.story.telling import EPOCH_NS, before, seconds, verdict
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3

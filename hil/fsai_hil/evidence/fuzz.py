@@ -25,8 +25,8 @@ from fsai_hil.evidence.fuzz_events import SETUPS, Case, CaseError, read_case
 from fsai_hil.evidence.fuzz_run import NotOrdinary, forget_stations
 from fsai_hil.evidence.fuzz_search import KINDS, Failure, Fuzzer, Tally, described, fuzz, minimised, story, unreached
 from fsai_hil.evidence.model import patched, swift_copies
-from fsai_hil.evidence.search import Problem
 from fsai_hil.evidence.seeded import SEEDS, Seed
+from fsai_hil.rules.violation import Violation
 
 EXAMPLE: Final = (
     "example: python -m fsai_hil.evidence.fuzz --minutes 5; python -m fsai_hil.evidence.fuzz --replay out/fuzz/FILE"
@@ -76,7 +76,7 @@ class Campaign:
         self.tally = Tally()
         self.drives = 0
         self.driven_s = 0.0
-        self.bad_drives: list[tuple[str, list[str], list[Problem]]] = []
+        self.bad_drives: list[tuple[str, list[str], list[Violation]]] = []
         self.not_ordinary: list[str] = []
 
     def take(self, message: Any) -> None:
@@ -186,7 +186,7 @@ def _print_failures(done: Campaign) -> None:
 # ---------------------------------------------------------------- faults put in on purpose
 
 
-def sought(name: str, cases: int = SEEDED_CASES, seconds: float = SEEDED_S) -> tuple[Problem | None, Tally]:
+def sought(name: str, cases: int = SEEDED_CASES, seconds: float = SEEDED_S) -> tuple[Violation | None, Tally]:
     """Put the seeded fault of that name into the rules and fuzz until it shows on the wire."""
     seed: Seed = next(one for one in SEEDS if one.name == name)
     setups = {

@@ -12,11 +12,11 @@ from random import Random
 from typing import Final
 
 from fsai_hil.evidence.fuzz_cases import MODES, fields_of_a_command
-from fsai_hil.evidence.search import Problem
-from fsai_hil.faults import Delay, Drop, FlipBits, FrameFault, Freeze, Repeat, Window, WrongLength
-from fsai_hil.lockstep import Lockstep
-from fsai_hil.wire import WireChecker
-from fsai_hil.world import WorldSetup
+from fsai_hil.rules.checker import WireChecker
+from fsai_hil.rules.violation import Violation
+from fsai_hil.simulator.faults import Delay, Drop, FlipBits, FrameFault, Freeze, Repeat, Window, WrongLength
+from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
@@ -104,7 +104,7 @@ class Drive:
         spoilt = replace(command, t_sensor_ns=command.t_sensor_ns - self._age_ns, **self._spoil)
         return None if math.isinf(spoilt.throttle) else spoilt
 
-    def run(self) -> list[Problem]:
+    def run(self) -> list[Violation]:
         """Drive until nothing more goes wrong for a while. What broke a rule; an exception is a problem too."""
         lockstep = self.lockstep
         try:
@@ -119,8 +119,8 @@ class Drive:
                 if lockstep.wire.violations:
                     break
         except Exception as error:
-            return [Problem("never an exception", f"{type(error).__name__}: {error}")]
-        return [Problem("the bus", violation) for violation in lockstep.wire.violations]
+            return [Violation("never an exception", f"{type(error).__name__}: {error}")]
+        return [Violation("the bus", violation) for violation in lockstep.wire.violations]
 
     def _call(self, kind: str, text: str) -> None:
         bridge, now_ns = self.lockstep.bridge, self.lockstep.now_ns

@@ -17,9 +17,9 @@ from functools import cache
 from typing import Any, Final
 
 from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, Setup
-from fsai_hil.evidence.rule_numbers import DEADLINE_MISS_NS, FUTURE_NS, MS, STOP_TIMEOUT_NS
-from fsai_hil.evidence.search import Problem
-from fsai_hil.evidence.wire_rules import Terms, WireOracle
+from fsai_hil.rules.numbers import DEADLINE_MISS_NS, FUTURE_NS, MS, STOP_TIMEOUT_NS
+from fsai_hil.rules.violation import Violation
+from fsai_hil.rules.wire_rules import Terms, WireOracle
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -151,7 +151,7 @@ class Played:
 
     # ------------------------------------------------------------ events
 
-    def play(self, events: Iterable[Event]) -> list[Problem]:
+    def play(self, events: Iterable[Event]) -> list[Violation]:
         """Let `events` happen until a rule is broken. What was found; an exception of the process is a problem too."""
         for one in events:
             if self.say is not None:
@@ -160,7 +160,7 @@ class Played:
                 getattr(self, f"_do_{one.name}")(**one.values)
             except Broken as error:
                 cause = error.__cause__
-                self.oracle.problems.append(Problem("never an exception", f"{type(cause).__name__}: {cause}"))
+                self.oracle.problems.append(Violation("never an exception", f"{type(cause).__name__}: {cause}"))
             if self.oracle.problems or self.cycles >= MAX_CYCLES:
                 break
         return self.oracle.problems
@@ -572,7 +572,7 @@ _ID_OF: Final[dict[type, int]] = {
 class NotOrdinary(Exception):
     """A rule is broken already on the ordinary way to a station."""
 
-    def __init__(self, setup: str, station: str, problem: Problem) -> None:
+    def __init__(self, setup: str, station: str, problem: Violation) -> None:
         super().__init__(f"{setup}, on the ordinary way to {station}: rule {problem.rule}: {problem.words}")
         self.problem = problem
 
@@ -601,7 +601,7 @@ def forget_stations() -> None:
     _stations.clear()
 
 
-def play(case: Case, watch: Callable[[Played], None] | None = None) -> tuple[Played, list[Problem]]:
+def play(case: Case, watch: Callable[[Played], None] | None = None) -> tuple[Played, list[Violation]]:
     """Play a case; the process as it is at the end, and what was found."""
     played = at_station(case.setup, case.station)
     played.watch = watch

@@ -17,7 +17,7 @@ from typing import Final
 from fsai_hil.evidence.fuzz_cases import TOURS, changed, lineage_depth, make, shortened
 from fsai_hil.evidence.fuzz_events import Case, Event
 from fsai_hil.evidence.fuzz_run import Played, play
-from fsai_hil.evidence.search import Problem
+from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Latch, Phase
 from fsai_vcu.interface.enums import AsState
@@ -77,7 +77,7 @@ class Failure:
     """A case that breaks a rule."""
 
     case: Case
-    problem: Problem
+    problem: Violation
 
 
 @dataclass(slots=True)
@@ -106,7 +106,7 @@ class Tally:
         return sum(one[0] == kind for one in self.reached)
 
 
-def play_watched(case: Case) -> tuple[Played, list[Problem]]:
+def play_watched(case: Case) -> tuple[Played, list[Violation]]:
     """Play a case and note what it reaches."""
     played, problems = play(case, look)
     report = played.bridge.report(played.now_ns)
@@ -176,7 +176,7 @@ def fuzz(seed: str, *, cases: int | None = None, cpu_s: float = math.inf, stop_a
 _DIGITS: Final = re.compile(r"[-\d.]+")
 
 
-def _same(one: Problem, other: Problem) -> bool:
+def _same(one: Violation, other: Violation) -> bool:
     """The same rule, in the same words but for the numbers."""
     return one.rule == other.rule and _DIGITS.sub("", one.words) == _DIGITS.sub("", other.words)
 
@@ -199,7 +199,7 @@ def minimised(failure: Failure) -> Failure:
     return Failure(small, problems[0]) if problems else failure
 
 
-def story(case: Case) -> tuple[list[str], list[Problem]]:
+def story(case: Case) -> tuple[list[str], list[Violation]]:
     """What happens in a case, line by line, and what it breaks."""
     from fsai_hil.evidence.fuzz_run import at_station
 

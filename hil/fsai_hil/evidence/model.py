@@ -30,9 +30,9 @@ from functools import cache
 from operator import attrgetter
 from typing import Any, Final, cast
 
-from fsai_hil.as_machine import Situation, Table, taken, transition_table
-from fsai_hil.evidence.invariants import Limits, Order, Witness
-from fsai_hil.evidence.rule_numbers import (
+from fsai_hil.evidence.search import Move
+from fsai_hil.rules.invariants import Limits, Order, Witness
+from fsai_hil.rules.numbers import (
     BACKLOG_NS,
     CAR_PATIENCE_NS,
     COMMAND_FRESH_NS,
@@ -49,8 +49,9 @@ from fsai_hil.evidence.rule_numbers import (
     SPEEDS_FRESH_NS,
     S,
 )
-from fsai_hil.evidence.search import Move, Problem
-from fsai_hil.profiles import SPECIFICATION, Profile
+from fsai_hil.rules.violation import Violation
+from fsai_hil.simulator.as_machine import Situation, Table, taken, transition_table
+from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_vcu.core.bridge import Bridge, BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import Motion
@@ -535,7 +536,7 @@ class Composition:
             tuple(sorted({0, *(age for edge in edges for age in (edge - 1, edge))})) for edges in self._edges
         )
         self.checks: Counter[str] = Counter()
-        self._encoded: dict[AiCommand, tuple[Problem, ...]] = {}
+        self._encoded: dict[AiCommand, tuple[Violation, ...]] = {}
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
@@ -880,16 +881,16 @@ class Composition:
 
     def _cycle(
         self, state: State, choice: Choice, step_ns: int
-    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Problem, ...], AiCommand | None]:
+    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Violation, ...], AiCommand | None]:
         """One cycle of the whole composition, `step_ns` after the state was saved."""
         self._load(state)
         return self.live(choice, NOW + step_ns)
 
     def live(
         self, choice: Choice, now: int
-    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Problem, ...], AiCommand | None]:
+    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Violation, ...], AiCommand | None]:
         """One cycle at `now`: what the composition is then, what is wrong with it, and what was sent."""
-        problems: list[Problem] = []
+        problems: list[Violation] = []
         if choice.event == "restart":
             self._bridge = self._new_bridge()
             self._witness.restart()
@@ -1047,7 +1048,7 @@ class Composition:
             case "frames waited for 20 ms":
                 b.backlog(BACKLOG_NS, now)
 
-    def _requested(self, request: str, now: int, problems: list[Problem]) -> None:
+    def _requested(self, request: str, now: int, problems: list[Violation]) -> None:
         b, w = self._bridge, self._witness
         match request:
             case "the emergency brake":
@@ -1057,25 +1058,25 @@ class Composition:
                 accepted, _ = b.reset(now)
                 if accepted and w.latched:
                     if w.as_state not in (AsState.AS_INIT, AsState.AS_OFF):
-                        problems.append(Problem("6", "reset accepted outside AS_INIT and AS_OFF"))
+                        problems.append(Violation("6", "reset accepted outside AS_INIT and AS_OFF"))
                     w.latched = False
             case mode:
                 accepted, _ = b.set_mode(mode, now)
                 if not accepted:
                     return
                 if mode not in ("autonomous", "manual"):
-                    problems.append(Problem("2", f"the unknown mode {mode!r} was accepted"))
+                    problems.append(Violation("2", f"the unknown mode {mode!r} was accepted"))
                 elif mode == "autonomous" and w.as_state not in (
                     AsState.AS_INIT,
                     AsState.AS_OFF,
                     AsState.AS_READY,
                 ):
-                    problems.append(Problem("2", "autonomous accepted where the car could launch at once"))
+                    problems.append(Violation("2", "autonomous accepted where the car could launch at once"))
                 w.autonomous, w.power_up = mode == "autonomous", False
                 if mode == "manual" and w.as_state is AsState.AS_DRIVING:
                     w.no_more_torque = True
 
-    def _commanded(self, ask: Ask, now: int, problems: list[Problem]) -> None:
+    def _commanded(self, ask: Ask, now: int, problems: list[Violation]) -> None:
         b, w = self._bridge, self._witness
         refused = b.on_command(
             VehicleCommand(
@@ -1101,14 +1102,14 @@ class Composition:
             and ask.run == _THIS_RUN
         )
         if absurd:
-            problems.append(Problem("7", f"taken, though out of order: {ask.words}"))
+            problems.append(Violation("7", f"taken, though out of order: {ask.words}"))
             return
         order = Order(math.degrees(ask.steering_rad), ask.throttle, ask.brake, ask.finished, ask.estop)
         w.on_command(order, now - ask.data_age_ns, now)
 
     # ------------------------------------------------------------ the wire
 
-    def _frames(self, asked: AiCommand) -> Sequence[Problem]:
+    def _frames(self, asked: AiCommand) -> Sequence[Violation]:
         """The real codec takes it, and makes the five frames of it (rule 8)."""
         problems = self._encoded.get(asked)
         if problems is None:
@@ -1116,16 +1117,16 @@ class Composition:
             try:
                 ids = [frame.can_id for frame in self._codec.encode_command(asked)]
                 if ids != [0x510, 0x511, 0x512, 0x513, 0x514]:
-                    problems = (Problem("8", f"a cycle of the frames {ids}"),)
+                    problems = (Violation("8", f"a cycle of the frames {ids}"),)
             except EncodeError as error:
-                problems = (Problem("8", str(error)),)
+                problems = (Violation("8", str(error)),)
             self._encoded[asked] = problems
         return problems
 
-    def _sent(self, choice: Choice, asked: AiCommand, now: int) -> Sequence[Problem]:
+    def _sent(self, choice: Choice, asked: AiCommand, now: int) -> Sequence[Violation]:
         """The frames leave one after another; the VCU looks after each, and keeps what it saw last."""
         b, v = self._bridge, self._vcu
-        problems: list[Problem] = []
+        problems: list[Violation] = []
         brake = asked.front_brake_pct > 0.0 or asked.rear_brake_pct > 0.0
         if not choice.car_off:
             for number in range(choice.frames):
@@ -1148,7 +1149,7 @@ class Composition:
                 if v.ai_ns is None:
                     v.ai_ns = now
                 if (v.front or v.rear) and v.brake:
-                    problems.append(Problem("1", "the VCU sees torque and brake at the same time"))
+                    problems.append(Violation("1", "the VCU sees torque and brake at the same time"))
                 if before != (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake):
                     self._look(choice, now)
         complete = choice.frames == 5

@@ -25,8 +25,8 @@ from fsai_hil.evidence.model import (
     Scope,
     Setting,
 )
-from fsai_hil.evidence.rule_numbers import S
-from fsai_hil.profiles import OFFICIAL_SIMULATOR
+from fsai_hil.rules.numbers import S
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import BridgeConfig, official_simulator
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS

@@ -11,15 +11,9 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
+from fsai_hil.rules.violation import Violation
+
 S = TypeVar("S", bound=Hashable)
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """An invariant that does not hold: which one, and what is wrong."""
-
-    rule: str
-    words: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +23,7 @@ class Move(Generic[S]):
     label: int
     duration_ns: int
     target: S
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[Violation, ...] = ()
     seen: object = None
 
 
@@ -61,7 +55,7 @@ class Search(Generic[S]):
     transitions: int = 0
     depth: int = 0
     complete: bool = True
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[Violation, ...] = ()
     trace: list[Move[S]] = field(default_factory=list)
     ending: str | None = None  # the environment's way under which no safe end comes
     bounds_ns: dict[str, int] = field(default_factory=dict)  # by ending: the longest way to a safe end
@@ -155,7 +149,7 @@ def _endings(
                 at = ways[at][0]
             time_ns = left[at]
             if time_ns is None:
-                found.problems = (Problem("safe end", f"with {name} no safe end is ever reached"),)
+                found.problems = (Violation("safe end", f"with {name} no safe end is ever reached"),)
             else:
                 for index in reversed(path):
                     time_ns += ways[index][1]
@@ -163,7 +157,7 @@ def _endings(
                 worst = max(worst, time_ns)
                 if bound_ns is not None and time_ns > bound_ns:
                     found.problems = (
-                        Problem(
+                        Violation(
                             "safe end",
                             f"with {name} the safe end comes after {time_ns / 1e9:.3f} s, not {bound_ns / 1e9:g} s",
                         ),

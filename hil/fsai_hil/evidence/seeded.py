@@ -13,9 +13,9 @@ from functools import partial
 from typing import Any, Final
 
 from fsai_hil.evidence.model import Composition, Scope, State, patched, swift_copies
-from fsai_hil.evidence.rule_numbers import MS
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
+from fsai_hil.rules.numbers import MS
 from fsai_vcu.core import bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import gate as gating

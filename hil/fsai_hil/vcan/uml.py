@@ -42,7 +42,7 @@ from fsai_hil.vcan.network import bring_up
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
-HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the witness
+HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the stall monitor
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
 _MODULE_ROOTS = (Path("/usr/lib/uml/modules"), Path("/lib/uml/modules"))
@@ -257,8 +257,8 @@ def hands_over() -> str:
     """A shell line for inside, once /proc is there: received frames are handed over before any program goes on.
 
     What an adapter's interrupt does on a PC, this thread of the kernel's does for vcan. On the only processor it would
-    wait for whatever else runs, and bridge and car would hear nothing for tens of milliseconds, which the witness does
-    not see.
+    wait for whatever else runs, and bridge and car would hear nothing for tens of milliseconds, which the stall
+    monitor does not see.
     """
     return f"chrt --fifo --pid {HANDS_OVER_PRIORITY} $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
 

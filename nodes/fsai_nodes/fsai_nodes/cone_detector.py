@@ -8,7 +8,7 @@ from fsai_msgs.msg import Cone, ConeArray
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from fsai_nodes.edge import WATCH_S, Clocks, Input
+from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 

@@ -9,8 +9,8 @@ from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState,
 from nav_msgs.msg import Path
 from rclpy.node import Node
 
+from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
-from fsai_nodes.edge import WATCH_S, Clocks, Input
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import WITHOUT_PATH

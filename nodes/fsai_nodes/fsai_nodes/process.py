@@ -18,8 +18,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fsai_nodes.clock_step import on_clock_step
-from fsai_nodes.configured import Configured
-from fsai_nodes.edge import Clocks
+from fsai_nodes.clocks import Clocks
+from fsai_nodes.config_arguments import Configured
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.transport import set_transport

@@ -11,11 +11,11 @@ from dataclasses import replace
 from fsai_msgs.msg import ConeArray
 from rclpy.node import Node
 
-from fsai_hil.sensing import ConeSensor, SensorSettings
-from fsai_hil.tracks import TrackError, load_track
-from fsai_hil.truth import DEFAULT_PORT, Truth, TruthReceiver
+from fsai_hil.simulator.ground_truth import DEFAULT_PORT, Truth, TruthReceiver
+from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
+from fsai_hil.simulator.tracks import TrackError, load_track
+from fsai_nodes.clocks import Clocks
 from fsai_nodes.conversions import cones_to_msg
-from fsai_nodes.edge import Clocks
 from fsai_nodes.parameters import NodeError, Setting, Settings
 from fsai_nodes.qos import publisher
 

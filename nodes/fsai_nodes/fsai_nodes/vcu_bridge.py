@@ -30,6 +30,7 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
+from fsai_nodes.clocks import Clocks, Input
 from fsai_nodes.conversions import (
     BASE_FRAME,
     ODOM_FRAME,
@@ -42,11 +43,10 @@ from fsai_nodes.conversions import (
     state_to_msg,
 )
 from fsai_nodes.diagnosis import diagnostics_of
-from fsai_nodes.edge import Clocks, Input
-from fsai_nodes.news import News
+from fsai_nodes.mission_goal import GoalError, Outcome, Waiting
 from fsai_nodes.parameters import NodeError, Setting, Settings
 from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
-from fsai_nodes.waiting import GoalError, Outcome, Waiting
+from fsai_nodes.report_log import News
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator

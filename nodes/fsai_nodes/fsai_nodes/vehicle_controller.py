@@ -9,8 +9,8 @@ from fsai_msgs.msg import PlannerStatus, ResetConfirmation, RunState, VehicleCom
 from nav_msgs.msg import Path
 from rclpy.node import Node
 
+from fsai_nodes.clocks import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
-from fsai_nodes.edge import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.parameters import Setting, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from conftest import BusLog, new_folder
-from fsai_hil.ros_operator import RosOperator
-from fsai_hil.stack import NODES, RunningProcess, Stack
-from fsai_hil.wire import WireReport, check_candump
+from fsai_hil.rehearsal.ros_operator import RosOperator
+from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack
+from fsai_hil.rules.checker import WireReport, check_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision

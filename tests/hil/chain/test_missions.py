@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, START_S, STOP_S, Chain
-from fsai_hil.soak import Sampler, judge, response_parts
-from fsai_hil.stack import NODES
-from fsai_hil.wire import check_candump
+from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
+from fsai_hil.rehearsal.stack import NODES
+from fsai_hil.rules.checker import check_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS

@@ -25,10 +25,10 @@ import pytest
 
 from chain.conftest import CODEC, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
 from conftest import BusLog, new_folder
-from fsai_hil.stack import NODES, await_condition
+from fsai_hil.rehearsal.stack import NODES, await_condition
+from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
+from fsai_hil.rules.checker import MS, checker_for
 from fsai_hil.vcan.network import TX_QUEUE_FRAMES
-from fsai_hil.wire import MS, checker_for
-from fsai_hil.witness import STOOD_STILL_NS
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from chain.conftest import CODEC, LAPS, START_S, Chain
-from fsai_hil.response import ResponseTimes
-from fsai_hil.stack import RunningProcess
-from fsai_hil.wire import MS, checker_for, read_candump
+from fsai_hil.rehearsal.stack import RunningProcess
+from fsai_hil.rules.checker import MS, checker_for, read_candump
+from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.runtime.transport import VARIABLES
 

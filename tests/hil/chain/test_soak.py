@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, Chain
-from fsai_hil.soak import Sampler, judge, response_parts
-from fsai_hil.stack import NODES
-from fsai_hil.witness import Witness, describe
+from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
+from fsai_hil.rehearsal.stack import NODES
+from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
 from fsai_vcu.interface.enums import AsState
 
 pytestmark = pytest.mark.long  # the suite judges a lap that it drives anyway, in test_missions.py
@@ -40,7 +40,7 @@ Period = tuple[Instant, Instant]
 
 
 def test_missions_one_after_another_leave_memory_descriptors_threads_and_response_times_as_they_were(
-    chain: Chain, results: Path, witness: Witness
+    chain: Chain, results: Path, stall_monitor: StallMonitor
 ) -> None:
     """A mission that failed on a disturbed machine shows nothing: it is told and left out, and the next one counts."""
     minutes = float(os.environ.get("FSAI_HIL_SOAK_MINUTES", "0"))
@@ -65,7 +65,7 @@ def test_missions_one_after_another_leave_memory_descriptors_threads_and_respons
                     driven_s += (ended.steady_ns - mission.steady_ns) / 1e9
                     words += f" (mission {driven})"
                 else:
-                    disturbances = witness.disturbances(mission.steady_ns)
+                    disturbances = stall_monitor.disturbances(mission.steady_ns)
                     assert disturbances, result.message
                     left_out.append((mission, ended))
                     words += f": left out, for the machine {describe(disturbances)}"

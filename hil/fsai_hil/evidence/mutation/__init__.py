@@ -2,7 +2,7 @@
 
 A mutant is the source with one small mistake in it. It is killed when a test fails; one that survives shows a missing
 test, dead code, or a change that nobody can tell from outside. The last kind is listed with its reason in
-`tests/mutation/survivors.toml`; anything else that survives fails the command.
+`tests/evidence/survivors.toml`; anything else that survives fails the command.
 
 `operators` makes the mistakes, `trial` runs the tests against each in a forked process, `explained` reads the list,
 `__main__` is the command.

@@ -1,6 +1,6 @@
 """The survivors that no test can kill, each with the reason; and the judgement on a run.
 
-An entry of `tests/mutation/survivors.toml` names a mutant by its place and its lines, not by line numbers, so that it
+An entry of `tests/evidence/survivors.toml` names a mutant by its place and its lines, not by line numbers, so that it
 stays true while the code around it moves and fails when the code itself changes.
 """
 
@@ -16,7 +16,7 @@ from fsai_hil.evidence.mutation.trial import KILLED, TIMED_OUT, Verdict, root
 
 Key = tuple[str, str, str, int]
 
-LIST = Path("tests/mutation/survivors.toml")
+LIST = Path("tests/evidence/survivors.toml")
 
 _FIELDS = {"where", "minus", "plus", "nth", "why"}
 

@@ -32,6 +32,7 @@ import coverage
 import hypothesis
 import pytest
 
+from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation.operators import Mutant, mutants_of, mutated
 
 PACKAGE: Final = "fsai_vcu.core."
@@ -88,7 +89,7 @@ class Baseline:
 
 def root() -> Path:
     """The project's directory: the tests and the sources to be mutated are in it."""
-    return Path(__file__).parents[4]
+    return CHECKOUT
 
 
 def path_of(module: str) -> Path:

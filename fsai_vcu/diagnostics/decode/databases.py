@@ -1,0 +1,209 @@
+"""Signal databases as the diagnostics use them: several at once, the project's own or any that cantools can read.
+
+Of each message there is a `MessageLayout`: plain data, enough to take a plain message apart. Messages that are not
+plain (big-endian, multiplexed, longer than eight bytes, …) are decoded by cantools, which is loaded when one is met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fsai_vcu.diagnostics.decode import layout_cache
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
+from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.revisions import dbc_dir
+from fsai_vcu.interface.revisions import revision as revision_named
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
+_MAX_PLAIN_BYTES = 8
+_INT64 = 1 << 63
+
+
+class DatabasesError(ValueError):
+    """A database that cannot be used; the message is one clear line."""
+
+
+class Databases:
+    """Messages by key (identifier, plus EXTENDED_KEY), from one or more files; of two for one key the first counts."""
+
+    def __init__(
+        self,
+        layouts: Mapping[int, MessageLayout],
+        sources: tuple[str, ...] = (),
+        baudrate: int | None = None,
+        load: Callable[[], Mapping[int, Message]] = dict,
+    ) -> None:
+        """`load` brings cantools' own messages, when one is needed."""
+        self.layouts = layouts
+        self.sources = sources
+        self.baudrate = baudrate
+        self._load = load
+
+    def message(self, key: int) -> Message:
+        """cantools' own message."""
+        return self._messages[key]
+
+    @cached_property
+    def _messages(self) -> Mapping[int, Message]:
+        return self._load()
+
+    def by_name(self, name: str) -> MessageLayout | None:
+        return next((layout for layout in self.layouts.values() if layout.name == name), None)
+
+
+def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> Databases:
+    """The given files, or where there are none the project's own of an interface revision. Raises DatabasesError.
+
+    What cantools made of the files is remembered (layout_cache.py): loading it and them takes longer than to decode
+    a hundred thousand frames.
+    """
+    paths = [Path(file) for file in files]
+    try:
+        if not paths:
+            paths = [dbc_dir() / name for name in revision_named(revision).dbc_files]
+        digest = layout_cache.digest(paths)
+    except ValueError as error:
+        raise DatabasesError(str(error)) from error
+    except OSError as error:
+        raise DatabasesError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
+    remembered = layout_cache.recall(digest)
+    if remembered is not None:
+        layouts, baudrate = remembered
+        return Databases(
+            {layout.key: layout for layout in layouts}, _names(paths), baudrate, lambda: _messages_of(_load_all(paths))
+        )
+    databases = databases_of(_load_all(paths), paths)
+    layout_cache.keep(digest, list(databases.layouts.values()), databases.baudrate)
+    return databases
+
+
+def _names(paths: Iterable[Path | str]) -> tuple[str, ...]:
+    return tuple(str(path) for path in paths)
+
+
+def _load_all(paths: Sequence[Path]) -> list[Database]:
+    from fsai_vcu.interface.database import DatabaseError
+
+    try:
+        return [_load(path) for path in paths]
+    except DatabaseError as error:
+        raise DatabasesError(str(error)) from error
+
+
+def databases_of(databases: Iterable[Database], sources: Iterable[Path | str] = ()) -> Databases:
+    """Layouts of databases that cantools has loaded."""
+    loaded = list(databases)
+    messages = _messages_of(loaded)
+    baudrate: int | None = None
+    for database in loaded:
+        attribute = database.dbc.attributes.get("Baudrate") if database.dbc is not None else None
+        if baudrate is None and attribute is not None and isinstance(attribute.value, int) and attribute.value > 0:
+            baudrate = attribute.value
+    layouts = {key: _layout(message) for key, message in messages.items()}
+    return Databases(layouts, _names(sources), baudrate, lambda: messages)
+
+
+def _messages_of(databases: Iterable[Database]) -> dict[int, Message]:
+    messages: dict[int, Message] = {}
+    for database in databases:
+        for message in database.messages:
+            messages.setdefault(message.frame_id | (EXTENDED_KEY if message.is_extended_frame else 0), message)
+    return messages
+
+
+def _load(path: Path) -> Database:
+    """A file of this car's interface is loaded with the flaws of official files put right, any other as it is."""
+    import cantools.database
+    from cantools.database.can import Database
+
+    from fsai_vcu.interface.database import DatabaseError, load_database
+
+    if path.suffix.lower() == ".dbc":
+        text = _text(path)
+        if all(name in text for name in ("AI2VCU_Status", "VCU2AI_Status")):
+            return load_database([path])
+    try:
+        loaded = cantools.database.load_file(path, strict=False)
+    except OSError as error:
+        raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # the parsers have no common base class for what a broken file makes them raise
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise DatabaseError(f"{path}: not a database that cantools can read: {words[:200]}") from error
+    if not isinstance(loaded, Database):
+        raise DatabaseError(f"{path}: describes diagnostics, not messages")
+    if not loaded.messages:
+        raise DatabaseError(f"{path}: describes no message")
+    return loaded
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="cp1252", errors="replace")
+    except OSError:
+        return ""  # said properly by the loader
+
+
+def _layout(message: Message) -> MessageLayout:
+    signals = tuple(_signal_layout(signal) for signal in message.signals)
+    plain = (
+        message.length <= _MAX_PLAIN_BYTES
+        and not message.is_fd
+        and not message.is_container
+        and not message.is_multiplexed()
+        and len({signal.name for signal in signals}) == len(signals)
+        and all(_is_plain(signal, message.length) for signal in message.signals)
+    )
+    own = BY_NAME.get(message.name)
+    period_ms = message.cycle_time or None
+    if period_ms is None and own is not None and own.can_id == message.frame_id and len(own.period_ns) == 1:
+        period_ms = next(iter(own.period_ns.values())) // 1_000_000
+    return MessageLayout(
+        message.name,
+        message.frame_id,
+        message.is_extended_frame,
+        message.length,
+        period_ms,
+        tuple(message.senders),
+        signals,
+        plain,
+    )
+
+
+def _signal_layout(signal: Signal) -> SignalLayout:
+    return SignalLayout(
+        signal.name,
+        signal.start,
+        signal.length,
+        signal.is_signed,
+        signal.is_float,
+        signal.scale,
+        signal.offset,
+        signal.unit or "",
+        {int(raw): str(name) for raw, name in (signal.choices or {}).items()},
+    )
+
+
+def _is_plain(signal: Signal, length: int) -> bool:
+    if signal.byte_order != "little_endian" or not 0 < signal.length <= 64 or signal.start + signal.length > 8 * length:
+        return False
+    if signal.unit is not None and "\0" in signal.unit:
+        return False
+    if signal.is_float:
+        return signal.length in (32, 64) and not signal.choices
+    return _fits(signal)
+
+
+def _fits(signal: Signal) -> bool:
+    """Whether 64-bit integers can reckon what Python's unbounded ones do for cantools."""
+    scale, offset = signal.scale, signal.offset
+    if scale == 1 and offset == 0:
+        return True
+    if signal.length == 64 and not signal.is_signed:
+        return False
+    most = 1 << (signal.length - 1 if signal.is_signed else signal.length)
+    return most * abs(scale) + abs(offset) < _INT64

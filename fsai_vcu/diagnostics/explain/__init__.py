@@ -1,0 +1,92 @@
+"""The story of a run: what happened on the car's bus, and why.
+
+    story = tell(frames)                      # frames.Frames of a whole log
+    story.events, story.incidents             # timeline; emergency brakes, refusals to start, early stops, with causes
+    print_story(story, …) / json_lines(story) # telling.py
+
+`record.py` sorts a log into signals; `timeline.py` names what changed; `emergencies.py`, `starting.py` and `stops.py`
+find causes by rules, with `causes.py` as the table of their words; nothing here knows where frames come from.
+"""
+
+from __future__ import annotations
+
+from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain.emergencies import emergencies
+from fsai_vcu.diagnostics.explain.incident import Event, Incident, Kind, Story
+from fsai_vcu.diagnostics.explain.record import Record, record_of
+from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
+from fsai_vcu.diagnostics.explain.starting import refusals
+from fsai_vcu.diagnostics.explain.stops import early_stops
+from fsai_vcu.diagnostics.explain.timeline import timeline
+from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.interface.bus_table import BY_ID
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import revision as revision_named
+
+__all__ = ["Event", "Incident", "Kind", "Story", "record_for", "story_of", "tell"]
+
+
+def record_for(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Record:
+    """The frames sorted for a story; the revision is guessed if none is given. Raises ValueError."""
+    chosen, reason = guess_revision(frames) if revision is None else (revision_named(revision), "given")
+    return record_of(frames, chosen, reason, databases)
+
+
+def tell(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Story:
+    """The story of a log. Raises ValueError for a log without frames, or an unknown revision."""
+    return story_of(record_for(frames, revision, databases))
+
+
+def story_of(record: Record) -> Story:
+    """The story of a log that is sorted already."""
+    incidents = [*emergencies(record), *refusals(record), *early_stops(record)]
+    return Story(
+        heading={
+            "revision": record.revision.name,
+            "revision_reason": record.revision_reason,
+            "channel": record.channel,
+            "frames": len(record.frames),
+            "begin_ns": record.begin_ns,
+            "seconds": round((record.end_ns - record.begin_ns) / 1e9, 6),
+        },
+        events=tuple(timeline(record)),
+        incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
+        closing=_closing(record),
+        problems=tuple(_missing(record)),
+    )
+
+
+def _closing(record: Record) -> str:
+    state = record.series(AS_STATE)
+    if not len(state):
+        return "the log ends; it has no AS state"
+    away_ns = record.end_ns - int(state.t_ns[-1])
+    silent = f", silent for the last {away_ns / 1e9:.1f} s" if away_ns >= 1_000_000_000 else ""
+    return f"the log ends with the car in {label(AS_STATE, float(state.values[-1]))}{silent}"
+
+
+def _missing(record: Record) -> list[str]:
+    """What this log lacks for the whole story."""
+    lacking = []
+    if not record.has(STATUS):
+        lacking.append(
+            "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
+        )
+    absent = [f"0x{can_id:03X}" for can_id in AI_IDS if not record.has(can_id)]
+    if len(absent) == len(AI_IDS):
+        lacking.append("no frame of the AI computer (0x510 to 0x514): what it asked for is not known")
+    elif absent:
+        lacking.append(f"the AI computer never sends {', '.join(absent)}")
+    if not record.has(0x525):
+        lacking.append("no 0x525: whether the wheels turned is not known")
+    if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
+        first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
+        lacking.append(f"the log begins in {first}: what led there is not in it")
+    for name, count in record.other_channels.items():
+        lacking.append(f"{count} frames of another bus ({name}) are left out")
+    strange = {f"0x{i:03X}": n for i, n in record.unknown_ids.items() if i not in BY_ID}
+    if strange:
+        some = ", ".join(list(strange)[:6]) + (" …" if len(strange) > 6 else "")
+        lacking.append(f"{sum(strange.values())} frames with ids that the databases do not name: {some}")
+    return lacking

@@ -1,0 +1,424 @@
+"""Every EMERGENCY_BRAKE, and every drive that was cut off: what brought it about.
+
+First comes what the car itself says (SHUTDOWN_CAUSE, fault bits), then what the frames show of the conditions of the
+AS state machine; behind an ESTOP_REQUEST and a lost link the search goes one step further back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final
+
+from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
+from fsai_vcu.diagnostics.explain.evidence import found_before
+from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Kind, Step, Sureness, candidate, ranked
+from fsai_vcu.diagnostics.explain.link import link_losses, ms, timeouts_said
+from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
+from fsai_vcu.diagnostics.explain.signals import (
+    AMI,
+    AS_STATE,
+    AS_SWITCH,
+    BRAKE_REQ_F,
+    BRAKE_REQ_R,
+    DIRECTION,
+    DRIVING,
+    EBS_STATE,
+    EMERGENCY,
+    ESTOP,
+    FAULTS,
+    FINISHED,
+    GO,
+    MISSION_STATUS,
+    MS,
+    OFF_LIKE,
+    RADIO_STRENGTH,
+    REMOTE_ESTOP,
+    SHUTDOWN_CAUSE,
+    STANDING_RPM,
+    STATUS,
+    STATUS_EBS,
+    TORQUE_F,
+    TORQUE_R,
+    TS_SWITCH,
+    S,
+    first_on,
+    label,
+    like_official_simulator,
+)
+from fsai_vcu.interface.bus_table import BY_ID
+from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
+from fsai_vcu.interface.reserved import AI_IDS
+
+AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of state belongs to it
+JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
+BEHIND_NS: Final = 3 * S  # how far back a chain is followed
+SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
+PLANNED: Final = (Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO)
+
+
+def emergencies(record: Record) -> list[Incident]:
+    """Every entry into EMERGENCY_BRAKE, and drives that ended in no regular state."""
+    found = []
+    for span in record.series(AS_STATE).spans:
+        if span.value == EMERGENCY:
+            found.append(_emergency(record, span))
+        elif span.before == DRIVING and span.value not in (FINISHED, EMERGENCY):
+            found.append(_cut_off(record, span))
+    found += _lost_car(record)
+    return found
+
+
+# ---------------------------------------------------------------- one emergency brake
+
+
+def _emergency(record: Record, span: Span) -> Incident:
+    t_ns = span.begin_ns
+    before = None if span.before is None else AsState(int(span.before)) if span.before <= FINISHED else None
+    came = f"{before.label} → EMERGENCY_BRAKE" if before is not None else "EMERGENCY_BRAKE"
+    end = Step(t_ns, f"AS_STATE {came}{_said_words(record, t_ns)}", STATUS, AS_STATE.name)
+    candidates: list[Candidate] = []
+    said = _said(record, span)
+    for slug, sureness in said.items():
+        candidates += CHAINS.get(slug, _plain)(record, t_ns, slug, sureness)
+    for rule in CONDITIONS:
+        candidates += rule(record, t_ns, set(said))
+    if not candidates or (span.before is None and not said):
+        candidates += _nothing_shown(record, span)
+    planned = False
+    chains = ranked(candidates)
+    if chains and chains[0].slug == "planned_end":
+        planned = True
+    chains = tuple(replace(c, steps=(*_marks(record, c), *c.steps, end)) for c in chains)
+    chains = tuple(replace(c, steps=tuple(dict.fromkeys(sorted(c.steps, key=lambda s: s.t_ns)))) for c in chains)
+    return Incident(
+        Kind.EMERGENCY, t_ns, f"EMERGENCY_BRAKE{'' if before is None else f' in {before.label}'}", chains, planned
+    )
+
+
+def _marks(record: Record, one: Candidate) -> tuple[Step, ...]:
+    """What 0x120 says belongs to a chain about the link."""
+    if one.slug.startswith(("ai_message", "ai_silent", "handshake", "ai_unheard", "ai_comms")):
+        return tuple(timeouts_said(record, one.t_ns, one.t_ns + BEHIND_NS)[:2])
+    return ()
+
+
+def _said(record: Record, span: Span) -> dict[str, Sureness]:
+    """The causes that the car names itself, the surest first."""
+    t_ns = span.begin_ns
+    until_ns = min(t_ns + AROUND_NS, span.end_ns)
+    said: dict[str, Sureness] = {}
+    value = record.series(SHUTDOWN_CAUSE).at(until_ns) or 0
+    if value:
+        slug = {int(cause): slug for cause, slug in SHUTDOWN.items()}.get(int(value))
+        if slug is not None:  # a value outside the table is told in the timeline, and says nothing here
+            said[slug] = Sureness.SAID
+    for signal in FAULTS:
+        series = record.series(signal)
+        if not series.at(until_ns):
+            continue
+        rose = any(s.value and abs(s.begin_ns - t_ns) <= AROUND_NS for s in series.spans)
+        if rose or span.before is None:
+            said.setdefault(FAULT_BITS[signal.name], Sureness.SAID)
+        else:
+            said.setdefault(FAULT_BITS[signal.name], Sureness.FITS)
+    return said
+
+
+def _said_words(record: Record, t_ns: int) -> str:
+    names = (
+        [f"SHUTDOWN_CAUSE {label(SHUTDOWN_CAUSE, value)}"] if (value := record.series(SHUTDOWN_CAUSE).at(t_ns)) else []
+    )
+    names += [signal.name for signal in FAULTS if record.series(signal).at(t_ns)]
+    return f"; {', '.join(names)}" if names else ""
+
+
+# ---------------------------------------------------------------- chains behind what the car says
+
+
+def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
+    for signal in FAULTS:
+        if FAULT_BITS[signal.name] == slug:
+            rose = [s for s in record.series(signal).changes(t_ns - BEHIND_NS, t_ns + AROUND_NS) if s.value]
+            at_ns = rose[0].begin_ns if rose else t_ns
+            return [candidate(slug, sureness, [Step(at_ns, f"{signal.name} is 1", STATUS, signal.name)])]
+    return [candidate(slug, sureness, [Step(t_ns, f"SHUTDOWN_CAUSE names it: {slug}", STATUS, SHUTDOWN_CAUSE.name)])]
+
+
+def _drive_begin(record: Record, t_ns: int) -> int:
+    begin = record.begin_ns
+    for span in record.series(AS_STATE).spans:
+        if span.value == DRIVING and span.begin_ns <= t_ns:
+            begin = span.begin_ns
+    return begin
+
+
+def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
+    """Why the AI computer asked for the emergency brake."""
+    asked = [s for s in record.series(ESTOP).spans if s.value and s.begin_ns <= t_ns + 20 * MS]
+    if not asked or asked[-1].end_ns < t_ns - BEHIND_NS:
+        words = "the car names the AI computer's request, but no 0x510 in this log has ESTOP_REQUEST 1"
+        return [candidate(slug, sureness, [Step(t_ns, words, STATUS, SHUTDOWN_CAUSE.name)])]
+    first = asked[-1]
+    if first.before is None:
+        step = Step(first.begin_ns, "ESTOP_REQUEST is 1 from the log's first 0x510 on", 0x510, ESTOP.name)
+        return [candidate(slug, sureness, [step])]
+    request = Step(first.begin_ns, "ESTOP_REQUEST 0 → 1: the AI computer asks", 0x510, ESTOP.name)
+    roots = found_before(record, first.begin_ns, _drive_begin(record, t_ns), emergency=True)
+    # Who asked is said by the car; why, by the frames before.
+    chains = [replace(root, sureness=sureness, steps=(*root.steps, request)) for root in roots]
+    if chains:
+        return list(ranked(chains))
+    ami = record.series(AMI).at(t_ns)
+    if ami in PLANNED and (ami == Ami.STATIC_INSPECTION_B or _has_moved(record, t_ns)):
+        mission = Step(_drive_begin(record, t_ns), f"the mission is {label(AMI, ami)}", STATUS, AMI.name)
+        return [candidate("planned_end", sureness, [mission, request])]
+    return [
+        candidate("not_on_the_bus", sureness, [request]),
+        candidate(slug, Sureness.FITS, [request]),
+    ]
+
+
+def _has_moved(record: Record, t_ns: int) -> bool:
+    wheels = record.fastest_wheel().between(_drive_begin(record, t_ns), t_ns)
+    return bool((wheels.values >= STANDING_RPM).any())
+
+
+def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
+    """Why the link was lost."""
+    found = link_losses(record, t_ns, sureness)
+    if found:
+        return found
+    if any(record.has(can_id) for can_id in AI_IDS):
+        words = "0x510 to 0x514 and the echo are all in this log, in time"
+        return [candidate("ai_unheard", sureness, [Step(t_ns, words, 0x510)])]
+    words = "this log has no frame of the AI computer: it was silent, or only one direction was recorded"
+    return [candidate(slug, sureness, [Step(t_ns, words, STATUS, "AI_COMMS_LOST")])]
+
+
+def _torque_with_brake(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
+    """The moment when both were asked for."""
+    met = _both_asked(record, t_ns)
+    step = met or Step(t_ns, "the frames of this log do not show torque and brake together", STATUS)
+    return [candidate(slug, sureness, [step])]
+
+
+def _both_asked(record: Record, t_ns: int) -> Step | None:
+    begin = t_ns - JUST_BEFORE_NS
+    torque = [record.series(signal) for signal in (TORQUE_F, TORQUE_R)]
+    brake = [record.series(signal) for signal in (BRAKE_REQ_F, BRAKE_REQ_R)]
+    for series in (*torque, *brake):
+        for at_ns in series.between(begin, t_ns).t_ns.tolist():
+            nm = max((s.at(at_ns) or 0.0) for s in torque)
+            pct = max((s.at(at_ns) or 0.0) for s in brake)
+            if nm > 0 and pct > 0:
+                return Step(at_ns, f"torque {nm:g} Nm and brake {pct:g} % are asked for together", 0x514)
+    return None
+
+
+def _turning(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
+    """NEUTRAL or FINISHED while a wheel turned: since when it was said."""
+    signal, value = TURNING[slug]
+    series = record.series(signal)
+    said = [s for s in series.spans if s.value == value and s.begin_ns <= t_ns]
+    wheels = record.fastest_wheel().at(t_ns)
+    if not said:
+        return [candidate(slug, sureness, [Step(t_ns, f"no 0x510 of this log says {label(signal, value)}", STATUS)])]
+    turn = "" if wheels is None else f" while a wheel turns at {wheels:.0f} rpm"
+    words = f"{signal.name} {label(signal, said[-1].before)} → {label(signal, value)}{turn}"
+    return [candidate(slug, sureness, [Step(said[-1].begin_ns, words, 0x510, signal.name)])]
+
+
+TURNING: Final[Mapping[str, tuple[Signal, float]]] = MappingProxyType(
+    {
+        "neutral_while_moving": (DIRECTION, float(Direction.NEUTRAL)),
+        "finished_while_moving": (MISSION_STATUS, float(MissionStatus.FINISHED)),
+    }
+)
+
+
+def _ebs(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
+    """An EBS that goes because TSMS went, or by itself."""
+    switched = [s for s in record.series(TS_SWITCH).changes(t_ns - BEHIND_NS, t_ns) if not s.value]
+    went: list[Step] = []
+    for signal, armed in ((EBS_STATE, EbsState.EBS_ARMED), (STATUS_EBS, EbsStatus.ARMED)):
+        for s in record.series(signal).changes(t_ns - BEHIND_NS, t_ns):
+            if s.before == armed:
+                went.append(
+                    Step(
+                        s.begin_ns,
+                        f"{signal.name} {label(signal, s.before)} → {label(signal, s.value)}",
+                        signal.can_id,
+                        signal.name,
+                    )
+                )
+    bit = _plain(record, t_ns, slug, sureness)[0].steps
+    if switched:
+        root = Step(switched[-1].begin_ns, "TS_SWITCH_STATUS 1 → 0: TSMS goes off", STATUS, TS_SWITCH.name)
+        return [
+            candidate("tsms_off", sureness, [root, *went[:1], *bit]),
+            candidate(slug, Sureness.FITS, [*went[:1], *bit]),
+        ]
+    return [candidate(slug, sureness, [*went[:1], *bit])]
+
+
+Chain = Callable[[Record, int, str, Sureness], list[Candidate]]
+CHAINS: Final[Mapping[str, Chain]] = MappingProxyType(
+    {
+        "ai_computer_request": _requested,
+        "ai_comms_lost": _link,
+        "torque_with_brake": _torque_with_brake,
+        "neutral_while_moving": _turning,
+        "finished_while_moving": _turning,
+        "ebs_fault": _ebs,
+    }
+)
+
+
+# ---------------------------------------------------------------- conditions that the frames show
+
+
+def _switch_off(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
+    if _state_before(record, t_ns) != DRIVING:
+        return []
+    return [
+        candidate(slug, Sureness.SHOWN, [Step(s.begin_ns, words, STATUS, signal.name)])
+        for signal, slug, words in (
+            (AS_SWITCH, "asms_off", "AS_SWITCH_STATUS 1 → 0: ASMS goes off"),
+            (GO, "go_off", "GO_SIGNAL 1 → 0"),
+        )
+        for s in record.series(signal).changes(t_ns - JUST_BEFORE_NS, t_ns)
+        if not s.value and not (slug == "go_off" and like_official_simulator(record))
+    ]
+
+
+def _state_before(record: Record, t_ns: int) -> float | None:
+    for span in record.series(AS_STATE).spans:
+        if span.begin_ns == t_ns:
+            return span.before
+    return None
+
+
+def _radio(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
+    """The remote's own words (0x181), and what a Go that vanishes may mean."""
+    found = []
+    pressed = first_on(record.series(REMOTE_ESTOP), t_ns - 2 * S, t_ns)
+    if pressed is not None:
+        step = Step(pressed, "ESTOP_STATUS is ON at the remote", REMOTE_ESTOP.can_id, REMOTE_ESTOP.name)
+        found.append(candidate("remote_estop", Sureness.SHOWN, [step]))
+    weak = [s for s in record.series(RADIO_STRENGTH).changes(t_ns - 2 * S, t_ns) if s.value == 0]
+    if weak:
+        step = Step(weak[-1].begin_ns, "RADIO_STRENGTH falls to 0 %", RADIO_STRENGTH.can_id, RADIO_STRENGTH.name)
+        found.append(candidate("radio_lost", Sureness.SHOWN, [step]))
+    elif any(not s.value for s in record.series(GO).changes(t_ns - JUST_BEFORE_NS, t_ns)):
+        step = Step(t_ns, "Go vanishes with the remote's radio, too", STATUS, GO.name)
+        found.append(candidate("radio_lost", Sureness.POSSIBLE, [step]))
+    return found
+
+
+def _asked_unsaid(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
+    """Conditions of the AS state machine that the frames show and the car (or this database) does not name."""
+    driving = _state_before(record, t_ns) == DRIVING
+    if said or not driving:
+        return _link_unsaid(record, t_ns) if not said else []
+    found: list[Candidate] = []
+    if record.series(ESTOP).at(t_ns):
+        found += _requested(record, t_ns, "ai_computer_request", Sureness.SHOWN)
+    wheels = record.fastest_wheel().at(t_ns)
+    for slug, (signal, value) in TURNING.items():
+        recent = [s for s in record.series(signal).changes(t_ns - JUST_BEFORE_NS, t_ns) if s.value == value]
+        if recent and wheels is not None and wheels > STANDING_RPM:
+            found += _turning(record, t_ns, slug, Sureness.SHOWN)
+    both = _both_asked(record, t_ns)
+    if both is not None:
+        found.append(candidate("torque_with_brake", Sureness.SHOWN, [both]))
+    return [*found, *_link_unsaid(record, t_ns)]
+
+
+def _link_unsaid(record: Record, t_ns: int) -> list[Candidate]:
+    if not any(record.has(can_id) for can_id in AI_IDS):
+        return []
+    return [c for c in link_losses(record, t_ns, Sureness.SHOWN) if t_ns - c.t_ns <= BEHIND_NS]
+
+
+def _simulators_brake(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
+    if said or not like_official_simulator(record):
+        return []
+    rose = [
+        s
+        for signal in (BRAKE_REQ_F, BRAKE_REQ_R)
+        for s in record.series(signal).changes(t_ns - JUST_BEFORE_NS, t_ns)
+        if s.value > 0 and s.before == 0
+    ]
+    if not rose:
+        return []
+    step = Step(rose[0].begin_ns, f"a brake of {rose[0].value:g} % is asked for", 0x514, BRAKE_REQ_F.name)
+    return [candidate("brake_request_simulator", Sureness.SHOWN, [step])]
+
+
+Rule = Callable[[Record, int, set[str]], list[Candidate]]
+CONDITIONS: Final[tuple[Rule, ...]] = (_switch_off, _radio, _asked_unsaid, _simulators_brake)
+
+
+def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
+    """What is left when neither the car nor the frames name a cause."""
+    t_ns = span.begin_ns
+    if span.before is None:
+        step = Step(t_ns, "the first 0x520 of the log says EMERGENCY_BRAKE already", STATUS, AS_STATE.name)
+        return [candidate("before_the_log", Sureness.SHOWN, [step])]
+    checked = (
+        "ASMS and Go are on, no fault bit and no SHUTDOWN_CAUSE is set, the AI computer did not ask and was in time"
+    )
+    found = [candidate("sdc_open", Sureness.FITS, [Step(t_ns, f"{checked}: what is left is the SDC", STATUS)])]
+    return [*found, candidate("unknown", Sureness.POSSIBLE, [Step(t_ns, "something that this log does not have")])]
+
+
+# ---------------------------------------------------------------- drives that were cut off
+
+
+def _cut_off(record: Record, span: Span) -> Incident:
+    """AS_DRIVING fell back to another state than EMERGENCY_BRAKE or AS_FINISHED."""
+    t_ns = span.begin_ns
+    end = Step(t_ns, f"AS_STATE AS_DRIVING → {label(AS_STATE, span.value)}", STATUS, AS_STATE.name)
+    found: list[Candidate] = []
+    silence = next((g for g in record.gaps(STATUS, SILENT_NS) if g.end_ns == t_ns), None)
+    if silence is not None and span.value in OFF_LIKE:
+        words = f"the last 0x520 before {ms(silence.length_ns)} of silence"
+        slug = "vcu_reboot" if silence.length_ns < GONE_NS else "power_off"
+        found.append(candidate(slug, Sureness.SHOWN, [Step(silence.begin_ns, words, STATUS)]))
+    for s in record.series(AS_SWITCH).changes(t_ns - JUST_BEFORE_NS, t_ns):
+        if not s.value:
+            step = Step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off", STATUS, AS_SWITCH.name)
+            found.append(candidate("asms_off", Sureness.SHOWN, [step]))
+    for s in record.series(MISSION_STATUS).changes(t_ns - JUST_BEFORE_NS, t_ns):
+        if s.value == MissionStatus.NOT_SELECTED:
+            step = Step(s.begin_ns, "MISSION_STATUS becomes NOT_SELECTED", 0x510, MISSION_STATUS.name)
+            found.append(candidate("not_selected_simulator", Sureness.SHOWN, [step]))
+    if not found:
+        found.append(candidate("unknown", Sureness.POSSIBLE, [end]))
+    chains = tuple(replace(c, steps=(*c.steps, end)) for c in ranked(found))
+    return Incident(Kind.ABORT, t_ns, f"AS_DRIVING ended in {label(AS_STATE, span.value)}", chains)
+
+
+def _lost_car(record: Record) -> list[Incident]:
+    """The car fell silent in AS_DRIVING and never came back, while others went on."""
+    spans = record.series(AS_STATE).spans
+    if not spans or spans[-1].value != DRIVING:
+        return []
+    last_ns = spans[-1].end_ns
+    if record.end_ns - last_ns < GONE_NS:
+        return []
+    words = f"the last 0x520 of the log, {ms(record.end_ns - last_ns)} before its end"
+    heard = sorted(can_id for can_id in BY_ID if can_id > STATUS and can_id < 0x527 and len(record.times(can_id)))
+    still = any(int(record.times(can_id)[-1]) > last_ns + SILENT_NS for can_id in heard)
+    slug = "vcu_silent" if still else "power_off"
+    return [
+        Incident(
+            Kind.ABORT,
+            last_ns,
+            "the car fell silent in AS_DRIVING",
+            (candidate(slug, Sureness.SHOWN, [Step(last_ns, words, STATUS)]),),
+        )
+    ]

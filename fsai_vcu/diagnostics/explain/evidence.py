@@ -1,0 +1,236 @@
+"""Why did the AI computer ask: what the frames show before an ESTOP_REQUEST or before its service-brake stop.
+
+The conditions and times are those of the supervisor (core/supervision): its own checks are run over the log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.diagnostics.explain.incident import Candidate, Step, Sureness, candidate
+from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at, ms
+from fsai_vcu.diagnostics.explain.record import Intrusion, Record, Signal, Values
+from fsai_vcu.diagnostics.explain.signals import (
+    AMI,
+    ANGLE,
+    AS_SWITCH,
+    BRAKE_REQ_F,
+    BRAKE_REQ_R,
+    FAULT_STATUS,
+    FAULTS,
+    GO,
+    MS,
+    SHUTDOWN_CAUSE,
+    SHUTDOWN_REQUEST,
+    SPEED_MAX_F,
+    SPEED_MAX_R,
+    STANDING_RPM,
+    STEER,
+    TORQUE_F,
+    TORQUE_R,
+    TS_SWITCH,
+    S,
+    label,
+    like_official_simulator,
+)
+from fsai_vcu.diagnostics.log.frames import Ints
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+
+CONFIG: Final = BridgeConfig()
+INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
+BUS_NS: Final = 1 * S
+JUDGED_NS: Final = 30 * S  # implausibility is looked for over so much of the drive
+SLACK_NS: Final = 25 * MS
+WHEELS: Final = ("FL", "FR", "RL", "RR")
+
+
+def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: bool) -> list[Candidate]:
+    """Everything on the bus that makes a careful AI computer ask for an emergency (or, else, stop) at `t_ns`."""
+    config = CONFIG
+    found: list[Candidate] = []
+
+    def add(slug: str, since_ns: int, words: str, can_id: int | None = None, signal: str = "") -> None:
+        found.append(candidate(slug, Sureness.SHOWN, [Step(since_ns, words, can_id, signal)]))
+
+    if emergency:
+        for intrusion in record.intrusions:
+            if intrusion.begin_ns <= t_ns and t_ns - intrusion.begin_ns <= INTRUDER_NS:
+                add(Reason.INTRUDER.slug, intrusion.begin_ns, intrusion_words(intrusion), intrusion.can_id)
+                break
+        gap = gap_at(record, 0x520, t_ns, config.vcu_lost_ns)
+        if gap is not None:
+            add(
+                Reason.VCU_SILENT.slug,
+                gap.begin_ns,
+                f"the last 0x520 before {_lasting(gap.end_ns, gap.length_ns)}",
+                0x520,
+            )
+    patience = config.feedback_lost_ns if emergency else config.feedback_stale_ns
+    for can_id, reason in ((0x525, Reason.WHEELS_STALE), (0x523, Reason.STEERING_STALE)):
+        gap = gap_at(record, can_id, t_ns, patience)
+        if gap is None and not emergency and not record.has(can_id):
+            add(reason.slug, drive_begin_ns, f"0x{can_id:03X} never comes", can_id)
+        elif gap is not None:
+            add(
+                reason.slug,
+                gap.begin_ns,
+                f"the last 0x{can_id:03X} before {_lasting(gap.end_ns, gap.length_ns)}",
+                can_id,
+            )
+    found += dead_bus(record, t_ns, Sureness.SHOWN)
+    found += _implausible(
+        record, t_ns, drive_begin_ns, config.implausible_lost_ns if emergency else config.implausible_ns
+    )
+    pause = _own_pause(record, t_ns)
+    if pause is not None:
+        begin, length = pause
+        add(
+            Reason.LOOP_FAULT.slug, begin, f"the AI computer itself paused for {ms(length)} (its cycle is 10 ms)", 0x510
+        )
+    errors = record.error_ns[(record.error_ns >= t_ns - BUS_NS) & (record.error_ns <= t_ns)]
+    if len(errors):
+        add(
+            Reason.BUS_LOST.slug,
+            int(errors[0]),
+            f"{len(errors)} error frames within {ms(t_ns - int(errors[0]))} before",
+        )
+    if emergency:
+        found += _ineffective(record, t_ns)
+    else:
+        for signal, reason, falls in (
+            (GO, Reason.GO_OFF, True),
+            (FAULT_STATUS, Reason.FAULT_STATUS, False),
+            (AS_SWITCH, Reason.AS_SWITCH_OFF, True),
+            (TS_SWITCH, Reason.TS_SWITCH_OFF, True),
+            (SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
+            *((fault, Reason.FAULT_BIT, False) for fault in FAULTS),
+            (SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
+        ):
+            for span in record.series(signal).changes(t_ns - 100 * MS, t_ns):
+                if (span.value if falls else span.before) == 0.0:
+                    words = f"{signal.name} becomes {label(signal, span.value)}"
+                    add(reason.slug, span.begin_ns, words, signal.can_id, signal.name)
+    return found
+
+
+def _lasting(end_ns: int | None, length_ns: int) -> str:
+    return f"{ms(length_ns)} without it" + ("" if end_ns is not None else ", to the end of the log")
+
+
+def intrusion_words(intrusion: Intrusion) -> str:
+    """What makes it a stranger's frame."""
+    many = f", {intrusion.frames} such frames" if intrusion.frames > 1 else ""
+    if intrusion.apart_ns < 0:
+        return f"0x{intrusion.can_id:03X} was received, not sent, by the computer that wrote this log{many}"
+    payloads = ", then ".join(payload.hex().upper() for payload in intrusion.payloads)
+    return (
+        f"0x{intrusion.can_id:03X} comes twice within {ms(intrusion.apart_ns)} (one sender needs 10 ms){many};"
+        f" they say {payloads}"
+    )
+
+
+def _own_pause(record: Record, t_ns: int) -> tuple[int, int] | None:
+    """A pause of the AI computer's cycle that ended just before it asked."""
+    times = record.times(0x510)
+    place = int(np.searchsorted(times, t_ns, side="right")) - 1
+    for row in range(max(place - 3, 1), place + 1):
+        length = int(times[row] - times[row - 1])
+        if length >= CONFIG.send_lost_ns:
+            return int(times[row - 1]), length
+    return None
+
+
+def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
+    """The service brake was asked for, and the wheels did not slow down."""
+    wheels = record.fastest_wheel()
+    now = wheels.at(t_ns)
+    if now is None or now < STANDING_RPM:
+        return []
+    front = record.series(BRAKE_REQ_F).span_at(t_ns - SLACK_NS)
+    if front is None or front.value < CONFIG.stop_brake_pct - 1:
+        return []
+    asked_ns = t_ns - SLACK_NS - front.begin_ns
+    before = wheels.at(t_ns - CONFIG.stop_window_ns)
+    slow = before is not None and now > before - 2 * CONFIG.stop_min_drop_rpm
+    if asked_ns < CONFIG.stop_timeout_ns - 100 * MS and not (slow and asked_ns >= CONFIG.stop_window_ns - SLACK_NS):
+        return []
+    words = (
+        f"the brake is asked for at {front.value:g} % for {ms(asked_ns)}, and the wheels still turn at {now:.0f} rpm"
+    )
+    return [
+        candidate(Reason.STOP_INEFFECTIVE.slug, Sureness.SHOWN, [Step(front.begin_ns, words, 0x514, BRAKE_REQ_F.name)])
+    ]
+
+
+def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: int) -> list[Candidate]:
+    """The supervisor's plausibility checks, run over the log up to `t_ns`."""
+    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    begin_ns = max(drive_begin_ns + CONFIG.launch_wait_ns, t_ns - JUDGED_NS)
+    steer, wheel = SteeringCheck(), WheelCheck()
+    times = record.times(0x513)
+    times = times[(times >= begin_ns) & (times <= t_ns)]
+    if not len(times):
+        return []
+
+    def column(signal: Signal) -> Values:
+        series = record.series(signal)
+        if not len(series):
+            return np.zeros(len(times))
+        places = np.maximum(np.searchsorted(series.t_ns, times, side="right") - 1, 0)
+        return series.values[places]
+
+    def age_base(can_id: int) -> Ints:
+        heard = record.times(can_id)
+        places = np.searchsorted(heard, times, side="right") - 1
+        return np.where(places >= 0, heard[np.maximum(places, 0)] if len(heard) else 0, -S)
+
+    angle, angle_ns = column(ANGLE), age_base(0x523)
+    rpm = [column(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")) for name in WHEELS]
+    rpm_ns = age_base(0x525)
+    asked = column(STEER)
+    torque_f, torque_r = column(TORQUE_F), column(TORQUE_R)
+    brake_f, brake_r = column(BRAKE_REQ_F), column(BRAKE_REQ_R)
+    limit_f, limit_r = column(SPEED_MAX_F), column(SPEED_MAX_R)
+    inspected = _inspection(record, t_ns)
+    for row, now in enumerate(times.tolist()):
+        measured = VcuSteer(float(angle[row]), t_rx_ns=int(angle_ns[row]))
+        steer = check_steering(CONFIG, car, steer, float(asked[row]), measured, now)
+        if inspected:
+            continue
+        command = AiCommand(
+            front_torque_nm=float(torque_f[row]),
+            rear_torque_nm=float(torque_r[row]),
+            front_brake_pct=float(brake_f[row]),
+            rear_brake_pct=float(brake_r[row]),
+            front_motor_speed_max_rpm=int(limit_f[row]),
+            rear_motor_speed_max_rpm=int(limit_r[row]),
+        )
+        turning = [int(column_of[row]) for column_of in rpm]
+        speeds = replace(WheelSpeeds(*turning), t_rx_ns=int(rpm_ns[row]))
+        wheel = check_wheels(CONFIG, car, wheel, command, speeds, measured, now)
+    found = []
+    for since_ns, slug, can_id, words in (
+        (
+            steer.implausible_since_ns,
+            Reason.STEERING_IMPLAUSIBLE.slug,
+            0x523,
+            f"asked for {asked[-1]:.1f} deg, measured {angle[-1]:.1f} deg",
+        ),
+        (wheel.implausible_since_ns, Reason.WHEEL_IMPLAUSIBLE.slug, 0x525, wheel.detail),
+    ):
+        if since_ns is not None and t_ns - since_ns >= patience_ns - 2 * SLACK_NS:
+            text = f"{words}: implausible for {ms(t_ns - since_ns)}"
+            found.append(candidate(slug, Sureness.SHOWN, [Step(since_ns, text, can_id)]))
+    return found
+
+
+def _inspection(record: Record, t_ns: int) -> bool:
+    return record.series(AMI).at(t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)

@@ -1,0 +1,143 @@
+"""What a story is made of: events of the timeline, and incidents with their candidate causes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any
+
+from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
+from fsai_vcu.interface.bus_table import BY_ID
+
+NS_PER_S = 1e9
+
+
+class Weight(IntEnum):
+    """How much an event matters to a reader."""
+
+    NOTE = 0
+    STATE = 1
+    WARNING = 2
+    FAULT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One line of the timeline."""
+
+    t_ns: int
+    topic: str
+    text: str
+    weight: Weight = Weight.NOTE
+    can_id: int | None = None
+    signal: str = ""
+
+
+class Kind(Enum):
+    """What happened, in the words of the heading. `bad` decides the exit status."""
+
+    EMERGENCY = ("emergency_brake", "emergency brake", True)
+    ABORT = ("abort", "the drive was cut off", True)
+    REFUSAL = ("refusal_to_start", "refusal to start", True)
+    STOP = ("early_stop", "stopped before the mission was done", False)
+
+    def __init__(self, slug: str, words: str, bad: bool) -> None:
+        self.slug = slug
+        self.words = words
+        self.bad = bad
+
+
+class Sureness(IntEnum):
+    """How well a candidate is founded."""
+
+    POSSIBLE = 0
+    FITS = 1
+    SHOWN = 2
+    SAID = 3
+
+    @property
+    def words(self) -> str:
+        return ("cannot be excluded", "fits the frames", "the frames show it", "the car says so")[self]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One link of a cause chain: what a frame said, and when."""
+
+    t_ns: int
+    words: str
+    can_id: int | None = None
+    signal: str = ""
+
+    @property
+    def frame(self) -> str:
+        """`0x520 VCU2AI_Status`, or nothing where no one frame says it."""
+        if self.can_id is None:
+            return ""
+        known = BY_ID.get(self.can_id)
+        return f"0x{self.can_id:03X} {known.name}" if known else f"0x{self.can_id:03X}"
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One cause that may be behind an incident, with its evidence, the earliest first."""
+
+    slug: str
+    sureness: Sureness
+    steps: tuple[Step, ...]
+
+    @property
+    def cause(self) -> Cause:
+        return CAUSES[self.slug]
+
+    @property
+    def t_ns(self) -> int:
+        return self.steps[0].t_ns
+
+
+def candidate(slug: str, sureness: Sureness, steps: Iterable[Step]) -> Candidate:
+    """A candidate with its steps in the order of time. Raises KeyError for a cause that the table does not have."""
+    return Candidate(CAUSES[slug].slug, sureness, tuple(sorted(steps, key=lambda step: step.t_ns)))
+
+
+@dataclass(frozen=True, slots=True)
+class Incident:
+    """One emergency brake, refusal, cut-off drive or early stop. `candidates` are ranked, the likeliest first.
+
+    planned: the mission ends like this, nothing is to be put right.
+    """
+
+    kind: Kind
+    t_ns: int
+    what: str
+    candidates: tuple[Candidate, ...]
+    planned: bool = False
+
+    @property
+    def bad(self) -> bool:
+        return self.kind.bad and not self.planned
+
+
+def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """The best founded first; of equals the earliest. One of each cause."""
+    found: dict[str, Candidate] = {}
+    for one in sorted(candidates, key=lambda c: (-c.sureness, c.t_ns)):
+        found.setdefault(one.slug, one)
+    return tuple(found.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """The whole of it."""
+
+    heading: dict[str, Any]
+    events: tuple[Event, ...]
+    incidents: tuple[Incident, ...]
+    closing: str
+    problems: tuple[str, ...] = field(default=())
+
+    @property
+    def clean(self) -> bool:
+        """No emergency brake, no refusal to start, no drive cut off."""
+        return not any(incident.bad for incident in self.incidents)

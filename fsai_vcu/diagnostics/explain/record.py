@@ -1,0 +1,362 @@
+"""A log as a story reads it: signals over time, gaps, the handshake, and who else was on the bus.
+
+Everything here comes from the frames alone, of both directions. Times are nanoseconds of the log's clock, made
+monotonic: where that clock was set back, what follows is moved forward by as much.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
+from fsai_vcu.diagnostics.log.frames import ERROR, RECEIVED, SENT, Frames, Ints
+from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, MS, Flow
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import Revision
+
+Values = npt.NDArray[np.float64]
+
+CLOSE_NS: Final = 5 * MS  # interface specification v4.0: the five messages come every 10 ms, so never at half of it
+CATCHING_UP_NS: Final = 13 * MS  # after a pause longer than this, one sender may send twice in a hurry
+DEAD_NS: Final = 50 * MS  # five cycles of everybody
+DEAD_SHARE: Final = 0.8
+TOGETHER_NS: Final = 500 * MS  # what a stranger does within this time is told as one
+HANDSHAKE_LOST_NS: Final = 100 * MS  # interface specification v4.0: echo not matching for so long is a loss
+_NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
+
+
+class Signal(NamedTuple):
+    """A signal by the names of the databases."""
+
+    message: str
+    name: str
+
+    @property
+    def can_id(self) -> int:
+        return BY_NAME[self.message].can_id
+
+
+@dataclass(frozen=True)
+class Span:
+    """A value that held from `begin_ns` until the frame at `end_ns` said another, or until the last frame."""
+
+    begin_ns: int
+    end_ns: int
+    value: float
+    before: float | None = None  # None: the first value of the log
+
+
+@dataclass(frozen=True)
+class Series:
+    """One signal over time, a value for each frame that carried it."""
+
+    t_ns: Ints
+    values: Values
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def at(self, t_ns: int) -> float | None:
+        """The newest value at `t_ns`; None before the first frame."""
+        place = int(np.searchsorted(self.t_ns, t_ns, side="right")) - 1
+        return float(self.values[place]) if place >= 0 else None
+
+    @cached_property
+    def spans(self) -> Sequence[Span]:
+        """What was said, change by change."""
+        if not len(self.t_ns):
+            return ()
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(self.values)) + 1))
+        ends = np.append(self.t_ns[starts[1:]], self.t_ns[-1])
+        return tuple(
+            Span(
+                int(self.t_ns[start]),
+                int(end),
+                float(self.values[start]),
+                float(self.values[start - 1]) if start else None,
+            )
+            for start, end in zip(starts, ends, strict=True)
+        )
+
+    def span_at(self, t_ns: int) -> Span | None:
+        """The span in force at `t_ns`."""
+        found = None
+        for span in self.spans:
+            if span.begin_ns > t_ns:
+                break
+            found = span
+        return found
+
+    def changes(self, begin_ns: int, end_ns: int) -> list[Span]:
+        """Spans that begin with a change (not with the log) from `begin_ns` up to and including `end_ns`."""
+        return [s for s in self.spans if s.before is not None and begin_ns <= s.begin_ns <= end_ns]
+
+    def between(self, begin_ns: int, end_ns: int) -> Series:
+        """The part from `begin_ns` up to and including `end_ns`."""
+        low, high = np.searchsorted(self.t_ns, (begin_ns, end_ns + 1))
+        return Series(self.t_ns[low:high], self.values[low:high])
+
+
+NOTHING: Final = Series(np.zeros(0, np.int64), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A message that did not come. `end_ns` None: it never came back in this log."""
+
+    can_id: int
+    begin_ns: int  # its last frame before
+    end_ns: int | None
+    length_ns: int
+
+
+@dataclass(frozen=True)
+class Intrusion:
+    """Frames on one of the AI computer's ids which two senders must have sent."""
+
+    can_id: int
+    begin_ns: int
+    end_ns: int
+    frames: int
+    apart_ns: int  # how close to the other sender's frame the first one came; -1: known by the log's R and T
+    payloads: tuple[bytes, ...] = ()  # of the frames that came together, in their order
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A toggle of the VCU's handshake and the AI computer's echo. `echo_ns` None: it never came."""
+
+    toggle_ns: int
+    bit: int
+    echo_ns: int | None
+    waited_ns: int
+
+    @property
+    def lost(self) -> bool:
+        return self.waited_ns >= HANDSHAKE_LOST_NS
+
+
+@dataclass
+class Record:
+    """The frames of one car's bus, by message and signal. Made by `record_of`."""
+
+    revision: Revision
+    revision_reason: str
+    channel: str
+    begin_ns: int
+    end_ns: int
+    frames: Frames = field(repr=False)  # of that bus, with the monotonic times
+    decoder: Decoder = field(repr=False)
+    error_ns: Ints = field(repr=False)
+    set_back: Sequence[tuple[int, int]] = ()  # where the log's clock was set back, and by how much
+    wrong_length: Mapping[int, tuple[int, int]] = field(default_factory=dict)  # id: how often, first time
+    unknown_ids: Mapping[int, int] = field(default_factory=dict)
+    other_channels: Mapping[str, int] = field(default_factory=dict)
+    _rows: dict[int, Ints] = field(default_factory=dict, repr=False)
+    _tables: dict[str, MessageTable] = field(default_factory=dict, repr=False)
+    _series: dict[Signal, Series] = field(default_factory=dict, repr=False)
+
+    # ------------------------------------------------------------ signals
+
+    def has(self, can_id: int) -> bool:
+        """Whether the log has that message, whole."""
+        return can_id in self._rows
+
+    def times(self, can_id: int) -> Ints:
+        """When that message came."""
+        rows = self._rows.get(can_id)
+        return NOTHING.t_ns if rows is None else self.frames.t_ns[rows]
+
+    def series(self, signal: Signal) -> Series:
+        """A signal in physical units; empty if the log or the database does not have it."""
+        found = self._series.get(signal)
+        if found is None:
+            found = self._series[signal] = self._read(signal)
+        return found
+
+    def _read(self, signal: Signal) -> Series:
+        layout = self.decoder.databases.by_name(signal.message)
+        if layout is None or layout.can_id not in self._rows:
+            return NOTHING
+        table = self._tables.get(layout.name)
+        if table is None:
+            table = self._tables[layout.name] = self.decoder.table(layout, self.frames, self._rows[layout.can_id])
+        for tail in _NAME_TAILS:
+            found = table.series.get(signal.name + tail)
+            if found is not None:
+                return Series(found.t_ns, found.values.astype(np.float64))
+        return NOTHING
+
+    def fastest_wheel(self) -> Series:
+        """The fastest of the four wheels, rpm."""
+        return self._over_wheels(np.maximum)
+
+    def slowest_wheel(self) -> Series:
+        """The slowest of the four wheels, rpm."""
+        return self._over_wheels(np.minimum)
+
+    def _over_wheels(self, choose: np.ufunc) -> Series:
+        key = Signal("VCU2AI_Speeds", choose.__name__)
+        if key not in self._series:
+            wheels = [self.series(Signal("VCU2AI_Speeds", f"{w}_WHEEL_SPEED")) for w in ("FL", "FR", "RL", "RR")]
+            values = choose.reduce([wheel.values for wheel in wheels])
+            self._series[key] = Series(wheels[0].t_ns, values)
+        return self._series[key]
+
+    # ------------------------------------------------------------ the link
+
+    def gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
+        """Where that message was missing for more than `longest_ns`, within the log and at its end."""
+        times = self.times(can_id)
+        if not len(times):
+            return []
+        waits = np.diff(np.append(times, self.end_ns))
+        return [
+            Gap(
+                can_id,
+                int(times[place]),
+                int(times[place + 1]) if place + 1 < len(times) else None,
+                int(waits[place]),
+            )
+            for place in np.flatnonzero(waits > longest_ns)
+        ]
+
+    @cached_property
+    def silences(self) -> Sequence[tuple[int, int]]:
+        """(from, to) where nobody at all was heard: the bus was dead, or the recording paused."""
+        times = self.frames.t_ns
+        return tuple((int(times[place]), int(times[place + 1])) for place in np.flatnonzero(np.diff(times) > DEAD_NS))
+
+    def silence_in(self, gap: Gap) -> tuple[int, int] | None:
+        """The silence of everybody that is nearly all of this gap of one message."""
+        over_ns = self.end_ns if gap.end_ns is None else gap.end_ns
+        for begin_ns, end_ns in self.silences:
+            if min(end_ns, over_ns) - max(begin_ns, gap.begin_ns) > DEAD_SHARE * gap.length_ns:
+                return begin_ns, end_ns
+        return None
+
+    @cached_property
+    def answers(self) -> Sequence[Answer]:
+        """Every toggle of the VCU's handshake while the AI computer speaks, and its echo."""
+        asked = self.series(Signal("VCU2AI_Status", "HANDSHAKE"))
+        echo = self.series(Signal("AI2VCU_Status", "HANDSHAKE"))
+        if not len(echo):
+            return ()
+        place = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
+        found = []
+        for span in asked.spans:
+            if span.before is None or span.begin_ns < echo.t_ns[0]:
+                continue
+            bit = int(span.value)
+            times = place[bit]
+            first = int(np.searchsorted(times, span.begin_ns))
+            echo_ns = int(times[first]) if first < len(times) else None
+            waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
+            found.append(Answer(span.begin_ns, bit, echo_ns, waited_ns))
+        return tuple(found)
+
+    @cached_property
+    def intrusions(self) -> Sequence[Intrusion]:
+        """Frames on the AI computer's ids that cannot all be one sender's, in the order of time."""
+        found: list[Intrusion] = []
+        for can_id in AI_IDS:
+            if can_id not in self._rows:
+                continue
+            rows, times = self._rows[can_id], self.times(can_id)
+            flags = self.frames.flags[rows]
+            # Where the AI computer itself wrote the log it says of each frame who sent it.
+            foreign = ((flags & RECEIVED) != 0) & bool(((flags & SENT) != 0).any())
+            apart = np.diff(times, prepend=times[0] - 10 * MS)
+            before = np.concatenate(([10 * MS], apart[:-1]))
+            close = (apart < CLOSE_NS) & (before < CATCHING_UP_NS)
+            for row in np.flatnonzero(foreign if foreign.any() else close):
+                t_ns = int(times[row])
+                apart_ns = -1 if foreign.any() else int(apart[row])
+                last = found[-1] if found else None
+                if last is not None and last.can_id == can_id and t_ns - last.end_ns <= TOGETHER_NS:
+                    found[-1] = Intrusion(can_id, last.begin_ns, t_ns, last.frames + 1, last.apart_ns, last.payloads)
+                else:
+                    # Which of the two is the stranger's is not to be seen; it is at the latest the second.
+                    both = apart_ns >= 0 and row > 0
+                    payloads = tuple(self.frames.payload(int(r)) for r in rows[row - both : row + 1])
+                    begin_ns = int(times[row - both])
+                    found.append(Intrusion(can_id, begin_ns, t_ns, 1, apart_ns, payloads))
+        return tuple(sorted(found, key=lambda intrusion: intrusion.begin_ns))
+
+
+def record_of(frames: Frames, revision: Revision, reason: str = "given", databases: Databases | None = None) -> Record:
+    """Sort the frames of a log by message. Where it has several buses, the one with the car's messages counts.
+
+    `databases` replaces the revision's own. Raises ValueError for a log without a frame.
+    """
+    if not len(frames):
+        raise ValueError("there is no frame to tell about")
+    chosen = _car_channel(frames)
+    straight, set_back = _monotonic(frames.t_ns)
+    bus = replace(frames, t_ns=straight).only(frames.channel == chosen)
+    decoder = Decoder(databases or _own_databases(revision.name))
+    rows_of: dict[int, Ints] = {}
+    wrong: dict[int, tuple[int, int]] = {}
+    unknown: Counter[int] = Counter()
+    for layout, rows in decoder.by_message(bus):
+        if layout is None:
+            unknown.update(bus.can_id[rows].tolist())
+            continue
+        right = bus.length[rows] == layout.length
+        if not right.all():
+            strange = rows[~right]
+            wrong[layout.can_id] = (len(strange), int(bus.t_ns[strange[0]]))
+        if right.any() and not layout.extended:
+            rows_of[layout.can_id] = rows[right]
+    return Record(
+        revision,
+        reason,
+        frames.channels[chosen],
+        int(straight[0]),
+        int(straight[-1]),
+        bus,
+        decoder,
+        bus.t_ns[(bus.flags & ERROR) != 0],
+        set_back,
+        wrong,
+        unknown,
+        {
+            name: int((frames.channel == number).sum())
+            for number, name in enumerate(frames.channels)
+            if number != chosen and (frames.channel == number).any()
+        },
+        rows_of,
+    )
+
+
+@cache
+def _own_databases(revision: str) -> Databases:
+    return load_databases(revision=revision)
+
+
+def _car_channel(frames: Frames) -> int:
+    """The bus on which most of the VCU's and the AI computer's messages are."""
+    known = [can_id for can_id, message in BY_ID.items() if message.flow in (Flow.TO_VCU, Flow.FROM_VCU)]
+    ours = frames.channel[np.isin(frames.can_id, known)]
+    counted = ours if len(ours) else frames.channel
+    return int(np.bincount(counted).argmax()) if len(counted) else 0
+
+
+def _monotonic(t_ns: Ints) -> tuple[Ints, Sequence[tuple[int, int]]]:
+    """The times with every step back taken out, and where the steps were."""
+    steps = np.diff(t_ns)
+    back = np.flatnonzero(steps < 0)
+    if not len(back):
+        return t_ns, ()
+    moved = np.zeros(len(t_ns), np.int64)
+    moved[back + 1] = -steps[back]
+    straight = t_ns + np.cumsum(moved)
+    return straight, tuple((int(straight[place + 1]), int(-steps[place])) for place in back)

@@ -1,0 +1,198 @@
+"""The story as people read it, and as programs do."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from fsai_vcu.diagnostics.explain.incident import Candidate, Event, Incident, Kind, Step, Story, Sureness, Weight
+
+WIDTH: Final = 110
+EPOCH_NS: Final = 946_684_800 * 1_000_000_000  # 2000: earlier stamps count from something else than a calendar
+_ALSO: Final = 3  # further candidates told in full sentences
+_COLOURS: Final = {Weight.FAULT: "31;1", Weight.WARNING: "33", Weight.STATE: "1", Weight.NOTE: "2"}
+
+
+def seconds(story: Story, t_ns: int) -> float:
+    """Seconds since the log's first frame."""
+    return (t_ns - int(story.heading["begin_ns"])) / 1e9
+
+
+def cut(story: Story, from_s: float | None, to_s: float | None) -> Story:
+    """The part of a story from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
+    low = float("-inf") if from_s is None else from_s
+    high = float("inf") if to_s is None else to_s
+    return Story(
+        story.heading,
+        tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
+        tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
+        story.closing,
+        story.problems,
+    )
+
+
+# ---------------------------------------------------------------- for people
+
+
+def text_lines(story: Story, name: str, *, colour: bool = False) -> Iterator[str]:
+    """The story as lines: timeline first, so that the answer stands at the end, where the eye is."""
+
+    def paint(text: str, code: str) -> str:
+        return f"\033[{code}m{text}\033[0m" if colour and code else text
+
+    heading = story.heading
+    began = int(heading["begin_ns"])
+    when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
+    yield paint(f"{name}: {heading['seconds']:.1f} s, {heading['frames']} frames on {heading['channel']}{when}", "1")
+    yield f"interface revision {heading['revision']} ({heading['revision_reason']})"
+    for problem in story.problems:
+        yield paint(f"note: {problem}", "33")
+    yield ""
+    for event in story.events:
+        yield _event_line(story, event, paint)
+    yield f"{heading['seconds']:9.3f} s  {'':<9} {story.closing}"
+    for incident in story.incidents:
+        yield ""
+        yield from _incident_lines(story, incident, paint)
+    yield ""
+    yield paint(verdict(story), "32;1" if story.clean else "31;1")
+
+
+def _event_line(story: Story, event: Event, paint: Any) -> str:
+    where = f"  [0x{event.can_id:03X}]" if event.can_id is not None else ""
+    text = paint(event.text, _COLOURS[event.weight])
+    return f"{seconds(story, event.t_ns):9.3f} s  {event.topic:<9} {text}{paint(where, '2')}"
+
+
+def _incident_lines(story: Story, incident: Incident, paint: Any) -> Iterator[str]:
+    colour = "31;1" if incident.bad else "33;1"
+    planned = " (as planned)" if incident.planned else ""
+    heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"
+    yield paint(heading, colour)
+    first = incident.candidates[0]
+    yield from _wrapped(f"because {first.cause.words}", "  ", paint, "1")
+    yield from _chain(incident, first, paint)
+    yield from _wrapped(f"what to do: {first.cause.remedy}.", "  ", paint)
+    if first.sureness < Sureness.SHOWN or first.cause.record:
+        if first.sureness < Sureness.SHOWN:
+            yield from _wrapped(f"how sure: this {first.sureness.words}; the log does not prove it.", "  ", paint)
+        if first.cause.record:
+            yield from _wrapped(f"to know more, record next time: {first.cause.record}.", "  ", paint)
+    for other in incident.candidates[1 : 1 + _ALSO]:
+        step = other.steps[0]
+        yield from _wrapped(f"also ({other.sureness.words}): {other.cause.words}. {step.words}.", "  ", paint)
+        if other.sureness >= Sureness.SHOWN:
+            yield from _wrapped(f"what to do: {other.cause.remedy}.", "      ", paint)
+
+
+def _chain(incident: Incident, one: Candidate, paint: Any) -> Iterator[str]:
+    for step in one.steps:
+        frame = f"{step.frame:<22}" if step.frame else " " * 22
+        signal = f" [{step.signal}]" if step.signal and step.signal not in step.words else ""
+        yield f"    {before(incident.t_ns, step):>12}  {paint(frame, '36')}  {step.words}{paint(signal, '2')}"
+
+
+def before(t_ns: int, step: Step) -> str:
+    """How long before (or after) the incident."""
+    apart_ms = (step.t_ns - t_ns) / 1e6
+    if abs(apart_ms) < 0.05:
+        return "0 ms"
+    if abs(apart_ms) >= 1000:
+        return f"{apart_ms / 1000:+.2f} s"
+    return f"{apart_ms:+.1f} ms" if abs(apart_ms) < 10 else f"{apart_ms:+.0f} ms"
+
+
+def _wrapped(text: str, indent: str, paint: Any, code: str = "") -> Iterator[str]:
+    for line in textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  "):
+        yield paint(line, code)
+
+
+def verdict(story: Story) -> str:
+    """One line that ends the story."""
+    counts = []
+    for kind, one, many in (
+        (Kind.EMERGENCY, "emergency brake", "emergency brakes"),
+        (Kind.ABORT, "drive cut off", "drives cut off"),
+        (Kind.REFUSAL, "refusal to start", "refusals to start"),
+    ):
+        count = sum(incident.bad for incident in story.incidents if incident.kind is kind)
+        if count:
+            counts.append(f"{count} {one if count == 1 else many}")
+    early = sum(incident.kind is Kind.STOP for incident in story.incidents)
+    planned = sum(incident.planned for incident in story.incidents)
+    rest = [f"{early} early stop{'s' if early > 1 else ''} by the service brake"] if early else []
+    rest += ["the emergency brake that the mission ends with"] if planned else []
+    if counts:
+        return ", ".join([*counts, *rest])
+    return "no emergency brake, no refusal to start" + (f"; {', '.join(rest)}" if rest else "")
+
+
+# ---------------------------------------------------------------- for programs
+
+
+def json_lines(story: Story, name: str) -> Iterator[str]:
+    """One object per line: the log, each event, each incident, the verdict."""
+    yield json.dumps({"type": "log", "log": name, **story.heading, "notes": list(story.problems)})
+    for event in story.events:
+        yield json.dumps(
+            {
+                "type": "event",
+                "t_s": round(seconds(story, event.t_ns), 6),
+                "t_ns": event.t_ns,
+                "topic": event.topic,
+                "weight": event.weight.name.lower(),
+                "text": event.text,
+                "frame": None if event.can_id is None else f"0x{event.can_id:03X}",
+                "signal": event.signal or None,
+            }
+        )
+    for incident in story.incidents:
+        yield json.dumps(incident_dict(story, incident))
+    yield json.dumps(
+        {
+            "type": "verdict",
+            "clean": story.clean,
+            "emergency_brakes": sum(i.kind is Kind.EMERGENCY for i in story.incidents),
+            "refusals": sum(i.kind is Kind.REFUSAL for i in story.incidents),
+            "aborts": sum(i.kind is Kind.ABORT for i in story.incidents),
+            "early_stops": sum(i.kind is Kind.STOP for i in story.incidents),
+            "words": verdict(story),
+            "ends": story.closing,
+        }
+    )
+
+
+def incident_dict(story: Story, incident: Incident) -> dict[str, Any]:
+    """One incident for JSON."""
+    return {
+        "type": "incident",
+        "kind": incident.kind.slug,
+        "t_s": round(seconds(story, incident.t_ns), 6),
+        "t_ns": incident.t_ns,
+        "what": incident.what,
+        "planned": incident.planned,
+        "bad": incident.bad,
+        "causes": [
+            {
+                "cause": one.slug,
+                "words": one.cause.words,
+                "sureness": one.sureness.name.lower(),
+                "remedy": one.cause.remedy,
+                "record": one.cause.record or None,
+                "chain": [
+                    {
+                        "t_s": round(seconds(story, step.t_ns), 6),
+                        "before_ms": round((incident.t_ns - step.t_ns) / 1e6, 3),
+                        "frame": step.frame or None,
+                        "signal": step.signal or None,
+                        "words": step.words,
+                    }
+                    for step in one.steps
+                ],
+            }
+            for one in incident.candidates
+        ],
+    }

@@ -1,0 +1,364 @@
+"""Why the car does not start: every condition between power-up and AS_DRIVING, as two tables.
+
+`TO_READY` are the conditions of AS_OFF -> AS_READY (and of leaving AS_INIT), `TO_DRIVING` those of AS_READY ->
+AS_DRIVING. A condition that cannot be met before another one is is told as what follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from fsai_vcu.core.supervision.readiness import READY_STEER_DEG, READY_WAIT_NS
+from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Kind, Step, Sureness, candidate
+from fsai_vcu.diagnostics.explain.link import ms
+from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
+from fsai_vcu.diagnostics.explain.signals import (
+    AMI,
+    ANGLE,
+    AS_STATE,
+    AS_SWITCH,
+    DIRECTION,
+    DRIVING,
+    EBS_STATE,
+    EMERGENCY,
+    ESTOP,
+    FAULT_STATUS,
+    FAULTS,
+    FINISHED,
+    GO,
+    MISSION_STATUS,
+    MS,
+    OFF_LIKE,
+    READY,
+    SHUTDOWN_REQUEST,
+    STATUS,
+    STATUS_BRK,
+    STATUS_EBS,
+    STEER,
+    STEERING_STATUS,
+    TORQUE_F,
+    TORQUE_R,
+    TS_STATE,
+    TS_SWITCH,
+    S,
+    label,
+    like_official_simulator,
+)
+from fsai_vcu.interface.enums import BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
+from fsai_vcu.interface.reserved import AI_IDS
+
+PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
+NO_GO_NS: Final = READY_WAIT_NS + 1 * S
+ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
+HEARD_NS: Final = 500 * MS
+
+Unmet = Callable[[Record, int], "Step | None"]
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One condition. `unmet` gives the evidence while it does not hold. `after`: what has to be met before it."""
+
+    slug: str
+    unmet: Unmet
+    after: tuple[str, ...] = ()
+    hint: bool = False  # no condition of the interface's table, but it goes with a car that does not start
+
+
+def _is(signal: Signal, wanted: Callable[[float], bool]) -> Unmet:
+    """The condition that a signal (where the log has it) has a wanted value."""
+
+    def unmet(record: Record, t_ns: int) -> Step | None:
+        span = record.series(signal).span_at(t_ns)
+        if span is None or wanted(span.value):
+            return None
+        words = f"{signal.name} is {label(signal, span.value)}"
+        return Step(span.begin_ns, words, signal.can_id, signal.name)
+
+    return unmet
+
+
+def _no_ai_data(record: Record, t_ns: int) -> Step | None:
+    last = max((_last(record, can_id, t_ns) for can_id in AI_IDS), default=None)
+    if last is not None and last > 0 and t_ns - last < HEARD_NS:
+        return None
+    if not last:
+        return Step(record.begin_ns, "no 0x510 to 0x514 up to then")
+    return Step(last, f"the last frame of the AI computer, {ms(t_ns - last)} before")
+
+
+def _last(record: Record, can_id: int, t_ns: int) -> int:
+    times = record.times(can_id)
+    place = int(times.searchsorted(t_ns, side="right"))
+    return int(times[place - 1]) if place else 0
+
+
+def _incomplete(record: Record, t_ns: int) -> Step | None:
+    missing = [i for i in AI_IDS if t_ns - _last(record, i, t_ns) >= HEARD_NS]
+    if not missing or len(missing) == len(AI_IDS):
+        return None
+    wrong = [i for i in missing if i in record.wrong_length]
+    names = ", ".join(f"0x{i:03X}" for i in missing)
+    words = f"{names} {'does' if len(missing) == 1 else 'do'} not come" + (
+        ", or with the wrong length" if wrong else ""
+    )
+    return Step(max(_last(record, missing[0], t_ns), record.begin_ns), words, missing[0])
+
+
+def _link_lost(record: Record, t_ns: int) -> Step | None:
+    bit = Signal("VCU2AI_Status", "AI_COMMS_LOST")
+    span = record.series(bit).span_at(t_ns)
+    return Step(span.begin_ns, "AI_COMMS_LOST is 1", STATUS, bit.name) if span is not None and span.value else None
+
+
+def _ebs(record: Record, t_ns: int) -> Step | None:
+    if len(record.series(EBS_STATE)) and record.revision.name != "2021":
+        return _is(EBS_STATE, lambda value: value == EbsState.EBS_ARMED)(record, t_ns)
+    # 0 is what the official simulator always sends: it says nothing
+    return _is(STATUS_EBS, lambda value: value in (0, EbsStatus.ARMED))(record, t_ns)
+
+
+def _status(wrong: MissionStatus) -> Unmet:
+    return _is(MISSION_STATUS, lambda value: value != wrong)
+
+
+def _power_cycle(record: Record, t_ns: int) -> Step | None:
+    ends = (EMERGENCY,) if record.revision.name == "2021" else (EMERGENCY, FINISHED)
+    if like_official_simulator(record):
+        return None  # ASMS alone resets it
+    last: Span | None = None
+    for span in record.series(AS_STATE).spans:
+        if span.begin_ns > t_ns:
+            break
+        if span.value in ends:
+            last = span
+    if last is None or any(last.end_ns <= g.begin_ns <= t_ns for g in record.gaps(STATUS, GONE_NS)):
+        return None
+    words = f"the last run ended in {label(AS_STATE, last.value)}, and 0x520 has not been away since"
+    return Step(last.end_ns, words, STATUS, AS_STATE.name)
+
+
+def _fault(record: Record, t_ns: int) -> Step | None:
+    span = record.series(FAULT_STATUS).span_at(t_ns)
+    if span is None or not span.value:
+        return None
+    names = [signal.name for signal in FAULTS if record.series(signal).at(t_ns)]
+    return Step(
+        span.begin_ns, f"FAULT_STATUS is 1{': ' + ', '.join(names) if names else ''}", STATUS, FAULT_STATUS.name
+    )
+
+
+_LINK = ("no_ai_data", "ai_data_incomplete")
+
+TO_READY: Final[tuple[Condition, ...]] = (
+    Condition("no_ai_data", _no_ai_data),
+    Condition("ai_data_incomplete", _incomplete),
+    Condition("power_cycle", _power_cycle),
+    Condition("asms", _is(AS_SWITCH, bool)),
+    Condition("tsms", _is(TS_SWITCH, bool)),
+    Condition("shutting_down", _is(SHUTDOWN_REQUEST, lambda value: not value), after=("tsms",)),
+    Condition("fault", _fault, after=_LINK),
+    Condition("link_lost", _link_lost, after=_LINK),
+    Condition("estop_latched", _is(ESTOP, lambda value: not value), after=("no_ai_data",)),
+    Condition("no_mission", _is(AMI, bool)),
+    Condition(
+        "status_not_selected", _status(MissionStatus.NOT_SELECTED), after=("no_ai_data", "no_mission", "estop_latched")
+    ),
+    Condition("status_running", _status(MissionStatus.RUNNING), after=("no_ai_data",)),
+    Condition("status_finished", _status(MissionStatus.FINISHED), after=("no_ai_data",)),
+    Condition(
+        "ts_not_running",
+        _is(TS_STATE, lambda value: value == TsState.TS_RUNNING),
+        after=(*_LINK, "tsms", "power_cycle", "fault", "shutting_down", "link_lost"),
+    ),
+    Condition(
+        "ebs_not_armed",
+        _ebs,
+        after=(*_LINK, "asms", "tsms", "power_cycle", "fault", "shutting_down", "link_lost", "ts_not_running"),
+    ),
+)
+
+
+def _too_early(record: Record, t_ns: int) -> Step | None:
+    span = record.series(AS_STATE).span_at(t_ns)
+    if span is None or span.before is None or t_ns - span.begin_ns >= READY_WAIT_NS:
+        return None
+    words = f"Go {ms(t_ns - span.begin_ns)} after AS_READY began: 5 s have to pass"
+    return Step(span.begin_ns, words, STATUS, AS_STATE.name)
+
+
+def _ready_not_selected(record: Record, t_ns: int) -> Step | None:
+    if not like_official_simulator(record):
+        return None
+    return _is(MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
+
+
+def _torque(record: Record, t_ns: int) -> Step | None:
+    zero = lambda value: value == 0  # noqa: E731
+    return _is(TORQUE_F, zero)(record, t_ns) or _is(TORQUE_R, zero)(record, t_ns)
+
+
+TO_DRIVING: Final[tuple[Condition, ...]] = (
+    Condition("go_too_early", _too_early),
+    Condition("torque_requested", _torque),
+    Condition("steering_requested", _is(STEER, lambda value: value == 0)),
+    Condition("steering_turned", _is(ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
+    Condition("direction_not_neutral", _is(DIRECTION, lambda value: value == Direction.NEUTRAL)),
+    Condition("ready_not_selected", _ready_not_selected),
+    Condition("link_lost", _link_lost),
+    Condition("no_ai_data", _no_ai_data),
+    Condition("steering_inactive", _is(STEERING_STATUS, bool), hint=True),
+    Condition("brakes_not_ready", _is(STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
+)
+
+
+def unmet(conditions: tuple[Condition, ...], record: Record, t_ns: int) -> list[Candidate]:
+    """What does not hold at `t_ns`: what must be put right first, then what follows from it."""
+    steps = {c.slug: step for c in conditions if (step := c.unmet(record, t_ns)) is not None}
+    found = [
+        candidate(
+            c.slug,
+            Sureness.FITS if c.hint or any(slug in steps for slug in c.after) else Sureness.SHOWN,
+            [steps[c.slug]],
+        )
+        for c in conditions
+        if c.slug in steps
+    ]
+    return sorted(found, key=lambda one: -one.sureness)
+
+
+# ---------------------------------------------------------------- refusals
+
+
+def refusals(record: Record) -> list[Incident]:
+    """Every time that the car was to start and did not."""
+    return [*_never_ready(record), *_never_driving(record)]
+
+
+def _never_ready(record: Record) -> list[Incident]:
+    found = []
+    for begin_ns, end_ns, after_run, following in _off_stretches(record):
+        if following is not None or end_ns - begin_ns < PATIENCE_NS:
+            continue
+        tried = any(s.value for s in record.series(AS_SWITCH).changes(begin_ns, end_ns))
+        if after_run and not tried:
+            continue  # the run is over, and the switches go off
+        at_ns = _last_both_on(record, begin_ns, end_ns)
+        candidates = unmet(TO_READY, record, at_ns)
+        if not candidates:
+            words = "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there"
+            candidates = [candidate("start_unknown", Sureness.POSSIBLE, [Step(at_ns, words, STATUS)])]
+        state = label(AS_STATE, record.series(AS_STATE).at(at_ns))
+        what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
+        found.append(Incident(Kind.REFUSAL, at_ns, what, tuple(candidates)))
+    return found
+
+
+def _off_stretches(record: Record) -> list[tuple[int, int, bool, float | None]]:
+    """(begin, end, whether a run was before, the state after) of each stay in AS_INIT and AS_OFF while 0x520 came."""
+    found: list[tuple[int, int, bool, float | None]] = []
+    spans = record.series(AS_STATE).spans
+    away = record.gaps(STATUS, GONE_NS)
+    place = 0
+    while place < len(spans):
+        if spans[place].value not in OFF_LIKE:
+            place += 1
+            continue
+        first = place
+        while place < len(spans) and spans[place].value in OFF_LIKE:
+            place += 1
+        begin_ns = spans[first].begin_ns
+        before = spans[first].before
+        after_run = before is not None and before not in OFF_LIKE
+        end_ns = spans[place - 1].end_ns
+        following = spans[place].value if place < len(spans) else None
+        for gap in away:
+            if begin_ns <= gap.begin_ns < end_ns and gap.end_ns is not None:
+                if gap.begin_ns > begin_ns:
+                    found.append((begin_ns, gap.begin_ns, after_run, None))
+                begin_ns, after_run = gap.end_ns, False
+            elif gap.end_ns == begin_ns:
+                after_run = False
+        found.append((begin_ns, end_ns, after_run, following))
+    return found
+
+
+def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
+    """The last moment with ASMS and TSMS on: what was missing then was missing to start. Else the end."""
+    asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (AS_SWITCH, TS_SWITCH))
+    both = (asms.values != 0) & (tsms.values != 0)
+    places = both.nonzero()[0]
+    return int(asms.t_ns[places[-1]]) if len(places) else end_ns
+
+
+def _never_driving(record: Record) -> list[Incident]:
+    found = []
+    spans = record.series(AS_STATE).spans
+    for place, span in enumerate(spans):
+        if span.value != READY:
+            continue
+        following = spans[place + 1].value if place + 1 < len(spans) else None
+        incident = _refused_go(record, span, following)
+        if incident is None and following not in (DRIVING, EMERGENCY):
+            incident = _waited_in_vain(record, span, following)
+        if incident is not None:
+            found.append(incident)
+    return found
+
+
+def _refused_go(record: Record, span: Span, following: float | None) -> Incident | None:
+    """Go was given, and the car stayed in AS_READY."""
+    edges = [s.begin_ns for s in record.series(GO).changes(span.begin_ns, span.end_ns) if s.value]
+    refused = [
+        edge
+        for edge in edges
+        if span.end_ns - edge > ANSWER_NS or (following not in (DRIVING, None) and span.end_ns - edge > 0)
+    ]
+    if not refused:
+        return None
+    found: dict[str, Candidate] = {}
+    for edge in refused:
+        pressed = Step(edge, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
+        for one in unmet(TO_DRIVING, record, edge):
+            found.setdefault(one.slug, candidate(one.slug, one.sureness, [*one.steps, pressed]))
+    if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
+        pressed = Step(refused[0], "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
+        found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, [pressed])
+    times = f" ({len(refused)} times)" if len(refused) > 1 else ""
+    later = ", later it did" if following == DRIVING else ""
+    what = f"Go was given{times} and the car did not start{later}"
+    order = sorted(found.values(), key=lambda one: -one.sureness)
+    return Incident(Kind.REFUSAL, refused[0], what, tuple(order))
+
+
+def _waited_in_vain(record: Record, span: Span, following: float | None) -> Incident | None:
+    """AS_READY ended, or the log did, without a Go that counts."""
+    waited_ns = span.end_ns - span.begin_ns
+    end_ns = span.end_ns - 1 if following is not None else span.end_ns
+    candidates: list[Candidate] = []
+    if following in OFF_LIKE:
+        for s in record.series(AS_SWITCH).changes(span.begin_ns, span.end_ns):
+            if not s.value:
+                step = Step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0", STATUS, AS_SWITCH.name)
+                candidates.append(candidate("given_up", Sureness.SHOWN, [step]))
+    if waited_ns >= NO_GO_NS:
+        held = record.series(GO).span_at(end_ns)
+        candidates += [c for c in unmet(TO_DRIVING, record, end_ns) if c.slug != "go_too_early"]
+        if held is not None and held.value and held.begin_ns <= span.begin_ns:
+            step = Step(held.begin_ns, "GO_SIGNAL is 1 since before AS_READY began", STATUS, GO.name)
+            candidates.append(candidate("go_held", Sureness.SHOWN, [step]))
+        elif held is not None and not held.value:
+            step = Step(span.begin_ns, f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY", STATUS, GO.name)
+            candidates.append(candidate("no_go", Sureness.SHOWN, [step]))
+    elif following is None and not candidates:
+        return None  # the log ends while the 5 s run
+    if not candidates:
+        step = Step(span.end_ns, f"AS_STATE AS_READY → {label(AS_STATE, following)}", STATUS, AS_STATE.name)
+        candidates.append(candidate("start_unknown", Sureness.POSSIBLE, [step]))
+    ended = "the log ends" if following is None else f"{label(AS_STATE, following)} follows"
+    what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
+    order = sorted(candidates, key=lambda one: -one.sureness)
+    return Incident(Kind.REFUSAL, span.end_ns, what, tuple(order))

@@ -1,0 +1,556 @@
+"""candump's text formats: a whole block of lines taken apart at once, and single lines where they are unusual.
+
+Fast is what `candump -L`, `candump -l` and python-can write for classic data frames. Lines of one shape (digits of the
+time, channel, width of the id) are read together: eight characters at a time as one 64-bit number, each step for all
+lines. Whatever does not pass every check there is read by the patterns of this module, or reported.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fsai_vcu.diagnostics.log.frames import (
+    CLASSIC_BYTES,
+    ERROR,
+    EXTENDED,
+    FD,
+    RECEIVED,
+    REMOTE,
+    SENT,
+    Frames,
+    Ints,
+    LogFrame,
+    Mask,
+    Words,
+)
+
+MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
+MAX_STANDARD_ID: Final = 0x7FF
+MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
+ERROR_FLAG: Final = 0x2000_0000  # linux/can.h, CAN_ERR_FLAG
+MAX_CLASSIC_DLC: Final = 8
+MAX_FD_BYTES: Final = 64
+
+_FRONT, _BACK = 16, 64  # bytes around a block, so that a window of eight may begin before it and end behind it
+_SHAPES = 40  # more kinds of lines than that in one block, and the rest is read one by one
+
+_SHAPE = re.compile(rb"\((\d{1,10})\.\d{6}\) (\S{1,15}) ([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#")
+_LOG_LINE = re.compile(
+    r"\s*\((?P<s>\d{1,11})\.(?P<f>\d{1,9})\)\s+(?P<ch>\S+)\s+(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
+    r"#(?:(?P<fd>#[0-9A-Fa-f])?(?P<data>(?:[0-9A-Fa-f]{2}|\.)*)(?P<raw_dlc>_[9A-Fa-f])?|(?P<remote>[Rr](?P<asked>[0-8]?)(?:_[9A-Fa-f])?))"
+    r"(?:\s+(?P<way>[RTrt])(?:\s.*)?)?\s*"
+)
+_SCREEN_LINE = re.compile(
+    r"\s*(?:\((?P<time>[^()]*)\)\s+)?(?P<ch>\S+)\s+(?:(?P<way>[RT]X)\s+(?P<brs>[B-])\s+(?P<esi>[E-])\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+(?P<open>[\[{])(?P<length>\d+)[\]}]"
+    r"(?:\s+(?P<data>remote request|[0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2})*))?(?:\s+.*)?"
+)
+_SECONDS = re.compile(r"(\d{1,11})\.(\d{1,9})")
+
+_U = np.uint64
+
+
+def _each(byte: int) -> np.uint64:
+    return _U(byte * 0x0101_0101_0101_0101)
+
+
+class Unreadable(NamedTuple):
+    """A line that is no frame: its number in the block, from 0, and what is wrong with it."""
+
+    line: int
+    reason: str
+
+
+class _Shape(NamedTuple):
+    digits: int
+    channel: bytes
+    id_width: int
+
+
+def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Frames, list[Unreadable], int]:
+    """Frames of whole lines, each with its line end; new channels are added to `channels`.
+
+    Returns (frames, what could not be read, number of lines).
+    """
+    text = np.concatenate([np.zeros(_FRONT, np.uint8), block, np.zeros(_BACK, np.uint8)])
+    ends = np.flatnonzero(text == ord("\n"))
+    count = len(ends)
+    starts = np.empty(count, np.int64)
+    if count:
+        starts[0] = _FRONT
+        starts[1:] = ends[:-1] + 1
+    if count and text[ends[0] - 1] == ord("\r"):
+        ends = ends - (text[ends - 1] == ord("\r"))
+    columns = _Columns(count, channels)
+    rest = np.arange(count)
+    for _ in range(_SHAPES):
+        if not len(rest):
+            break
+        shape = _next_shape(text, starts, ends, rest)
+        if shape is None:
+            break
+        rest = rest[~_read_shape(columns, text, starts, ends, rest, shape)]
+    unreadable = _read_singly(columns, text, starts, ends, rest)
+    return columns.frames(), unreadable, count
+
+
+class _Columns:
+    """The columns as they fill up, one row for each line."""
+
+    def __init__(self, count: int, channels: list[str]) -> None:
+        self.t_ns = np.zeros(count, np.int64)
+        self.can_id = np.zeros(count, np.uint32)
+        self.flags = np.zeros(count, np.uint8)
+        self.length = np.zeros(count, np.uint8)
+        self.word = np.zeros(count, np.uint64)
+        self.channel = np.zeros(count, np.int32)
+        self.filled = np.zeros(count, np.bool_)
+        self.long: dict[int, bytes] = {}
+        self.channels = channels
+
+    def channel_index(self, name: str) -> int:
+        if name not in self.channels:
+            self.channels.append(name)
+        return self.channels.index(name)
+
+    def put(self, row: int, frame: LogFrame) -> None:
+        self.t_ns[row] = frame.t_ns
+        self.can_id[row] = frame.can_id
+        self.flags[row] = frame.flags
+        self.length[row] = frame.length
+        self.word[row] = int.from_bytes(frame.data[:CLASSIC_BYTES], "little")
+        self.channel[row] = self.channel_index(frame.channel)
+        self.filled[row] = True
+        if len(frame.data) > CLASSIC_BYTES:
+            self.long[row] = frame.data
+
+    def frames(self) -> Frames:
+        whole = Frames(
+            self.t_ns, self.can_id, self.flags, self.length, self.word, self.channel, self.channels, self.long
+        )
+        return whole if self.filled.all() else whole.only(self.filled)
+
+
+# ---------------------------------------------------------------- many lines at once
+
+
+def _next_shape(text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints) -> _Shape | None:
+    """The shape of the first of the remaining lines that has one."""
+    for row in rest[:200]:
+        found = _SHAPE.match(text[starts[row] : ends[row]].tobytes())
+        if found:
+            return _Shape(len(found[1]), found[2], len(found[3]))
+    return None
+
+
+def _read_shape(
+    columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints, shape: _Shape
+) -> Mask:
+    """Read those of the lines `rest` that have this shape; returns which of them were read."""
+    # A number at every byte: window[i] is the eight characters from i on.
+    window: Words = np.ndarray((len(text) - 7,), "<u8", buffer=text.data, strides=(1,))
+    everything = len(rest) == len(starts)
+    base = starts if everything else starts[rest]
+    end = ends if everything else ends[rest]
+    dot = 1 + shape.digits
+    channel_at = dot + 8
+    hash_at = channel_at + 1 + len(shape.channel) + 1 + shape.id_width
+    ok: Mask = (end - base > hash_at) & (text[base] == ord("("))
+
+    micros = window[base + dot]  # ".uuuuuu)"
+    ok &= (micros & _U(0xFF00_0000_0000_00FF)) == _U(0x2900_0000_0000_002E)
+    micros = ((micros >> _U(8)) << _U(16)) | _U(0x3030)
+    ok &= _are_digits(micros)
+    low_digits = min(shape.digits, 8)
+    seconds = _zeros_in_front(window[base + (dot - 8)], 8 - low_digits)
+    ok &= _are_digits(seconds)
+    t_s = _number(seconds)
+    if shape.digits > 8:
+        high = _zeros_in_front(window[base + (dot - 16)], 16 - shape.digits)
+        ok &= _are_digits(high)
+        t_s += _number(high) * _U(100_000_000)
+        ok &= t_s <= _U(MAX_SECONDS)
+    between = b" " + shape.channel + b" "
+    for at in range(0, len(between), 8):
+        piece = between[at : at + 8]
+        mask = _U((1 << (8 * len(piece))) - 1)
+        ok &= (window[base + (channel_at + at)] & mask) == _U(int.from_bytes(piece, "little"))
+    ok &= text[base + hash_at] == ord("#")
+
+    id_text = _zeros_in_front(window[base + (hash_at - 8)], 8 - shape.id_width)
+    id_bytes, id_ok = _hex_bytes(id_text)
+    ok &= id_ok
+    can_id = id_bytes.astype(np.uint32).byteswap()  # the first byte is the highest
+    if shape.id_width == 3:
+        ok &= can_id <= MAX_STANDARD_ID
+        flags = np.zeros(len(base), np.uint8)
+    else:
+        error = (can_id & np.uint32(ERROR_FLAG)) != 0
+        ok &= (can_id & np.uint32(0xC000_0000)) == 0
+        can_id = can_id & np.uint32(MAX_EXTENDED_ID)
+        flags = np.where(error, np.uint8(ERROR), np.uint8(EXTENDED))
+
+    payload_at = base + (hash_at + 1)
+    characters = end - payload_at
+    way = text[end - 1]
+    told = (text[end - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (characters >= 2)
+    if told.any():
+        characters = characters - 2 * told
+        flags |= np.where(told, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
+    ok &= (characters >= 0) & (characters <= 16) & (characters & 1 == 0)
+    characters = np.clip(characters, 0, 16)
+    first, first_ok = _hex_bytes(_zeros_behind(window[payload_at], characters))
+    second, second_ok = _hex_bytes(_zeros_behind(window[payload_at + 8], characters - 8))
+    ok &= first_ok & second_ok
+
+    rows: Ints | slice = slice(None) if everything and ok.all() else rest[ok]
+    keep: Mask | slice = slice(None) if isinstance(rows, slice) else ok
+    t_ns = (t_s * _U(1_000_000) + _number(micros)) * _U(1000)
+    columns.t_ns[rows] = t_ns[keep].astype(np.int64)
+    columns.can_id[rows] = can_id[keep]
+    columns.flags[rows] = flags[keep]
+    columns.length[rows] = (characters[keep] >> 1).astype(np.uint8)
+    columns.word[rows] = (first | (second << _U(32)))[keep]
+    columns.channel[rows] = columns.channel_index(shape.channel.decode("utf-8", "replace"))
+    columns.filled[rows] = True
+    return ok
+
+
+def _are_digits(word: Words) -> Mask:
+    high = _each(0xF0)
+    ok: Mask = ((word & high) == _each(0x30)) & (((word + _each(0x06)) & high) == _each(0x30))
+    return ok
+
+
+def _number(digits: Words) -> Words:
+    """The number that eight decimal digits say, the first in the lowest byte."""
+    pairs = (digits & _each(0x0F)) * _U(10) + ((digits & _each(0x0F)) >> _U(8))
+    even = _U(0x0000_00FF_0000_00FF)
+    return ((pairs & even) * _U(0x000F_4240_0000_0064) + ((pairs >> _U(16)) & even) * _U(0x0000_2710_0000_0001)) >> _U(
+        32
+    )
+
+
+def _zeros_in_front(word: Words, count: int) -> Words:
+    """The first `count` characters become '0'."""
+    if not count:
+        return word
+    mask = (1 << (8 * count)) - 1
+    return (word & _U(~mask & 0xFFFF_FFFF_FFFF_FFFF)) | _U(0x3030_3030_3030_3030 & mask)
+
+
+_KEEP: Final = np.array([(1 << (8 * count)) - 1 for count in range(9)], np.uint64)
+
+
+def _zeros_behind(word: Words, count: Ints) -> Words:
+    """All but the first `count` characters become '0'."""
+    keep = _KEEP[np.clip(count, 0, 8)]
+    return (word & keep) | (_each(0x30) & ~keep)
+
+
+def _hex_bytes(word: Words) -> tuple[Words, Mask]:
+    """Four bytes from eight hexadecimal digits, the first in the lowest byte; and whether they are such digits."""
+    letter = (word >> _U(6)) & _each(0x01)
+    value = (word & _each(0x0F)) + letter * _U(9)
+    right_column = (word & _each(0xF0) & ~(letter << _U(5))) == _each(0x30) + (letter << _U(4))
+    right_row = (((value + _each(0x06)) >> _U(4)) & _each(0x01)) == letter
+    ok = right_column & right_row & ((value & _each(0x10)) == 0)
+    out = ((value & _U(0x000F_000F_000F_000F)) << _U(4)) | ((value >> _U(8)) & _U(0x000F_000F_000F_000F))
+    out = (out | (out >> _U(8))) & _U(0x0000_FFFF_0000_FFFF)
+    return (out | (out >> _U(16))) & _U(0xFFFF_FFFF), ok
+
+
+# ---------------------------------------------------------------- one line
+
+
+def _read_singly(
+    columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints
+) -> list[Unreadable]:
+    unreadable = []
+    for row in rest.tolist():
+        line = text[starts[row] : ends[row]].tobytes()
+        if not line.strip():
+            continue
+        try:
+            columns.put(row, parse_line(line.decode("ascii")))
+        except (ValueError, UnicodeDecodeError) as error:
+            shown = line[:60].decode("ascii", "backslashreplace")
+            shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
+            what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
+            unreadable.append(Unreadable(row, f"{what}: '{shown}{'…' if len(line) > 60 else ''}'"))
+    return unreadable
+
+
+def parse_line(line: str) -> LogFrame:
+    """The frame on one line of `candump -L` or of candump's screen output. Raises ValueError."""
+    found = _LOG_LINE.fullmatch(line)
+    if found:
+        return _from_log_line(found)
+    found = _SCREEN_LINE.fullmatch(line)
+    if found:
+        return _from_screen_line(found)
+    raise ValueError("not a line of candump")
+
+
+def _from_log_line(found: re.Match[str]) -> LogFrame:
+    t_ns = _time_ns(found["s"], found["f"])
+    can_id, extended, error = _identifier(found["id"])
+    sent = {"T": True, "R": False}.get((found["way"] or "").upper())
+    channel = found["ch"]
+    if found["remote"]:
+        return LogFrame(t_ns, channel, can_id, b"", extended, True, error, sent=sent, length=int(found["asked"] or 0))
+    data = bytes.fromhex(found["data"].replace(".", ""))
+    bits = int(found["fd"][1], 16) if found["fd"] else 0
+    _check_length(len(data), found["fd"] is not None)
+    return LogFrame(
+        t_ns,
+        channel,
+        can_id,
+        data,
+        extended,
+        False,
+        error,
+        fd=found["fd"] is not None,
+        brs=bool(bits & 1),  # linux/can.h, CANFD_BRS and CANFD_ESI
+        esi=bool(bits & 2),
+        sent=sent,
+    )
+
+
+def _from_screen_line(found: re.Match[str]) -> LogFrame:
+    can_id, extended, error = _identifier(found["id"])
+    length = int(found["length"])
+    text = found["data"] or ""
+    sent = {"TX": True, "RX": False}.get(found["way"] or "")
+    t_ns = _screen_time_ns(found["time"])
+    if text == "remote request":
+        return LogFrame(t_ns, found["ch"], can_id, b"", extended, True, error, sent=sent, length=length)
+    data = bytes.fromhex(text)
+    if len(data) < length:
+        raise ValueError(f"{len(data)} data bytes where {length} are announced")
+    data = data[:length]
+    fd = length > MAX_CLASSIC_DLC or found["brs"] == "B" or found["esi"] == "E"
+    _check_length(length, fd)
+    return LogFrame(
+        t_ns,
+        found["ch"],
+        can_id,
+        data,
+        extended,
+        False,
+        error,
+        fd=fd,
+        brs=found["brs"] == "B",
+        esi=found["esi"] == "E",
+        sent=sent,
+    )
+
+
+def _identifier(text: str) -> tuple[int, bool, bool]:
+    number = int(text, 16)
+    if len(text) == 3:
+        if number > MAX_STANDARD_ID:
+            raise ValueError(f"no 11-bit identifier: {text}")
+        return number, False, False
+    if number & ERROR_FLAG and number <= ERROR_FLAG | MAX_EXTENDED_ID:
+        return number & MAX_EXTENDED_ID, False, True
+    if number > MAX_EXTENDED_ID:
+        raise ValueError(f"no 29-bit identifier: {text}")
+    return number, True, False
+
+
+def _check_length(length: int, fd: bool) -> None:
+    if length > (MAX_FD_BYTES if fd else MAX_CLASSIC_DLC):
+        raise ValueError(f"{length} data bytes")
+
+
+def _time_ns(seconds: str, fraction: str) -> int:
+    if int(seconds) > MAX_SECONDS:
+        raise ValueError(f"no time: {seconds}.{fraction}")
+    return int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
+
+
+def _screen_time_ns(text: str | None) -> int:
+    """0 where candump was told to write no times."""
+    if text is None:
+        return 0
+    found = _SECONDS.fullmatch(text.strip())
+    if found:
+        return _time_ns(found[1], found[2])
+    try:
+        date, _, fraction = text.strip().partition(".")
+        return int(datetime.strptime(date, "%Y-%m-%d %H:%M:%S").timestamp()) * 1_000_000_000 + int(
+            (fraction or "0").ljust(9, "0")[:9]
+        )
+    except (ValueError, OverflowError):
+        raise ValueError(f"no time: {text}") from None
+
+
+# ---------------------------------------------------------------- writing
+
+
+def _packed(texts: Sequence[str], dtype: str) -> npt.NDArray[np.unsignedinteger]:
+    """Short texts as numbers whose bytes, the lowest first, are the characters."""
+    return np.array([int.from_bytes(text.encode(), "little") for text in texts], dtype)
+
+
+_THREE: Final = _packed([f"{n:03d}" for n in range(1000)], "<u8")
+_ID3: Final = _packed([f"{n:03X}" for n in range(0x800)], "<u4")
+_BYTE: Final = _packed([f"{n:02X}" for n in range(256)], "<u4")
+_TWO_BYTES: Final = (_BYTE[np.newaxis, :] << np.uint32(16) | _BYTE[:, np.newaxis]).T.ravel()  # first byte: the lower
+_KEEP_HEX: Final = np.array([[_KEEP[min(2 * n, 8)], _KEEP[max(2 * n - 8, 0)]] for n in range(9)], "<u8")
+
+Characters = npt.NDArray[np.uint8]
+Part = bytes | Characters
+
+
+def assembled(parts: Sequence[Part], count: int) -> list[bytes]:
+    """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters vanish."""
+    width = sum(len(part) if isinstance(part, bytes) else part.shape[1] for part in parts)
+    if not count or not width:
+        return [b""] * count
+    matrix = np.empty((count, width), np.uint8)
+    at = 0
+    for part in parts:
+        wide = len(part) if isinstance(part, bytes) else part.shape[1]
+        matrix[:, at : at + wide] = np.frombuffer(part, np.uint8) if isinstance(part, bytes) else part
+        at += wide
+    rows: list[bytes] = matrix.view(f"S{width}").ravel().tolist()  # numpy leaves out NULs at the end itself
+    # NULs only pad, so that they are in the first or the last column of a part if anywhere.
+    inner = any(not isinstance(part, bytes) and not part[:, [0, -1]].all() for part in parts[:-1] if len(part))
+    if inner:
+        return b"\n".join(rows).translate(None, b"\0").split(b"\n")
+    return rows
+
+
+def time_text(t_ns: Ints, width: int = 1) -> npt.NDArray[np.uint8]:
+    """Seconds with six decimals as candump writes them, at least `width` digits before the point; NUL in front."""
+    count = len(t_ns)
+    seconds, below = np.divmod(t_ns, 1_000_000_000)
+    micros = below.astype(np.uint32) // np.uint32(1000)
+    distinct = np.flatnonzero(np.diff(seconds, prepend=-1))  # in a log a second lasts for many frames
+    texts = np.array([f"{second:0{width}d}.".rjust(12, "\0").encode() for second in seconds[distinct].tolist()], "S12")
+    wide = max((len(text.lstrip(b"\0")) for text in texts.tolist()), default=width + 1)
+    out = np.empty((count, wide + 6), np.uint8)
+    table = np.ascontiguousarray(texts.view(np.uint8).reshape(-1, 12)[:, 12 - wide :])
+    out[:, :wide] = np.repeat(table, np.diff(distinct, append=count), axis=0)
+    packed = _THREE[micros // np.uint32(1000)] | (_THREE[micros % np.uint32(1000)] << _U(24))
+    out[:, wide:] = packed.view(np.uint8).reshape(count, 8)[:, :6]
+    return out
+
+
+def id_text(frames: Frames) -> npt.NDArray[np.uint8]:
+    """Identifiers as candump writes them: three or eight digits, NUL behind."""
+    wide = (frames.flags & (EXTENDED | ERROR)) != 0
+    narrow = _ID3[frames.can_id & np.uint32(MAX_STANDARD_ID)]
+    if not wide.any():
+        three: Characters = narrow.view(np.uint8).reshape(-1, 4)[:, :3]
+        return three
+    number = frames.can_id | np.where((frames.flags & ERROR) != 0, np.uint32(ERROR_FLAG), np.uint32(0))
+    out = np.zeros((len(frames), 2), np.uint32)
+    swapped = number.byteswap()
+    out[:, 0] = np.where(wide, _TWO_BYTES[swapped & np.uint32(0xFFFF)], narrow)
+    out[:, 1] = np.where(wide, _TWO_BYTES[swapped >> np.uint32(16)], np.uint32(0))
+    return out.view(np.uint8)
+
+
+def hex_text(frames: Frames) -> npt.NDArray[np.uint8]:
+    """The first eight data bytes as sixteen digits, NUL behind."""
+    lengths = np.minimum(frames.length, CLASSIC_BYTES)
+    if (frames.flags & REMOTE).any():
+        lengths = np.where((frames.flags & REMOTE) != 0, np.uint8(0), lengths)
+    digits = _TWO_BYTES[np.ascontiguousarray(frames.word).astype("<u8", copy=False).view("<u2")].view("<u8")
+    kept: Characters = (digits.reshape(-1, 2) & _KEEP_HEX[lengths]).view(np.uint8)
+    return kept
+
+
+def channel_text(frames: Frames) -> npt.NDArray[np.uint8]:
+    names = np.array([name.encode("utf-8", "replace") for name in frames.channels] or [b"-"])
+    table = names.view(np.uint8).reshape(len(names), -1)
+    return table[frames.channel]
+
+
+def log_lines(frames: Frames, time_digits: int = 1) -> list[bytes]:
+    """Each frame as a line of `candump -L`, without its line end; at least `time_digits` digits of seconds."""
+    if not len(frames):
+        return []
+    lines = assembled(
+        [
+            b"(",
+            time_text(frames.t_ns, time_digits),
+            b") ",
+            channel_text(frames),
+            b" ",
+            id_text(frames),
+            b"#",
+            hex_text(frames),
+        ],
+        len(frames),
+    )
+    for row in unusual_rows(frames):
+        head = lines[row].partition(b"#")[0]
+        lines[row] = head + b"#" + payload_text(frames.frame(row)).encode()
+    return lines
+
+
+def unusual_rows(frames: Frames) -> list[int]:
+    """Rows whose payload is not simply up to eight bytes in hexadecimal."""
+    rows: list[int] = np.flatnonzero(frames.flags & (REMOTE | FD)).tolist()
+    return rows
+
+
+def payload_text(frame: LogFrame) -> str:
+    """What stands behind the '#' in a log of candump."""
+    if frame.remote:
+        return f"R{frame.length or ''}"
+    if frame.fd:
+        return f"#{int(frame.brs) | int(frame.esi) << 1:X}{frame.data.hex().upper()}"
+    return frame.data.hex().upper()
+
+
+def screen_lines(
+    frames: Frames, *, time_digits: int | None, padded: bool = False, indented: bool = False
+) -> list[bytes]:
+    """Each frame as candump shows it on a screen.
+
+    time_digits: how many digits of seconds at least; None: no times. padded: to one width, so that something may stand
+    beside. indented: a frame with a 29-bit identifier was shown before; from the first one on candump indents others.
+    """
+    if not len(frames):
+        return []
+    extended = (frames.flags & EXTENDED) != 0
+    indent = np.zeros((len(frames), 5), np.uint8)
+    if indented or extended.any():
+        indent[np.logical_or.accumulate(extended | indented) & ((frames.flags & (EXTENDED | ERROR)) == 0)] = ord(" ")
+    wide_name = max(len(name) for name in frames.channels)
+    names = np.array([name.rjust(wide_name).encode("utf-8", "replace") for name in frames.channels])
+    name_text = names.view(np.uint8).reshape(len(names), -1)[frames.channel]
+    lengths = np.array([f"   [{n}]" for n in range(9)] + [f"  [{n:02d}]" for n in range(9, MAX_FD_BYTES + 1)], "S6")
+    digits = hex_text(frames).reshape(-1, CLASSIC_BYTES, 2)
+    spaced = np.zeros((len(frames), CLASSIC_BYTES, 3), np.uint8)
+    spaced[:, :, 1:] = digits
+    spaced[:, :, 0] = np.where(digits[:, :, 0] != 0, np.uint8(ord(" ")), np.uint8(0))
+    parts: list[Part] = [b" "] if time_digits is None else [b" (", time_text(frames.t_ns, time_digits), b") "]
+    parts += [b" ", name_text, b"  ", indent, id_text(frames)]
+    parts += [lengths[np.minimum(frames.length, MAX_FD_BYTES)].view(np.uint8).reshape(len(frames), -1)]
+    parts += [b" ", spaced.reshape(len(frames), -1)]
+    lines = assembled(parts, len(frames))
+    for row in np.flatnonzero(frames.flags & (ERROR | REMOTE | FD)).tolist():
+        frame = frames.frame(row)
+        head = lines[row].partition(b"]")[0].rpartition(b"[")[0].rstrip()
+        if frame.fd:
+            lines[row] = head + f"  [{frame.length:02d}]  {frame.data.hex(' ').upper()}".encode()
+        elif frame.remote:
+            lines[row] = head + f"   [{frame.length}]  remote request".encode()
+        else:
+            lines[row] += b"   ERRORFRAME"
+    if padded:
+        width = max(map(len, lines))
+        lines = [line.ljust(width) for line in lines]
+    return lines

@@ -1,0 +1,242 @@
+"""Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4.
+
+The format is told by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
+log, with its place, and never an exception. Only a log that cannot be opened at all raises `LogError`.
+"""
+
+from __future__ import annotations
+
+import gc
+import gzip
+import io
+import sys
+import zlib
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Final
+
+import numpy as np
+
+from fsai_vcu.diagnostics.log.candump import MAX_SECONDS, parse_block
+from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of, last_line
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+
+if TYPE_CHECKING:
+    import can
+
+STDIN: Final = "-"
+_BLOCK_BYTES: Final = 1 << 19  # what fits a processor's cache is read fastest
+_BATCH: Final = 10_000
+
+
+class LogError(Exception):
+    """A log that cannot be opened; the message is one clear line."""
+
+
+class Log:
+    """An open log. `chunks` and `frames` read it once, from here on; `problems` grows while they do."""
+
+    def __init__(self, name: str, stream: IO[bytes], path: Path | None) -> None:
+        self.name = name
+        self.problems = Problems()
+        self._stream = stream
+        self._path = path
+        self._pipe = path is None
+        self._broken = False
+        self._announced_bytes = 0
+        self._channels: list[str] = []
+        self.kind = kind_of(_head(stream))
+
+    def chunks(self) -> Iterator[Frames]:
+        """All frames as columns, some ten thousand at a time."""
+        if self.kind == "candump":
+            yield from self._text_chunks()
+            return
+        messages = self._messages()
+        while batch := list(islice(messages, _BATCH)):
+            yield frames_of(batch, self._channels)
+
+    def frames(self) -> Iterator[LogFrame]:
+        """All frames one by one."""
+        for chunk in self.chunks():
+            yield from chunk
+
+    # ------------------------------------------------------------ text
+
+    def _text_chunks(self) -> Iterator[Frames]:
+        lines_before = 0
+        carried = b""
+        while True:
+            read = self._read_block()
+            block = carried + read if carried else read
+            if read:
+                cut = block.rfind(b"\n") + 1
+                carried = block[cut:]
+                if not cut:
+                    continue
+                block = block[:cut]
+            elif carried and not self._broken:  # else where it breaks off is said already
+                block, carried = self._last_line(carried, lines_before), b""
+            else:
+                return
+            frames, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), self._channels)
+            for problem in unreadable:
+                self.problems.add(f"{self.name}: line {lines_before + problem.line + 1}: {problem.reason}")
+            lines_before += lines
+            if len(frames):
+                yield frames
+            if not read:
+                return
+
+    def _read_block(self) -> bytes:
+        """As much as makes a block; from a pipe what there is, so that its reader need not wait."""
+        parts: list[bytes] = []
+        size = 0
+        while size < _BLOCK_BYTES and not (self._pipe and parts) and not self._broken:
+            try:
+                part = self._stream.read1(_BLOCK_BYTES - size)  # type: ignore[attr-defined]
+            except (OSError, EOFError, zlib.error) as error:
+                self.problems.add(f"{self.name}: cannot be read to its end: {_why(error)}")
+                self._broken = True
+                break
+            if not part:
+                break
+            parts.append(part)
+            size += len(part)
+        return b"".join(parts)
+
+    def _last_line(self, line: bytes, lines_before: int) -> bytes:
+        whole, reason = last_line(line)
+        if reason is not None:
+            self.problems.add(f"{self.name}: line {lines_before + 1}: {reason}")
+        return whole
+
+    # ------------------------------------------------------------ other formats, through python-can
+
+    def _messages(self) -> Iterator[LogFrame]:
+        read = 0
+        try:
+            for message in self._reader():
+                frame = _frame_of(message)
+                if frame is None:
+                    self.problems.add(f"{self.name}: after frame {read}: a time that is none: {message.timestamp}")
+                    continue
+                read += 1
+                yield frame
+            if self._is_cut_off():
+                self.problems.add(f"{self.name}: cut off after frame {read}")
+        except LogError as error:
+            self.problems.add(str(error))
+        except Exception as error:  # the readers have no common base class for what a broken file makes them raise
+            self.problems.add(f"{self.name}: not readable as {self.kind} after frame {read}: {_why(error)}")
+
+    def _reader(self) -> Iterator[can.Message]:
+        if self.kind == "BLF":
+            from can.io.blf import BLFReader
+
+            reader = BLFReader(self._stream)  # type: ignore[arg-type]
+            self._announced_bytes = reader.file_size
+            return iter(reader)
+        if self.kind == "ASC":
+            from can.io.asc import ASCReader
+
+            text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
+            return iter(ASCReader(text, relative_timestamp=False))
+        return self._mf4_reader()
+
+    def _mf4_reader(self) -> Iterator[can.Message]:
+        try:
+            import asammdf  # type: ignore[import-not-found]  # noqa: F401  found missing here, not as an error of the log
+            from can.io.mf4 import MF4Reader
+        except ImportError:
+            raise LogError(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'") from None
+        is_file = self._path is not None and isinstance(self._stream, io.BufferedReader)
+        # What asammdf cannot read it also cannot close when it is thrown away, and would say so on stderr.
+        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+        try:
+            try:
+                return iter(MF4Reader(self._path if is_file else io.BytesIO(self._stream.read())))  # type: ignore[arg-type]
+            except Exception as error:  # the same as in _messages
+                why = _why(error)
+            gc.collect()
+        finally:
+            sys.unraisablehook = hook
+        raise LogError(f"{self.name}: not readable as MF4: {why}")
+
+    def _is_cut_off(self) -> bool:
+        """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""
+        if self._path is None or not isinstance(self._stream, io.BufferedReader):
+            return False  # of a packed log the unpacking tells
+        with self._path.open("rb") as file:
+            length = file.seek(0, io.SEEK_END)
+            if self.kind == "ASC":
+                file.seek(max(0, length - 1))
+                return file.read(1) != b"\n"
+        return length < self._announced_bytes
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_log(path: Path | str) -> Log:
+    """Open the log at `path`; '-' is standard input. Raises LogError."""
+    if str(path) == STDIN:
+        return _unpacked("standard input", sys.stdin.buffer, None)
+    path = Path(path)
+    try:
+        stream = path.open("rb")
+    except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
+        raise LogError(f"{path}: {_why(error)}") from error
+    return _unpacked(str(path), stream, path if path.is_file() else None)
+
+
+def read_log(path: Path | str) -> tuple[Frames, Problems]:
+    """All frames of a log and what could not be read of it. Raises LogError."""
+    with open_log(path) as log:
+        return joined(log.chunks()), log.problems
+
+
+def _unpacked(name: str, stream: IO[bytes], path: Path | None) -> Log:
+    if is_gzip(_head(stream)):
+        return Log(name, gzip.GzipFile(fileobj=stream), path)  # type: ignore[arg-type]
+    return Log(name, stream, path)
+
+
+def _head(stream: IO[bytes]) -> bytes:
+    """The first bytes, without taking them from the stream."""
+    try:
+        return stream.peek(16)[:16]  # type: ignore[attr-defined, no-any-return]
+    except (OSError, EOFError, zlib.error):
+        return b""  # what is wrong is told when the frames are asked for
+
+
+def _frame_of(message: can.Message) -> LogFrame | None:
+    """python-can's message as one of ours; None if its time is none."""
+    if not 0 <= message.timestamp <= MAX_SECONDS:
+        return None
+    channel = message.channel
+    return LogFrame(
+        t_ns=round(message.timestamp * 1e6) * 1000,  # its floats are exact to less than a microsecond, not better
+        channel=f"can{channel}" if isinstance(channel, int) else str(channel or "can0"),
+        can_id=message.arbitration_id,
+        data=b"" if message.is_remote_frame else bytes(message.data),
+        extended=message.is_extended_id and not message.is_error_frame,
+        remote=message.is_remote_frame,
+        error=message.is_error_frame,
+        fd=message.is_fd,
+        brs=message.bitrate_switch,
+        esi=message.error_state_indicator,
+        sent=not message.is_rx,
+        length=message.dlc if message.is_remote_frame else len(message.data),
+    )
+
+
+def _why(error: BaseException) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error or type(error).__name__).split())

@@ -1,0 +1,162 @@
+"""What a view remembers of a bus: the last seconds whole, and of all before them what tells of states.
+
+The whole of a day on a bus does not fit, and is not needed: states change seldom. So of 0x520, 0x510, 0x524 and 0x525
+those frames are kept at which a state in them changed, those on both sides of a pause, and two a second besides, which
+show that there was no pause. Of every other message the newest frame is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
+from fsai_vcu.diagnostics.explain.signals import MS, STANDING_RPM, STATUS, S
+from fsai_vcu.diagnostics.log.frames import (
+    ERROR,
+    EXTENDED,
+    REMOTE,
+    Frames,
+    Ints,
+    LogFrame,
+    Mask,
+    Words,
+    frames_of,
+    joined,
+)
+
+WINDOW_NS: Final = 3 * S  # enough for a rate
+LONG_NS: Final = 30 * S  # as far as the rules look back that find the cause of an emergency brake
+PAUSE_NS: Final = 100 * MS  # interface specification v4.0: so long without a message of 10 ms is a loss
+HEARTBEAT_NS: Final = 500 * MS  # under the second without 0x520 that means a car switched off
+MOST_STATES: Final = 200_000  # rows: a day of heartbeats of four messages
+
+_HANDSHAKE: Final = np.uint64(1)  # bit 0 of 0x520 toggles all the time
+_AI_STATES: Final = np.uint64(0xFF00)  # 0x510: ESTOP_REQUEST, MISSION_STATUS, DIRECTION_REQUEST
+_BRAKE_STATES: Final = np.uint64(0xFF << 32)  # 0x524: STATUS_BRK, STATUS_EBS
+
+
+def _turning(words: Words) -> Words:
+    """0x525: which of the four wheels turn."""
+    wheels = words.astype("<u8").view("<u2").reshape(-1, 4)
+    return np.packbits(wheels >= STANDING_RPM, axis=1, bitorder="little")[:, 0].astype(np.uint64)
+
+
+STATES_OF: Final[dict[int, Callable[[Words], Words]]] = {
+    STATUS: lambda words: words & ~_HANDSHAKE,
+    0x510: lambda words: words & _AI_STATES,
+    0x524: lambda words: words & _BRAKE_STATES,
+    0x525: _turning,
+}
+
+
+class Memory:
+    """Frames of one bus, the newest last. Times never go back: where the frames' clock does, what follows is moved on.
+
+    `frames` counts what was heard, `begin_ns` and `newest_ns` are the times of the first and the newest frame.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.begin_ns: int | None = None
+        self.newest_ns: int | None = None
+        self.first_ns: dict[int, int] = {}
+        self._moved_ns = 0
+        self._window: list[Frames] = []
+        self._states: list[Frames] = []
+        self._newest: dict[int, LogFrame] = {}
+        self._state: dict[int, tuple[int, int]] = {}  # by id: (state, heartbeat) of the newest frame
+        self._channels: list[str] = []
+
+    def update(self, frames: Frames) -> None:
+        """More frames, in the order in which they came."""
+        if not len(frames):
+            return
+        frames = self._straightened(frames)
+        t_ns = frames.t_ns
+        self.frames += len(frames)
+        if self.begin_ns is None:
+            self.begin_ns = int(t_ns[0])
+        self.newest_ns = int(t_ns[-1])
+        self._channels = list(frames.channels)
+        self._window.append(frames)
+        oldest_ns = self.newest_ns - LONG_NS
+        while int(self._window[0].t_ns[-1]) < oldest_ns:
+            del self._window[0]
+        self._keep_states(frames)
+        keys = keys_of(frames)
+        found, first = np.unique(keys, return_index=True)
+        _, last = np.unique(keys[::-1], return_index=True)
+        for key, row, back in zip(found.tolist(), first.tolist(), last.tolist(), strict=True):
+            if key >= 0:
+                self.first_ns.setdefault(key, int(t_ns[row]))
+                self._newest[key] = frames.frame(len(frames) - 1 - back)
+
+    def _straightened(self, frames: Frames) -> Frames:
+        raw = frames.t_ns + self._moved_ns
+        before = raw[0] if self.newest_ns is None else self.newest_ns
+        back = np.minimum(np.diff(raw, prepend=before), 0)
+        if not back.any():
+            return frames if not self._moved_ns else frames.at(raw)
+        self._moved_ns -= int(back.sum())
+        return frames.at(raw - np.cumsum(back))
+
+    def _keep_states(self, frames: Frames) -> None:
+        plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
+        kept: Mask = np.zeros(len(frames), np.bool_)
+        earlier: list[LogFrame] = []
+        for can_id, states_of in STATES_OF.items():
+            rows: Ints = np.flatnonzero(plain & (frames.can_id == can_id))
+            if not len(rows):
+                continue
+            states = states_of(frames.word[rows])
+            beats = frames.t_ns[rows] // HEARTBEAT_NS
+            before = self._newest.get(can_id)
+            state, beat = self._state.get(can_id, (-1, -1))
+            new = np.empty(len(rows), np.bool_)
+            new[1:] = (np.diff(states) != 0) | (np.diff(beats) != 0)
+            new[0] = int(states[0]) != state or int(beats[0]) != beat
+            pauses = np.diff(frames.t_ns[rows], prepend=before.t_ns if before else frames.t_ns[rows[0]]) > PAUSE_NS
+            kept[rows[new | pauses]] = True
+            ends = np.flatnonzero(pauses[1:])
+            kept[rows[ends]] = True
+            if pauses[0] and before is not None:
+                earlier.append(before)
+            self._state[can_id] = (int(states[-1]), int(beats[-1]))
+        if earlier:
+            self._states.append(frames_of(sorted(earlier, key=lambda frame: frame.t_ns), self._channels))
+        if kept.any():
+            self._states.append(frames.only(kept))
+
+    def window(self, now_ns: int, length_ns: int = WINDOW_NS) -> Frames:
+        """All frames of the last seconds before `now_ns`, at most LONG_NS of them."""
+        whole = joined(part for part in self._window if int(part.t_ns[-1]) > now_ns - length_ns)
+        return whole.only(whole.t_ns > now_ns - length_ns)
+
+    def newest(self, key: int) -> LogFrame | None:
+        """The newest frame of a message (by its key, see layouts.py), however old."""
+        return self._newest.get(key)
+
+    def condensed(self, window: Frames) -> Frames:
+        """All that is remembered, in the order of time: `window` whole, and before it what tells of states."""
+        states = joined(self._states)
+        if len(states) > MOST_STATES:
+            states = states.only(np.arange(len(states) // 4, len(states), dtype=np.int64))
+        self._states = [states]
+        begin_ns = int(window.t_ns[0]) if len(window) else np.iinfo(np.int64).max
+        newest = frames_of((frame for frame in self._newest.values() if frame.t_ns < begin_ns), list(self._channels))
+        before = joined([states.only(states.t_ns < begin_ns), newest])
+        order = np.lexsort((keys_of(before), before.t_ns))
+        before = before.only(order)
+        again = (np.diff(before.t_ns, prepend=-1) == 0) & (np.diff(keys_of(before), prepend=-2) == 0)
+        return joined([before.only(~again), window])
+
+
+def keys_of(frames: Frames) -> Ints:
+    """The key of each frame's message (layouts.EXTENDED_KEY); -1 for error frames."""
+    keys = frames.can_id.astype(np.int64)
+    keys[(frames.flags & EXTENDED) != 0] |= EXTENDED_KEY
+    keys[(frames.flags & ERROR) != 0] = -1
+    return keys

@@ -1,0 +1,570 @@
+"""What a bus did, in figures, and whether that is as it should be.
+
+`measure` looks at the frames of one channel; `judge` holds the figures against the bus table and the databases.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Final
+
+import numpy as np
+
+from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder, raw_of
+from fsai_vcu.diagnostics.decode.error_frames import error_words
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
+from fsai_vcu.diagnostics.statistics.quantiles import quantile
+from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
+from fsai_vcu.interface.bus_table import BY_ID, MS, BusMessage, Flow
+from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+
+BITRATE: Final = 500_000  # interface specification v4.0: 500 kbit/s
+SECOND: Final = 1_000_000_000
+LOAD_WINDOW_NS: Final = 100 * MS
+
+_MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
+_PERIOD_TOLERANCE = 0.1
+_ENOUGH_INTERVALS = 20
+# Three frames within so many periods are of two senders: one alone keeps 8 ms between the AI computer's cycles.
+_CLOSE_PERIODS = 1.5
+_LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
+_AI_PATIENCE_NS = 100 * MS  # interface specification v4.0: an echo later than this raises AI_COMMS_LOST
+_SLOW_ECHO_NS = 10 * MS  # one cycle of the VCU
+_HIGH_LOAD = 0.7
+_FROZEN_COUNTS_NS = SECOND
+_TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A distribution of times in ms; None while there are none."""
+
+    p50_ms: float | None
+    p99_ms: float | None
+    max_ms: float | None
+
+    @classmethod
+    def of(cls, times_ns: Ints) -> Spread:
+        ordered = np.sort(times_ns)
+        found = [quantile(ordered, share) for share in (0.5, 0.99, 1.0)]  # type: ignore[arg-type]
+        return cls(*(None if time_ns is None else time_ns / MS for time_ns in found))
+
+    def as_dict(self) -> dict[str, float | None]:
+        return {"p50_ms": _rounded(self.p50_ms), "p99_ms": _rounded(self.p99_ms), "max_ms": _rounded(self.max_ms)}
+
+
+@dataclass(frozen=True, slots=True)
+class MessageStatistics:
+    """One identifier. Times in ms, those of day in s of the log's clock.
+
+    jitter: by how much intervals miss the expected period (the median, where none is expected). gaps: intervals in
+    which at least one frame is missing. frozen_ms: the longest time for which the payload stayed the same.
+    close: how often three frames came within one and a half periods, as from two senders.
+    """
+
+    can_id: int
+    extended: bool
+    name: str | None
+    count: int
+    first_s: float
+    last_s: float
+    expected_length: int | None
+    wrong_lengths: Mapping[int, int]
+    remote: int
+    sent: int
+    expected_ms: float | None
+    interval: Spread
+    mean_ms: float | None
+    jitter: Spread
+    gaps: int
+    longest_gap_ms: float | None
+    longest_gap_at_s: float | None
+    frozen_ms: float
+    payloads: int
+    close: int
+    bits: int
+    load: float
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "type": "message",
+            "id": self.can_id,
+            "extended": self.extended,
+            "message": self.name,
+            "count": self.count,
+            "first_s": self.first_s,
+            "last_s": self.last_s,
+            "expected_length": self.expected_length,
+            "wrong_lengths": {str(length): count for length, count in self.wrong_lengths.items()},
+            "remote": self.remote,
+            "sent": self.sent,
+            "expected_ms": self.expected_ms,
+            "interval_ms": self.interval.as_dict(),
+            "mean_ms": _rounded(self.mean_ms),
+            "jitter_ms": self.jitter.as_dict(),
+            "gaps": self.gaps,
+            "longest_gap_ms": _rounded(self.longest_gap_ms),
+            "longest_gap_at_s": self.longest_gap_at_s,
+            "frozen_ms": _rounded(self.frozen_ms),
+            "payloads": self.payloads,
+            "bits": self.bits,
+            "load": round(self.load, 6),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Handshake:
+    """The AI computer's answers to the VCU: from a 0x520 with a new HANDSHAKE to the first 0x510 with that bit."""
+
+    answered: int
+    unanswered: int  # toggles whose bit did not come back before the next one, or for 100 ms at the log's end
+    stood_ms: float  # the longest time for which the VCU kept its bit
+    response: Spread
+    above_patience: int  # answers that took 100 ms or longer
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "answered": self.answered,
+            "unanswered": self.unanswered,
+            "stood_ms": _rounded(self.stood_ms),
+            "response_ms": self.response.as_dict(),
+            "above_100_ms": self.above_patience,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class BusStatistics:
+    """One channel."""
+
+    channel: str
+    frames: int
+    duration_s: float
+    timed: bool  # the log has times
+    messages: tuple[MessageStatistics, ...]
+    missing: tuple[MessageLayout, ...]  # described with a period, and not heard
+    error_frames: Mapping[str, int]
+    load: float
+    peak_load: float
+    bitrate: int
+    handshake: Handshake | None
+    frozen_counts: tuple[tuple[str, float, float], ...]  # (signal, since s, for s) while its wheel turned
+    backwards: int  # frames with a time before that of their predecessor
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "type": "bus",
+            "channel": self.channel,
+            "frames": self.frames,
+            "duration_s": round(self.duration_s, 6),
+            "load": round(self.load, 6),
+            "peak_load": round(self.peak_load, 6),
+            "bitrate": self.bitrate,
+            "error_frames": dict(self.error_frames),
+            "handshake": self.handshake.as_dict() if self.handshake else None,
+            "missing": [layout.name for layout in self.missing],
+            "backwards": self.backwards,
+        }
+
+
+class Severity(Enum):
+    PROBLEM = "problem"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that a person should know. A PROBLEM makes the verdict bad."""
+
+    severity: Severity
+    kind: str
+    text: str
+    can_id: int | None = None
+    t_s: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "type": "finding",
+            "severity": self.severity.value,
+            "kind": self.kind,
+            "text": self.text,
+            "id": self.can_id,
+            "t": self.t_s,
+        }
+
+
+# ---------------------------------------------------------------- measuring
+
+
+def measure(
+    frames: Frames, decoder: Decoder, *, revision: str | None, bitrate: int | None = None
+) -> list[BusStatistics]:
+    """Figures of each channel in the log, in order of first appearance.
+
+    revision: whose periods of the bus table count for its messages; None: only those of the databases.
+    """
+    found = []
+    for index in np.unique(frames.channel).tolist():
+        of_channel = frames.only(frames.channel == index) if len(frames.channels) > 1 else frames
+        rate = bitrate or decoder.databases.baudrate or BITRATE
+        found.append(_measure_channel(of_channel, frames.channels[index], decoder, revision, rate))
+    return found
+
+
+def _measure_channel(
+    frames: Frames, channel: str, decoder: Decoder, revision: str | None, bitrate: int
+) -> BusStatistics:
+    backwards = int((np.diff(frames.t_ns) < 0).sum())
+    if backwards:
+        frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
+    duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
+    bits = wire_bits(frames)
+    errors = (frames.flags & ERROR) != 0
+    words: Counter[str] = Counter()
+    for row in np.flatnonzero(errors).tolist():
+        words[", ".join(error_words(int(frames.can_id[row]), frames.payload(row)))] += 1
+    layouts = decoder.databases.layouts
+    messages = []
+    keys = frames.can_id.astype(np.int64) | np.where((frames.flags & EXTENDED) != 0, EXTENDED_KEY, 0)
+    keys[errors] = -1
+    order = np.argsort(keys, kind="stable")
+    distinct, begins = np.unique(keys[order], return_index=True)
+    for key, rows in zip(distinct.tolist(), np.split(order, begins[1:]), strict=True):
+        if key >= 0:
+            expected_ns = expected_period_ns(key, layouts.get(key), revision)
+            messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
+    heard = set(distinct.tolist())
+    missing = (
+        ()
+        if heard.isdisjoint(layouts)
+        else tuple(
+            layout
+            for key, layout in layouts.items()
+            if key not in heard and expected_period_ns(key, layout, revision) is not None
+        )
+    )
+    return BusStatistics(
+        channel=channel,
+        frames=len(frames),
+        duration_s=duration_ns / SECOND,
+        timed=duration_ns > 0,
+        messages=tuple(messages),
+        missing=missing,
+        error_frames=dict(words),
+        load=_share(int(bits.sum()), duration_ns, bitrate),
+        peak_load=_peak_load(frames.t_ns, bits, bitrate),
+        bitrate=bitrate,
+        handshake=_handshake(frames, decoder.databases),
+        frozen_counts=tuple(_frozen_counts(frames, decoder)),
+        backwards=backwards,
+    )
+
+
+def expected_period_ns(key: int, layout: MessageLayout | None, revision: str | None) -> int | None:
+    """From the bus table where the message is one of its, else from the database."""
+    own = BY_ID.get(key)
+    if own is not None and layout is not None and own.name == layout.name and revision is not None:
+        return own.period_ns.get(revision)
+    return layout.period_ms * MS if layout is not None and layout.period_ms else None
+
+
+def _measure_message(
+    frames: Frames,
+    rows: Ints,
+    bits: Ints,
+    layout: MessageLayout | None,
+    expected_ns: int | None,
+    duration_ns: int,
+    bitrate: int,
+) -> MessageStatistics:
+    t_ns, word, length = frames.t_ns[rows], frames.word[rows], frames.length[rows]
+    intervals = np.diff(t_ns)
+    typical_ns = expected_ns or quantile(np.sort(intervals), 0.5) or 0  # type: ignore[arg-type]
+    timed = duration_ns > 0 and typical_ns > 0
+    remote = (frames.flags[rows] & REMOTE) != 0
+    wrong: dict[int, int] = {}
+    if layout is not None:
+        lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
+        wrong = dict(zip(lengths.tolist(), counts.tolist(), strict=True))
+    longest = int(np.argmax(intervals)) if timed and len(intervals) else None
+    close = 0
+    if timed and len(t_ns) > 2:
+        close = int((intervals[:-1] + intervals[1:] < _CLOSE_PERIODS * typical_ns).sum())
+    total_bits = int(bits[rows].sum())
+    can_id = int(frames.can_id[rows[0]])
+    return MessageStatistics(
+        can_id=can_id,
+        extended=bool(frames.flags[rows[0]] & EXTENDED),
+        name=layout.name if layout else None,
+        count=len(rows),
+        first_s=int(t_ns[0]) / SECOND,
+        last_s=int(t_ns[-1]) / SECOND,
+        expected_length=layout.length if layout else None,
+        wrong_lengths=wrong,
+        remote=int(remote.sum()),
+        sent=int(((frames.flags[rows] & SENT) != 0).sum()),
+        expected_ms=expected_ns / MS if expected_ns else None,
+        interval=Spread.of(intervals if timed else intervals[:0]),
+        mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
+        jitter=Spread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
+        gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
+        longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
+        longest_gap_at_s=None if longest is None else int(t_ns[longest]) / SECOND,
+        frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
+        payloads=len(np.unique(word)),
+        close=close,
+        bits=total_bits,
+        load=_share(total_bits, duration_ns, bitrate),
+    )
+
+
+def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
+    """(since when, for how long) all columns together stayed as they were, at the longest."""
+    if not len(t_ns):
+        return 0, 0
+    changed = np.zeros(len(t_ns), np.bool_)
+    changed[0] = True
+    for column in columns:
+        changed[1:] |= column[1:] != column[:-1]
+    begins = np.flatnonzero(changed)
+    ends = np.append(begins[1:] - 1, len(t_ns) - 1)
+    lasted = t_ns[ends] - t_ns[begins]
+    longest = int(np.argmax(lasted))
+    return int(t_ns[begins[longest]]), int(lasted[longest])
+
+
+def _share(bits: int, duration_ns: int, bitrate: int) -> float:
+    return bits / (bitrate * duration_ns / SECOND) if duration_ns > 0 else 0.0
+
+
+def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
+    """In the busiest 100 ms; of a shorter log, as if it had lasted that long."""
+    if not len(t_ns):
+        return 0.0
+    windows = (t_ns - t_ns.min()) // LOAD_WINDOW_NS
+    _, where = np.unique(windows, return_inverse=True)
+    return float(np.bincount(where, weights=bits).max()) / (bitrate * LOAD_WINDOW_NS / SECOND)
+
+
+def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
+    asked = _bit(frames, databases, "VCU2AI_Status")
+    answered = _bit(frames, databases, "AI2VCU_Status")
+    if asked is None or answered is None:
+        return None
+    asked_ns, asked_bits = asked
+    answer_ns, answer_bits = answered
+    # The very first bit asks for an answer too. Where no 0x510 came for 100 ms there is nobody who could give one.
+    toggles = np.append(0, np.flatnonzero(asked_bits[1:] != asked_bits[:-1]) + 1)
+    next_ns = np.append(asked_ns[toggles[1:]], np.iinfo(np.int64).max)
+    stood_ns = int(np.diff(np.append(asked_ns[toggles], asked_ns[-1])).max())
+    before = np.searchsorted(answer_ns, asked_ns[toggles], side="right") - 1
+    alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < _AI_PATIENCE_NS)
+    toggles, next_ns = toggles[alive], next_ns[alive]
+    toggle_ns, toggle_bits = asked_ns[toggles], asked_bits[toggles]
+    first_ns = np.full(len(toggles), np.iinfo(np.int64).max)
+    for bit in (0, 1):
+        times = np.append(answer_ns[answer_bits == bit], np.iinfo(np.int64).max)
+        mine = toggle_bits == bit
+        first_ns[mine] = times[np.searchsorted(times, toggle_ns[mine])]
+    in_time = first_ns < next_ns
+    waited = (first_ns - toggle_ns)[in_time]
+    unanswered = ~in_time
+    if len(toggles) and asked_ns[-1] - toggle_ns[-1] < _AI_PATIENCE_NS:
+        unanswered[-1] = False  # the log ended before it had to be
+    return Handshake(
+        len(waited), int(unanswered.sum()), stood_ns / MS, Spread.of(waited), int((waited >= _AI_PATIENCE_NS).sum())
+    )
+
+
+def _bit(frames: Frames, databases: Databases, name: str) -> tuple[Ints, Ints] | None:
+    """(times, HANDSHAKE) of a message's whole frames."""
+    layout = databases.by_name(name)
+    signal = next((s for s in layout.signals if s.name == "HANDSHAKE"), None) if layout else None
+    if layout is None or signal is None or not layout.plain:
+        return None
+    ours = (frames.can_id == layout.can_id) & (frames.length == layout.length)
+    ours &= (frames.flags & (ERROR | REMOTE | EXTENDED)) == (EXTENDED if layout.extended else 0)
+    if not ours.any():
+        return None
+    return frames.t_ns[ours], raw_of(signal, frames.word[ours]).astype(np.int64)
+
+
+def _frozen_counts(frames: Frames, decoder: Decoder) -> Iterator[tuple[str, float, float]]:
+    """Pulse counters that stood while the wheel speed said that the wheel turned."""
+    tables = decoder.tables(frames, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"})
+    if len(tables) < 2:
+        return
+    speeds, counts = tables["VCU2AI_Speeds"], tables["VCU2AI_Wheel_counts"]
+    for wheel in ("FL", "FR", "RL", "RR"):
+        speed, count = speeds.series.get(f"{wheel}_WHEEL_SPEED"), counts.series.get(f"{wheel}_PULSE_COUNT")
+        if speed is None or count is None or not len(speed.t_ns) or not len(count.t_ns):
+            continue
+        last = np.searchsorted(speed.t_ns, count.t_ns, side="right") - 1
+        turning = (last >= 0) & (speed.values[np.maximum(last, 0)] >= _TURNING_RPM)
+        # A wheel at rest breaks the run: while it rests, each frame counts as a change.
+        since_ns, lasted_ns = _longest_same(
+            count.t_ns, count.values, np.where(turning, -1, np.arange(len(turning), dtype=np.int64))
+        )
+        if lasted_ns >= _FROZEN_COUNTS_NS:
+            yield count.name, since_ns / SECOND, lasted_ns / SECOND
+
+
+# ---------------------------------------------------------------- judging
+
+
+def judge(bus: BusStatistics) -> list[Finding]:
+    """Everything that is not as it should be, the grave first."""
+    found = list(_judge_bus(bus))
+    for message in bus.messages:
+        found += _judge_message(message)
+    return sorted(found, key=lambda finding: finding.severity is not Severity.PROBLEM)
+
+
+def verdict(findings: list[Finding]) -> bool:
+    """Whether all is well."""
+    return not any(finding.severity is Severity.PROBLEM for finding in findings)
+
+
+def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
+    problem, note = Severity.PROBLEM, Severity.NOTE
+    if not bus.frames:
+        yield Finding(problem, "silent", f"nothing was heard on {bus.channel}")
+        return
+    if not bus.timed:
+        yield Finding(note, "no-times", "no times to measure: the log has none, or is a single instant")
+    if bus.backwards:
+        yield Finding(
+            note, "clock", f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
+        )
+    for words, count in bus.error_frames.items():
+        yield Finding(problem, "error-frames", f"{count} error frames: {words}")
+    absent = []
+    for layout in bus.missing:
+        own = BY_ID.get(layout.can_id)
+        grave = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
+        name = _name(layout.can_id, layout.name, layout.extended)
+        if grave and own is not None and own.timeout_ns is not None:
+            yield Finding(problem, "missing", f"{name} was never heard", layout.can_id)
+        else:
+            absent.append(name)
+    if absent:
+        yield Finding(note, "missing", f"never heard: {', '.join(absent)}")
+    if bus.peak_load > _HIGH_LOAD:
+        yield Finding(
+            note, "load", f"bus load {bus.load:.1%}, and {bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
+        )
+    handshake = bus.handshake
+    if handshake is not None:
+        if handshake.above_patience or handshake.unanswered:
+            yield Finding(
+                problem,
+                "handshake",
+                f"{handshake.unanswered} handshakes without an answer and {handshake.above_patience} answered after"
+                f" {_AI_PATIENCE_NS // MS} ms or more: the VCU takes that for AI_COMMS_LOST",
+                0x510,
+            )
+        elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > _SLOW_ECHO_NS:
+            yield Finding(
+                note, "handshake", f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow", 0x510
+            )
+        if handshake.stood_ms * MS >= _AI_PATIENCE_NS:
+            yield Finding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
+    for signal, since_s, for_s in bus.frozen_counts:
+        yield Finding(
+            problem, "frozen", f"{signal} stood still for {for_s:.1f} s while its wheel turned", 0x526, since_s
+        )
+
+
+def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
+    problem, note = Severity.PROBLEM, Severity.NOTE
+    name = _name(message.can_id, message.name, message.extended)
+    own = None if message.extended else BY_ID.get(message.can_id)
+    if own is not None and own.name != message.name:
+        own = None
+    if message.name is None:
+        yield Finding(
+            note, "unknown", f"{name} is in no database: {message.count} frames", message.can_id, message.first_s
+        )
+    if message.wrong_lengths:
+        which = ", ".join(f"{count} of {length} bytes" for length, count in message.wrong_lengths.items())
+        yield Finding(
+            problem, "wrong-length", f"{name} must have {message.expected_length} bytes: {which}", message.can_id
+        )
+    is_ai = not message.extended and message.can_id in AI_IDS
+    if message.remote and is_ai:
+        yield Finding(problem, "intruder", f"{name}: {message.remote} remote frames", message.can_id)
+    if is_ai and 0 < message.sent < message.count:
+        yield Finding(
+            problem,
+            "intruder",
+            f"{name}: {message.count - message.sent} frames that this computer did not send, beside {message.sent} of"
+            " its own: somebody else sends on the AI computer's id",
+            message.can_id,
+        )
+    elif is_ai and message.close:
+        yield Finding(
+            problem,
+            "intruder",
+            f"{name}: frames came too close together {message.close} times, as from a second sender",
+            message.can_id,
+        )
+    elif message.close and message.expected_ms:
+        yield Finding(
+            note,
+            "bursts",
+            f"{name}: {message.close} times three within 1.5 periods: bursts, or two senders",
+            message.can_id,
+        )
+    if not message.extended and message.sent and message.can_id in RESERVED_IDS:
+        yield Finding(
+            problem, "reserved", f"{name}: sent {message.sent} times by this computer, which must not", message.can_id
+        )
+    yield from _judge_times(message, name, own)
+
+
+def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) -> Iterator[Finding]:
+    problem, note = Severity.PROBLEM, Severity.NOTE
+    if message.expected_ms is None or message.longest_gap_ms is None or message.interval.p50_ms is None:
+        return
+    supervised = own is None or own.timeout_ns is not None
+    lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * message.expected_ms
+    at = f" at {message.longest_gap_at_s:.3f} s" if message.longest_gap_at_s is not None else ""
+    if message.longest_gap_ms >= lost_ms:
+        yield Finding(
+            problem if supervised else note,
+            "gap",
+            f"{name} was silent for {message.longest_gap_ms:.1f} ms{at}: {lost_ms:g} ms count as lost",
+            message.can_id,
+            message.longest_gap_at_s,
+        )
+    elif message.gaps:
+        yield Finding(
+            note,
+            "gap",
+            f"{name}: frames missing {message.gaps} times, the longest gap {message.longest_gap_ms:.1f} ms{at}",
+            message.can_id,
+            message.longest_gap_at_s,
+        )
+    # A gap moves the mean, and a rhythm of short and long moves the median: a wrong period moves both.
+    both = [message.interval.p50_ms, message.mean_ms or 0.0]
+    off = min(abs(period_ms / message.expected_ms - 1.0) for period_ms in both)
+    if message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
+        yield Finding(
+            problem if supervised else note,
+            "period",
+            f"{name} comes every {message.interval.p50_ms:.2f} ms, but should every {message.expected_ms:g} ms",
+            message.can_id,
+        )
+
+
+def _name(can_id: int, name: str | None, extended: bool) -> str:
+    number = f"0x{can_id:08X}" if extended else f"0x{can_id:03X}"
+    return f"{name} ({number})" if name else number
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)

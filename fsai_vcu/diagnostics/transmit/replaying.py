@@ -1,0 +1,166 @@
+"""A log sent onto a bus again, in its own rhythm: which of its frames may be sent, where, and when each is due."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Mask
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.runtime.bus import split_spec
+
+LAP_GAP_NS: Final = 10_000_000  # between the last frame and the first again: a cycle of the bus
+RETRY_NS: Final = 1_000_000  # a full transmit queue is tried again so soon …
+GIVE_UP_NS: Final = 1_000_000_000  # … for so long
+_STAND_INS: Final = frozenset({"fsai_loopback", "virtual", "udp_multicast"})  # python-can's kinds without a wire
+_VIRTUAL_LINKS: Final = frozenset({"vcan", "vxcan"})
+
+
+class ReplayError(Exception):
+    """What cannot be replayed; the message is one clear line."""
+
+
+def is_physical(spec: str) -> bool:
+    """Whether `spec` may be a real bus: anything that is not known to be none.
+
+    Not to be seen from the name, nor from where sysfs keeps it (a serial adapter is 'virtual' there): the kernel tells
+    the kind of a link.
+    """
+    kind, channel = split_spec(spec)
+    if kind in _STAND_INS:
+        return False
+    if kind != "socketcan":
+        return True
+    try:
+        shown = subprocess.run(
+            ["ip", "-details", "-json", "link", "show", "dev", channel], capture_output=True, timeout=5.0, check=True
+        )
+        links = json.loads(shown.stdout)
+        return links[0]["linkinfo"]["info_kind"] not in _VIRTUAL_LINKS
+    except (OSError, subprocess.SubprocessError, ValueError, LookupError, TypeError):
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The frames that are sent, in order of time; and how many are not, by why."""
+
+    frames: Frames
+    left_out: dict[str, int]
+
+    def words(self) -> str:
+        """What was left out; empty if nothing was."""
+        return ", ".join(f"{count} {why}" for why, count in self.left_out.items() if count)
+
+
+def choose(frames: Frames, *, with_ai_ids: bool) -> Chosen:
+    """What of a log may be sent at all.
+
+    Never reserved ids (safety rule 8), and the AI computer's own only if told: the bridge on the bus would take them
+    for an intruder's. 0x501 is the PCAN-GPS's, unless the car has none.
+    """
+    why_not: list[tuple[str, Mask]] = [
+        ("error frames", (frames.flags & ERROR) != 0),
+        ("CAN FD frames", (frames.flags & FD) != 0),
+        ("frames of reserved ids", np.isin(frames.can_id, list(RESERVED_IDS))),
+    ]
+    if not with_ai_ids:
+        standard = (frames.flags & EXTENDED) == 0
+        why_not.append(("frames of the AI computer's own ids", standard & np.isin(frames.can_id, AI_IDS)))
+    sent: Mask = np.ones(len(frames), np.bool_)
+    left_out: dict[str, int] = {}
+    for why, mask in why_not:
+        left_out[why] = int((sent & mask).sum())
+        sent &= ~mask
+    frames = frames.only(sent)
+    return Chosen(frames.only(np.argsort(frames.t_ns, kind="stable")), left_out)
+
+
+def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
+    """The frames of a part of the log, in ns since its first frame. Raises ReplayError if there are none."""
+    if not len(frames):
+        return frames
+    since_ns = frames.t_ns - frames.t_ns.min()
+    inside: Mask = since_ns >= begin_ns
+    if end_ns is not None:
+        inside &= since_ns <= end_ns
+    if not inside.any():
+        raise ReplayError(f"nothing in that part of the log: it lasts {int(since_ns.max()) / 1e9:.3f} s")
+    return frames.only(inside)
+
+
+@dataclass
+class Progress:
+    """What has been sent. late_max_ns: the latest that a frame left after it was due."""
+
+    sent: int = 0
+    laps: int = 0
+    refused: int = 0  # the transmit queue stayed full for too long
+    late_max_ns: int = 0
+
+
+class Player:
+    """Sends frames when they are due by a clock: each counted from the beginning, so that nothing adds up."""
+
+    def __init__(
+        self,
+        frames: Frames,
+        send: Callable[[Frame], bool],
+        clock_ns: Callable[[], int],
+        sleep_s: Callable[[float], None],
+        *,
+        rate: float = 1.0,
+        laps: int | None = 1,
+    ) -> None:
+        """`frames` in order of time. laps: None is for ever. `send` returns False for a full transmit queue."""
+        self.progress = Progress()
+        self._frames = frames
+        self._send = send
+        self._clock_ns = clock_ns
+        self._sleep_s = sleep_s
+        self._rate = rate
+        self._laps = laps
+
+    def play(self) -> Iterator[None]:
+        """Sends one frame after the other; a caller that stops asking stops it."""
+        frames, progress = self._frames, self.progress
+        if not len(frames):
+            return
+        begin_ns = int(frames.t_ns[0])
+        lap_ns = int(frames.t_ns[-1]) - begin_ns + LAP_GAP_NS
+        ready = [
+            (t_ns - begin_ns, Frame(can_id, frames.payload(row), 0, bool(flags & EXTENDED), bool(flags & REMOTE)))
+            for row, (t_ns, can_id, flags) in enumerate(
+                zip(frames.t_ns.tolist(), frames.can_id.tolist(), frames.flags.tolist(), strict=True)
+            )
+        ]
+        start_ns = self._clock_ns()
+        while self._laps is None or progress.laps < self._laps:
+            lap_begin_ns = progress.laps * lap_ns
+            for since_ns, frame in ready:
+                due_ns = start_ns + round((lap_begin_ns + since_ns) / self._rate)
+                self._await(due_ns)
+                self._one(frame, due_ns)
+                yield
+            progress.laps += 1
+
+    def _await(self, due_ns: int) -> None:
+        while (left_ns := due_ns - self._clock_ns()) > 0:
+            self._sleep_s(left_ns / 1e9)
+
+    def _one(self, frame: Frame, due_ns: int) -> None:
+        progress = self.progress
+        give_up_ns = self._clock_ns() + GIVE_UP_NS
+        while not self._send(frame):
+            if self._clock_ns() >= give_up_ns:
+                progress.refused += 1
+                return
+            self._sleep_s(RETRY_NS / 1e9)
+        progress.sent += 1
+        progress.late_max_ns = max(progress.late_max_ns, self._clock_ns() - due_ns)

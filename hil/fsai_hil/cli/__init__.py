@@ -1,0 +1,15 @@
+"""The verbs that this package adds to `fsai-vcu`, by the entry point `fsai_vcu.verbs`."""
+
+from typing import Final
+
+# verb -> (module, what it does in one line)
+VERBS: Final = {
+    "drive": ("fsai_hil.cli.drive", "drive a mission against the simulated car, in lockstep, without ROS or hardware"),
+    "campaign": ("fsai_hil.cli.campaign", "drive thousands of runs with a fault in each, judged by the safety rules"),
+    "vcu": ("fsai_hil.cli.vcu", "run the simulated VCU and car as a process on a bus"),
+    "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0"),
+    "scrutineering": (
+        "fsai_hil.cli.scrutineering",
+        "measure the handshake's response time on a real vcan0, and report it",
+    ),
+}

@@ -1,0 +1,205 @@
+"""`fsai-vcu campaign`: every kind of fault at random moments of every mission, judged by the safety rules."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fsai_hil.evidence.campaign.runner import Pace, Plan, Task
+
+EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
+
+RUNS = 10_000
+FULL = 300
+PROGRESS_EVERY_S = 5.0
+MANY_FAILURES = 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--runs", type=int, default=RUNS, metavar="N", help=f"runs from snapshots (default: {RUNS})")
+    parser.add_argument("--full", type=int, default=FULL, metavar="N", help=f"full-length runs (default: {FULL})")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
+    parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one per processor)")
+    parser.add_argument("--faults", metavar="A,B,…", help="only these kinds (default: all; see --list)")
+    parser.add_argument("--missions", metavar="A,B,…", help="only these missions (default: all)")
+    parser.add_argument("--revisions", metavar="A,B", help="only these interface revisions (default: all)")
+    parser.add_argument("--world-seeds", type=int, metavar="N", help="different worlds that are driven in (default: 3)")
+    parser.add_argument("--window", type=float, metavar="S", help="length of a run from a snapshot (default: 10 s)")
+    parser.add_argument("--out", type=Path, default=Path("out/campaign"), metavar="DIR", help="default: out/campaign")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with the record in DIR (else it is kept there by another name)"
+    )
+    parser.add_argument(
+        "--renew", action="store_true", help="with --resume: begin anew where the record is of other sources"
+    )
+    parser.add_argument("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
+    parser.add_argument("--list", action="store_true", help="list the kinds of fault")
+    parser.add_argument("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE.md", help="where --table goes (default: the terminal)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_hil.evidence.campaign.cluster import ClusterError
+    from fsai_hil.evidence.campaign.record import RecordError
+    from fsai_vcu.cli.main import UserError
+
+    try:
+        if args.list:
+            return _list()
+        if args.table:
+            return _table(args.table, args.output)
+        return _campaign(args)
+    except (ValueError, RecordError, ClusterError) as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        raise UserError(text) from error
+
+
+def _list() -> int:
+    from fsai_hil.evidence.campaign.table import catalogue_lines
+
+    print("\n".join(catalogue_lines()))
+    return 0
+
+
+def _table(record: Path, output: Path | None) -> int:
+    from fsai_hil.evidence.campaign.record import read
+    from fsai_hil.evidence.campaign.table import failures, markdown
+
+    header, runs = read(record)
+    text = markdown(header, runs)
+    if output is None:
+        print(text)
+    else:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(text, encoding="utf-8")
+        print(f"saved {output}: {len(runs)} runs, {len(failures(runs))} worse than the rules allow")
+    return 0
+
+
+def _campaign(args: argparse.Namespace) -> int:
+    from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside
+    from fsai_hil.evidence.campaign.runner import campaign
+    from fsai_hil.evidence.campaign.table import failures
+    from fsai_vcu.cli.main import WrongUse
+
+    if args.renew and not args.resume:
+        raise WrongUse("--renew goes with --resume: without it a campaign begins anew anyway")
+    plan = _plan(args)
+    jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
+    if jobs < 1:
+        raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
+    path, header = args.out / NAME, plan.header()
+    if not args.resume or (args.renew and of_other_sources(path, header)):
+        kept_as = put_aside(path)
+        if kept_as is not None:
+            why = "it is of other sources" if args.resume else "without --resume a campaign begins anew"
+            print(f"{path} is now {kept_as.name}: {why}", file=sys.stderr)
+    with Writer(path, header, resume=args.resume) as writer:
+        kept = len(writer.runs)
+        if kept:
+            print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
+        told = Progress()
+        try:
+            if args.dask:
+                from fsai_hil.evidence.campaign.cluster import on_cluster
+
+                campaign(plan, writer, partial(on_cluster, args.dask), told)
+            else:
+                campaign(plan, writer, partial(_local, jobs), told)
+        except KeyboardInterrupt:
+            told.end()
+            print(f"{len(writer.runs)} runs are kept in {writer.path}; --resume goes on", file=sys.stderr)
+            raise
+        told.end()
+        worse = failures(writer.runs)
+        new = len(writer.runs) - kept
+        if new and told.pace is not None:
+            rate = told.pace.runs_per_s
+            print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
+        print(f"{len(writer.runs)} runs of {len(plan.selection.kinds())} kinds, record in {writer.path}")
+        print(f"table: fsai-vcu campaign --table {writer.path}")
+        if worse:
+            print(f"{len(worse)} worse than the rules allow")
+            return 1
+        print("every run ended as the rules demand")
+        return 0
+
+
+def _local(jobs: int, plan: Plan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
+    from fsai_hil.evidence.campaign.runner import in_processes
+
+    return in_processes(plan, work, jobs)
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    from fsai_hil.evidence.campaign.cases import LEG_MS, WORLD_SEEDS, Selection
+    from fsai_hil.evidence.campaign.runner import Plan
+    from fsai_hil.evidence.campaign.scenario import WINDOW_MS
+    from fsai_hil.simulator.world import mission_named
+    from fsai_vcu.interface.revisions import revision
+
+    if args.runs < 0 or args.full < 0 or args.runs + args.full < 1:
+        raise ValueError("--runs and --full must be 0 or more, and one of them at least 1")
+    if args.world_seeds is not None and args.world_seeds < 1:
+        raise ValueError(f"--world-seeds is {args.world_seeds}, but at least 1 world can be driven in")
+    if args.window is not None and not 1.0 <= args.window <= 100.0:
+        raise ValueError(f"--window is {args.window:g} s, but must be 1 to 100 s")
+    window_ms = WINDOW_MS if args.window is None else round(args.window * 1000)
+    selection = Selection(
+        tuple(_names(args.faults)),
+        tuple(mission_named(name) for name in _names(args.missions)),
+        tuple(revision(name).name for name in _names(args.revisions)),
+        WORLD_SEEDS if args.world_seeds is None else args.world_seeds,
+        min(LEG_MS, 6 * window_ms // 10),
+    )
+    return Plan(args.seed, args.runs, args.full, selection, window_ms)
+
+
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+class Progress:
+    """One line that is written over on a terminal, one every few seconds elsewhere; each failure as it comes."""
+
+    def __init__(self) -> None:
+        self.pace: Pace | None = None
+        self._terminal = sys.stderr.isatty()
+        self._next_s = 0.0
+        self._failures = 0
+
+    def __call__(self, pace: Pace, lines: Sequence[dict[str, Any]]) -> None:
+        self.pace = pace
+        for line in lines:
+            if line["verdict"] != "ok":
+                self._failure(line)
+        now_s = time.monotonic()
+        if now_s < self._next_s and pace.done < pace.total:
+            return
+        self._next_s = now_s + (0.2 if self._terminal else PROGRESS_EVERY_S)
+        end = "" if self._terminal else "\n"
+        print(f"{chr(13) + chr(27) + '[K' if self._terminal else ''}{pace}", end=end, file=sys.stderr, flush=True)
+
+    def _failure(self, line: dict[str, Any]) -> None:
+        self._failures += 1
+        if self._failures > MANY_FAILURES:
+            return
+        self.end()
+        print(f"worse: {line['replay']}\n       {'; '.join(line['reasons'][:3])}")
+        if self._failures == MANY_FAILURES:
+            print("       … further ones are in the record only")
+
+    def end(self) -> None:
+        if self._terminal:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

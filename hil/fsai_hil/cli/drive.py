@@ -1,0 +1,195 @@
+"""`fsai-vcu drive`: a whole mission against the simulated car, in lockstep, without ROS or hardware."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fsai_hil.simulator.judge import Verdict
+    from fsai_hil.simulator.lockstep import Lockstep
+    from fsai_hil.simulator.world import World
+    from fsai_vcu.core.report import BridgeReport
+
+EXAMPLE = (
+    "fsai-vcu drive --mission trackdrive --laps 2 --seed 7 --plot run.png\n"
+    "  fsai-vcu drive --mission acceleration --fault controller_silent:after=5000,duration=400"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--mission", help="what the AMI is set to (default: autocross)")
+    parser.add_argument("--track", metavar="FILE.csv|NAME", help="default: the mission's own built-in track")
+    parser.add_argument("--laps", type=int, metavar="N", help="laps of a trackdrive (default: 10)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every chance in the run (default: 0)")
+    parser.add_argument("--revision", default="2026", help="interface revision: 2021 or 2026 (default: 2026)")
+    parser.add_argument(
+        "--profile", default="specification", help="the VCU's manners: specification or official-simulator"
+    )
+    parser.add_argument("--noise", type=float, default=1.0, metavar="X", help="noise of the cone sensor (default: 1)")
+    parser.add_argument("--max-speed", type=float, metavar="M/S", help="highest speed in every mission")
+    parser.add_argument("--limits", type=Path, metavar="FILE.toml", help="operational limits imposed by an official")
+    parser.add_argument(
+        "--fault",
+        metavar="NAME[:PARAMETER=VALUE,…]",
+        help="break something on the way, and explain what follows; since=start|ready|driving|finished and after=MS"
+        " say when, what is not given is drawn by --seed",
+    )
+    parser.add_argument("--full", action="store_true", help="with --fault: drive to the end of the mission")
+    parser.add_argument("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
+    parser.add_argument("--realtime", action="store_true", help="as fast as the clock, not as the computer")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="save a plot of track, path driven and speed")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
+    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+
+    try:
+        if args.list_faults:
+            from fsai_hil.evidence.campaign.table import catalogue_lines
+
+            print("\n".join(catalogue_lines()))
+            return 0
+        return _drive_with_fault(args) if args.fault else _drive(args)
+    except (ValueError, OSError) as error:
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        raise UserError(text) from error
+
+
+def _drive(args: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from fsai_hil.simulator.lockstep import Lockstep
+    from fsai_hil.simulator.tracks import load_track
+    from fsai_hil.simulator.world import WorldSetup, mission_named
+    from fsai_vcu.core.control.settings import ControllerSettings
+    from fsai_vcu.runtime.limits_file import read_limits
+    from fsai_vcu.runtime.recording import CandumpWriter
+
+    if args.laps is not None and args.laps < 1:
+        raise ValueError(f"--laps is {args.laps}, but at least 1 lap can be driven")
+    setup = WorldSetup(
+        missions=[mission_named(args.mission or "autocross")],
+        track=load_track(args.track) if args.track else None,
+        revision=args.revision,
+        profile=args.profile,
+        seed=args.seed,
+        laps=args.laps,
+        noise_level=args.noise,
+    )
+    settings = ControllerSettings()
+    if args.max_speed is not None:
+        settings = replace(settings, max_speed_mps=args.max_speed)
+    limits = read_limits(args.limits) if args.limits else None
+    if limits is not None:
+        print("operational limits: " + ", ".join(limits.described()), file=sys.stderr)
+    with ExitStack() as stack:
+        writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
+        lockstep = Lockstep(setup, limits=limits, controller=settings, on_frame=writer.write if writer else None)
+        for mission in setup.missions:
+            if line := lockstep.computer.controller.too_slow(mission):
+                print(line, file=sys.stderr)
+        result = lockstep.run(None if args.json else Progress(), realtime=args.realtime)
+    status = 0 if result.passed else 1
+    if args.plot and not _plotted(args.plot, lockstep, result.verdict):
+        status = 1
+    if args.json:
+        print(json.dumps(result.as_dict()))
+        return status
+    print(result.verdict.summary())
+    for violation in result.wire.violations:
+        print(f"on the wire: {violation}")
+    if result.report.emergency and not result.passed:
+        print(f"emergency: {result.report.emergency}")
+    for reason, count in result.report.reason_counts.items():
+        print(f"gate: {reason} ({count}x)")
+    speed = result.sim_time_s / max(result.wall_time_s, 1e-9)
+    print(f"{result.sim_time_s:.1f} s driven in {result.wall_time_s:.1f} s ({speed:.0f} times real time)")
+    for path in (args.plot, args.log):
+        if path and path.exists():
+            print(f"saved {path}")
+    return status
+
+
+def _plotted(path: Path, lockstep: Lockstep, verdict: Verdict) -> bool:
+    from fsai_hil.simulator.plot import PlotError, save_plot
+
+    try:
+        save_plot(path, lockstep.world.track, lockstep.world.samples, verdict)
+    except PlotError as error:
+        print(f"fsai-vcu drive: {error}", file=sys.stderr)
+        return False
+    return True
+
+
+def _drive_with_fault(args: argparse.Namespace) -> int:
+    """One case of the fault campaign, told to a person. Exit status 1: worse than the safety rules allow."""
+    from fsai_hil.evidence.campaign.cases import case_from_spec
+    from fsai_hil.evidence.campaign.explain import Story
+    from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
+    from fsai_hil.evidence.campaign.verdict import as_record
+    from fsai_hil.simulator.world import mission_named
+    from fsai_vcu.interface.revisions import revision
+    from fsai_vcu.runtime.recording import CandumpWriter
+
+    others = {"--track": args.track, "--laps": args.laps, "--limits": args.limits, "--max-speed": args.max_speed}
+    for name, value in others.items():
+        if value is not None:
+            raise ValueError(f"{name} does not go with --fault: a fault is driven as in the campaign")
+    if args.profile != "specification" or args.noise != 1.0 or args.realtime:
+        raise ValueError("--profile, --noise and --realtime do not go with --fault")
+    if args.seed < 0:
+        raise ValueError(f"seed is {args.seed}, but must be 0 or more")
+    mission = mission_named(args.mission) if args.mission else None
+    case = case_from_spec(
+        args.fault, mission=mission, revision=revision(args.revision).name, seed=args.seed, full=args.full
+    )
+    with ExitStack() as stack:
+        writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
+        rig = power_up(case, writer.write if writer else None)
+        if case.leg_ms is not None:
+            drive_to(rig, case.leg_ms)
+        scenario = Scenario(case, rig)
+        story = Story(case)
+        while not scenario.over:
+            scenario.step()
+            if not args.json:
+                story.listen(scenario)
+    verdict = scenario.verdict()
+    status = 0 if verdict.ok else 1
+    if args.plot and not _plotted(args.plot, rig, rig.world.verdict()):
+        status = 1
+    if args.json:
+        print(json.dumps(as_record(case, verdict, {})))
+        return status
+    print(f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}; again with:\n  {case.replay}\n")
+    print("\n".join(story.lines(scenario, verdict)))
+    print("as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW")
+    return status
+
+
+class Progress:
+    """A line when the AS state changes, and one every five seconds of driving."""
+
+    EVERY_S = 5.0
+
+    def __init__(self) -> None:
+        self._state = ""
+        self._next_s = 0.0
+
+    def __call__(self, world: World, report: BridgeReport) -> None:
+        truth, now_s = world.truth, world.now_ns / 1e9
+        if truth.as_state == self._state and now_s < self._next_s:
+            return
+        self._state, self._next_s = truth.as_state, now_s + self.EVERY_S
+        why = f"  {report.why_not_driving[0]}" if report.why_not_driving else ""
+        print(
+            f"{now_s:6.1f} s  {truth.as_state:<15} {report.mode:<10} {truth.speed_mps:5.1f} m/s  lap {truth.laps}{why}",
+            file=sys.stderr,
+        )

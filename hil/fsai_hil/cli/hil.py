@@ -1,0 +1,172 @@
+"""`fsai-vcu hil`: the hardware-in-the-loop suite on a real vcan0, native or in User-Mode Linux."""
+
+from __future__ import annotations
+
+import argparse
+import compileall
+import math
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from fsai_hil import CHECKOUT
+from fsai_vcu.runtime.transport import loopback_environment
+
+EXAMPLE = "fsai-vcu hil -k planner_killed"
+
+_SUITE = Path("tests") / "hil"
+_SOAK = _SUITE / "chain" / "test_soak.py"
+_TIMEOUT_S = 600.0
+_SOAKED = 1.5  # as long as the driving alone: power cycles, and missions that a disturbed machine makes worthless
+_TIMEOUT_ALL_S = 3600.0
+# User-Mode Linux has one processor, and five ROS 2 nodes and a car on it have no time to spare: it gets so many seconds
+# of this machine for each second inside. What fails all the same while the machine is disturbed gets more.
+_PACE = 1.25
+_SLOW_PACE = 3.0
+# What of the caller's environment a run sees: enough to behave alike everywhere, and nothing that is nobody's business.
+_PASSED_ON = ("PATH", "TERM", "TZ", "CI", "NO_COLOR", "FORCE_COLOR", "LD_LIBRARY_PATH")
+_PASSED_ON_PREFIXES = ("LANG", "LC_", "FSAI_", "ROS_", "_ROS_", "PYTEST_", "PYTHON")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.allow_abbrev = False
+    parser.usage = (
+        "%(prog)s [--all | --soak MINUTES] [--native | --uml] [--timeout S] [--results DIR]"
+        " [pytest's arguments: -k, -x, a file …]"
+    )
+    extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--all", action="store_true", help="also the long tests: every fault of every process")
+    extent.add_argument(
+        "--soak",
+        type=float,
+        metavar="MINUTES",
+        help="instead: one mission after another for so long, with the verdict whether it stays flat",
+    )
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
+    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        metavar="S",
+        help=f"end it after so long, by the clock that its tests see ({_TIMEOUT_S:g}; with --all {_TIMEOUT_ALL_S:g}; "
+        f"with --soak, {_SOAKED:g} times that on top); what was put off has as long again",
+    )
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", help="where logs are kept (out/hil; with --soak out/soak)"
+    )
+
+
+def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
+    """Options that are not ours are pytest's."""
+    args, others = parser.parse_known_args(argv)
+    args.pytest_args = others
+    return args
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+    from fsai_vcu.cli.main import UserError, WrongUse
+
+    timeout_s = args.timeout
+    if timeout_s is None:
+        timeout_s = _TIMEOUT_ALL_S if args.all else _TIMEOUT_S + _SOAKED * 60.0 * (args.soak or 0.0)
+    if not 0.0 < timeout_s < math.inf:
+        raise WrongUse(f"--timeout is {timeout_s:g}, but must be a time in seconds")
+    if args.soak is not None and not args.soak > 0.0:
+        raise WrongUse(f"--soak is {args.soak:g}, but must be a time in minutes")
+    if not (CHECKOUT / _SUITE).is_dir():
+        raise UserError(f"the suite is part of the source checkout, and {CHECKOUT} has no {_SUITE}")
+    # A polite kill ends everything in order, as Ctrl-C does: the logs are still to be put into their place.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        print(f"fsai-vcu hil: {place.name} {INTERFACE}: {place.why}", flush=True)
+        results = _results_dir(args.results, CHECKOUT / "out" / ("hil" if args.soak is None else "soak"))
+        for package in ("fsai_vcu", "hil", "nodes"):
+            # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
+            compileall.compile_dir(CHECKOUT / package, quiet=2)
+
+        def suite(words: Sequence[str], results: Path, pace: float, put_off: Path | None) -> int:
+            # Always said: one that a caller has in his environment must not let a failure be put off for ever.
+            told = {"FSAI_HIL_PUT_OFF": "" if put_off is None else str(put_off)}
+            return place.run(
+                [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words],
+                cwd=CHECKOUT,
+                env={**environment(os.environ, INTERFACE, place.name, results), **_extent(args), **told},
+                timeout_s=pace * timeout_s,
+                results_dir=results,
+                **({"pace": pace} if place.has_pace else {}),
+            )
+
+        pace = _PACE if place.has_pace else 1.0
+        put_off = results / "put-off" if place.has_pace and args.soak is None else None
+        if place.has_pace:
+            print(f"fsai-vcu hil: {pace:g} s of this machine for each second inside", flush=True)
+        if put_off is not None:
+            for old in (put_off, put_off.with_suffix(".txt")):
+                old.unlink(missing_ok=True)
+        status = suite(_selection(args), results, pace, put_off)
+        if status == 0 and put_off is not None and put_off.exists():
+            print(f"\nfsai-vcu hil: what was put off, now with {_SLOW_PACE:g} s for each second", flush=True)
+            names = put_off.read_text().splitlines()
+            status = suite(names, results / "put-off-runs", _SLOW_PACE, None)
+    except VcanError as error:
+        raise UserError(str(error)) from error
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if status == 124:
+        print(f"fsai-vcu hil: not done after {timeout_s:g} s of its clock, and ended", file=sys.stderr)
+    if status:
+        print(f"fsai-vcu hil: the logs of the processes are in {results}", file=sys.stderr)
+    return status
+
+
+def _results_dir(wanted: Path | None, usual: Path) -> Path:
+    """The folder for this run's logs; the usual one is emptied of the last run's, another must be its owner's care."""
+    if wanted is not None:
+        return wanted.resolve()
+    if usual.exists():
+        shutil.rmtree(usual)
+    return usual
+
+
+def _selection(args: argparse.Namespace) -> list[str]:
+    """The arguments for pytest: the whole suite unless a part of it is named."""
+    words: list[str] = args.pytest_args
+    if args.soak is not None:
+        return [str(_SOAK), "-s", *words]
+    named = [word for word in words if not word.startswith("-") and Path(CHECKOUT, word.split("::")[0]).exists()]
+    return [*words] if named else [str(_SUITE), *words]
+
+
+def _extent(args: argparse.Namespace) -> dict[str, str]:
+    """What the suite is told of how much of it is wanted."""
+    return {
+        **({"FSAI_HIL_ALL": "1"} if args.all or args.soak else {}),
+        **({} if args.soak is None else {"FSAI_HIL_SOAK_MINUTES": f"{args.soak:g}"}),
+    }
+
+
+def environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:
+    """What a run with a vcan0 of its own sees of the caller's environment, and what it needs besides."""
+    passed_on = loopback_environment(
+        {name: value for name, value in caller.items() if name in _PASSED_ON or name.startswith(_PASSED_ON_PREFIXES)}
+    )
+    if not sys.stdout.isatty():
+        # The console of User-Mode Linux is a terminal even where ours is a file.
+        passed_on.setdefault("NO_COLOR", "1")
+    return {
+        **passed_on,
+        "COLUMNS": str(shutil.get_terminal_size().columns),
+        "HOME": "/tmp",  # the only place for caches that is writable in User-Mode Linux too
+        "FSAI_CAN_INTERFACE": interface,
+        "FSAI_HIL_PLACE": place,
+        "FSAI_HIL_RESULTS": str(results),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONUNBUFFERED": "1",
+        "ROS_LOG_DIR": str(results / "ros"),
+    }

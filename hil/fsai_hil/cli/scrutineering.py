@@ -1,0 +1,148 @@
+"""`fsai-vcu scrutineering`: the handshake's response time, measured on a real vcan0, in a report for a scrutineer."""
+
+from __future__ import annotations
+
+import argparse
+import compileall
+import json
+import math
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fsai_hil import CHECKOUT
+
+EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
+
+_SECONDS = 60.0  # six thousand echoes: enough for a p99.9
+_SHORT_SECONDS = 3.0
+_PACE = 1.0  # of User-Mode Linux: the machine's own clock
+_SLACK_S = 240.0  # starting processes on one slow processor
+_PER_CONDITION_S = 120.0  # powering up and driving off
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--seconds", type=float, metavar="S", help=f"how long each condition is measured ({_SECONDS:g})")
+    add("--conditions", metavar="NAME[,NAME…]", help="only these (default: all)")
+    add("--short", action="store_true", help=f"only what needs no drive, {_SHORT_SECONDS:g} s each")
+    add("--revision", default="2026", choices=("2021", "2026"), help="interface revision (2026)")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
+    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    add(
+        "--pace",
+        type=float,
+        metavar="N",
+        help=f"in User-Mode Linux: how many seconds of this machine a second there takes ({_PACE:g})",
+    )
+    add(
+        "-o",
+        "--out",
+        type=Path,
+        default=Path("out/scrutineering"),
+        metavar="DIR",
+        help="for report and logs (%(default)s)",
+    )
+    add("--report", type=Path, metavar="FILE.md", help="write the report to this file as well")
+    add("--json", action="store_true", help="print everything measured as one JSON object, the last line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: in every condition answered in time, and sooner than the loop in C; 1: not, or not measured."""
+    from fsai_hil.cli.hil import environment
+    from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME, SHORT, conditions_named
+    from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
+    from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
+    from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+    from fsai_hil.vcan.clock import SLOWEST_PACE
+    from fsai_vcu.cli.main import UserError, WrongUse
+
+    seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
+    if not 0.0 < seconds < math.inf:
+        raise WrongUse(f"--seconds is {seconds:g}, but must be a time in seconds")
+    if args.pace is not None and not 1.0 <= args.pace <= SLOWEST_PACE:
+        raise WrongUse(f"--pace is {args.pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
+    try:
+        names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
+        conditions = conditions_named(names)
+    except ValueError as error:
+        raise WrongUse(str(error)) from error
+    out: Path = args.out.resolve()
+    result = out / "measured.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        result.unlink(missing_ok=True)
+        place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        if args.pace is not None and not place.has_pace:
+            raise WrongUse("--pace is for User-Mode Linux (--uml): this kernel's own vcan goes by this machine's clock")
+        pace = 1.0 if not place.has_pace else _PACE if args.pace is None else args.pace
+        _say(args, f"{place.name} {INTERFACE}: {place.why}")
+        _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
+        if pace != 1.0:
+            _say(args, f"{pace:g} s of this machine for each second inside")
+        for package in ("fsai_vcu", "hil", "nodes"):
+            # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
+            compileall.compile_dir(CHECKOUT / package, quiet=2)
+        argv = [
+            sys.executable,
+            "-m",
+            "fsai_hil.rehearsal.scrutineering",
+            INTERFACE,
+            str(result),
+            "--seconds",
+            str(seconds),
+        ]
+        argv += ["--revision", args.revision, "--conditions", ",".join(each.name for each in conditions)]
+        status = place.run(
+            [*argv, *(["--slow-place"] if place.name == "uml" else [])],
+            cwd=CHECKOUT,
+            env=environment(os.environ, INTERFACE, place.name, out),
+            timeout_s=pace * (_SLACK_S + len(conditions) * (2 * seconds + _PER_CONDITION_S)),
+            results_dir=out,
+            **({"pace": pace} if place.has_pace else {}),
+        )
+    except VcanError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"{error.filename or out}: {error.strerror}") from error
+    if status or not result.exists():
+        raise UserError(f"nothing was measured (status {status}); the logs of the processes are in {out}")
+    measured = {
+        **json.loads(result.read_text()),
+        "place": place.name,
+        "pace": pace,
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "host": machine(),
+        "versions": versions(),
+        "source": source_revision(CHECKOUT),
+    }
+    measured["failures"] = failures(measured)
+    left_out = not_measured(measured)
+    measured["result"] = "fail" if measured["failures"] else "incomplete" if left_out else "pass"
+    result.unlink()
+    saved = [out / "response-time.md", *([args.report] if args.report else [])]
+    for path in saved:
+        _write(path, markdown(measured))
+    saved.append(out / "response-time.json")
+    _write(saved[-1], json.dumps(measured, indent=1) + "\n")
+    _say(args, "\n" + summary(measured))
+    _say(args, f"saved {', '.join(str(path) for path in saved)}")
+    if args.json:
+        print(json.dumps(measured))
+    return 0 if measured["result"] == "pass" else 1
+
+
+def _write(path: Path, text: str) -> None:
+    from fsai_vcu.cli.main import UserError
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)

@@ -1,0 +1,214 @@
+"""Cases: which fault, in which mission, when. Case N of seed S follows from the two numbers alone.
+
+So any case can be made again on any machine, in any order, without the ones before it.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.catalogue import ROWS, FaultKind, kind_named
+from fsai_vcu.interface.enums import Ami, AsState
+
+WORLD_SEEDS: Final = 3  # cone noise and the rest of a run's chance; the campaign's variety lies in the faults
+CHANCES: Final = 100_000
+
+
+class Since(Enum):
+    """From when a fault's moment counts."""
+
+    START = "start"
+    READY = "ready"
+    DRIVING = "driving"
+    FINISHED = "finished"
+
+    @property
+    def state(self) -> AsState | None:
+        """The AS state that begins it; None: the run's beginning."""
+        return _STATES[self]
+
+
+_STATES: Final[Mapping[Since, AsState | None]] = MappingProxyType(
+    {
+        Since.START: None,
+        Since.READY: AsState.AS_READY,
+        Since.DRIVING: AsState.AS_DRIVING,
+        Since.FINISHED: AsState.AS_FINISHED,
+    }
+)
+
+# Snapshots: so long in AS_DRIVING, in ms. A mission is under way for at least LEG_MS after its last one.
+LEG_MS: Final = 6000
+LEGS_MS: Final[Mapping[Ami, tuple[int, ...]]] = MappingProxyType(
+    {
+        Ami.ACCELERATION: (3000,),
+        Ami.SKIDPAD: (3000, 14000, 25000),
+        Ami.AUTOCROSS: (3000, 14000, 25000),
+        Ami.TRACKDRIVE: (3000, 14000, 25000),
+        Ami.STATIC_INSPECTION_A: (3000,),
+        Ami.STATIC_INSPECTION_B: (3000,),
+        Ami.AUTONOMOUS_DEMO: (3000,),
+    }
+)
+
+# Full-length runs: where in a run the fault may begin, in ms after a moment.
+PHASES_MS: Final = (
+    (Since.START, 0, 9000),  # switches, self-test, tractive system
+    (Since.READY, 0, 6000),
+    (Since.DRIVING, 0, 3000),  # the 3 s of standing still
+    (Since.DRIVING, 3000, 30000),
+    (Since.FINISHED, 0, 2500),
+)
+# Runs in hundreds: the missions that do not last long are driven most.
+FULL_LENGTH: Final = (
+    Ami.ACCELERATION,
+    Ami.ACCELERATION,
+    Ami.AUTONOMOUS_DEMO,
+    Ami.STATIC_INSPECTION_A,
+    Ami.STATIC_INSPECTION_B,
+    Ami.SKIDPAD,
+    Ami.AUTOCROSS,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One run of the campaign. Times in ms."""
+
+    fault: str
+    mission: Ami
+    revision: str
+    seed: int  # of the world
+    since: Since = Since.DRIVING
+    after_ms: int = 4000
+    params: Mapping[str, Any] = field(default_factory=dict)
+    full: bool = False  # from power-up to the end of the mission, instead of ten seconds
+    index: int = 0
+
+    @property
+    def kind(self) -> FaultKind:
+        return kind_named(self.fault)
+
+    @property
+    def leg_ms(self) -> int | None:
+        """The snapshot from which the case may begin; None: from power-up."""
+        if self.full or self.since is not Since.DRIVING:
+            return None
+        return max((leg for leg in LEGS_MS[self.mission] if leg < self.after_ms), default=None)
+
+    @property
+    def spec(self) -> str:
+        """What `--fault` takes."""
+        values = {"since": self.since.value, "after": self.after_ms, **self.params}
+        return f"{self.fault}:" + ",".join(f"{name}={value}" for name, value in values.items())
+
+    @property
+    def replay(self) -> str:
+        """The command that drives this very case again and explains it."""
+        return (
+            f"fsai-vcu drive --mission {self.mission.name.lower()} --revision {self.revision} --seed {self.seed}"
+            f"{' --full' if self.full else ''} --fault {self.spec}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which part of the catalogue is run. Raises ValueError for an unknown name or an empty choice."""
+
+    faults: tuple[str, ...] = ()  # none: all
+    missions: tuple[Ami, ...] = ()
+    revisions: tuple[str, ...] = ()
+    world_seeds: int = WORLD_SEEDS
+    within_ms: int = LEG_MS  # of a snapshot a fault begins
+
+    def kinds(self) -> tuple[FaultKind, ...]:
+        chosen = tuple(kind_named(name) for name in self.faults) or ROWS
+        usable = tuple(kind for kind in chosen if self.missions_of(kind) and self.revisions_of(kind))
+        if not usable:
+            raise ValueError("none of these faults applies to these missions and revisions")
+        return usable
+
+    def missions_of(self, kind: FaultKind) -> tuple[Ami, ...]:
+        return tuple(ami for ami in Ami if ami in kind.missions and (not self.missions or ami in self.missions))
+
+    def revisions_of(self, kind: FaultKind) -> tuple[str, ...]:
+        return tuple(name for name in kind.revisions if not self.revisions or name in self.revisions)
+
+
+def drawn(kind: FaultKind, rng: random.Random, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """A value for each of the kind's parameters, and for its own chance; `given` ones stay."""
+    values = {draw.name: draw.drawn(rng) for draw in kind.draws}
+    values["chance"] = rng.randrange(CHANCES)
+    return {**values, **(given or {})}
+
+
+def case_of(seed: int, index: int, selection: Selection, *, full: bool = False) -> Case:
+    """Case `index` of a campaign. Kinds take turns; everything else is drawn."""
+    kinds = selection.kinds()
+    kind = kinds[index % len(kinds)]
+    rng = random.Random(f"{seed}/{'full' if full else 'short'}/{kind.name}/{index // len(kinds)}")
+    missions: Sequence[Ami] = selection.missions_of(kind)
+    if full:
+        missions = [ami for ami in FULL_LENGTH if ami in missions] or missions
+    mission = rng.choice(missions)
+    revision = rng.choice(selection.revisions_of(kind))
+    world_seed = rng.randrange(selection.world_seeds)
+    if kind.from_start:
+        since, after_ms = Since.START, 0
+    elif full:
+        since, low, high = rng.choice(PHASES_MS)
+        after_ms = rng.randint(low, high)
+    else:
+        since, after_ms = Since.DRIVING, rng.choice(LEGS_MS[mission]) + rng.randint(50, selection.within_ms)
+    return Case(kind.name, mission, revision, world_seed, since, after_ms, drawn(kind, rng), full, index)
+
+
+def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, full: bool, index: int = 0) -> Case:
+    """A case from `NAME[:since=…,after=MS,parameter=value,…]`; what is not given is drawn by `seed`.
+
+    Raises ValueError, with one clear line, for anything that cannot be meant.
+    """
+    name, _, rest = text.partition(":")
+    kind = kind_named(name)
+    draws = {draw.name: draw for draw in kind.draws}
+    given: dict[str, Any] = {}
+    after_ms: int | None
+    since, after_ms = (Since.START, 0) if kind.from_start else (Since.DRIVING, None)
+    for part in filter(None, rest.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals:
+            raise ValueError(f"fault {name}: {part!r} is not NAME=VALUE")
+        if key == "since":
+            known = {moment.value: moment for moment in Since}
+            if value not in known:
+                raise ValueError(f"fault {name}: since is {value!r}: choose one of {', '.join(known)}")
+            since = known[value]
+        elif key in ("after", "chance"):
+            if not value.isdigit():
+                raise ValueError(f"fault {name}: {key} is {value!r}, but must be a whole number of 0 or more")
+            if key == "after":
+                after_ms = int(value)
+            else:
+                given[key] = int(value)
+        elif key in draws:
+            given[key] = draws[key].parsed(value)
+        else:
+            there = ", ".join(("since", "after", *draws, "chance"))
+            raise ValueError(f"fault {name} has no parameter {key!r}: there are {there}")
+    rng = random.Random(f"{seed}/by hand/{name}")
+    values = drawn(kind, rng, given)
+    if mission is None:
+        mission = next(ami for ami in (Ami.AUTOCROSS, *Ami) if ami in kind.missions)
+    elif mission not in kind.missions:
+        there = ", ".join(ami.name.lower() for ami in Ami if ami in kind.missions)
+        raise ValueError(f"fault {name} does not apply to {mission.name.lower()}: choose one of {there}")
+    if revision not in kind.revisions:
+        raise ValueError(f"fault {name} does not apply to revision {revision}: only to {', '.join(kind.revisions)}")
+    if after_ms is None:
+        after_ms = rng.randint(3050, 3000 + LEG_MS) if since is Since.DRIVING else rng.randint(0, 2000)
+    return Case(kind.name, mission, revision, seed, since, after_ms, values, full, index)

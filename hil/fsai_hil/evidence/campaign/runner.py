@@ -1,0 +1,167 @@
+"""Spreads the cases of a campaign over processes, or over a Dask cluster, and collects their lines.
+
+A worker is given numbers and gives back lines of the record; which worker drives which case changes nothing.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.cases import Selection, case_of
+from fsai_hil.evidence.campaign.record import Header, Writer
+from fsai_hil.evidence.campaign.scenario import WINDOW_MS, Snapshots, run_case
+from fsai_hil.evidence.campaign.sources import digest
+
+BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended
+AHEAD: Final = 3  # batches waiting per worker
+PRIORITY: Final = 10  # a campaign gives way to everything else on the machine
+
+PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
+
+Task = tuple[bool, int]  # full-length or not, and the case's number
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a campaign consists of."""
+
+    seed: int
+    runs: int
+    full: int = 0
+    selection: Selection = field(default_factory=Selection)
+    window_ms: int = WINDOW_MS
+
+    def tasks(self) -> list[Task]:
+        """Full-length runs first: the longest ones must not be left to the end."""
+        return [(True, index) for index in range(self.full)] + [(False, index) for index in range(self.runs)]
+
+    def header(self) -> Header:
+        selection = self.selection
+        kinds = selection.kinds()
+        return Header(
+            self.seed,
+            tuple(kind.name for kind in kinds),
+            tuple(ami.name.lower() for ami in selection.missions),
+            selection.revisions,
+            selection.world_seeds,
+            self.window_ms,
+            len(kinds),
+            digest(),
+        )
+
+
+_snapshots: Snapshots | None = None
+
+
+def _begin_worker(parent: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who spreads the work
+    # A worker waits for work on a pipe of which it holds both ends: it would outlive a campaign that is killed.
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        os._exit(1)
+    os.nice(PRIORITY)
+
+
+def drive_batch(plan: Plan, tasks: Sequence[Task]) -> list[dict[str, Any]]:
+    """The lines of some cases. Each process keeps its snapshots between batches."""
+    global _snapshots
+    if _snapshots is None:
+        _snapshots = Snapshots()
+    lines = []
+    for full, index in tasks:
+        case = case_of(plan.seed, index, plan.selection, full=full)
+        began = time.monotonic()
+        line = run_case(case, _snapshots, plan.window_ms)
+        line["wall_s"] = round(time.monotonic() - began, 3)
+        lines.append(line)
+    return lines
+
+
+def batches(plan: Plan, tasks: Iterable[Task]) -> list[list[Task]]:
+    """Tasks in the order in which a worker uses few different snapshots at a time, in batches."""
+
+    def place(task: Task) -> tuple[object, ...]:
+        full, index = task
+        case = case_of(plan.seed, index, plan.selection, full=full)
+        key = (case.mission, case.revision, case.seed, case.kind.gps, case.leg_ms or 0)
+        return (not full, *key, index)
+
+    ordered = sorted(tasks, key=place)
+    return [ordered[at : at + BATCH] for at in range(0, len(ordered), BATCH)]
+
+
+def in_processes(plan: Plan, work: Sequence[Sequence[Task]], jobs: int) -> Iterator[list[dict[str, Any]]]:
+    """Drive batches in `jobs` processes of this machine; yields their lines as they come."""
+    if jobs == 1:
+        for tasks in work:
+            yield drive_batch(plan, tasks)
+        return
+    # Forked workers share what is imported already, and a test's seeded defects.
+    context = multiprocessing.get_context("fork")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker, initargs=(os.getpid(),))
+    waiting = list(reversed(work))
+    under_way: set[Future[list[dict[str, Any]]]] = set()
+    try:
+        while waiting or under_way:
+            while waiting and len(under_way) < jobs * AHEAD:
+                under_way.add(pool.submit(drive_batch, plan, waiting.pop()))
+            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+@dataclass(slots=True)
+class Pace:
+    """How fast it goes, and how long it will take."""
+
+    total: int
+    done: int = 0
+    worse: int = 0
+    began_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def runs_per_s(self) -> float:
+        return self.done / max(1e-9, time.monotonic() - self.began_s)
+
+    def __str__(self) -> str:
+        rate = self.runs_per_s
+        left_s = (self.total - self.done) / rate if rate else 0.0
+        minutes, seconds = divmod(round(left_s), 60)
+        hours, minutes = divmod(minutes, 60)
+        return (
+            f"{self.done} of {self.total} runs, {rate:.2f} runs/s, {hours}:{minutes:02d}:{seconds:02d} left,"
+            f" {self.worse} worse than the rules allow"
+        )
+
+
+def campaign(
+    plan: Plan,
+    writer: Writer,
+    spread: Callable[[Plan, Sequence[Sequence[Task]]], Iterator[list[dict[str, Any]]]],
+    progress: Callable[[Pace, Sequence[dict[str, Any]]], None] | None = None,
+) -> None:
+    """Drive what the record does not hold yet. `spread` is where: `in_processes`, or a cluster."""
+    done = writer.done
+    tasks = [task for task in plan.tasks() if task not in done]
+    pace = Pace(len(tasks))
+    for lines in spread(plan, batches(plan, tasks)):
+        for line in lines:
+            writer.add(line)
+            pace.done += 1
+            pace.worse += line["verdict"] != "ok"
+        if progress is not None:
+            progress(pace, lines)

@@ -1,0 +1,171 @@
+"""The verdict table: what each kind of fault led to, how fast, and how often it was worse than the rules allow.
+
+Made from a record, for people: `docs/evidence/faults.md` is such a table.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.cases import WORLD_SEEDS
+from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
+from fsai_hil.evidence.campaign.record import Header
+from fsai_hil.evidence.campaign.scenario import WINDOW_MS
+
+Run = Mapping[str, Any]
+HEAD: Final = (
+    "| fault | what it is | reaction demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
+    " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
+)
+TOLD: Final = 40  # failures listed
+
+
+def failures(runs: Sequence[Run]) -> list[Run]:
+    return [run for run in runs if run["verdict"] != "ok"]
+
+
+def command_of(header: Header, runs: Sequence[Run]) -> str:
+    """The command that makes this record."""
+    full = sum(run["full"] for run in runs)
+    words = [f"fsai-vcu campaign --runs {len(runs) - full} --full {full} --seed {header.seed}"]
+    if header.faults != tuple(kind.name for kind in ROWS):
+        words.append(f"--faults {','.join(header.faults)}")
+    if header.missions:
+        words.append(f"--missions {','.join(header.missions)}")
+    if header.revisions:
+        words.append(f"--revisions {','.join(header.revisions)}")
+    if header.world_seeds != WORLD_SEEDS:
+        words.append(f"--world-seeds {header.world_seeds}")
+    if header.window_ms != WINDOW_MS:
+        words.append(f"--window {header.window_ms / 1000:g}")
+    return " ".join(words)
+
+
+def markdown(header: Header, runs: Sequence[Run]) -> str:
+    """The whole document."""
+    command = command_of(header, runs)
+    short = [run for run in runs if not run["full"]]
+    full = [run for run in runs if run["full"]]
+    worse = failures(runs)
+    kinds = {run["fault"] for run in runs}
+    simulated_h = sum(run["sim_s"] for run in runs) / 3600.0
+    lines = [
+        "# Fault campaign",
+        "",
+        f"Made by `{command}` and `fsai-vcu campaign --table RECORD -o FILE`; do not edit.",
+        "",
+        f"{len(runs)} runs of the whole AI side against the simulated car in lockstep, seed {header.seed}:"
+        f" {len(short)} of {header.window_ms / 1000:g} s from a snapshot in AS_DRIVING,"
+        f" {len(full)} from power-up to the end;"
+        f" {len(kinds)} kinds of fault, {simulated_h:.1f} simulated hours. In each run one fault begins at a random"
+        " moment; every frame of it is checked against the safety rules by a checker that does not know the bridge,"
+        " and its end against the reaction which the rules demand.",
+        "",
+        f"Sources (a digest of all code that a run uses, and of the signal databases):"
+        f" {f'`{header.sources}`' if header.sources else 'unknown'}.",
+        "",
+        f"**Worse than the rules allow: {len(worse)} of {len(runs)} runs.**",
+        "",
+        "- *To the reaction*: from the fault (for what must first become implausible: from the moment at which it"
+        " surely was) to the reaction on the bus: torque 0, the service brake, ESTOP_REQUEST, or the car's own"
+        " emergency brake.",
+        "- *To a safe state*: until the car truly stands or its EBS acts; where it drives on, until torque was 0.",
+        "- Times in milliseconds. *Left the course* counts runs in which all four wheels did after the fault: no rule"
+        " on the bus forbids it, and where the fault must change nothing it is worse than allowed.",
+        "- *Worse than allowed* counts a wrong end, a late reaction, a rule broken on the bus, a process of ours that"
+        " ended by an exception, and a car that stops although the rules let it drive on.",
+        "- Runs in which the mission was over before a reaction could be demanded are counted, and judged by the rules"
+        " on the bus only.",
+        "",
+        HEAD,
+    ]
+    for kind in ROWS:
+        mine = [run for run in short if run["fault"] == kind.name]
+        if mine:
+            lines.append(_row(kind.name, mine))
+    if full:
+        lines += [
+            "",
+            "## Full-length runs",
+            "",
+            "From power-up to the end of the mission, the fault at any phase. Outside AS_DRIVING, and in its first"
+            " three seconds, no reaction is demanded: the rules on the bus hold, the car does not move before it may,"
+            " and it comes to rest, wherever it is not in AS_DRIVING; a mission that is over is FINISHED.",
+            "",
+            "| fault begins | runs | ends seen | left the course | worse than allowed |",
+            "|---|---:|---|---:|---:|",
+        ]
+        for phase in ("power-up", "AS_READY", "first 3 s of AS_DRIVING", "AS_DRIVING", "after the end"):
+            mine = [run for run in full if _phase(run) == phase]
+            if mine:
+                lines.append(f"| {phase} | {len(mine)} | {_ends(mine)} | {_left(mine)} | {len(failures(mine))} |")
+    if worse:
+        lines += ["", "## Worse than allowed", ""]
+        lines += [f"- `{run['replay']}`: {'; '.join(run['reasons'][:2])}" for run in worse[:TOLD]]
+        if len(worse) > TOLD:
+            lines.append(f"- … and {len(worse) - TOLD} more in the record")
+    lines += [
+        "",
+        "## What a lockstep run cannot show",
+        "",
+        "The wall clock is no part of it: a step of that clock is done to the stamps of commands as far as the nodes'"
+        " conversion lets it through. Processes are objects there, and their hanging, ending and starting is modelled"
+        " on the real loop. The same faults on real processes and a real vcan0 are the HIL suite's.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _row(name: str, runs: Sequence[Run]) -> str:
+    kind = KINDS[name]
+    applied = [run for run in runs if run["applies"]]
+    reactions = [run["reaction_ms"] for run in applied if run["reaction_ms"] is not None]
+    safe = [run["safe_ms"] for run in applied if run["safe_ms"] is not None]
+    parameters = "; ".join(str(draw) for draw in kind.draws)
+    what = kind.what + (f" ({parameters})" if parameters else "")
+    slowest = f"{_ms(max(reactions, default=None))} | {_ms(statistics.median(safe) if safe else None)}"
+    return (
+        f"| `{name}` | {what} | {kind.demanded} | {_seen(runs)} | {len(runs)} | {slowest} |"
+        f" {_ms(max(safe, default=None))} | {_left(runs)} | {len(failures(runs))} |"
+    )
+
+
+def _left(runs: Sequence[Run]) -> int:
+    return sum(run["off_course"] > 0 for run in runs)
+
+
+def _seen(runs: Sequence[Run]) -> str:
+    return _counted(
+        "mission over before" if not run["applies"] and run["end"] == "ON" else run["reaction"] for run in runs
+    )
+
+
+def _ends(runs: Sequence[Run]) -> str:
+    return _counted("drives to its end" if run["end"] == "ON" else run["reaction"] for run in runs)
+
+
+def _counted(words: Iterable[str]) -> str:
+    return ", ".join(f"{one} ({count})" for one, count in Counter(words).most_common())
+
+
+def _phase(run: Run) -> str:
+    if run["since"] == "driving":
+        return "AS_DRIVING" if run["after_ms"] >= 3000 else "first 3 s of AS_DRIVING"
+    return {"start": "power-up", "ready": "AS_READY", "finished": "after the end"}[run["since"]]
+
+
+def _ms(value: float | None) -> str:
+    return "–" if value is None else f"{value:.0f}"
+
+
+def catalogue_lines() -> list[str]:
+    """The catalogue for a terminal: `--list-faults`."""
+    width = max(len(kind.name) for kind in ROWS)
+    lines = []
+    for kind in ROWS:
+        parameters = "; ".join(str(draw) for draw in kind.draws)
+        lines.append(f"{kind.name:<{width}}  {kind.what}" + (f" [{parameters}]" if parameters else ""))
+    return lines

@@ -1,0 +1,324 @@
+"""The judgement of one run: what happened, how fast, and whether it is worse than the safety rules allow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.cases import Case, Since
+from fsai_hil.evidence.campaign.demands import ANY, IMPLAUSIBLE_LOST_MS, NOTHING, Demand, End, Onset
+from fsai_hil.evidence.campaign.implausibility import Streak, count_streaks, steering_streaks, wheel_streaks
+from fsai_hil.evidence.campaign.observation import Observation
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.enums import AsState
+
+MS: Final = 1_000_000
+SUPERVISED_MS: Final = 3000  # safety rules: supervision starts 3 s into AS_DRIVING
+PARKED: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY})
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """`faults` is empty when the run is as the rules demand. Times in ms from the fault; None: there was none."""
+
+    end: End
+    reaction: str  # what was seen, in words
+    reaction_ms: float | None
+    safe_ms: float | None
+    demand: Demand
+    applies: bool  # False: the mission was over, or the car not driving, before anything could be demanded
+    faults: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        return not self.faults
+
+
+def _supervised(case: Case) -> bool:
+    """Reactions are of AS_DRIVING, once its first 3 s are over. What is there from power-up on is judged by it all."""
+    if case.kind.from_start:
+        return case.since is Since.START
+    return case.since is Since.DRIVING and case.after_ms >= SUPERVISED_MS
+
+
+def demand_of(case: Case) -> Demand:
+    """What the rules demand of a case."""
+    return case.kind.demand(case.params) if _supervised(case) else ANY
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The instants that matter, from the fault on; None: never."""
+
+    estop_ns: int | None
+    emergency_ns: int | None
+    finished_ns: int | None
+    rest_ns: int | None
+    braking_ns: int | None  # since when the brake that ended the run was on
+    torque_off_ns: int | None  # since when there has been no torque, to the end
+
+
+def judge(
+    case: Case, seen: Observation, fault_ns: int | None, violations: Sequence[str], crashes: Sequence[str] = ()
+) -> Verdict:
+    """Judge a run in which the fault began at `fault_ns` (None: its moment never came).
+
+    `crashes` are processes of ours that ended by an exception: no fault may do that to them, whatever the car makes of
+    the silence. What a fault kills on purpose raises nothing.
+    """
+    demand = demand_of(case)
+    wrong = [f"on the wire: {violation}" for violation in violations]
+    wrong += crashes
+    wrong += _moved_too_early(seen)
+    if fault_ns is None:
+        end = _end(seen, _since(seen, 0), 0, seen.mission_over_ns)
+        wrong += [end.words] if end is End.UNSAFE else []
+        return Verdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
+    found = _since(seen, fault_ns)
+    over_ns = seen.mission_over_ns
+    if not demand.own_word and over_ns is not None and over_ns > fault_ns:
+        over_ns = None  # that is what the fault makes it say
+    end = _end(seen, found, fault_ns, over_ns)
+    if end is End.ON and found.finished_ns is not None and End.ON not in demand.ends and End.STOP in demand.ends:
+        end = End.STOP  # the mission ended while it was stopping anyway
+    parked_ns = seen.entered(AsState.AS_FINISHED, fault_ns - 1)
+    allowed = demand.ends
+    if parked_ns is not None and demand.estop_ms is not None and parked_ns <= fault_ns + demand.estop_ms * MS:
+        allowed = allowed | {End.STOP}  # it stood: the stop was over before the emergency brake was due
+    safe_ns = _safe_ns(end, found)
+    # A frame of an intruder may end the drive at the very instant of the fault.
+    driving = _supervised(case) and (case.kind.from_start or seen.state_at(fault_ns - 1) is AsState.AS_DRIVING)
+    applies = driving and not _over(over_ns, demand, fault_ns)
+    onset_ns: int | None = fault_ns
+    reaction_ns = _reaction_ns(end, found)
+    reaction = end.words
+    if demand.no_torque_ms is not None and end is End.ON:
+        reaction = "torque 0, then drives on"
+        reaction_ns = _torque_gap_ns(seen, fault_ns)
+        safe_ns = reaction_ns
+    if applies:
+        if end not in allowed:
+            wrong.append(f"{end.words}, where the rules demand: {demand.words}")
+        elif demand.onset is Onset.FAULT:
+            wrong += _too_late(case, seen, found, demand, end, fault_ns, safe_ns)
+        else:
+            streaks = _streaks(case, seen, demand.onset, fault_ns)
+            onset_ns = _onset_ns(streaks, reaction_ns)
+            wrong += _implausible_too_long(seen, found, demand, streaks)
+    elif end is End.UNSAFE:
+        wrong.append(end.words)
+    if applies and demand is NOTHING and seen.left_course:
+        wrong.append("the car left the course, where the rules demand that nothing changes")
+    return Verdict(
+        end,
+        reaction,
+        _ms(reaction_ns, onset_ns),
+        _ms(safe_ns, onset_ns),
+        demand,
+        applies,
+        tuple(wrong),
+    )
+
+
+def _onset_ns(streaks: Sequence[Streak], reaction_ns: int | None) -> int | None:
+    """Where the streak began that the reaction answers; None: it came before anything was sure."""
+    if reaction_ns is None:
+        return None
+    before = [start for start, end in streaks if start <= reaction_ns <= end + IMPLAUSIBLE_LOST_MS * MS]
+    return before[-1] if before else None
+
+
+def _ms(t_ns: int | None, onset_ns: int | None) -> float | None:
+    return None if t_ns is None or onset_ns is None else max(0.0, round((t_ns - onset_ns) / MS, 1))
+
+
+def _since(seen: Observation, fault_ns: int) -> _Seen:
+    after = seen.cycles_after(fault_ns)
+    estop_ns = next((cycle.t_ns for cycle in after if cycle.estop), None)
+    emergency_ns = seen.entered(AsState.EMERGENCY_BRAKE, fault_ns - 1)
+    finished_ns = next((cycle.t_ns for cycle in after if cycle.finished), None)
+    until_ns = min((t_ns for t_ns in (emergency_ns, finished_ns) if t_ns is not None), default=seen.ended_ns)
+    braking_ns = None
+    for cycle in reversed([cycle for cycle in after if cycle.t_ns <= until_ns]):
+        if cycle.brake_pct <= 0.0 and cycle.t_ns < until_ns:
+            break
+        braking_ns = cycle.t_ns
+    torque_off_ns = None
+    for cycle in reversed(after):
+        if cycle.torque_nm > 0.0:
+            break
+        torque_off_ns = cycle.t_ns
+    rest_ns = seen.resting_since()
+    return _Seen(
+        estop_ns,
+        emergency_ns,
+        finished_ns,
+        None if rest_ns is None else max(rest_ns, fault_ns),
+        braking_ns,
+        torque_off_ns,
+    )
+
+
+def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) -> End:
+    """How the run ended; `over_ns`: when the controller said by itself that the mission is over."""
+    last = seen.states[-1][1]
+    idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
+    if _unsafe(seen, last, idle, over_ns):
+        return End.UNSAFE
+    if found.emergency_ns is not None:
+        by_us = found.estop_ns is not None and found.estop_ns <= found.emergency_ns
+        if by_us and over_ns is not None and found.estop_ns is not None and over_ns <= found.estop_ns:
+            return End.ON  # the mission ends so
+        return End.ESTOP if by_us else End.SELF
+    if found.finished_ns is not None:
+        return End.ON if over_ns is not None and over_ns <= found.finished_ns else End.STOP
+    if last is AsState.AS_DRIVING:
+        if over_ns is not None and found.finished_ns is None and found.estop_ns is None:
+            return End.ON  # it stands because the mission is done, and has yet to say FINISHED
+        drove = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
+        return End.HELD if drove and idle and found.rest_ns is not None else End.ON
+    if last in PARKED:
+        drove = any(state is AsState.AS_DRIVING for _, state in seen.states)
+        return End.OFF if drove else End.NOT_STARTED
+    if last is AsState.AS_FINISHED:
+        return End.ON if over_ns is not None else End.STOP
+    return End.ON if over_ns is not None else End.SELF  # in EMERGENCY_BRAKE since before the fault
+
+
+def _unsafe(seen: Observation, last: AsState, idle: bool, over_ns: int | None) -> bool:
+    """A car that moves where it must stand; or a run that has not ended after the longest time, and is not driven.
+
+    A car in AS_DRIVING that still drives by command then is slow, or lost its way: no rule of the bridge forbids that.
+    """
+    moves = bool(seen.moving) and seen.moving[-1][1]
+    if last is not AsState.AS_DRIVING:
+        return moves and (seen.ran_out or last is not AsState.EMERGENCY_BRAKE)
+    return seen.ran_out and ((moves and idle) or over_ns is not None)
+
+
+def _safe_ns(end: End, found: _Seen) -> int | None:
+    if end in (End.ESTOP, End.SELF):
+        candidates = [t_ns for t_ns in (found.emergency_ns, found.rest_ns) if t_ns is not None]
+        return min(candidates, default=None)
+    if end in (End.STOP, End.OFF, End.HELD):
+        return found.rest_ns
+    return None
+
+
+def _reaction_ns(end: End, found: _Seen) -> int | None:
+    if end is End.ESTOP:
+        return found.estop_ns
+    if end is End.SELF:
+        return found.emergency_ns
+    if end is End.STOP:
+        return found.braking_ns
+    if end in (End.HELD, End.OFF):
+        return found.torque_off_ns
+    return None
+
+
+def _torque_gap_ns(seen: Observation, fault_ns: int) -> int | None:
+    """The first cycle without torque after the fault."""
+    return next((cycle.t_ns for cycle in seen.cycles_after(fault_ns) if cycle.torque_nm <= 0.0), None)
+
+
+def _over(over_ns: int | None, demand: Demand, fault_ns: int) -> bool:
+    """The mission ended by itself before a reaction could be demanded."""
+    if over_ns is None:
+        return False
+    limits = (demand.no_torque_ms, demand.brake_ms, demand.estop_ms)
+    allowed_ms = max((limit for limit in limits if limit is not None), default=0.0)
+    return over_ns <= fault_ns + round(allowed_ms * MS) and (
+        End.ON not in demand.ends or demand.no_torque_ms is not None or over_ns <= fault_ns
+    )
+
+
+def _too_late(
+    case: Case, seen: Observation, found: _Seen, demand: Demand, end: End, fault_ns: int, safe_ns: int | None
+) -> list[str]:
+    wrong = []
+    if demand.no_torque_ms is not None:
+        from_ns = fault_ns + round(demand.no_torque_ms * MS)
+        # Where the run must end, torque stays away for good; else for as long as the fault lasts.
+        until_ns = seen.ended_ns
+        if End.ON in demand.ends:
+            until_ns = fault_ns + case.params.get("duration", 0) * MS
+        torque = [c for c in seen.cycles_after(from_ns) if c.torque_nm > 0.0 and c.t_ns <= until_ns]
+        if torque:
+            wrong.append(
+                f"torque {torque[0].torque_nm:.0f} Nm {_ms(torque[0].t_ns, fault_ns):.0f} ms after the fault,"
+                f" allowed are {demand.no_torque_ms:.0f} ms"
+            )
+    limits: list[tuple[str, float | None, int | None]] = []
+    if end is End.STOP:
+        limits.append(("the service brake", demand.brake_ms, found.braking_ns))
+    if end in (End.ESTOP, End.SELF):
+        limits.append(("ESTOP_REQUEST", demand.estop_ms, found.estop_ns))
+    if end not in (End.ON, End.HELD):
+        limits.append(("a safe state", demand.safe_ms, safe_ns))
+    for what, most_ms, at_ns in limits:
+        if most_ms is None:
+            continue
+        if at_ns is None:
+            wrong.append(f"{what} never came, allowed are {most_ms:.0f} ms")
+        elif at_ns > fault_ns + most_ms * MS:
+            wrong.append(f"{what} came {_ms(at_ns, fault_ns):.0f} ms after the fault, allowed are {most_ms:.0f} ms")
+    return wrong
+
+
+def _streaks(case: Case, seen: Observation, onset: Onset, fault_ns: int) -> list[Streak]:
+    if onset is Onset.STEERING:
+        return steering_streaks(seen, fault_ns)
+    if onset is Onset.COUNTS:
+        return count_streaks(seen, CARS[case.revision], fault_ns)
+    return wheel_streaks(seen, CARS[case.revision], fault_ns)
+
+
+def _implausible_too_long(seen: Observation, found: _Seen, demand: Demand, streaks: Sequence[Streak]) -> list[str]:
+    """What is surely implausible for so long stops the car, and for longer brings ESTOP_REQUEST."""
+    wrong = []
+    assert demand.brake_ms is not None and demand.estop_ms is not None  # rows of this kind have both
+    reacted = [t_ns for t_ns in (found.braking_ns, found.estop_ns, found.emergency_ns) if t_ns is not None]
+    for start_ns, end_ns in streaks:
+        lasted_ms = (end_ns - start_ns) / MS
+        stop_ns = start_ns + round(demand.brake_ms * MS)
+        if end_ns >= stop_ns and not any(t_ns <= stop_ns for t_ns in reacted):
+            wrong.append(f"implausible for {lasted_ms:.0f} ms, and no stop after {demand.brake_ms:.0f} ms")
+        estop_ns = start_ns + round(demand.estop_ms * MS)
+        emergencies = [t_ns for t_ns in (found.estop_ns, found.emergency_ns) if t_ns is not None]
+        if end_ns >= estop_ns and not any(t_ns <= estop_ns for t_ns in emergencies):
+            wrong.append(f"implausible for {lasted_ms:.0f} ms, and no ESTOP_REQUEST after {demand.estop_ms:.0f} ms")
+    return wrong[:2]
+
+
+def _moved_too_early(seen: Observation) -> list[str]:
+    """Safety rules: the car stands until it has been in AS_DRIVING for 3 s."""
+    began = next((t_ns for t_ns, state in seen.states if state is AsState.AS_DRIVING), None)
+    allowed_ns = seen.ended_ns if began is None else began + SUPERVISED_MS * MS
+    early = next((t_ns for t_ns, moves in seen.moving if moves and t_ns < allowed_ns), None)
+    return [] if early is None else [f"the car moved at {early / 1e9:.2f} s, before it may"]
+
+
+def as_record(case: Case, verdict: Verdict, extra: Mapping[str, Any]) -> dict[str, Any]:
+    """One line of the record."""
+    return {
+        "index": case.index,
+        "full": case.full,
+        "fault": case.fault,
+        "mission": case.mission.name.lower(),
+        "revision": case.revision,
+        "world_seed": case.seed,
+        "since": case.since.value,
+        "after_ms": case.after_ms,
+        "params": dict(case.params),
+        "verdict": "ok" if verdict.ok else "worse",
+        "applies": verdict.applies,
+        "end": verdict.end.name,
+        "reaction": verdict.reaction,
+        "reaction_ms": verdict.reaction_ms,
+        "safe_ms": verdict.safe_ms,
+        "reasons": list(verdict.faults),
+        **extra,
+        "replay": case.replay,
+    }

@@ -1,0 +1,282 @@
+"""`python -m fsai_hil.rehearsal.carpc`: a car PC in User-Mode Linux boots, drives, and recovers by itself.
+
+The machine's root is this machine's, seen through an overlay: the unpacked Debian package lies on top of it, and
+whatever is written inside stays in memory. Nothing of this machine is changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from fsai_hil import CHECKOUT
+from fsai_hil.rehearsal.carpc import package
+from fsai_hil.rehearsal.carpc.bus_watch import CODEC, HOUR_NS
+from fsai_hil.rehearsal.stall_monitor import RUNS
+from fsai_hil.rules.checker import checker_for, read_candump
+from fsai_hil.vcan import VcanError, uml
+from fsai_hil.vcan.clock import SLOWEST_PACE, preloaded_clock, slowed_clock
+
+MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
+MEMORY_MIB = 3072
+BOOT_TO_END_S = 900.0
+SHORT_PACE = 1.5  # the short form is for changes of the sources, on any machine; figures are the full one's
+INTERFACE = "vcan0"
+# Of this machine's services none is wanted inside; and what systemd would look for there is not.
+MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
+# What one processor of User-Mode Linux has time for, as in the suite on vcan0.
+LIGHT = "--truth 25510 --quiet --gps-decimation 20 --log-decimation 10"
+CAR = f"--auto --json {LIGHT}"
+TYPED = f"--mission trackdrive --track small_oval {LIGHT}"
+# The same car with a person at its switches. It is no part of the car PC: neither an adapter that is pulled nor the
+# stop of all services ends it. A file that is open both ways has no end, whoever types and goes.
+TYPED_CAR = f"""[Unit]
+Description=Simulated VCU and car, its switches typed
+DefaultDependencies=no
+[Service]
+Type=exec
+ExecStartPre=+/bin/sh -c 'mkdir -p /run/rehearsal; [ -p /run/rehearsal/car ] || mkfifo -m 0666 /run/rehearsal/car'
+ExecStart=/bin/sh -c 'exec /opt/fsai/bin/fsai-vcu vcu -i {INTERFACE} {TYPED} <>/run/rehearsal/car'
+UMask=0077
+RestrictAddressFamilies=AF_CAN AF_UNIX AF_INET AF_NETLINK
+"""
+REHEARSAL = """[Unit]
+Description=Rehearsal
+[Service]
+Type=exec
+RuntimeDirectory=rehearsal
+RuntimeDirectoryMode=0755
+RuntimeDirectoryPreserve=yes
+KillMode=mixed
+TimeoutStopSec=90s
+ExecStart=/opt/fsai/bin/python -m fsai_hil.rehearsal.carpc.scenes"""
+
+
+class CarPcError(Exception):
+    """The rehearsal cannot be held; the message is one clear line."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m fsai_hil.rehearsal.carpc",
+        description=__doc__.splitlines()[0],
+        epilog="example: python -m fsai_hil.rehearsal.carpc --short",
+    )
+    parser.add_argument("--missions", default="static_inspection_a,acceleration", metavar="NAME[,NAME…]")
+    parser.add_argument(
+        "--short",
+        action="store_true",
+        help="this environment instead of a package; the boot, the doctor, the sandbox, and one drive in the middle of "
+        "which the bridge is killed",
+    )
+    parser.add_argument("--results", type=Path, default=CHECKOUT / "out" / "carpc", metavar="DIR")
+    parser.add_argument("--timeout", type=float, default=BOOT_TO_END_S, metavar="S", help="(%(default)g)")
+    parser.add_argument(
+        "--pace",
+        type=float,
+        metavar="N",
+        help=f"how many seconds of this machine a second inside takes, as if it were so much faster (1; with --short "
+        f"{SHORT_PACE:g})",
+    )
+    args = parser.parse_args()
+    pace = args.pace if args.pace is not None else SHORT_PACE if args.short else 1.0
+    if not 1.0 <= pace <= SLOWEST_PACE:
+        parser.error(f"--pace is {pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
+    try:
+        return rehearse(args.missions, args.results.resolve(), args.timeout, args.short, pace)
+    except (CarPcError, VcanError) as error:
+        print(f"fsai_hil.rehearsal.carpc: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("fsai_hil.rehearsal.carpc: interrupted", file=sys.stderr)
+        return 130
+
+
+def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: float) -> int:
+    """0 when everything came up, drove and recovered in time; the report is `results`/report.json.
+
+    All times are inside's, where a second takes `pace` seconds of this machine.
+    """
+    machine = uml.find_user_mode_linux()
+    results.mkdir(parents=True, exist_ok=True)
+    for old in (*results.glob("*.json"), *results.glob("*.txt"), *results.glob("*.log"), results / "again"):
+        old.unlink(missing_ok=True)
+    installed = results / ("laid-out" if short else "root")
+    if short:
+        package.lay_out(installed)
+    else:
+        package.unpack(package.make(results), installed)
+    if not Path("/usr/lib/systemd/systemd-udevd").exists():
+        raise CarPcError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
+    if pace != 1.0:
+        print(f"{pace:g} s of this machine for each second inside", flush=True)
+    with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
+        exchange = Path(folder).resolve()
+        init = exchange / "init"
+        clock, slowed = preloaded_clock(exchange, pace), slowed_clock(exchange, pace)
+        modules = uml.module_files(machine.modules, MODULES)
+        init.write_text(init_script(missions, installed, results, modules, clock, short))
+        init.chmod(0o755)
+        (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
+        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, Telling(results):
+
+            def boot() -> bool:
+                return uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, pace * timeout_s, slowed)
+
+            in_time = boot()
+            for _ in range(RUNS):
+                if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
+                    in_time = boot()
+    if not in_time:
+        raise CarPcError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
+    report = results / "report.json"
+    if not report.is_file():
+        raise CarPcError(f"the machine went off without a report: {results / 'console.log'}")
+    if (results / "again").exists():
+        raise CarPcError(f"the machine did not come back from its reboot: {results / 'console.log'}")
+    kept = [rules_kept(log) for log in sorted(results.glob("bus-*.log"))]
+    return 0 if all_well(json.loads(report.read_text())) and all(kept) else 1
+
+
+def all_well(steps: list[dict[str, object]]) -> bool:
+    """What a disturbed machine made fail, and what was played again for that, does not count."""
+    counting = [step for step in steps if step["counts"]]
+    return bool(counting) and all(step["passed"] for step in counting)
+
+
+def rules_kept(log: Path) -> bool:
+    """The bus log of one drive, judged by the independent checker. Prints its line."""
+    checker = checker_for(CODEC, busy_machine=True)
+    first_ns: int | None = None
+    for frame in read_candump(log):
+        first_ns = frame.t_ns if first_ns is None else first_ns
+        hours = round((frame.t_ns - first_ns) / HOUR_NS)  # the clock was stepped by whole ones
+        checker.on_frame(replace(frame, t_ns=frame.t_ns - hours * HOUR_NS))
+    report = checker.report()
+    print(f"{'ok   ' if report.ok else 'WRONG'} {'':24} {log.name} keeps the safety rules")
+    if not report.ok:
+        print(report)
+    return report.ok
+
+
+class Telling:
+    """Prints each step of the report as it comes."""
+
+    def __init__(self, results: Path) -> None:
+        self._report = results / "report.json"
+        self._told = 0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> None:
+        print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._tell()
+
+    def _run(self) -> None:
+        while not self._over.wait(1.0):
+            self._tell()
+
+    def _tell(self) -> None:
+        try:
+            steps = json.loads(self._report.read_text())
+        except (OSError, ValueError):  # not there yet, or being written at this moment
+            return
+        for step in steps[self._told :]:
+            took, within = ("" if each is None else f"{each:.2f} s" for each in (step["seconds"], step["within"]))
+            mark = "ok   " if step["passed"] else "WRONG"
+            print(f"{mark} {took:>10} {within:>10}   {step['what']}  {step['words']}".rstrip(), flush=True)
+        self._told = len(steps)
+
+
+def init_script(
+    missions: str,
+    installed: Path,
+    results: Path,
+    modules: list[Path],
+    clock: Mapping[str, str],
+    short: bool,
+) -> str:
+    """The first process: lays the root file system over this machine's, and hands over to systemd."""
+    q = shlex.quote
+    options = " --short" if short else ""
+    lines = [
+        "#!/bin/sh",
+        "export PATH=/usr/sbin:/usr/bin:/sbin:/bin",
+        "trap 'echo o > /proc/sysrq-trigger; sleep 60' EXIT",
+        "set -ex",
+        "mount -t proc proc /proc",
+        *(f"insmod {q(str(path))}" for path in modules),
+        uml.hands_over(),
+        "mount -t tmpfs -o size=2000M tmpfs /mnt",
+        "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
+        # A mount of its own for each: overlayfs wants its layers apart.
+        f"mount -t hostfs none /mnt/installed -o {q(str(installed))}",
+        "mount -t overlay overlay -o lowerdir=/mnt/installed:/,upperdir=/mnt/upper,workdir=/mnt/work /mnt/root",
+        "cd /mnt/root",
+        "mount -t proc proc proc",
+        "mount -t sysfs sysfs sys",
+        "mount -t tmpfs -o mode=1777 tmpfs tmp",
+        "mount -t tmpfs -o mode=755,size=160M tmpfs var/log",
+        "mkdir -p results var/log/journal",
+        f"mount -t hostfs none results -o {q(str(results))}",
+        "rm -f .dockerenv etc/systemd/system/*.wants/* etc/systemd/system/dbus-*",
+        ": > etc/fstab",
+        "echo car-pc > etc/hostname",
+        *(f"ln -sf /dev/null etc/systemd/system/{unit}" for unit in MASKED),
+        *([] if short else [f"chroot . dpkg --configure {package.NAME}"]),
+        # The bench: vcan0, the simulated car and what it is seen with.
+        "cp -r usr/share/fsai/bench/fsai-* etc/systemd/system/",
+        "cp usr/share/fsai/bench/70-* etc/systemd/network/",
+        f"sed -i 's/^interface = .*/interface = \"{INTERFACE}\"/' etc/fsai/fsai.toml",
+        "sed -i 's/^keep_mib = .*/keep_mib = 100\\nleave_free_mib = 30/' etc/fsai/fsai.toml",
+        *preload(clock),
+        f"echo 'CAR_OPTIONS=--mission {missions} {CAR}' > etc/fsai/bench.env",
+        *unit("fsai-typed-car.service", TYPED_CAR),
+        # A car is never late: what the bench's own has beyond the sandbox.
+        "cp -r etc/systemd/system/fsai-simulated-car@.service.d etc/systemd/system/fsai-typed-car.service.d",
+        *unit("rehearsal.service", f"{REHEARSAL} {INTERFACE} {len(missions.split(','))}{options}"),
+        f"chroot . /usr/lib/fsai/settle {INTERFACE}",
+        "chroot . systemctl enable systemd-networkd.service fsai-simulated-sensors.service",
+        "mkdir -p etc/systemd/system/basic.target.wants",
+        "ln -s ../rehearsal.service etc/systemd/system/basic.target.wants/",
+        # Not a mere chroot: inside one there are no user namespaces, and services have one each.
+        "pivot_root . mnt",
+        "trap - EXIT",
+        "exec chroot . /usr/lib/systemd/systemd --log-target=kmsg < /dev/console > /dev/console 2>&1",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def unit(name: str, text: str) -> list[str]:
+    """Shell lines that write a unit of systemd's."""
+    return [f"cat > etc/systemd/system/{name} <<'UNIT'", *text.splitlines(), "UNIT"]
+
+
+def preload(clock: Mapping[str, str]) -> list[str]:
+    """Shell lines that give every service the clock that can be read without a system call."""
+    if not clock:
+        return []
+    library = "/usr/lib/rehearsal-clock.so"
+    variables = {**clock, "LD_PRELOAD": library}
+    words = " ".join(f"{name}={value}" for name, value in variables.items())
+    return [
+        f"cp {shlex.quote(clock['LD_PRELOAD'])} .{library}",
+        "mkdir -p etc/systemd/system/fsai-.service.d",
+        f"printf '[Service]\\nEnvironment={words}\\n' > etc/systemd/system/fsai-.service.d/90-clock.conf",
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,731 @@
+"""Runs as a service of the rehearsed car PC: waits, looks, breaks things, and measures how long it takes to be well.
+
+Nothing is touched by hand but what a person beside the car may touch; faults are what befalls a machine. In the middle
+of the last drive the machine is rebooted, and this goes on after the next boot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from fsai_hil.rehearsal.carpc import probe, wifi
+from fsai_hil.rehearsal.carpc.bus_watch import (
+    HOUR_NS,
+    BusWatch,
+    Car,
+    Said,
+    brakes,
+    car_was_deaf,
+    first_s,
+    in_state,
+    longest_gap_s,
+    standing,
+    torque_ends_s,
+    wants_emergency,
+)
+from fsai_hil.rehearsal.carpc.recovery_times import (
+    AT_REST_S,
+    BOOT_S,
+    CAR_STOPS_ITSELF_S,
+    HUNG_BACK_S,
+    PURGED_S,
+    RECORDS_AGAIN_S,
+    SERVICE_BACK_S,
+    SHUTDOWN_REST_S,
+    START_TO_FIRST_FRAME_S,
+    TORQUE_OF_A_DEAD_BRIDGE_S,
+    TORQUE_WITHOUT_COMMANDS_S,
+    TORQUE_WITHOUT_DATA_S,
+    UNPLUGGED_S,
+)
+from fsai_hil.rehearsal.stall_monitor import RUNS, Outcome, StallMonitor, Watcher, describe, judge_run
+from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.images import AiStatus
+from fsai_vcu.runtime.lock import holder_pid
+
+RESULTS = Path("/results")
+AGAIN = RESULTS / "again"  # there while the machine is to boot once more
+FIFO = Path("/run/rehearsal/car")
+NODES = ("fsai-detector", "fsai-planner", "fsai-controller")
+MISSION = "trackdrive"
+MISSIONS_S = 400.0
+POWER_UP_S = 60.0
+EBS_ARMED_S = 5.0  # in AS_READY, before the car takes Go
+GO_AGAIN_S = 1.5
+OFF_S = 1.2  # no 0x520 for 1 s is a power cycle (safety rule 6)
+DRIVES_RPM = 60.0  # 1.6 m/s: driving is driving
+AT_EASE_S = 1.5  # so long after everything is back, nothing may set off
+GOODBYE_CYCLES = 5  # safety.md, on stop
+FULL_S = 4.0
+STRANGER_S = 6.0  # so long somebody looks around; the bridge is found in less
+_SETTLE = Path("/usr/lib/fsai/settle")
+_POLL_S = 0.1
+_BOOT_POLL_S = 0.5  # each look takes from the one processor what the services start with
+
+
+class CannotGoOn(Exception):
+    """A scene has noted why it ends here."""
+
+
+class Rehearsal:
+    def __init__(self, interface: str, missions: int, stall_monitor: Watcher) -> None:
+        self.interface = interface
+        self.missions = missions
+        self.stall_monitor = stall_monitor
+        self.bridge = f"fsai-bridge@{interface}"
+        self.recorder = f"fsai-recorder@{interface}"
+        self.bench_car = f"fsai-simulated-car@{interface}"
+        self.car = Car("fsai-typed-car", FIFO)
+        self.services = (*NODES, self.bridge, self.recorder)
+        report = RESULTS / "report.json"
+        self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
+        self.fresh_car = False  # it has just been switched on
+        self.watched: BusWatch | None = None  # the bus of the last drive
+
+    def run_short(self) -> None:
+        """What every change of the sources goes through."""
+        self.booted()
+        self.car.start()
+        self.car.type("on")
+        self.fresh_car = True
+        self.scene("the doctor", lambda: self.doctor(silent=False))
+        self.scene("the sandbox", lambda: self.sandboxed(compare=False))
+        self.scene("bridge killed", lambda: self.edge_struck(signal.SIGKILL, "killed"))
+        self.step("at the end all services are active", self.all_active, 60.0, SERVICE_BACK_S)
+
+    def run(self) -> None:
+        """Until the machine is to be rebooted."""
+        self.booted()
+        self.scene("the doctor", lambda: self.doctor(silent=True))
+        exposure = output("systemd-analyze", "security", "--no-pager", f"{self.bridge}.service").strip().splitlines()
+        self.note(exposure[-1].strip("→ ") if exposure else "no exposure", None)
+        self.scene("the sandbox", lambda: self.sandboxed(compare=True))
+        self.scene("the network", self.not_found)
+        self.scene("the missions", self.driven)
+        self.car.start()
+        self.scene("undisturbed", self.undisturbed_drive)
+        for service, torque_s in (
+            ("fsai-planner", TORQUE_WITHOUT_DATA_S),
+            ("fsai-controller", TORQUE_WITHOUT_COMMANDS_S),
+        ):
+            self.scene(f"{service} killed", partial(self.node_killed, service, torque_s))
+        for number, what in ((signal.SIGKILL, "killed"), (signal.SIGSTOP, "hung")):
+            self.scene(f"bridge {what}", partial(self.edge_struck, number, what))
+            self.scene(f"CAN loop {what}", partial(self.loop_struck, number, what))
+        self.scene("unplugged", self.unplugged)
+        self.rebooted(1)
+
+    def go_on(self, reboot: int) -> None:
+        """After a reboot in mid-drive, the `reboot`th; one that a disturbed machine made fail is to be had again."""
+        self.booted()
+        self.car.start()
+        self.scene("after the reboot", self.after_the_reboot)
+        if reboot > 1:
+            self.rebooted(reboot)
+            return
+        self.step("at the end all services are active", self.all_active, 60.0, SERVICE_BACK_S)
+        self.switched_off()
+        self.upgraded()
+        self.purged()
+
+    def scene(self, name: str, play: Callable[[], None]) -> None:
+        """Play it; again where it failed while the machine stood still or was slow, for then it has shown nothing."""
+        for run in range(1, RUNS + 1):
+            if self.judged(name, play, run) is not Outcome.AGAIN:
+                return
+
+    def judged(self, name: str, play: Callable[[], None], run: int) -> Outcome:
+        """One run of a scene, and what it is worth."""
+        since_ns, first = time.monotonic_ns(), len(self.steps)
+        self.watched = None
+        try:
+            play()
+        except CannotGoOn:
+            failed = True
+        else:
+            failed = not all(step["passed"] for step in self.steps[first:])
+        why = self.disturbed(since_ns) if failed else ""
+        outcome = judge_run(failed, why, run)
+        if outcome is Outcome.AGAIN:
+            for step in self.steps[first:]:
+                step["counts"] = False
+            self.note(f"{name}: run {run} shows nothing: {why}", None)
+        elif outcome is Outcome.NEVER_UNDISTURBED:
+            self.note(f"{name}: never undisturbed", None, passed=False, words=f"in run {run} too {why}")
+        return outcome
+
+    def disturbed(self, since_ns: int) -> str:
+        """What befell the machine, or the simulated car on it, since then; '' if nothing did."""
+        if disturbances := self.stall_monitor.disturbances(since_ns):
+            return f"the machine {describe(disturbances)}"
+        deaf = self.watched is not None and car_was_deaf(self.watched.frames)
+        return "the simulated VCU did not take in what was on the bus" if deaf else ""
+
+    # ------------------------------------------------------------ the drives
+
+    def undisturbed_drive(self) -> None:
+        with self.drive("undisturbed") as watch:
+            self.clock_stepped(watch)
+            self.disk_filled(watch)
+            self.recorder_killed(watch)
+            self.struck(
+                watch,
+                "fsai-detector killed",
+                "fsai-detector",
+                signal.SIGKILL,
+                AsState.AS_FINISHED,
+                TORQUE_WITHOUT_DATA_S,
+            )
+
+    def node_killed(self, service: str, torque_s: float) -> None:
+        with self.drive(service) as watch:
+            self.struck(watch, f"{service} killed", service, signal.SIGKILL, AsState.AS_FINISHED, torque_s)
+
+    def edge_struck(self, number: signal.Signals, what: str) -> None:
+        """The service's main process: its loop stops the car, and goes silent when the car has finished."""
+        with self.drive(f"bridge-{what}") as watch:
+            self.struck(
+                watch,
+                f"bridge {what}",
+                self.bridge,
+                number,
+                AsState.EMERGENCY_BRAKE,
+                TORQUE_WITHOUT_COMMANDS_S,
+                first=AsState.AS_FINISHED,
+            )
+
+    def loop_struck(self, number: signal.Signals, what: str) -> None:
+        """The process that holds the interface."""
+        with self.drive(f"loop-{what}") as watch:
+            self.struck(
+                watch,
+                f"CAN loop {what}",
+                self.bridge,
+                number,
+                AsState.EMERGENCY_BRAKE,
+                TORQUE_OF_A_DEAD_BRIDGE_S,
+                process=holder_pid(self.interface),
+            )
+
+    def after_the_reboot(self) -> None:
+        watch = BusWatch(self.interface, Path("/run/rehearsal/after.log"))
+        self.car.type("off", "on")
+        up = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
+        self.note("after the reboot the car powers up", None, passed=up)
+        since_ns = time.time_ns()
+        watch.wait(lambda: False, AT_EASE_S * 2)
+        still = watch.as_state is AsState.AS_OFF and torque_ends_s(watch.since(since_ns), since_ns) == 0
+        self.note("after the reboot nothing drives by itself", AT_EASE_S * 2, passed=still)
+        watch.close()
+        self.fresh_car = True
+        with self.drive("after-reboot"):
+            pass
+
+    # ------------------------------------------------------------ before the faults
+
+    def booted(self) -> None:
+        self.await_that(self.all_active, 120.0, _BOOT_POLL_S)
+        active_s = max((started_s(service, "ActiveEnterTimestampMonotonic") for service in self.services), default=0.0)
+        self.note("boot to ready, from the kernel's start", active_s, BOOT_S, passed=self.all_active())
+        begun_s = started_s(self.bridge, "ExecMainStartTimestampMonotonic")
+        ready_s = started_s(self.bridge, "ActiveEnterTimestampMonotonic")
+        self.note("the bridge at boot, from its process to READY", ready_s - begun_s)
+        self.step("fsai.target is reached", lambda: is_active("fsai.target"), 60.0, BOOT_S)
+
+    def driven(self) -> None:
+        """The car's operator walks the switches, chooses each mission, gives Go; the judge decides."""
+        began = time.monotonic()
+        systemctl("restart", self.bench_car)
+        run = output("systemctl", "show", self.bench_car, "-p", "InvocationID", "--value").strip()
+        while (verdict := self.verdict(run)) is None and time.monotonic() - began < MISSIONS_S:
+            time.sleep(_POLL_S * 10)
+        systemctl("stop", self.bench_car)
+        (RESULTS / "verdict.json").write_text(json.dumps(verdict))
+        missions = verdict["missions"] if verdict is not None else []
+        words = "; ".join(f"{each['mission']}: {each['result']} {each['reasons'] or ''}".strip() for each in missions)
+        passed = len(missions) == self.missions and all(each["result"] == "pass" for each in missions)
+        self.note(
+            f"missions driven, one after the other: {self.missions}", time.monotonic() - began, None, passed, words
+        )
+
+    def doctor(self, *, silent: bool) -> None:
+        """silent: the car is not switched on yet."""
+        done = subprocess.run(["fsai-vcu", "doctor", "--json"], capture_output=True, text=True, check=False)
+        (RESULTS / "doctor.json").write_text(done.stdout)
+        try:
+            findings = json.loads(done.stdout)["findings"]
+        except (ValueError, KeyError):
+            self.note(f"doctor failed: {done.stderr.strip()}", None, passed=False)
+            return
+        wrong = [f"{each['topic']}: {each['words']}" for each in findings if each["level"] == "wrong"]
+        if silent:
+            passed = len(wrong) == 1 and wrong[0].startswith("bus: the VCU is silent")
+            self.note("doctor finds nothing wrong but a silent car", None, passed=passed, words="; ".join(wrong))
+        else:
+            heard = any(each["topic"] == "bus" and each["level"] == "right" for each in findings)
+            self.note("doctor finds nothing wrong", None, passed=heard and not wrong, words="; ".join(wrong))
+
+    # ------------------------------------------------------------ who else may do what
+
+    def sandboxed(self, *, compare: bool) -> None:
+        """What the bridge's sandbox refuses; and who listens on a network.
+
+        compare: that nothing refuses it without the sandbox, else the refusals would show nothing.
+        """
+        if not Path(f"/sys/class/net/{wifi.INTERFACE}").exists():
+            wifi.plug_in()
+        for secret in probe.SECRETS:
+            secret.parent.mkdir(parents=True, exist_ok=True)
+            secret.write_text("nobody's business\n")
+        with wifi.talked_to(probe.PORT):
+            argv = [sys.executable, "-m", "fsai_hil.rehearsal.carpc.probe", self.interface]
+            freely = json.loads(output(*argv) or "{}") if compare else None
+            confined = json.loads(self.in_the_bridges_place(" ".join(argv)) or "{}")
+        (RESULTS / "sandbox.json").write_text(json.dumps({"outside": freely, "inside": confined}, indent=1))
+        if freely is not None:
+            refused = [name for name, how in freely.items() if how]
+            passed = bool(freely) and not refused
+            self.note("outside of a sandbox all of it is allowed", None, passed=passed, words=", ".join(refused))
+        allowed = [name for name, how in confined.items() if not how]
+        words = f"{len(confined) - len(allowed)} refused; allowed: {', '.join(allowed)}"
+        passed = bool(confined) and allowed == [probe.CAN]
+        self.note("inside of the bridge's, nothing but a CAN socket", None, passed=passed, words=words)
+        listing = output("ss", "-H", "-lntup")
+        found = wifi.listeners_in(listing)
+        words = "; ".join(found) or f"{len(listing.splitlines())} sockets, all on the loopback"
+        self.note("nothing on this machine listens on a network", None, passed=bool(listing) and not found, words=words)
+
+    def in_the_bridges_place(self, command: str) -> str:
+        """What a command prints that is run by the bridge's unit, with all that restricts it."""
+        units, ours = Path("/usr/lib/systemd/system"), Path("/run/systemd/system")
+        printed = Path("/run/rehearsal/probe")
+        printed.unlink(missing_ok=True)
+        text = in_its_place((units / "fsai-bridge@.service").read_text(), command, printed)
+        (ours / "fsai-probe@.service").write_text(text)
+        shutil.copytree(units / "fsai-bridge@.service.d", ours / "fsai-probe@.service.d", dirs_exist_ok=True)
+        systemctl("daemon-reload")
+        systemctl("start", f"fsai-probe@{self.interface}")
+        return printed.read_text() if printed.exists() else ""
+
+    def not_found(self) -> None:
+        """Somebody on the team's Wi-Fi looks for the nodes; the same program on this machine finds them."""
+        lines = output("fsai-vcu", "config", "environment").split()
+        here = wifi.looked([], STRANGER_S * 4, dict(line.split("=", 1) for line in lines))
+        words = json.dumps(here)
+        self.note(
+            "a ROS program on this machine sees the bridge", None, passed=here["sees_the_car"] is True, words=words
+        )
+        there = wifi.looked(wifi.from_there(), STRANGER_S, wifi.STRANGERS)
+        blind = there == {"nodes": [], "commands_heard_by": 0, "set_mode": False, "sees_the_car": False}
+        words = "" if blind else json.dumps(there)
+        self.note("one on the team's network sees nothing", STRANGER_S, passed=blind, words=words)
+
+    @contextmanager
+    def drive(self, name: str) -> Iterator[BusWatch]:
+        """A power cycle of the car, which clears whatever was latched; then AS_OFF, AS_READY, Go, and it drives."""
+        self.await_that(self.all_active, 60.0)
+        began = time.monotonic()
+        watch = BusWatch(self.interface, Path(f"/run/rehearsal/{name}.log"))
+        self.watched = watch
+        fresh, self.fresh_car = self.fresh_car, False
+        if not fresh:
+            self.car.type("off", "ami not_selected")
+        drives = (
+            (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
+            and self._typed(watch, ["on"], AsState.AS_OFF)
+            and self._typed(watch, [f"ami {MISSION}"], AsState.AS_READY)
+            and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
+        )
+        until = time.monotonic() + POWER_UP_S
+        while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
+            self.car.type("go")
+            watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
+        drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
+        drives = drives and watch.as_state is AsState.AS_DRIVING
+        words = "" if drives else f"last seen {watch.as_state and watch.as_state.label}, {watch.fastest_rpm:g} rpm"
+        what = "drives, after AS_OFF, AS_READY and Go anew"
+        self.note(f"{name}: {what}", time.monotonic() - began, passed=drives, words=words)
+        try:
+            if drives:
+                yield watch
+            else:
+                raise CannotGoOn(name)
+        finally:
+            watch.close()
+            if not AGAIN.exists():  # else the machine goes down: it has been kept
+                shutil.copy(watch.path, RESULTS / f"bus-{name}.log")
+
+    def _typed(self, watch: BusWatch, lines: list[str], state: AsState) -> bool:
+        self.car.type(*lines)
+        return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
+
+    # ------------------------------------------------------------ what must not matter
+
+    def clock_stepped(self, watch: BusWatch) -> None:
+        passed = True
+        for step_s in (HOUR_NS / 1e9, -2 * HOUR_NS / 1e9, HOUR_NS / 1e9):
+            now_s = time.clock_gettime(time.CLOCK_REALTIME)
+            time.clock_settime(time.CLOCK_REALTIME, now_s + step_s)
+            # Longer than any deadline of the table.
+            passed = passed and not watch.wait(lambda: not self.undisturbed(watch), 1.0)
+        self.note("the clock stepped by an hour, both ways: drives on", 3.0, passed=passed)
+
+    def disk_filled(self, watch: BusWatch) -> None:
+        since = len(self.said_by(self.recorder))
+        fill = Path("/var/log/fill")
+        since_ns = time.time_ns()
+        subprocess.run(["nice", "-n", "19", "sh", "-c", f"cat /dev/zero > {fill}"], capture_output=True, check=False)
+        free_kib = shutil.disk_usage("/var/log").free >> 10
+        on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
+        gap_s = longest_gap_s(watch.since(since_ns))
+        fill.unlink()
+        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder says {told}"
+        self.note("the disk full: drives on", FULL_S, passed=on, words=words)
+        self.step(
+            "with room again the recorder writes again",
+            lambda: any("writing again" in line for line in self.said_by(self.recorder)[since:]),
+            30.0,
+            RECORDS_AGAIN_S,
+        )
+        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        self.note("it has said so in one line", None, passed=len(told) == 1, words="; ".join(told))
+        self.note("and the car drives on", None, passed=self.undisturbed(watch))
+
+    def recorder_killed(self, watch: BusWatch) -> None:
+        before = main_pid(self.recorder)
+        os.kill(before, signal.SIGKILL)
+        self.step("the recorder killed: back", lambda: self.anew(self.recorder, before), 60.0, SERVICE_BACK_S)
+        watch.read()
+        self.note("and the car drives on", None, passed=self.undisturbed(watch))
+
+    def undisturbed(self, watch: BusWatch) -> bool:
+        return watch.as_state is AsState.AS_DRIVING and watch.fastest_rpm > DRIVES_RPM / 2
+
+    # ------------------------------------------------------------ what ends the drive
+
+    def struck(
+        self,
+        watch: BusWatch,
+        what: str,
+        service: str,
+        number: signal.Signals,
+        ends_in: AsState,
+        torque_s: float,
+        *,
+        first: AsState | None = None,
+        process: int | None = None,
+    ) -> None:
+        """A service's main process, or another one of it, is killed or stopped in mid-drive.
+
+        first: the AS state that ends the drive, where it is not the one that the car ends in.
+        """
+        before = main_pid(service)
+        struck_ns = time.time_ns()
+        struck_s = time.monotonic()
+        os.kill(process or before, number)
+        back_s: float | None = None
+
+        def settled() -> bool:
+            nonlocal back_s
+            if back_s is None and self.anew(service, before):
+                back_s = time.monotonic() - struck_s
+            return back_s is not None and watch.at_rest_in(ends_in)
+
+        watch.wait(settled, 40.0)
+        within_s = HUNG_BACK_S if number == signal.SIGSTOP else SERVICE_BACK_S
+        if first is not None:
+            within_s += AT_REST_S  # the car is brought to rest before anything is started anew
+        self.note(f"{what}: back", back_s, within_s, passed=back_s is not None)
+        self.rested(watch, what, struck_ns, ends_in, torque_s, first)
+        if service == self.bridge:
+            self.first_frame(watch)
+
+    def rested(
+        self,
+        watch: BusWatch,
+        what: str,
+        struck_ns: int,
+        ends_in: AsState,
+        torque_s: float | None,
+        first: AsState | None = None,
+    ) -> None:
+        """The run has ended in this state, the car stands, and nothing sets off again."""
+        watch.wait(lambda: False, AT_EASE_S)
+        said = watch.since(struck_ns)
+        last_s = torque_ends_s(said, struck_ns)
+        if torque_s is not None:
+            self.note(f"{what}: the last torque", last_s, torque_s)
+        first = first or ends_in
+        over_s = first_s(said, struck_ns, in_state(*(state for state in AsState if state is not AsState.AS_DRIVING)))
+        if first is AsState.EMERGENCY_BRAKE and torque_s is not None:
+            self.note(f"{what}: the car stops itself", over_s, CAR_STOPS_ITSELF_S, passed=over_s is not None)
+        self.note(f"{what}: at rest", _rest_s(said, struck_ns), AT_REST_S, passed=standing_at_the_end(said))
+        elsewhere = in_state(*(state for state in AsState if state not in (first, ends_in, AsState.AS_DRIVING)))
+        came_first = first_s(said, struck_ns, in_state(first))
+        stays = watch.as_state is ends_in and came_first == over_s and not any(elsewhere(each.image) for each in said)
+        words = "" if watch.as_state is None else watch.as_state.label
+        self.note(f"{what}: ends in {ends_in.label} and does not drive on", None, passed=stays, words=words)
+
+    def first_frame(self, watch: BusWatch) -> None:
+        """From the start of the bridge's newest process to the first that it says."""
+        wall_ns = time.time_ns() - time.monotonic_ns()
+        began_ns = int(started_s(self.bridge, "ExecMainStartTimestampMonotonic") * 1e9) + wall_ns
+        watch.wait(lambda: any(isinstance(each.image, AiStatus) for each in watch.since(began_ns)), 5.0)
+        first = first_s(watch.since(began_ns), began_ns, lambda image: isinstance(image, AiStatus))
+        what = "the bridge, from its process to its first frame"
+        self.note(what, first, START_TO_FIRST_FRAME_S, passed=first is not None)
+
+    def unplugged(self) -> None:
+        with self.drive("unplugged"):
+            self.pulled_and_plugged()
+
+    def pulled_and_plugged(self) -> None:
+        before = main_pid(self.bridge)
+        output("ip", "link", "del", self.interface)
+        self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, UNPLUGGED_S)
+        plugged_ns = time.time_ns()
+        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+        after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
+        self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, SERVICE_BACK_S)
+        self.step("and the recorder", lambda: is_active(self.recorder), 60.0, SERVICE_BACK_S)
+        after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
+        self.rested(after, "plugged in", plugged_ns, AsState.EMERGENCY_BRAKE, None)
+        self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
+        after.close()
+
+    def rebooted(self, run: int) -> None:
+        """In mid-drive; what is to be done after the next boot is in AGAIN."""
+
+        def play() -> None:
+            with self.drive("rebooted") as watch:
+                self.shut_down(watch)
+
+        again = self.judged("rebooted", play, run) is Outcome.AGAIN
+        if AGAIN.exists():
+            AGAIN.write_text(f"{run + 1 if again else 1}\n")
+        elif again:  # it had not come to driving
+            self.rebooted(run + 1)
+
+    def shut_down(self, watch: BusWatch) -> None:
+        """The bridge's goodbye during the shutdown brakes the car to rest; this waits for it before it ends itself."""
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        AGAIN.touch()
+        asked_ns = time.time_ns()
+        systemctl("--no-block", "reboot")
+        at_rest = watch.wait(lambda: watch.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
+        watch.wait(lambda: False, AT_EASE_S)
+        said = watch.since(asked_ns)
+        shutil.copy(watch.path, RESULTS / "bus-rebooted.log")
+        what = "reboot in mid-drive"
+        goodbye = [each.image for each in said if isinstance(each.image, AiStatus) and each.image.estop_request]
+        right = all(
+            image.direction is Direction.FORWARD and image.mission_status is MissionStatus.RUNNING for image in goodbye
+        )
+        asked_s = first_s(said, asked_ns, wants_emergency)
+        # When the services are stopped is systemd's to say, so this is no time of the bridge's.
+        self.note(f"{what}: ESTOP_REQUEST", asked_s, None, passed=asked_s is not None)
+        words = f"{len(goodbye)} cycles, {'FORWARD' if right else 'WRONG'}"
+        self.note(f"{what}: the goodbye", None, None, right and len(goodbye) == GOODBYE_CYCLES, words)
+        if asked_s is not None:
+            began_ns = asked_ns + int(asked_s * 1e9)
+            after = [each for each in said if each.t_ns >= began_ns]
+            # A brake may rise only after a cycle without torque, and by then the car may be braking itself.
+            braked_s = first_s(after, began_ns, brakes)
+            itself_s = first_s(after, began_ns, in_state(AsState.EMERGENCY_BRAKE))
+            soonest_s = min((each for each in (braked_s, itself_s) if each is not None), default=None)
+            passed = soonest_s is not None and torque_ends_s(after, began_ns) == 0
+            self.note(f"{what}: brake asked for or EMERGENCY_BRAKE, no torque", soonest_s, 0.1, passed=passed)
+            ai = [each.t_ns for each in after if isinstance(each.image, AiStatus)]
+            self.note(f"{what}: silence begins", (max(ai) - began_ns) / 1e9, 0.2)
+            self.note(f"{what}: at rest", _rest_s(after, began_ns), SHUTDOWN_REST_S, passed=at_rest)
+
+    def switched_off(self) -> None:
+        """Switched off by hand, nobody sends, not even when an adapter is plugged in; the bus named, all are back."""
+        subprocess.run([_SETTLE, "can9"], check=True)
+        passed = self.await_that(lambda: not is_active(self.bridge), UNPLUGGED_S)
+        self.note("another bus named: nobody goes on sending on this one", None, passed=passed)
+        subprocess.run([_SETTLE, "--off"], check=True)
+        output("ip", "link", "del", self.interface)
+        device = f"sys-subsystem-net-devices-{self.interface}.device"
+        self.await_that(lambda: not is_active(device), SERVICE_BACK_S)
+        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+        self.step("switched off, then plugged in", lambda: is_active(device), 30.0, SERVICE_BACK_S)
+
+        def woken() -> set[str]:
+            return set(output("systemctl", "is-active", *self.services).split()) - {"inactive", "failed"}
+
+        passed = not self.await_that(lambda: bool(woken()), UNPLUGGED_S, _BOOT_POLL_S)
+        self.note("nobody starts", None, passed=passed)
+        subprocess.run([_SETTLE, self.interface], check=True)
+        systemctl("start", "--no-block", "fsai.target")
+        self.step("the bus named again: all services are active", self.all_active, 60.0, BOOT_S)
+
+    def upgraded(self) -> None:
+        """What dpkg does before and after it puts a newer package's files over these."""
+        scripts = Path("/var/lib/dpkg/info")
+        subprocess.run(["sh", scripts / "fsai-vcu.prerm", "upgrade", "9"], check=True)
+        active = [service for service in self.services if is_active(service)]
+        self.note("an upgrade: nothing runs while files are replaced", None, passed=not active, words=", ".join(active))
+        began = time.monotonic()
+        subprocess.run(["sh", scripts / "fsai-vcu.postinst", "configure", "1"], check=True)
+        passed = self.await_that(self.all_active, BOOT_S, _BOOT_POLL_S)
+        self.note("an upgrade: what ran runs again", time.monotonic() - began, BOOT_S, passed=passed)
+
+    def purged(self) -> None:
+        """The package is taken away, and nothing of it is left but the logs of the drives."""
+        began = time.monotonic()
+        done = subprocess.run(["dpkg", "--purge", "fsai-vcu"], capture_output=True, text=True, check=False)
+        took_s = time.monotonic() - began
+        words = done.stderr.strip()[-200:]
+        self.note("dpkg --purge", took_s, PURGED_S, passed=done.returncode == 0, words=words)
+        places = ("/opt/fsai", "/usr/lib/fsai", "/usr/share/fsai", "/usr/bin/fsai-vcu", "/etc/fsai")
+        left = [place for place in places if Path(place).exists()]
+        for pattern in ("usr/lib/systemd/system/fsai*", "etc/systemd/system/*.wants/fsai-bridge*"):
+            left += [str(path) for path in Path("/").glob(pattern)]
+        left += [service for service in self.services if is_active(service)]
+        self.note("nothing of it is left", None, passed=not left, words=", ".join(left))
+        logs = list(Path("/var/log/fsai").glob("*"))
+        self.note("but the logs of the drives", None, passed=bool(logs), words=f"{len(logs)}")
+
+    # ------------------------------------------------------------ conditions
+
+    def all_active(self) -> bool:
+        return output("systemctl", "is-active", *self.services).split() == ["active"] * len(self.services)
+
+    def anew(self, service: str, before: int) -> bool:
+        return is_active(service) and main_pid(service) not in (0, before)
+
+    def verdict(self, run: str) -> dict[str, list[dict[str, object]]] | None:
+        """The judge's of that run of the car, once it has ended."""
+        for line in reversed(output("journalctl", "-o", "cat", f"_SYSTEMD_INVOCATION_ID={run}").splitlines()):
+            if line.startswith("{"):
+                found: dict[str, list[dict[str, object]]] = json.loads(line)
+                return found
+        return None
+
+    def said_by(self, service: str) -> list[str]:
+        return output("journalctl", "-b", "-o", "cat", "-u", service).splitlines()
+
+    # ------------------------------------------------------------ telling
+
+    def await_that(self, condition: Callable[[], bool], patience_s: float, poll_s: float = _POLL_S) -> bool:
+        until = time.monotonic() + patience_s
+        while not (holds := condition()) and time.monotonic() < until:
+            time.sleep(poll_s)
+        return holds
+
+    def step(self, what: str, condition: Callable[[], bool], patience_s: float, within_s: float) -> None:
+        """Await `condition`; how long it took is the step's time."""
+        began = time.monotonic()
+        passed = self.await_that(condition, patience_s)
+        self.note(what, time.monotonic() - began, within_s, passed)
+
+    def note(
+        self, what: str, seconds: float | None, within_s: float | None = None, passed: bool = True, words: str = ""
+    ) -> None:
+        """within_s: the time that is stated for it."""
+        passed = passed and (within_s is None or (seconds is not None and seconds <= within_s))
+        self.steps.append(
+            {"what": what, "seconds": seconds, "within": within_s, "passed": passed, "words": words, "counts": True}
+        )
+        (RESULTS / "report.json").write_text(json.dumps(self.steps, indent=1))
+
+
+def _rest_s(said: list[Said], since_ns: int) -> float | None:
+    """When the car stood for good."""
+    moving = [each.t_ns for each in said if hasattr(each.image, "fl_rpm") and not standing(each.image)]
+    return (max(moving) - since_ns) / 1e9 if moving else 0.0
+
+
+def standing_at_the_end(said: list[Said]) -> bool:
+    wheels = [each.image for each in said if hasattr(each.image, "fl_rpm")]
+    return bool(wheels) and standing(wheels[-1])
+
+
+def output(*argv: str) -> str:
+    return subprocess.run(argv, capture_output=True, text=True, check=False).stdout
+
+
+def systemctl(*words: str) -> None:
+    subprocess.run(["systemctl", *words], check=False)
+
+
+def is_active(unit: str) -> bool:
+    return output("systemctl", "is-active", unit).strip() == "active"
+
+
+def main_pid(service: str) -> int:
+    return int(output("systemctl", "show", service, "-p", "MainPID", "--value").strip() or 0)
+
+
+def started_s(service: str, what: str) -> float:
+    """An instant of the monotonic clock that systemd noted."""
+    return int(output("systemctl", "show", service, "-p", what, "--value").strip() or 0) / 1e6
+
+
+def in_its_place(unit: str, command: str, printed: Path) -> str:
+    """A service's unit with another command, that ends, in the place of its own; it prints to a file."""
+    dropped = (
+        "Type",
+        "NotifyAccess",
+        "Restart",
+        "RestartSec",
+        "WatchdogSec",
+        "WatchdogSignal",
+        "ExecStart",
+        "WantedBy",
+    )
+    lines = [line for line in unit.splitlines() if line.partition("=")[0] not in dropped]
+    place = lines.index("[Service]") + 1
+    lines[place:place] = ["Type=oneshot", f"ExecStart={command}", f"StandardOutput=file:{printed}"]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("interface")
+    parser.add_argument("missions", type=int)
+    parser.add_argument("--short", action="store_true")
+    args = parser.parse_args()
+    again = AGAIN.read_text().strip() if AGAIN.exists() else ""
+    AGAIN.unlink(missing_ok=True)
+    with StallMonitor(Path("/run/rehearsal/stall_monitor")) as stall_monitor:
+        return played(Rehearsal(args.interface, args.missions, stall_monitor), int(again or 0), short=args.short)
+
+
+def played(rehearsal: Rehearsal, reboot: int, *, short: bool) -> int:
+    """reboot: 0 on the first boot."""
+    try:
+        if reboot:
+            rehearsal.go_on(reboot)
+        elif short:
+            rehearsal.run_short()
+        else:
+            rehearsal.run()
+    except Exception as error:
+        AGAIN.unlink(missing_ok=True)
+        rehearsal.note(f"the rehearsal itself failed: {type(error).__name__}: {error}", None, passed=False)
+        raise
+    finally:
+        journal = f"journal-after-reboot-{reboot}.txt" if reboot else "journal.txt"
+        (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
+        if not AGAIN.exists():
+            (RESULTS / "done").touch()
+            systemctl("poweroff", "--force")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,155 @@
+"""What else keeps a machine and a bus busy: as processes of their own, at normal priority.
+
+`python -m fsai_hil.rehearsal.scrutineering.load processor`, `… memory`, `… disk FILE` and `… file FILE` are such
+processes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load
+from fsai_hil.rehearsal.stack import Stack
+from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
+
+BUS_BITS_PER_S: Final = 500_000  # the car's bus
+FRAME_BITS: Final = 47  # of a data frame with an 11-bit identifier, with the pause after it and without stuff bits
+FILL_ID: Final = 0x7E0  # nobody's on the car, and not received by bridge or simulated car
+FILL_BYTES: Final = 8
+FILL_BURST: Final = 16  # frames a wake-up: sleeping for a single one takes longer than the frame on a real bus
+BLOCK_BYTES: Final = 1 << 18
+BLOCKS: Final = 256  # then from the start of the file again
+UNFORCED_PAUSE_S: Final = 0.01
+MEMORY_SHARE: Final = 0.6  # of what is available: nobody is to be ended for want of memory
+MEMORY_MOST_BYTES: Final = 4 << 30
+BUSY: Final = "load: at work"
+_START_S = 30.0
+_SIMULATED = (Flow.TO_VCU, Flow.FROM_VCU, Flow.FROM_SENSOR)
+
+
+def frame_bits(length: int) -> int:
+    """Of one frame with `length` bytes, at least: stuff bits, which depend on the content, come on top."""
+    return FRAME_BITS + 8 * length
+
+
+def car_bits_per_s(revision: str, gps_decimation: int = 1, log_decimation: int = 1) -> float:
+    """What bridge, simulated VCU and PCAN-GPS put on the bus."""
+    bits = 0.0
+    for row in BUS_TABLE:
+        if row.flow in _SIMULATED and revision in row.period_ns:
+            thinned = (
+                gps_decimation if row.flow is Flow.FROM_SENSOR else log_decimation if row.timeout_ns is None else 1
+            )
+            bits += frame_bits(row.dlc) * 1e9 / (row.period_ns[revision] * thinned)
+    return bits
+
+
+def fill_frames_per_s(car_bits: float) -> float:
+    """Frames that are missing to a full bus."""
+    return max(0.0, BUS_BITS_PER_S - car_bits) / frame_bits(FILL_BYTES)
+
+
+@contextmanager
+def loaded(
+    stack: Stack, condition: Condition, disk_file: Path, car_bits: float, *, force_disk: bool = True
+) -> Iterator[None]:
+    """The condition's load, while inside; returns once it works. Raises StackError when it does not.
+
+    force_disk: each block is forced onto the disk. (In User-Mode Linux that stops the whole inner kernel meanwhile.)
+    """
+    names: list[str] = []
+
+    def start(kind: str, *argv: str) -> None:
+        names.append(f"load-{len(names) + 1}-{kind}-{condition.name}")
+        stack.start(names[-1], argv)
+
+    try:
+        own = (sys.executable, "-m", __name__)
+        if Load.PROCESSORS in condition.load:
+            for _ in range(os.cpu_count() or 1):
+                start("processor", *own, "processor")
+        if Load.MEMORY in condition.load:
+            start("memory", *own, "memory")
+        if Load.DISK in condition.load:
+            start("disk", *own, "disk" if force_disk else "file", str(disk_file))
+        for name in names:
+            stack.processes[name].await_log(BUSY, _START_S)
+        if Load.BUS in condition.load and (rate := fill_frames_per_s(car_bits)):
+            gap_ms = f"{1000.0 * FILL_BURST / rate:.4f}"
+            what = ("-I", f"{FILL_ID:X}", "-L", str(FILL_BYTES), "-D", "A5" * FILL_BYTES)
+            start("bus", "cangen", stack.bus, "-g", gap_ms, "-c", str(FILL_BURST), *what, "-i")
+        stack.check_alive(*names)
+        yield
+        stack.check_alive(*names)
+    finally:
+        for name in names:
+            stack.processes.pop(name).stop()
+        disk_file.unlink(missing_ok=True)
+
+
+# ---------------------------------------------------------------- the processes
+
+
+def keep_processor_busy() -> None:
+    print(BUSY, flush=True)
+    number = 0
+    while True:
+        number = (number * 1_103_515_245 + 12_345) % 2_147_483_648
+
+
+def keep_memory_busy() -> None:
+    """Take the share, write to each of its pages twice, give it back, over and over."""
+    # Should memory run out all the same, it is this process that the kernel ends, and the measurement says so.
+    Path("/proc/self/oom_score_adj").write_text("1000")
+    pages = int(min(MEMORY_SHARE * _available_bytes(), MEMORY_MOST_BYTES)) // mmap.PAGESIZE
+    print(BUSY, flush=True)
+    while True:
+        with mmap.mmap(-1, pages * mmap.PAGESIZE) as memory:
+            for value in (b"\1", b"\2"):
+                memory[:: mmap.PAGESIZE] = value * pages
+
+
+def _available_bytes() -> int:
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    (kib,) = (int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+    return kib << 10
+
+
+def keep_disk_busy(path: Path, force: bool) -> None:
+    """Write blocks over and over: forced onto the disk itself one by one, or left to the page cache, 25 MB a second."""
+    block = os.urandom(BLOCK_BYTES)
+    with path.open("wb", buffering=0) as file:
+        file.write(block)
+        print(BUSY, flush=True)
+        while True:
+            file.seek(0)
+            for _ in range(BLOCKS):
+                file.write(block)
+                if force:
+                    os.fsync(file.fileno())
+                else:
+                    time.sleep(UNFORCED_PAUSE_S)
+
+
+def main(argv: list[str]) -> None:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        if argv[0] == "processor":
+            keep_processor_busy()
+        elif argv[0] == "memory":
+            keep_memory_busy()
+        else:
+            keep_disk_busy(Path(argv[1]), force=argv[0] == "disk")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,395 @@
+"""The measurement: bridge, nodes, simulated car and load as processes on one bus, condition by condition.
+
+The simulated VCU measures, as the car's does: from the instant at which a toggled HANDSHAKE was due in a 0x520 to the
+arrival of its echo in a 0x510. So its own lateness is part of every figure; it is counted beside it, and the log of the
+bus, stamped by the kernel, shows the time between the two frames alone.
+
+Before that the same simulated car, under the same loads, is answered by `polling_loop.c`, a peer to compare with.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fsai_hil.rehearsal.ros_operator import RosOperator
+from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, Stance
+from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
+from fsai_hil.rehearsal.scrutineering.machine import machine, scheduling_of
+from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack, StackError, await_condition
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
+from fsai_hil.rules.checker import checker_for, read_candump
+from fsai_hil.rules.response import ResponseTimes
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.revisions import revision as revision_named
+from fsai_vcu.runtime.lock import holder_pid
+from fsai_vcu.runtime.realtime import FIFO_PRIORITY
+
+START_S = 240.0  # interpreters that import ROS at once, on one slow processor
+POWER_UP_S = 60.0
+DRIVE_OFF_S = 60.0
+END_S = 15.0
+LAPS = 100  # more than any measurement takes
+CRUISE_MPS = 2.0
+MISSION, TRACK = "trackdrive", "small_oval"
+_ATTEMPTS = 3
+BETWEEN = "between"  # what the simulated car measures while nothing is asked
+_LOOK_S = 0.5
+_NOTED_STALL_NS = 20_000_000
+_LOG_PRIORITY = FIFO_PRIORITY - 20
+_MISSED_AT_THE_EDGES = 20  # echoes: log and measurement do not begin and end at the same instant
+_RULES_SHOWN = 20
+_LOGGED = "500:7C0"  # 0x500 to 0x53F: everything of bridge and VCU, and not the load
+_PEER = "c-loop"
+_NODES_NICE = -15  # of detector, planner and controller on the car PC
+_PEER_SOURCE = Path(__file__).with_name("polling_loop.c")
+
+
+class _Car:
+    """One power-up of the simulated car, its switches worked from here."""
+
+    def __init__(self, stack: Stack, number: int, arguments: Sequence[str]) -> None:
+        self.name = f"vcu-{number}"
+        self._result = stack.folder / f"{self.name}.json"
+        words = ["vcu", "-i", stack.bus, "--mission", MISSION, "--track", TRACK, "--laps", str(LAPS), "--quiet"]
+        words += ["--truth", str(stack.truth_port), "--result", str(self._result), *arguments]
+        self._process: RunningProcess = stack.start_verb(self.name, *words, stdin=subprocess.PIPE)
+        self._stack = stack
+
+    def type(self, line: str) -> None:
+        self._stack.check_alive(self.name)
+        assert self._process.popen.stdin is not None
+        self._process.popen.stdin.write(line.encode() + b"\n")
+        self._process.popen.stdin.flush()
+
+    def state(self) -> str:
+        """The AS state, as the car says it when it is asked."""
+        answers = self._process.log().count(" | ASSI ")
+        self.type("status")
+        await_condition(lambda: self._process.log().count(" | ASSI ") > answers, END_S, "the simulated car answers")
+        return self._process.log().rpartition(" | ASSI ")[0].splitlines()[-1].partition(" ")[0]
+
+    def measure(self, name: str) -> None:
+        """Returns once the car counts under that name."""
+        asked = self._process.log().count("measuring: ")
+        self.type(f"measure {name}")
+        await_condition(lambda: self._process.log().count("measuring: ") > asked, END_S, "the simulated car measures")
+
+    def end(self) -> list[dict[str, Any]]:
+        """Switch the process off; what it has measured."""
+        self.type("quit")
+        self._process.wait(END_S)
+        self._process.stop()
+        del self._stack.processes[self.name]
+        measurements: list[dict[str, Any]] = json.loads(self._result.read_text())["measurements"]
+        return measurements
+
+
+class Measurement:
+    """Measures conditions one after another. Call `run` once.
+
+    slow_place: the frames that nobody decides on are thinned out, as one slow processor needs it.
+    Raises StackError when a process does not do what it should.
+    """
+
+    def __init__(
+        self,
+        bus: str,
+        folder: Path,
+        *,
+        seconds: float,
+        revision: str = "2026",
+        slow_place: bool = False,
+        say: Callable[[str], None] = print,
+    ) -> None:
+        self._bus = bus
+        self._folder = folder
+        self._seconds = seconds
+        self._revision = revision
+        self._say = say
+        self._slow_place = slow_place
+        self._decimation = (20, 10) if slow_place else (1, 1)  # of the PCAN-GPS's frames, of the logging frames
+        self._codec = Codec(revision_named(revision))
+        self._cars = 0
+        self._car: _Car | None = None
+        self._measured: dict[str, dict[str, Any]] = {}
+        self._noted: dict[str, dict[str, Any]] = {}
+        self._lost_between = 0
+        self._windows: list[tuple[str, int, int]] = []  # name, begin and end by the wall clock, as candump stamps
+        self._out_of_reach: dict[Stance, str] = {}
+
+    def run(self, conditions: Sequence[Condition]) -> dict[str, Any]:
+        """Everything measured, for JSON."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="scrutineering-") as memory:
+            # Processes write to memory: a disk that is busy on purpose must not hold back those that measure.
+            folder = Path(memory)
+            try:
+                with (
+                    Stack(self._bus, folder, slow_place=self._slow_place) as stack,
+                    StallMonitor(folder / "stalls") as monitor,
+                ):
+                    self._measure_peer(conditions, stack, monitor)
+                    return self._measure_all(conditions, stack, monitor)
+            finally:
+                self._keep(folder)
+
+    def _keep(self, folder: Path) -> None:
+        for path in sorted(folder.glob("*.log")):
+            shutil.copyfile(path, self._folder / path.name)
+
+    def _measure_peer(self, conditions: Sequence[Condition], stack: Stack, monitor: StallMonitor) -> None:
+        """The C loop in AS_OFF, under each load that is asked for: it drives nothing."""
+        build = ["cc", "-O2", "-o", str(stack.folder / _PEER), str(_PEER_SOURCE)]
+        try:
+            subprocess.run(build, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise StackError(
+                f"{_PEER_SOURCE.name} cannot be compiled: {getattr(error, 'stderr', '') or error}"
+            ) from error
+        peer = stack.start(_PEER, [str(stack.folder / _PEER), self._bus])
+        car = self._switched_on(stack)
+        await_condition(lambda: car.state() == Stance.ALONE.value, POWER_UP_S, "AS_OFF with the C loop")
+        loads = list(dict.fromkeys(condition.load for condition in conditions))
+        for number, load in enumerate(loads, start=1):
+            condition = Condition(_of_peer(load), Stance.ALONE, load)
+            self._say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
+            self._measure(condition, stack, monitor, (_PEER,), lambda: (car.state(), ""))
+        self._end_car(stack)
+        self._lost_between = 0  # what follows is the bridge's
+        peer.stop()
+        del stack.processes[_PEER]
+
+    def _measure_all(self, conditions: Sequence[Condition], stack: Stack, monitor: StallMonitor) -> dict[str, Any]:
+        self._say("starting the bridge")
+        stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
+        operator = RosOperator(stack, "scrutineer")
+        try:
+            operator.await_bridge(START_S)
+            for number, condition in enumerate(conditions, start=1):
+                self._say(f"[{number}/{len(conditions)}] {condition.name}: {condition.words}")
+                if condition.stance not in self._out_of_reach:
+                    try:
+                        self._reach(condition.stance, stack, operator)
+                    except StackError as error:
+                        self._out_of_reach[condition.stance] = str(error).splitlines()[0]
+                if condition.stance in self._out_of_reach:
+                    # What has been measured is worth its report all the same.
+                    self._say(f"    not measured: {self._out_of_reach[condition.stance]}")
+                    continue
+                watched = NODES if set(NODES) <= set(stack.processes) else ("vcu_bridge",)
+                self._measure(condition, stack, monitor, watched, lambda: _state(operator))
+            if not any(condition.name in self._noted for condition in conditions):
+                raise StackError(next(iter(self._out_of_reach.values())))
+            loop = holder_pid(self._bus)
+            scheduling = {} if loop is None else {"CAN loop": scheduling_of(loop)}
+            if self._car is not None:
+                scheduling["vcu"] = scheduling_of(stack.processes[self._car.name].popen.pid)
+            self._end_car(stack)
+        finally:
+            operator.close()
+        return {
+            "revision": self._revision,
+            "seconds_per_condition": self._seconds,
+            "machine": machine(),
+            "scheduling": scheduling,
+            "decimation": {"gps": self._decimation[0], "log": self._decimation[1]},
+            "comms_losses_between": self._lost_between,
+            "conditions": [self._row(condition) for condition in conditions if condition.name in self._noted],
+            "not_measured": {
+                condition.name: self._out_of_reach[condition.stance]
+                for condition in conditions
+                if condition.name not in self._noted
+            },
+        }
+
+    def _row(self, condition: Condition) -> dict[str, Any]:
+        measured, noted = self._measured[condition.name], self._noted[condition.name]
+        complete = noted["wire"]["count"] >= measured["response"]["count"] - _MISSED_AT_THE_EDGES
+        peer = self._measured[_of_peer(condition.load)], self._noted[_of_peer(condition.load)]
+        return {
+            "name": condition.name,
+            "words": condition.words,
+            **measured,
+            **noted,
+            "log_complete": complete,
+            "peer": {"response": peer[0]["response"], "comms_losses": peer[0]["comms_losses"], "wire": peer[1]["wire"]},
+        }
+
+    # ------------------------------------------------------------ how far the car has come
+
+    def _reach(self, stance: Stance, stack: Stack, operator: RosOperator) -> None:
+        """Bring the car there; it is powered up anew where it has ended, or ends on the way."""
+        for _ in range(_ATTEMPTS):
+            if self._car is None or _over(operator):
+                self._power_up(stack, operator)
+            if self._bring(stance, stack, operator):
+                return
+            self._say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up anew")
+        raise StackError(f"the car does not come as far as {stance.value}: {operator.describe()}")
+
+    def _bring(self, stance: Stance, stack: Stack, operator: RosOperator) -> bool:
+        """False when the car has ended on the way."""
+        car = self._car
+        assert car is not None
+        if operator.state.as_state_label == stance.value or stance is Stance.ALONE:
+            return True
+        if set(NODES) - set(stack.processes):
+            self._say("starting the other nodes")
+            for name, parameters in self._driving_nodes(stack).items():
+                process = stack.start_node(name, **parameters)
+                with contextlib.suppress(PermissionError):  # as their services do
+                    os.setpriority(os.PRIO_PROCESS, process.popen.pid, _NODES_NICE)
+            operator.await_that(
+                lambda: set(NODES) <= set(operator.node.get_node_names()), START_S, "all nodes are there", *NODES
+            )
+        if operator.state.as_state != AsState.AS_READY:
+            operator.become_autonomous(POWER_UP_S, None, *NODES)
+            car.type(f"ami {MISSION}")
+        operator.await_that(
+            lambda: list(operator.state.why_not_driving) == ["waiting for Go"] or _over(operator),
+            START_S,
+            "ready for Go",
+            *NODES,
+        )
+        if stance is Stance.DRIVING and not _over(operator):
+            car.type("go")
+            operator.await_that(
+                lambda: operator.state.speed_mps > CRUISE_MPS or _over(operator), DRIVE_OFF_S, "the car drives", *NODES
+            )
+        return not _over(operator)
+
+    def _driving_nodes(self, stack: Stack) -> dict[str, dict[str, object]]:
+        return {
+            "sensor_simulator": {"truth_port": stack.truth_port},
+            "cone_detector": {},
+            "path_planner": {"car": self._revision, "laps": LAPS},
+            "vehicle_controller": {"car": self._revision},
+        }
+
+    def _power_up(self, stack: Stack, operator: RosOperator) -> None:
+        self._end_car(stack)
+        operator.state = None
+        self._switched_on(stack)
+        operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+
+    def _switched_on(self, stack: Stack) -> _Car:
+        self._cars += 1
+        gps, log = self._decimation
+        arguments = ("--revision", self._revision, "--gps-decimation", str(gps), "--log-decimation", str(log))
+        self._start_log(stack)
+        self._car = _Car(stack, self._cars, arguments)
+        self._car.measure(BETWEEN)
+        self._car.type("on")
+        return self._car
+
+    def _end_car(self, stack: Stack) -> None:
+        car, self._car = self._car, None
+        if car is None:
+            return
+        for each in car.end():
+            if each["name"] == BETWEEN:
+                self._lost_between += each["comms_losses"]
+            else:
+                self._measured[each["name"]] = each
+        self._end_log(stack)
+
+    # ------------------------------------------------------------ one condition
+
+    def _measure(
+        self,
+        condition: Condition,
+        stack: Stack,
+        monitor: StallMonitor,
+        watched: Sequence[str],
+        state: Callable[[], tuple[str, str]],
+    ) -> None:
+        """`watched`: processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
+        car = self._car
+        assert car is not None
+        car_bits = car_bits_per_s(self._revision, *self._decimation)
+        ended = stops = ""
+        with loaded(stack, condition, self._folder / "disk-load", car_bits, force_disk=not self._slow_place):
+            car.measure(condition.name)
+            before, began_ns, began_wall_ns = self._traffic(), time.monotonic_ns(), time.time_ns()
+            until = time.monotonic() + self._seconds
+            while (left_s := until - time.monotonic()) > 0.0:
+                time.sleep(min(_LOOK_S, left_s))
+                stack.check_alive(*watched, car.name)
+                shown, why = state()
+                stops = why or stops
+                if shown != condition.stance.value:
+                    ended = f"the car went to {shown}" + (f" ({stops})" if stops else "")
+                    break
+            after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
+            self._windows.append((condition.name, began_wall_ns, time.time_ns()))
+            car.measure(BETWEEN)
+        frames, payload_bytes = after[0] - before[0], after[1] - before[1]
+        bits = FRAME_BITS * frames + 8 * payload_bytes
+        stalls = monitor.stalls(began_ns, at_least_ns=_NOTED_STALL_NS)
+        self._noted[condition.name] = {
+            "frames_per_s": round(frames / took_s),
+            "bus_load_pct": round(100.0 * bits / took_s / BUS_BITS_PER_S, 1),
+            "machine_stalls_ms": [round(stall.late_ns / 1e6, 1) for stall in stalls],
+            "ended_early": ended,
+        }
+        self._say(f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{ended and f'; {ended}'}")
+
+    def _start_log(self, stack: Stack) -> None:
+        """One log for each power-up of the car, from before its first frame: the rules need what was before."""
+        candump = stack.start(f"bus-{self._cars}", ["candump", "-L", f"{stack.bus},{_LOGGED}"])
+        with contextlib.suppress(PermissionError):
+            # Below the bridge and the car, but before the load: a log with gaps in it would show nothing.
+            os.sched_setscheduler(candump.popen.pid, os.SCHED_FIFO, os.sched_param(_LOG_PRIORITY))
+        await_condition(lambda: candump.log_path.stat().st_size > 0, END_S, "candump hears the bus")
+
+    def _end_log(self, stack: Stack) -> None:
+        """What the log of this car shows of each condition."""
+        candump = stack.processes.pop(f"bus-{self._cars}")
+        candump.stop()
+        windows, self._windows = self._windows, []
+        checker = checker_for(self._codec, busy_machine=True)
+        frames = read_candump(candump.log_path)
+        for name, began_ns, ended_ns in windows:
+            for frame in frames:
+                checker.on_frame(frame)
+                if frame.t_ns >= began_ns:
+                    break
+            checker.responses, known = ResponseTimes(), len(checker.violations)
+            for frame in frames:
+                checker.on_frame(frame)
+                if frame.t_ns >= ended_ns:
+                    break
+            self._noted[name] |= {
+                "wire": checker.responses.as_dict(),
+                "rules_broken": checker.violations[known:][:_RULES_SHOWN],
+            }
+
+    def _traffic(self) -> tuple[int, int]:
+        """Frames and payload bytes that have been sent on the interface, by everybody."""
+        counters = Path("/sys/class/net") / self._bus / "statistics"
+        return int((counters / "tx_packets").read_text()), int((counters / "tx_bytes").read_text())
+
+
+def _of_peer(load: tuple[Load, ...]) -> str:
+    """The name under which the peer's figures with that load are counted."""
+    return "-".join((_PEER, *(each.name.lower() for each in load)))
+
+
+def _state(operator: RosOperator) -> tuple[str, str]:
+    operator.spin()
+    state = operator.state
+    return state.as_state_label, state.emergency or state.stopping
+
+
+def _over(operator: RosOperator) -> bool:
+    return operator.state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED)

@@ -1,0 +1,197 @@
+"""Does a long run stay as it began? Memory, file descriptors and threads of each process, and the handshake's answer.
+
+A run is cut into three equal parts, after a warm-up that the caller leaves out (imports, first messages, caches). It is
+flat when of each process judged, from the first part to the last:
+
+- the median of its memory (resident set) has grown by no more than 1 MiB of noise and 4 MiB an hour,
+- the median number of its file descriptors, and of its threads, has not grown at all,
+
+and when the handshake's answer at p99 is in the last part no longer than half as long again as in the first and 2 ms.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median, median_high
+from types import TracebackType
+from typing import Any, Final
+
+from fsai_hil.rules.checker import WireChecker, read_candump
+from fsai_hil.rules.response import ResponseTimes
+from fsai_vcu.interface.codec import Codec
+
+NOISE_KIB: Final = 1024
+GROWTH_KIB_PER_HOUR: Final = 4096
+SLOWER_FACTOR: Final = 1.5
+SLOWER_MS: Final = 2.0
+PARTS: Final = 3
+_LEAST_SAMPLES: Final = 2 * PARTS
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One process at one instant of the monotonic clock."""
+
+    t_s: float
+    rss_kib: int
+    fds: int
+    threads: int
+
+
+def look(pid: int, t_s: float) -> Sample | None:
+    """The process as /proc shows it; None when it has ended."""
+    proc = Path(f"/proc/{pid}")
+    try:
+        status = dict(line.split(":", 1) for line in (proc / "status").read_text().splitlines())
+        fds = sum(1 for _ in (proc / "fd").iterdir())
+        return Sample(t_s, int(status["VmRSS"].split()[0]), fds, int(status["Threads"]))
+    except (OSError, KeyError):
+        return None
+
+
+class Sampler:
+    """Looks at processes again and again, in a thread of its own."""
+
+    def __init__(self, pids: Mapping[str, int], period_s: float) -> None:
+        self.samples: dict[str, list[Sample]] = {name: [] for name in pids}
+        self._pids = dict(pids)
+        self._period_s = period_s
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="soak", daemon=True)
+
+    def _watch(self) -> None:
+        while not self._ended.wait(self._period_s):
+            t_s = time.monotonic()
+            for name, pid in self._pids.items():
+                sample = look(pid, t_s)
+                if sample is not None:
+                    self.samples[name].append(sample)
+
+    def __enter__(self) -> Sampler:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def since(self, t_s: float, without: Sequence[tuple[float, float]] = ()) -> dict[str, list[Sample]]:
+        """What was seen after the warm-up; not in the periods `without`, from and to on the monotonic clock in s."""
+        return {
+            name: [each for each in samples if each.t_s >= t_s and not _within(each.t_s, without)]
+            for name, samples in self.samples.items()
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """One process, first part against last."""
+
+    name: str
+    judged: bool
+    samples: int
+    rss_mib: tuple[float, float]
+    growth_mib_per_hour: float  # by the two medians; over a short run mostly noise
+    fds: tuple[int, int]
+    threads: tuple[int, int]
+    broken: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Flatness:
+    """The verdict."""
+
+    minutes: float
+    trends: tuple[Trend, ...]
+    response_p99_ms: tuple[float | None, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def flat(self) -> bool:
+        return not self.reasons
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"flat": self.flat, **asdict(self)}
+
+    def __str__(self) -> str:
+        lines = [f"{'process':<20} {'memory MiB':>17} {'MiB/h':>8} {'descriptors':>13} {'threads':>9}"]
+        for trend in self.trends:
+            rss = f"{trend.rss_mib[0]:.1f} -> {trend.rss_mib[1]:.1f}"
+            fds, threads = (f"{first} -> {last}" for first, last in (trend.fds, trend.threads))
+            note = "" if trend.judged else "  not judged: it keeps its whole story"
+            lines.append(f"{trend.name:<20} {rss:>17} {trend.growth_mib_per_hour:>8.1f} {fds:>13} {threads:>9}{note}")
+        p99 = ", ".join("none" if value is None else f"{value:.2f} ms" for value in self.response_p99_ms)
+        lines.append(f"handshake answered at p99, in each third: {p99}")
+        verdict = "FLAT" if self.flat else "NOT FLAT: " + "; ".join(self.reasons)
+        lines.append(f"{verdict} over {self.minutes:.1f} min after the warm-up")
+        return "\n".join(lines)
+
+
+def _within(t: float, periods: Sequence[tuple[float, float]]) -> bool:
+    return any(began <= t <= ended for began, ended in periods)
+
+
+def response_parts(
+    log: Path, codec: Codec, since_ns: int, without: Sequence[tuple[float, float]] = ()
+) -> list[ResponseTimes]:
+    """How long each toggle of the handshake waited for its echo, on the bus, in each part of the time.
+
+    `since_ns`, and from and to of the periods that are left out, `without`: ns of the log's clock.
+    """
+    frames = [frame for frame in read_candump(log) if frame.t_ns >= since_ns and not _within(frame.t_ns, without)]
+    checkers = [WireChecker(codec) for _ in range(PARTS)]
+    for frame in frames:
+        share = (frame.t_ns - since_ns) / (frames[-1].t_ns + 1 - since_ns)
+        checkers[int(PARTS * share)].on_frame(frame)
+    return [checker.responses for checker in checkers]
+
+
+def judge(
+    samples: Mapping[str, Sequence[Sample]], responses: Sequence[ResponseTimes], *, unjudged: Sequence[str] = ()
+) -> Flatness:
+    """The verdict on a run. `responses`: the handshake's times in its three parts. `unjudged`: only shown."""
+    trends = tuple(_trend(name, seen, judged=name not in unjudged) for name, seen in samples.items())
+    reasons = [f"{trend.name}: {words}" for trend in trends for words in trend.broken]
+    p99_ms = tuple(times.quantile_ms(0.99) for times in responses)
+    first_ms, last_ms = p99_ms[0], p99_ms[-1]
+    if first_ms is None or last_ms is None:
+        reasons.append("too few handshakes were seen to judge them")
+    elif last_ms > SLOWER_FACTOR * first_ms + SLOWER_MS:
+        reasons.append(f"the handshake is answered later: p99 {first_ms:.2f} ms, and {last_ms:.2f} ms in the end")
+    times_s = [each.t_s for seen in samples.values() for each in seen]
+    minutes = (max(times_s) - min(times_s)) / 60.0 if times_s else 0.0
+    return Flatness(minutes, trends, p99_ms, tuple(reasons))
+
+
+def _trend(name: str, samples: Sequence[Sample], *, judged: bool) -> Trend:
+    if len(samples) < _LEAST_SAMPLES:
+        absent = (f"only {len(samples)} samples: it was not there all the time",)
+        return Trend(name, judged, len(samples), (0.0, 0.0), 0.0, (0, 0), (0, 0), absent)
+    part = len(samples) // PARTS
+    first, last = samples[:part], samples[-part:]
+    rss_kib = median(each.rss_kib for each in first), median(each.rss_kib for each in last)
+    hours = (median(each.t_s for each in last) - median(each.t_s for each in first)) / 3600.0
+    fds = median_high(each.fds for each in first), median_high(each.fds for each in last)
+    threads = median_high(each.threads for each in first), median_high(each.threads for each in last)
+    broken: list[str] = []
+    if rss_kib[1] - rss_kib[0] > NOISE_KIB + GROWTH_KIB_PER_HOUR * hours:
+        broken.append(f"memory grew by {(rss_kib[1] - rss_kib[0]) / 1024:.1f} MiB in {60 * hours:.1f} min")
+    for what, (before, after) in (("file descriptors", fds), ("threads", threads)):
+        if after > before:
+            broken.append(f"{what} grew from {before} to {after}")
+    return Trend(
+        name,
+        judged,
+        len(samples),
+        (rss_kib[0] / 1024, rss_kib[1] / 1024),
+        (rss_kib[1] - rss_kib[0]) / 1024 / hours,
+        fds,
+        threads,
+        tuple(broken) if judged else (),
+    )

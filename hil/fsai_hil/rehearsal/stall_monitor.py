@@ -1,0 +1,246 @@
+"""The stall monitor: a tiny process that sleeps, counts a little, and notes when it was woken late or slow.
+
+A rehearsal in real time is judged by milliseconds, and a shared machine may stand still for longer: another guest has
+the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. Or it runs on, at half
+its speed: what the processor's other thread does, or another guest, slows all that is counted here. Or it is too slow
+from the start, and has no time to spare. The bridge must answer each with a stop, for on a car it is a fault; but a
+test then shows nothing about the bridge. The stall monitor tells the two apart. It shares nothing with bridge and
+simulated car and goes before both (a higher real-time priority): when it wakes late, nothing on this machine could have
+run in time; when its counting, always the same, takes far longer than at its best, everything did. When no processor
+was idle for half a second, somebody waited; who was busy it cannot tell, it may be those that are tested: that alone is
+a reason to look again with more time, and excuses nothing there.
+
+    with StallMonitor(Path("/tmp/stalls")) as monitor:
+        since_ns = time.monotonic_ns()
+        ...
+        why = monitor.disturbances(since_ns)
+
+Its own process is this file run as a script, with the standard library only: small, and soon there.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, TypeVar
+
+SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
+NOTED_NS = 20_000_000  # woken later than this: noted
+STOOD_STILL_NS = (
+    30_000_000  # noted when the loop, allowed 50 ms, is held up for longer; no run that shows so much shows anything
+)
+COUNTED = range(1500)  # some 50 us of work after each sleep
+SPELL = 50  # wakes, half a second: so much is looked at as one
+SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
+NO_TIME = 0.02  # of all processors' time idle, or less: none to spare
+PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
+_STALL, _SLOW, _BUSY = "stall", "slow", "busy"
+_START_S = 20.0
+RUNS = 3  # of what failed on a disturbed machine
+_ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
+
+
+@dataclass(frozen=True)
+class Stall:
+    """The machine should have woken the stall monitor at `due_ns` (CLOCK_MONOTONIC), and did `late_ns` later."""
+
+    due_ns: int
+    late_ns: int
+
+    @property
+    def until_ns(self) -> int:
+        return self.due_ns + self.late_ns
+
+
+@dataclass(frozen=True)
+class SlowSpell:
+    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine ran at the fraction `speed` of its best."""
+
+    due_ns: int
+    until_ns: int
+    speed: float
+
+
+@dataclass(frozen=True)
+class BusySpell:
+    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) all processors were busy."""
+
+    due_ns: int
+    until_ns: int
+
+
+Disturbance = Stall | SlowSpell | BusySpell
+
+
+def describe(disturbances: Sequence[Disturbance]) -> str:
+    """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
+    words = []
+    stalls = [one.late_ns for one in disturbances if isinstance(one, Stall)]
+    if stalls:
+        more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
+        words.append(f"stood still for {max(stalls) / 1e6:.0f} ms{more}")
+    spells = [one for one in disturbances if isinstance(one, SlowSpell)]
+    if spells:
+        lasted_s = sum(spell.until_ns - spell.due_ns for spell in spells) / 1e9
+        words.append(f"ran at {100 * min(spell.speed for spell in spells):.0f} % of its speed for {lasted_s:.1f} s")
+    busy = [one for one in disturbances if isinstance(one, BusySpell)]
+    if busy:
+        words.append(f"had no time to spare for {sum(spell.until_ns - spell.due_ns for spell in busy) / 1e9:.1f} s")
+    return " and ".join(words)
+
+
+class Watcher(Protocol):
+    """What is asked of the stall monitor."""
+
+    def disturbances(self, since_ns: int) -> Sequence[Disturbance]: ...
+
+    def busy_spells(self, since_ns: int) -> Sequence[Disturbance]: ...
+
+
+class Outcome(Enum):
+    COUNTS = "the run counts, whichever way it ended"
+    AGAIN = "it failed on a disturbed machine: it is run again"
+    NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
+
+
+def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> Outcome:
+    """What the `run`th run of a test (1 is the first) is worth; `disturbances` is empty if nothing befell it."""
+    if not failed or not disturbances:
+        return Outcome.COUNTS
+    return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
+
+
+Noted = TypeVar("Noted", Stall, SlowSpell, BusySpell)
+
+
+def _touching(noted: Sequence[Noted], since_ns: int, until_ns: int | None) -> list[Noted]:
+    last_ns = time.monotonic_ns() if until_ns is None else until_ns
+    return [one for one in noted if one.until_ns >= since_ns and one.due_ns <= last_ns]
+
+
+class StallMonitor:
+    """The stall monitor's process, and what it has noted so far in the file `path` (best in memory)."""
+
+    def __init__(self, path: Path) -> None:
+        """Returns once it watches. Raises OSError if it does not start."""
+        self._path = path
+        path.unlink(missing_ok=True)
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", __file__, str(path)], stdin=subprocess.DEVNULL, start_new_session=True
+        )
+        until = time.monotonic() + _START_S
+        while not self._lines():
+            if self._process.poll() is not None or time.monotonic() > until:
+                self.stop()
+                raise OSError("the stall monitor to the machine's own delays does not start")
+            time.sleep(SLEEP_NS / 1e9)
+
+    @property
+    def real_time(self) -> bool:
+        """Whether it goes before bridge and car; where that is not allowed, others may hold it up too."""
+        return self._lines()[0] == "real-time"
+
+    def stalls(self, since_ns: int, until_ns: int | None = None, *, at_least_ns: int = STOOD_STILL_NS) -> list[Stall]:
+        """When the machine stood still for `at_least_ns` or longer between two instants of CLOCK_MONOTONIC."""
+        noted = [Stall(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _STALL]
+        return [stall for stall in _touching(noted, since_ns, until_ns) if stall.late_ns >= at_least_ns]
+
+    def slow_spells(self, since_ns: int, until_ns: int | None = None) -> list[SlowSpell]:
+        """When it ran far below its best speed."""
+        noted = [SlowSpell(int(note[1]), int(note[2]), float(note[3])) for note in self._notes() if note[0] == _SLOW]
+        return _touching(noted, since_ns, until_ns)
+
+    def busy_spells(self, since_ns: int, until_ns: int | None = None) -> list[BusySpell]:
+        """When it had no time to spare, whoever was busy."""
+        noted = [BusySpell(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _BUSY]
+        return _touching(noted, since_ns, until_ns)
+
+    def disturbances(self, since_ns: int) -> list[Disturbance]:
+        """All that happened to the machine since then, and that lets a rehearsal show nothing."""
+        return [*self.stalls(since_ns), *self.slow_spells(since_ns)]
+
+    def _notes(self) -> list[list[str]]:
+        return [line.split() for line in self._lines()[1:]]
+
+    def _lines(self) -> list[str]:
+        """Whole lines only: the last may be just being written."""
+        try:
+            return self._path.read_text().rpartition("\n")[0].splitlines()
+        except FileNotFoundError:
+            return []
+
+    def stop(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def __enter__(self) -> StallMonitor:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+def _stand_first() -> str:
+    """Go before everything that is rehearsed here, and be held up by nothing of one's own; how far that was allowed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None).mlockall(_ALWAYS_LOCKED)  # where it is refused, a page fault may only make it see more
+    gc.disable()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError:
+        return "ordinary"
+    return "real-time"
+
+
+def _idle_ns(stat: int) -> int:
+    """How long each processor has been idle since boot, or only waited for a disk, on average; /proc/stat, open."""
+    lines = os.pread(stat, 65536, 0).splitlines()
+    each = [line.split() for line in lines if line.startswith(b"cpu") and not line.startswith(b"cpu ")]
+    ticks = [int(idle) + int(waiting) for _, _, _, _, idle, waiting, *_ in each]
+    return sum(ticks) * (1_000_000_000 // os.sysconf("SC_CLK_TCK")) // len(ticks)
+
+
+def watch(path: str) -> None:
+    """What the process does, until it is killed or its parent is gone."""
+    parent = os.getppid()
+    standing = _stand_first()
+    notes = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    stat = os.open("/proc/stat", os.O_RDONLY)
+    idle_ns = _idle_ns(stat)
+    now_ns = time.monotonic_ns()
+    spell_ns, counted_ns, counts, best_ns = now_ns, 0, 0, 0
+    os.write(notes, f"{standing}\n".encode())
+    while os.getppid() == parent:
+        due_ns = now_ns + SLEEP_NS  # from the last look on, so that nothing between two rounds goes unseen
+        time.sleep(SLEEP_NS / 1e9)
+        woken_ns = time.monotonic_ns()
+        if woken_ns - due_ns >= NOTED_NS:
+            os.write(notes, f"{_STALL} {due_ns} {woken_ns - due_ns}\n".encode())
+        sum(COUNTED)
+        now_ns = time.monotonic_ns()
+        counted_ns += now_ns - woken_ns
+        counts += 1
+        if counts == SPELL:
+            best_ns = min(best_ns or counted_ns, counted_ns)
+            if best_ns < SLOWED_TO * counted_ns:
+                os.write(notes, f"{_SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
+            before_ns, idle_ns = idle_ns, _idle_ns(stat)
+            if idle_ns - before_ns <= NO_TIME * (now_ns - spell_ns):
+                os.write(notes, f"{_BUSY} {spell_ns} {now_ns}\n".encode())
+            spell_ns, counted_ns, counts = now_ns, 0, 0
+
+
+if __name__ == "__main__":
+    watch(sys.argv[1])

@@ -1,0 +1,529 @@
+"""The simulated car: what steering, torque and brake requests do to an ADS-DV on a flat, dry track.
+
+A dynamic bicycle with saturating tyres, blended into the kinematic one at walking pace so that it stands still, pulls
+away and stops without a numerical twitch. The actuators have the delays, rates and play which the official simulator
+gives them; figures that were never published (tyres, efficiency, drag) are chosen so that the published results come
+out: 1.9 m/s2 off the line, 75 m in about 9.8 s, about 21 m/s at most.
+
+The clock is an argument in integer nanoseconds. Plain floats and `math`: one substep costs a few microseconds.
+Frames: the world's x east, y north, yaw counter-clockwise from x; the vehicle frame has its origin at the rear axle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.interface.immutable import Immutable
+
+GRAVITY_MPS2: Final = 9.81
+SUBSTEP_NS: Final = 2_000_000
+RPM_PER_RADPS: Final = 60.0 / (2.0 * math.pi)
+EARTH_METRES_PER_DEGREE: Final = 111_320.0
+
+# The dynamic bicycle divides by the speed: below the first the kinematic one drives alone, above the second not at all.
+BLEND_FROM_MPS: Final = 1.0
+BLEND_TO_MPS: Final = 3.0
+STANDSTILL_MPS: Final = 0.01
+AT_REST: Final = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose(Immutable):
+    """Where the rear axle's centre is in the world, and where the car points."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+    def ahead(self, distance_m: float, left_m: float = 0.0) -> tuple[float, float]:
+        """The world point that lies so far ahead and to the left of the rear axle."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return self.x_m + distance_m * c - left_m * s, self.y_m + distance_m * s + left_m * c
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CarModel(Immutable):
+    """The truth about the simulated car. It may differ from what the AI side believes: that is what testing is for."""
+
+    # published facts, which `car_model` takes from the place where everybody takes them
+    wheelbase_m: float
+    cog_to_rear_m: float
+    cog_height_m: float
+    track_m: float
+    length_m: float
+    width_m: float
+    nose_m: float  # the foremost point, ahead of the rear axle
+    mass_kg: float
+    yaw_inertia_kgm2: float
+    wheel_radius_m: float
+    gear_ratio: float
+    motor_speed_max_rpm: float
+    driven_front: bool
+    driven_rear: bool
+    torque_table: tuple[tuple[float, float], ...]  # axle torque available at a motor speed
+    torque_slew_nmps: float
+    steer_limit_deg: float
+    steer_dead_time_ns: int
+    steer_rate_degps: float
+    steer_backlash_deg: float
+    brake_dead_time_ns: int
+    brake_gain: float
+    brake_minimum_pct: float
+    brake_full_mps2: float
+    pulses_per_rev: int
+
+    # never published; chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out
+    driveline_efficiency: float = 0.89
+    rotating_mass_kg: float = 27.0  # wheels and motor as the road feels them
+    rolling_resistance: float = 0.016
+    drag_area_m2: float = 0.22
+    friction: float = 1.05
+    tyre_b: float = 9.0  # Magic Formula's B and C for the lateral force by slip angle
+    tyre_c: float = 1.45
+    slip_stiffness: float = 22.0  # longitudinal force by slip and load
+    axle_inertia_kgm2: float = 1.4  # an axle's two wheels and its motor, at the wheel
+    air_drag_nm: float = 6.0  # what slows an axle whose wheels hang in the air
+    brake_rate_pctps: float = 1000.0
+    brake_front_share: float = 0.58
+    motor_limit_band_rpm: float = 60.0  # torque fades within so much below MOTOR_SPEED_MAX and brakes above it
+    rpm_rest: int = 9  # what a wheel-speed reading may rest at after the car has stopped
+    rpm_rest_ns: int = 1_000_000_000
+
+    # where on the earth the world's origin lies: an airfield in England; any place would do
+    origin_latitude_deg: float = 52.0706
+    origin_longitude_deg: float = -1.0174
+
+    @property
+    def cog_to_front_m(self) -> float:
+        return self.wheelbase_m - self.cog_to_rear_m
+
+
+def car_model(revision: str, official_simulator: bool = False) -> CarModel:
+    """The simulated car of an interface revision; facts that car and AI side share come from one place."""
+    car: VehicleParameters = CARS[revision]
+    if official_simulator:
+        car = replace(CARS["official-simulator"], steer_max_rad=car.steer_max_rad)
+    return CarModel(
+        wheelbase_m=car.wheelbase_m,
+        cog_to_rear_m=car.cog_ahead_of_rear_axle_m,
+        cog_height_m=car.cog_height_m,
+        track_m=car.track_m,
+        length_m=car.length_m,
+        width_m=car.width_m,
+        nose_m=car.nose_ahead_of_rear_axle_m,
+        mass_kg=car.mass_kg,
+        yaw_inertia_kgm2=car.yaw_inertia_kgm2,
+        wheel_radius_m=car.rolling_radius_m,
+        gear_ratio=car.gear_ratio,
+        motor_speed_max_rpm=car.motor_speed_max_rpm,
+        driven_front=car.driven_front,
+        driven_rear=car.driven_rear,
+        torque_table=car.torque_curve_rpm_nm,
+        torque_slew_nmps=car.torque_rate_nmps,
+        steer_limit_deg=math.degrees(car.steer_max_rad),
+        steer_dead_time_ns=round(car.steer_dead_time_s * 1e9),
+        steer_rate_degps=math.degrees(car.steer_rate_radps),
+        steer_backlash_deg=math.degrees(car.steer_backlash_rad),
+        brake_dead_time_ns=round(car.brake_dead_time_s * 1e9),
+        brake_gain=car.brake_excess,
+        brake_minimum_pct=100.0 * car.brake_minimum,
+        brake_full_mps2=car.brake_full_mps2,
+        pulses_per_rev=car.wheel_pulses_per_rev,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CarTruth(Immutable):
+    """The true state of the car at one instant."""
+
+    t_ns: int
+    pose: Pose
+    speed_mps: float
+    yaw_rate_radps: float
+    steer_deg: float
+    wheel_rpm: tuple[float, float, float, float]
+    accel_mps2: tuple[float, float]
+    distance_m: float  # driven since the car was last placed
+
+
+@dataclass(slots=True)
+class _DeadTime:
+    """A request that takes effect later; requests keep their order."""
+
+    delay_ns: int
+    value: float = 0.0
+    pending: deque[tuple[int, float]] = field(default_factory=deque)
+
+    def request(self, now_ns: int, value: float) -> None:
+        pending = self.pending
+        if value != (pending[-1][1] if pending else self.value):
+            pending.append((now_ns + self.delay_ns, value))
+
+    def at(self, now_ns: int) -> float:
+        pending = self.pending
+        while pending and pending[0][0] <= now_ns:
+            self.value = pending.popleft()[1]
+        return self.value
+
+    def forget(self) -> None:
+        self.pending.clear()
+        self.value = 0.0
+
+
+class _Constants(Immutable):
+    """What a substep on the ground needs of the model and need not work out 500 times a second."""
+
+    __slots__ = (
+        "front_braking_n",
+        "front_weight_n",
+        "rear_braking_n",
+        "rear_weight_n",
+        "resistance_n",
+        "weight_n",
+    )
+
+    def __init__(self, m: CarModel) -> None:
+        full_n = m.brake_full_mps2 * m.mass_kg
+        self.front_braking_n = full_n * m.brake_front_share
+        self.rear_braking_n = full_n * (1.0 - m.brake_front_share)
+        self.weight_n = m.mass_kg * GRAVITY_MPS2
+        self.front_weight_n = self.weight_n * m.cog_to_rear_m / m.wheelbase_m
+        self.rear_weight_n = self.weight_n * m.cog_to_front_m / m.wheelbase_m
+        self.resistance_n = m.rolling_resistance * self.weight_n
+
+
+class Car:
+    """One car. `advance` moves it on; `feedback` is what its sensors read, `truth` what really happened."""
+
+    def __init__(
+        self, model: CarModel | None = None, pose: Pose | None = None, now_ns: int = 0, wheels_in_air: bool = False
+    ) -> None:
+        self.model = model if model is not None else car_model("2026")
+        self.t_ns = now_ns
+        self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(self.model.origin_latitude_deg))
+        self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
+        self._constants = _Constants(self.model)
+        self.place(pose if pose is not None else Pose(), wheels_in_air)
+
+    def place(self, pose: Pose, wheels_in_air: bool = False) -> None:
+        """Put the car somewhere, at rest with straight wheels (people push it; its pulse counters do not notice)."""
+        m = self.model
+        self.wheels_in_air = wheels_in_air
+        self._yaw = pose.yaw_rad
+        self._x, self._y = pose.ahead(m.cog_to_rear_m)  # the centre of gravity
+        self._vx = self._vy = self._yaw_rate = 0.0
+        self._ax = self._ay = 0.0
+        self._distance = 0.0
+        self._rack_deg = self._road_deg = 0.0
+        self._steer_request = _DeadTime(m.steer_dead_time_ns)
+        self._front_brake = _DeadTime(m.brake_dead_time_ns)
+        self._rear_brake = _DeadTime(m.brake_dead_time_ns)
+        self._front_pct = self._rear_pct = 0.0
+        self._front_magnitude = self._rear_magnitude = 0.0
+        self._front_torque = self._rear_torque = 0.0
+        self._front_slip = self._rear_slip = 0.0  # tyre surface against road, m/s; positive spins, negative locks
+        self._front_air = self._rear_air = 0.0  # axle speed with the wheels in the air, rad/s
+        self._rpm = AT_REST
+        self._stopped_ns: int | None = None
+
+    # ------------------------------------------------------------ what can be read
+
+    @property
+    def pose(self) -> Pose:
+        back = self.model.cog_to_rear_m
+        return Pose(self._x - back * math.cos(self._yaw), self._y - back * math.sin(self._yaw), self._yaw)
+
+    @property
+    def speed_mps(self) -> float:
+        return self._vx
+
+    @property
+    def standing(self) -> bool:
+        """Neither the car nor any of its wheels moves."""
+        return max(self._rpm) < 0.5 and self._vx < STANDSTILL_MPS
+
+    def truth(self) -> CarTruth:
+        return CarTruth(
+            self.t_ns,
+            self.pose,
+            self._vx,
+            self._yaw_rate,
+            self._road_deg,
+            self._rpm,
+            (self._ax, self._ay),
+            self._distance,
+        )
+
+    def feedback(self) -> CarFeedback:
+        m = self.model
+        rpm = self._rpm
+        if self._stopped_ns is not None and self.t_ns - self._stopped_ns < m.rpm_rest_ns:
+            # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
+            rest = float(m.rpm_rest)
+            rpm = (max(rpm[0], rest), max(rpm[1], rest), max(rpm[2], rest), max(rpm[3], rest))
+        fl, fr, rl, rr = self._pulse_revs
+        per_rev = m.pulses_per_rev
+        return CarFeedback(
+            rpm,
+            (
+                int(fl * per_rev) & 0xFFFF,
+                int(fr * per_rev) & 0xFFFF,
+                int(rl * per_rev) & 0xFFFF,
+                int(rr * per_rev) & 0xFFFF,
+            ),
+            self._road_deg,
+            self._front_torque,
+            self._rear_torque,
+            self._front_pct,
+            self._rear_pct,
+            self._vx,
+            (self._ax, self._ay, GRAVITY_MPS2),
+            self._yaw_rate,
+            m.origin_latitude_deg + self._y / EARTH_METRES_PER_DEGREE,
+            m.origin_longitude_deg + self._x / self._metres_per_degree_east,
+            (90.0 - math.degrees(self._yaw)) % 360.0,
+        )
+
+    # ------------------------------------------------------------ what happens
+
+    def advance(self, to_ns: int, order: Actuation) -> None:
+        """Live on until `to_ns` under one order."""
+        now = self.t_ns
+        self._steer_request.request(now, order.steer_deg)
+        full = order.ebs_engaged  # the EBS is a full braking of both axles, whatever is asked
+        self._front_brake.request(now, 100.0 if full else self._pressure(order.front_brake_pct))
+        self._rear_brake.request(now, 100.0 if full else self._pressure(order.rear_brake_pct))
+        while now < to_ns:
+            step_ns = min(SUBSTEP_NS, to_ns - now)
+            now += step_ns
+            self.t_ns = now
+            self._substep(step_ns * 1e-9, order)
+
+    def _pressure(self, request_pct: float) -> float:
+        m = self.model
+        if request_pct <= 0.0:
+            return 0.0
+        return min(100.0, max(m.brake_minimum_pct, m.brake_gain * request_pct))
+
+    def available_torque_nm(self, motor_rpm: float) -> float:
+        """The most that a motor can give to its axle at a speed."""
+        table = self.model.torque_table
+        low_rpm, low_nm = table[0]
+        for high_rpm, high_nm in table[1:]:
+            if motor_rpm < high_rpm:
+                return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
+            low_rpm, low_nm = high_rpm, high_nm
+        return low_nm if motor_rpm < self.model.motor_speed_max_rpm else 0.0
+
+    def _motor_torque(self, magnitude_nm: float, motor_rpm: float, limit_rpm: float) -> float:
+        """Signed axle torque: a request is absolute; it drives below MOTOR_SPEED_MAX and brakes above it."""
+        share = (limit_rpm - motor_rpm) / self.model.motor_limit_band_rpm
+        if share >= 1.0:
+            available = self.available_torque_nm(motor_rpm)
+            return magnitude_nm if magnitude_nm < available else available
+        limited = min(magnitude_nm, self.available_torque_nm(motor_rpm))
+        return limited * max(-1.0, share)
+
+    def _substep(self, dt: float, order: Actuation) -> None:
+        m = self.model
+        now = self.t_ns
+
+        # steering: dead time, then a rate, then the play between rack and road wheels
+        limit = m.steer_limit_deg
+        target = self._steer_request.at(now)
+        target = limit if target > limit else -limit if target < -limit else target
+        if self._rack_deg != target:
+            self._rack_deg = _toward(self._rack_deg, target, m.steer_rate_degps * dt)
+            play = self._rack_deg - self._road_deg
+            if play > m.steer_backlash_deg:
+                self._road_deg = self._rack_deg - m.steer_backlash_deg
+            elif play < -m.steer_backlash_deg:
+                self._road_deg = self._rack_deg + m.steer_backlash_deg
+
+        # brake pressure
+        front_target, rear_target = self._front_brake.at(now), self._rear_brake.at(now)
+        if self._front_pct != front_target:
+            self._front_pct = _toward(self._front_pct, front_target, m.brake_rate_pctps * dt)
+        if self._rear_pct != rear_target:
+            self._rear_pct = _toward(self._rear_pct, rear_target, m.brake_rate_pctps * dt)
+
+        # torque
+        front_target = order.front_torque_nm if m.driven_front else 0.0
+        rear_target = order.rear_torque_nm if m.driven_rear else 0.0
+        if not order.tractive_system_live:
+            self._front_magnitude = self._rear_magnitude = front_target = rear_target = 0.0
+        if self._front_magnitude != front_target:
+            self._front_magnitude = _toward(self._front_magnitude, front_target, m.torque_slew_nmps * dt)
+        if self._rear_magnitude != rear_target:
+            self._rear_magnitude = _toward(self._rear_magnitude, rear_target, m.torque_slew_nmps * dt)
+        rpm = self._rpm
+        ratio = 0.5 * m.gear_ratio
+        self._front_torque = self._rear_torque = 0.0
+        if self._front_magnitude > 0.0:
+            motor_rpm = (rpm[0] + rpm[1]) * ratio
+            self._front_torque = self._motor_torque(self._front_magnitude, motor_rpm, order.front_motor_speed_max_rpm)
+        if self._rear_magnitude > 0.0:
+            motor_rpm = (rpm[2] + rpm[3]) * ratio
+            self._rear_torque = self._motor_torque(self._rear_magnitude, motor_rpm, order.rear_motor_speed_max_rpm)
+
+        if self.wheels_in_air:
+            self._spin(dt)
+        else:
+            self._roll(dt)
+
+        rpm = self._rpm
+        if rpm is AT_REST:
+            return
+        count = dt / 60.0
+        revs = self._pulse_revs
+        revs[0] += rpm[0] * count
+        revs[1] += rpm[1] * count
+        revs[2] += rpm[2] * count
+        revs[3] += rpm[3] * count
+
+    def _spin(self, dt: float) -> None:
+        """Wheels in the air: only the axles turn."""
+        m = self.model
+        full_nm = m.brake_full_mps2 * m.mass_kg * m.wheel_radius_m
+        gain = dt / m.axle_inertia_kgm2
+        front_hold = m.air_drag_nm + full_nm * m.brake_front_share * self._front_pct / 100.0
+        rear_hold = m.air_drag_nm + full_nm * (1.0 - m.brake_front_share) * self._rear_pct / 100.0
+        moved = self._front_air > 0.0 or self._rear_air > 0.0
+        self._front_air = _slowed(self._front_air, self._front_torque, front_hold, gain)
+        self._rear_air = _slowed(self._rear_air, self._rear_torque, rear_hold, gain)
+        front, rear = self._front_air * RPM_PER_RADPS, self._rear_air * RPM_PER_RADPS
+        self._rpm = (front, front, rear, rear)
+        if moved and front == 0.0 and rear == 0.0:
+            self._stopped_ns = self.t_ns
+        elif front > 0.0 or rear > 0.0:
+            self._stopped_ns = None
+
+    def _roll(self, dt: float) -> None:
+        """Wheels on the ground."""
+        m, const = self.model, self._constants
+        vx, vy, yaw_rate = self._vx, self._vy, self._yaw_rate
+        radius = m.wheel_radius_m
+        front_drive = self._front_torque * m.driveline_efficiency / radius
+        rear_drive = self._rear_torque * m.driveline_efficiency / radius
+        front_brake = const.front_braking_n * self._front_pct / 100.0
+        rear_brake = const.rear_braking_n * self._rear_pct / 100.0
+
+        if vx <= 0.0:
+            rest = m.rolling_resistance * m.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
+            if front_drive + rear_drive <= rest:
+                self._ax = self._ay = 0.0
+                return
+
+        # loads on the axles, with the transfer of the last substep
+        transfer = m.mass_kg * self._ax * m.cog_height_m / m.wheelbase_m
+        front_load = const.front_weight_n - transfer
+        rear_load = const.rear_weight_n + transfer
+        front_grip = m.friction * front_load
+        rear_grip = m.friction * rear_load
+
+        # what the tyres carry along, and what is left over to spin or lock the wheels
+        front_asked = front_drive - front_brake
+        rear_asked = rear_drive - rear_brake
+        front_force = _between(-front_grip, front_asked, front_grip)
+        rear_force = _between(-rear_grip, rear_asked, rear_grip)
+        self._front_slip = self._slip(self._front_slip, front_asked - front_force, front_force / front_load, vx, dt)
+        self._rear_slip = self._slip(self._rear_slip, rear_asked - rear_force, rear_force / rear_load, vx, dt)
+
+        steer = math.radians(self._road_deg)
+        resistance = const.resistance_n + 0.6 * m.drag_area_m2 * vx * vx  # half of 1.2 kg/m3 of air
+        inertia = m.mass_kg + m.rotating_mass_kg
+
+        blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
+        to_front, to_rear = m.cog_to_front_m, m.cog_to_rear_m
+        if blend > 0.0:
+            cos_steer, sin_steer = math.cos(steer), math.sin(steer)
+            front_angle = steer - math.atan2(vy + to_front * yaw_rate, vx)
+            rear_angle = -math.atan2(vy - to_rear * yaw_rate, vx)
+            front_left = math.sqrt(_positive(1.0 - (front_force / front_grip) ** 2)) * front_grip
+            rear_left = math.sqrt(_positive(1.0 - (rear_force / rear_grip) ** 2)) * rear_grip
+            front_side = front_left * math.sin(m.tyre_c * math.atan(m.tyre_b * front_angle))
+            rear_side = rear_left * math.sin(m.tyre_c * math.atan(m.tyre_b * rear_angle))
+            along = front_force * cos_steer - front_side * sin_steer + rear_force - resistance
+            across = front_force * sin_steer + front_side * cos_steer + rear_side
+            vx_rate = along / inertia + yaw_rate * vy
+            vy_next = vy + (across / m.mass_kg - yaw_rate * vx) * dt
+            turn = to_front * (front_force * sin_steer + front_side * cos_steer) - to_rear * rear_side
+            yaw_rate_next = yaw_rate + turn / m.yaw_inertia_kgm2 * dt
+        else:
+            vx_rate = (front_force + rear_force - resistance) / inertia
+            vy_next = yaw_rate_next = 0.0
+        vx_next = vx + vx_rate * dt
+        if vx_next < 0.0:
+            vx_next = 0.0  # brakes and rolling resistance stop a car; they do not drive it backwards
+        if blend < 1.0:
+            kinematic_rate = vx_next * math.tan(steer) / m.wheelbase_m
+            share = max(0.0, blend)
+            yaw_rate_next = share * yaw_rate_next + (1.0 - share) * kinematic_rate
+            vy_next = share * vy_next + (1.0 - share) * kinematic_rate * to_rear
+
+        self._ax = (vx_next - vx) / dt - yaw_rate * vy
+        self._ay = (vy_next - vy) / dt + yaw_rate * vx
+        yaw = self._yaw + 0.5 * (yaw_rate + yaw_rate_next) * dt
+        c, s = math.cos(yaw), math.sin(yaw)
+        self._x += (vx_next * c - vy_next * s) * dt
+        self._y += (vx_next * s + vy_next * c) * dt
+        self._yaw = yaw
+        self._distance += vx_next * dt
+        self._vx, self._vy, self._yaw_rate = vx_next, vy_next, yaw_rate_next
+
+        if vx_next == 0.0:
+            self._vy = self._yaw_rate = self._front_slip = self._rear_slip = 0.0
+            self._rpm = AT_REST
+            if vx > 0.0:
+                self._stopped_ns = self.t_ns
+            return
+        self._stopped_ns = None
+        half = 0.5 * m.track_m * yaw_rate_next
+        cos_steer, sin_steer = math.cos(steer), math.sin(steer)
+        sideways = (vy_next + to_front * yaw_rate_next) * sin_steer
+        per_mps = RPM_PER_RADPS / radius
+        front_slip, rear_slip = self._front_slip, self._rear_slip
+        self._rpm = (
+            _positive((vx_next - half) * cos_steer + sideways + front_slip) * per_mps,
+            _positive((vx_next + half) * cos_steer + sideways + front_slip) * per_mps,
+            _positive(vx_next - half + rear_slip) * per_mps,
+            _positive(vx_next + half + rear_slip) * per_mps,
+        )
+
+    def _slip(self, slip_mps: float, excess_n: float, used: float, vx: float, dt: float) -> float:
+        """How fast a driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip."""
+        m = self.model
+        if excess_n != 0.0:
+            slip_mps += excess_n * m.wheel_radius_m**2 / m.axle_inertia_kgm2 * dt
+            return max(-vx, slip_mps)
+        creep = used / m.slip_stiffness * vx
+        share = dt / 0.02
+        return slip_mps + (creep - slip_mps) * (share if share < 1.0 else 1.0)
+
+
+def _positive(value: float) -> float:
+    return value if value > 0.0 else 0.0
+
+
+def _between(low: float, value: float, high: float) -> float:
+    return low if value < low else value if value < high else high
+
+
+def _toward(value: float, target: float, most: float) -> float:
+    """The next value on the way to a target, at most so much nearer."""
+    if target > value + most:
+        return value + most
+    return value - most if target < value - most else target
+
+
+def _slowed(speed: float, drive_nm: float, hold_nm: float, gain: float) -> float:
+    """An axle's next speed under a driving torque and torques that only ever hold it back."""
+    pushed = speed + drive_nm * gain
+    if pushed > 0.0:
+        pushed = max(0.0, pushed - hold_nm * gain)
+    return max(0.0, pushed)

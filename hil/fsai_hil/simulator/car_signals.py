@@ -1,0 +1,41 @@
+"""Between the VCU and the car: what its sensors read, and what its actuators are ordered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fsai_vcu.interface.immutable import Immutable
+
+
+@dataclass(frozen=True, slots=True)
+class CarFeedback(Immutable):
+    """What the VCU's sensors, and the PCAN-GPS, read of the car at one instant."""
+
+    wheel_rpm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # FL FR RL RR, never negative
+    pulses: tuple[int, int, int, int] = (0, 0, 0, 0)  # 16-bit counters that wrap
+    steer_deg: float = 0.0  # road angle, positive to the left
+    front_torque_nm: float = 0.0  # at the axle; negative brakes
+    rear_torque_nm: float = 0.0
+    front_brake_pct: float = 0.0
+    rear_brake_pct: float = 0.0
+    speed_mps: float = 0.0
+    accel_xyz_mps2: tuple[float, float, float] = (0.0, 0.0, 9.81)  # as an accelerometer reads it: z holds gravity
+    yaw_rate_radps: float = 0.0
+    latitude_deg: float = 0.0
+    longitude_deg: float = 0.0
+    course_deg: float = 0.0  # clockwise from north
+
+
+@dataclass(frozen=True, slots=True)
+class Actuation(Immutable):
+    """What the VCU orders from the car's actuators now."""
+
+    steer_deg: float = 0.0
+    front_torque_nm: float = 0.0
+    rear_torque_nm: float = 0.0
+    front_motor_speed_max_rpm: int = 0
+    rear_motor_speed_max_rpm: int = 0
+    front_brake_pct: float = 0.0
+    rear_brake_pct: float = 0.0
+    ebs_engaged: bool = False
+    tractive_system_live: bool = False

@@ -1,0 +1,173 @@
+"""The PCAN-GPS on the car's bus: accelerometer, gyroscope, magnetometer, satellite receiver and clock.
+
+Pure: what it says follows from the car's motion and the time. The device's axes are the car's (ISO 8855).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+from fsai_hil.simulator.car_signals import CarFeedback
+from fsai_hil.simulator.profiles import MS, S
+from fsai_vcu.interface.images import (
+    Acceleration,
+    DeviceClock,
+    DeviceIo,
+    GpsAltitude,
+    GpsCourseSpeed,
+    GpsDateTime,
+    GpsDilutionA,
+    GpsDilutionB,
+    GpsImage,
+    GpsLatitude,
+    GpsLongitude,
+    GpsStatus,
+    LogDynamics2,
+    MagneticField,
+    RotationA,
+    RotationB,
+)
+
+MILLI_G_PER_MPS2: Final = 1000.0 / 9.80665
+MILLI_G_MOST: Final = 20000.0  # PCAN-GPS database: range of BMC_Acceleration
+DYNAMICS_MOST_MPS2: Final = 63.99  # signal database: ranges of 0x501
+DYNAMICS_MOST_DEGPS: Final = 255.99
+RECEIVER_PERIOD_NS: Final = 100 * MS  # the receiver solves for a position ten times a second and repeats it meanwhile
+FIRST_FIX_NS: Final = 2 * S
+ANTENNA_OK: Final = 2
+NAVIGATION_NONE: Final = 1
+NAVIGATION_3D: Final = 3
+VERTICAL_AXIS_Z: Final = 3
+TEMPERATURE_DEGC: Final = 24.0
+ALTITUDE_M: Final = 143.0
+# Earth's field in the middle of England, north and down
+FIELD_NORTH_UT: Final = 19.2
+FIELD_DOWN_UT: Final = 44.8
+KMH_PER_MPS: Final = 3.6
+DEFAULT_UTC: Final = datetime(2026, 7, 15, 9, 0, 0, tzinfo=UTC)
+
+
+def degrees_and_minutes(angle_deg: float, positive: str, negative: str) -> tuple[int, float, int]:
+    """Whole degrees, minutes and the letter of the hemisphere, as the device sends a longitude or latitude."""
+    size = abs(angle_deg)
+    degrees = int(size)
+    return degrees, (size - degrees) * 60.0, ord(positive if angle_deg >= 0.0 else negative)
+
+
+class PcanGps:
+    """The device from its power-up on.
+
+    `image(kind, now_ns, car)` is its message of that kind now. What the receiver and the magnetometer repeat is the
+    same object until they have something new; the inertial messages are new each time and carry `now_ns`.
+    """
+
+    def __init__(self, now_ns: int, utc: datetime = DEFAULT_UTC) -> None:
+        self._powered_ns = now_ns
+        self._utc = utc  # at time 0
+        self._solved_ns: int | None = None
+        self._slow: dict[type[GpsImage], GpsImage] = {}
+
+    def image(self, kind: type[GpsImage], now_ns: int, car: CarFeedback) -> GpsImage:
+        inertial = _INERTIAL.get(kind)
+        if inertial is not None:
+            return inertial(now_ns, car)
+        if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
+            self._solved_ns = now_ns
+            self._slow = self._solve(now_ns, car)
+        return self._slow[kind]
+
+    def _solve(self, now_ns: int, car: CarFeedback) -> dict[type[GpsImage], GpsImage]:
+        """Everything that changes ten times a second at most."""
+        heading = math.radians(car.course_deg)
+        utc = self._utc + timedelta(microseconds=now_ns // 1000)
+        always: tuple[GpsImage, ...] = (
+            RotationA(),  # a flat track and a stiff car: neither rolls nor pitches
+            MagneticField(FIELD_NORTH_UT * math.cos(heading), FIELD_NORTH_UT * math.sin(heading), -FIELD_DOWN_UT),
+            GpsDateTime(utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
+            DeviceIo(gps_power=True),
+            DeviceClock(utc.second, utc.minute, utc.hour, utc.weekday(), utc.day, utc.month, utc.year),
+        )
+        located: tuple[GpsImage, ...]
+        if now_ns - self._powered_ns < FIRST_FIX_NS:
+            located = (
+                GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE),
+                GpsCourseSpeed(),
+                GpsLongitude(),
+                GpsLatitude(),
+                GpsAltitude(),
+                GpsDilutionA(99.9, 99.9),
+                GpsDilutionB(99.9),
+            )
+        else:
+            east_deg, east_min, east = degrees_and_minutes(car.longitude_deg, "E", "W")
+            north_deg, north_min, north = degrees_and_minutes(car.latitude_deg, "N", "S")
+            located = (
+                GpsStatus(ANTENNA_OK, 11, NAVIGATION_3D),
+                GpsCourseSpeed(car.course_deg % 360.0, car.speed_mps * KMH_PER_MPS),
+                GpsLongitude(east_min, east_deg, east),
+                GpsLatitude(north_min, north_deg, north),
+                GpsAltitude(ALTITUDE_M),
+                GpsDilutionA(1.4, 0.8),
+                GpsDilutionB(1.1),
+            )
+        return {type(image): image for image in (*always, *located)}
+
+
+def _acceleration(now_ns: int, car: CarFeedback) -> GpsImage:
+    x, y, z = car.accel_xyz_mps2
+    return Acceleration(
+        _limited(x * MILLI_G_PER_MPS2, MILLI_G_MOST),
+        _limited(y * MILLI_G_PER_MPS2, MILLI_G_MOST),
+        _limited(z * MILLI_G_PER_MPS2, MILLI_G_MOST),
+        TEMPERATURE_DEGC,
+        VERTICAL_AXIS_Z,
+        0,
+        now_ns,
+    )
+
+
+def _rotation_b(now_ns: int, car: CarFeedback) -> GpsImage:
+    return RotationB(math.degrees(car.yaw_rate_radps), now_ns)
+
+
+def _dynamics(now_ns: int, car: CarFeedback) -> GpsImage:
+    along, across, _ = car.accel_xyz_mps2
+    yaw_rate = math.degrees(car.yaw_rate_radps)
+    return LogDynamics2(
+        _limited(along, DYNAMICS_MOST_MPS2),
+        _limited(across, DYNAMICS_MOST_MPS2),
+        _limited(yaw_rate, DYNAMICS_MOST_DEGPS),
+        now_ns,
+    )
+
+
+def _limited(value: float, most: float) -> float:
+    return min(most, max(-most, value))
+
+
+_INERTIAL: Final[dict[type[GpsImage], Callable[[int, CarFeedback], GpsImage]]] = {
+    Acceleration: _acceleration,
+    RotationB: _rotation_b,
+    LogDynamics2: _dynamics,
+}
+
+GPS_IMAGES: Final[tuple[type[GpsImage], ...]] = (
+    LogDynamics2,
+    Acceleration,
+    RotationA,
+    RotationB,
+    GpsStatus,
+    GpsCourseSpeed,
+    GpsLongitude,
+    GpsLatitude,
+    GpsAltitude,
+    GpsDilutionA,
+    GpsDilutionB,
+    GpsDateTime,
+    MagneticField,
+    DeviceIo,
+    DeviceClock,
+)

@@ -1,0 +1,154 @@
+"""The ground truth as a side channel: where the simulated car really is, for simulated sensors in other processes.
+
+A real camera looks at the world; a simulated one has to be told. The process that simulates the car sends datagrams
+to a port of this machine's loopback address, a sensor simulator listens there. It is not part of the car: nothing of
+the AI side but the sensor simulator may read it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import socket
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from fsai_hil.simulator.car import Pose
+
+HOST: Final = "127.0.0.1"
+DEFAULT_PORT: Final = 25_510
+MOST_BYTES: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The car at one instant. The pose is the rear axle's in the world's frame, the track's own.
+
+    `t_ns` is CLOCK_MONOTONIC of the simulating machine (virtual time in lockstep), `track` what `load_track` takes.
+    """
+
+    t_ns: int
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    speed_mps: float
+    yaw_rate_radps: float
+    steer_deg: float
+    as_state: str
+    mission: str
+    track: str
+    seed: int
+    laps: int = 0
+
+    @property
+    def pose(self) -> Pose:
+        return Pose(self.x_m, self.y_m, self.yaw_rad)
+
+
+_NUMBERS: Final = ("x_m", "y_m", "yaw_rad", "speed_mps", "yaw_rate_radps", "steer_deg")
+_WHOLE: Final = ("t_ns", "seed", "laps")
+_WORDS: Final = ("as_state", "mission", "track")
+
+
+def pack(truth: Truth) -> bytes:
+    return json.dumps(asdict(truth), separators=(",", ":")).encode()
+
+
+def unpack(datagram: bytes) -> Truth:
+    """The truth in a datagram; ValueError with one line for anything else."""
+    try:
+        found = json.loads(datagram)
+    except (UnicodeDecodeError, json.JSONDecodeError):
+        raise ValueError("not a ground-truth datagram: no JSON") from None
+    names = {*_NUMBERS, *_WHOLE, *_WORDS}
+    if not isinstance(found, dict) or set(found) != names:
+        raise ValueError("not a ground-truth datagram: other fields than expected")
+    for name in _NUMBERS:
+        value = found[name]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ValueError(f"not a ground-truth datagram: {name} is {value!r}")
+        found[name] = float(value)
+    for name in _WHOLE:
+        if isinstance(found[name], bool) or not isinstance(found[name], int):
+            raise ValueError(f"not a ground-truth datagram: {name} is {found[name]!r}")
+    for name in _WORDS:
+        if not isinstance(found[name], str):
+            raise ValueError(f"not a ground-truth datagram: {name} is {found[name]!r}")
+    return Truth(**found)
+
+
+class TruthSender:
+    """Sends to whoever listens; nobody listening is no error."""
+
+    def __init__(self, port: int = DEFAULT_PORT) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((HOST, 0))  # else an answer would be taken from any network
+        self._socket.setblocking(False)
+        self._address = (HOST, port)
+
+    def send(self, truth: Truth) -> None:
+        # a full buffer or an absent listener loses this datagram; the next one comes within milliseconds
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            self._socket.sendto(pack(truth), self._address)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> TruthSender:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class TruthReceiver:
+    """Hears the truth. `latest` never blocks; `wait` does, for a while. Raises OSError if the port is taken."""
+
+    def __init__(self, port: int = DEFAULT_PORT) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((HOST, port))
+        except OSError:
+            self._socket.close()
+            raise
+        self.port: int = self._socket.getsockname()[1]
+        self.malformed = 0
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def latest(self) -> Truth | None:
+        """The newest truth that has arrived since the last call; older ones are skipped."""
+        self._socket.setblocking(False)
+        newest: Truth | None = None
+        while True:
+            try:
+                datagram = self._socket.recv(MOST_BYTES)
+            except BlockingIOError:
+                return newest
+            newest = self._unpacked(datagram) or newest
+
+    def wait(self, timeout_s: float) -> Truth | None:
+        """The next truth, or None after `timeout_s` or a malformed datagram."""
+        self._socket.settimeout(timeout_s)
+        try:
+            return self._unpacked(self._socket.recv(MOST_BYTES))
+        except TimeoutError:
+            return None
+
+    def _unpacked(self, datagram: bytes) -> Truth | None:
+        try:
+            return unpack(datagram)
+        except ValueError:
+            self.malformed += 1
+            return None
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> TruthReceiver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,791 @@
+"""The judge: pass or fail of each mission, from the car's true motion and the lamps on the car, never from what the AI
+side claims.
+
+It sees what marshals see: where the car really is, how its wheels turn, which AS state the ASSI shows, and, once the
+car has stopped itself, the cause on its display. Rules: general FS rules for driverless cars; a cone knocked over costs
+2 s and is reported, leaving the track with all four wheels fails the run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from types import MappingProxyType
+from typing import Any, Final, Protocol
+
+from fsai_hil.simulator.as_machine import STANDING_RPM
+from fsai_hil.simulator.car import CarModel, CarTruth, Pose
+from fsai_hil.simulator.tracks import (
+    ACCELERATION_STOP_M,
+    CIRCUIT_STOP_M,
+    CONE_RADIUS_M,
+    SKIDPAD_CENTRES_APART_M,
+    SKIDPAD_STOP_M,
+    Line,
+    Track,
+    TrackKind,
+)
+from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.immutable import Immutable
+
+NS_PER_S: Final = 1e9
+STILL_M: Final = 0.10  # a car that must not move may settle by this much
+CONE_PENALTY_S: Final = 2.0
+LINE_HALF_WIDTH_M: Final = 4.0  # a line is crossed within so much of its middle
+RPM_TOLERANCE: Final = 0.95  # a wheel speed asked for counts as reached from here
+
+
+@dataclass(frozen=True, slots=True)
+class JudgeSettings(Immutable):
+    """The rules of the year. Lengths and times have the defaults of missions.md."""
+
+    laps: int | None = None  # of a trackdrive; None: ten
+    wait_s: float = 3.0  # the car must not move so long after it entered AS_DRIVING
+    start_timeout_s: float | None = 120.0  # until AS_DRIVING; None waits for ever
+    drive_timeout_s: float | None = None  # in AS_DRIVING; None: the mission's own
+    acceleration_stop_m: float = ACCELERATION_STOP_M
+    skidpad_stop_m: float = SKIDPAD_STOP_M
+    circuit_stop_m: float = CIRCUIT_STOP_M
+    inspection_a_rpm: float = 200.0
+    inspection_a_spin_up_s: float = 10.0
+    inspection_a_spin_down_s: float = 5.0
+    inspection_b_rpm: float = 50.0
+    sweep_tolerance_deg: float = 2.0
+    demo_speed_kmh: float = 15.0
+    demo_accelerate_m: float = 10.0
+    demo_stop_m: float = 10.0
+    demo_sweep_deg: float = 10.0
+
+
+MISSION_LAPS: Final[Mapping[Ami, int]] = MappingProxyType({Ami.SKIDPAD: 4, Ami.AUTOCROSS: 1, Ami.TRACKDRIVE: 10})
+MISSION_END: Final[Mapping[Ami, AsState]] = MappingProxyType(
+    {
+        Ami.ACCELERATION: AsState.AS_FINISHED,
+        Ami.SKIDPAD: AsState.AS_FINISHED,
+        Ami.AUTOCROSS: AsState.AS_FINISHED,
+        Ami.TRACKDRIVE: AsState.AS_FINISHED,
+        Ami.STATIC_INSPECTION_A: AsState.AS_FINISHED,
+        Ami.STATIC_INSPECTION_B: AsState.EMERGENCY_BRAKE,
+        Ami.AUTONOMOUS_DEMO: AsState.EMERGENCY_BRAKE,
+    }
+)
+DRIVE_TIMEOUT_S: Final[Mapping[Ami, float]] = MappingProxyType(
+    {
+        Ami.ACCELERATION: 60.0,
+        Ami.SKIDPAD: 180.0,
+        Ami.STATIC_INSPECTION_A: 90.0,
+        Ami.STATIC_INSPECTION_B: 90.0,
+        Ami.AUTONOMOUS_DEMO: 90.0,
+    }
+)
+LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is not racing
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict(Immutable):
+    """What the judge says at the end, or would say if the run ended now. Times in s since the world began."""
+
+    mission: str
+    result: str  # 'pass' or 'fail'
+    reasons: tuple[str, ...]  # why it failed
+    as_states: tuple[tuple[str, float], ...]  # (state, when it was entered)
+    laps: int
+    lap_times_s: tuple[float, ...]
+    cones_hit: int
+    penalty_s: float
+    off_course: int
+    max_lateral_error_m: float
+    mean_speed_mps: float
+    top_speed_mps: float
+    distance_m: float
+    driving_time_s: float
+    stop_distance_m: float | None  # beyond the finish line
+    shutdown_cause: str | None
+    finished: bool = True  # the run is over
+
+    @property
+    def passed(self) -> bool:
+        return self.result == "pass"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; as_states become objects."""
+        found = asdict(self)
+        found["as_states"] = [{"state": state, "t_s": round(t, 3)} for state, t in self.as_states]
+        return found
+
+    def summary(self) -> str:
+        """One line for people."""
+        parts = [f"{self.mission}: {self.result.upper()}"]
+        if self.lap_times_s:
+            parts.append(f"laps {self.laps} ({', '.join(f'{t:.2f} s' for t in self.lap_times_s)})")
+        parts.append(f"{self.distance_m:.1f} m, mean {self.mean_speed_mps:.1f} m/s, top {self.top_speed_mps:.1f} m/s")
+        parts.append(f"cones hit {self.cones_hit}, off course {self.off_course}")
+        if self.reasons:
+            parts.append("because " + "; ".join(self.reasons))
+        return " - ".join(parts)
+
+
+# ---------------------------------------------------------------- where the car is on the track
+
+
+class _Crossing:
+    """Notices when a point crosses a line forward, and when exactly."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+        self._ahead_m: float | None = None
+        self._t_ns = 0
+
+    def watch(self, t_ns: int, x_m: float, y_m: float) -> float | None:
+        """The time of the crossing in ns, between the last look and this one."""
+        ahead, before = self.line.ahead_of(x_m, y_m), self._ahead_m
+        earlier = self._t_ns
+        self._ahead_m, self._t_ns = ahead, t_ns
+        if before is None or before >= 0.0 or ahead < 0.0 or abs(self.line.beside(x_m, y_m)) > LINE_HALF_WIDTH_M:
+            return None
+        return earlier + (t_ns - earlier) * before / (before - ahead)
+
+
+@dataclass(frozen=True, slots=True)
+class _Centreline(Immutable):
+    points: tuple[tuple[float, float], ...]
+
+
+class _Route:
+    """Follows the car along the centreline, so that progress is driven and never jumped."""
+
+    BACK, ON = 6, 14  # points of 0.25 to 0.5 m: what a car can pass between two looks, with a margin
+    LOST_M = 8.0
+
+    def __init__(self, track: Track) -> None:
+        line = track.centreline_m
+        assert line is not None  # callers ask only for tracks that have one
+        self._line = _Centreline(tuple((float(x), float(y)) for x, y in line))
+        self._closed = track.closed
+        self._index: int | None = None
+        self.step_m = track.length_m / max(1, len(line) - (0 if track.closed else 1))
+        self.progress_m = 0.0  # along the centreline since the run began
+        self.lateral_m = 0.0  # positive: left of it
+
+    def follow(self, x: float, y: float) -> None:
+        points = self._line.points
+        count = len(points)
+        if self._index is None or (self._closed and abs(self.lateral_m) > self.LOST_M):
+            # found anew: no progress is credited for the way here. An open route is entered at its first pass
+            self._index = min(range(count), key=lambda i: (points[i][0] - x) ** 2 + (points[i][1] - y) ** 2)
+        first = self._index
+        best, best_d2 = first, math.inf
+        for offset in range(-self.BACK, self.ON + 1):
+            i = first + offset
+            if self._closed:
+                i %= count
+            elif not 0 <= i < count:
+                continue
+            px, py = points[i]
+            d2 = (px - x) * (px - x) + (py - y) * (py - y)
+            if d2 < best_d2:
+                best, best_d2, moved = i, d2, offset
+        self._index = best
+        self.progress_m += moved * self.step_m
+        ax, ay = points[(best - 1) % count if self._closed else max(0, best - 1)]
+        bx, by = points[(best + 1) % count if self._closed else min(count - 1, best + 1)]
+        length = math.hypot(bx - ax, by - ay)
+        px, py = points[best]
+        self.lateral_m = ((bx - ax) * (y - py) - (by - ay) * (x - px)) / length if length else math.sqrt(best_d2)
+
+
+@dataclass(frozen=True, slots=True)
+class _ConeGrid(Immutable):
+    """Cones by the square in which they stand: number, x, y and radius of each."""
+
+    cells: Mapping[tuple[int, int], tuple[tuple[int, float, float, float], ...]]
+
+
+class _Surroundings:
+    """Cones and borders around the car."""
+
+    CELL_M = 2.5
+
+    def __init__(self, track: Track, model: CarModel) -> None:
+        self._track = track
+        self._model = model
+        cells: dict[tuple[int, int], list[tuple[int, float, float, float]]] = {}
+        for i, ((x, y), color) in enumerate(zip(track.cones_xy_m, track.cone_colors, strict=True)):
+            cell = (math.floor(x / self.CELL_M), math.floor(y / self.CELL_M))
+            radius = CONE_RADIUS_M[ConeColor(int(color))]
+            cells.setdefault(cell, []).append((i, float(x), float(y), radius))
+        self._grid = _ConeGrid({cell: tuple(cones) for cell, cones in cells.items()})
+        self.hit: set[int] = set()
+        self.off_course = 0
+        self._off = False
+
+    def look(self, pose: Pose, lateral_m: float | None) -> None:
+        self._cones(pose)
+        self._borders(pose, lateral_m)
+
+    def _cones(self, pose: Pose) -> None:
+        m = self._model
+        middle = m.nose_m - m.length_m / 2.0
+        x, y = pose.ahead(middle)
+        column, row = math.floor(x / self.CELL_M), math.floor(y / self.CELL_M)
+        forward, left = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        for i in (column - 1, column, column + 1):
+            for j in (row - 1, row, row + 1):
+                for cone, cx, cy, radius in self._grid.cells.get((i, j), ()):
+                    along = abs((cx - x) * forward + (cy - y) * left) - m.length_m / 2.0
+                    across = abs((cy - y) * forward - (cx - x) * left) - m.width_m / 2.0
+                    if math.hypot(max(0.0, along), max(0.0, across)) < radius:
+                        self.hit.add(cone)
+
+    def _borders(self, pose: Pose, lateral_m: float | None) -> None:
+        track, m = self._track, self._model
+        if not track.lane:
+            return
+        if lateral_m is not None and abs(lateral_m) < 1.2:  # no lane is narrower than 3 m; spares the exact look
+            self._off = False
+            return
+        half = m.track_m / 2.0
+        off = not any(
+            track.on_lane(*pose.ahead(along, across)) for along in (0.0, m.wheelbase_m) for across in (half, -half)
+        )
+        if off and not self._off:
+            self.off_course += 1
+        self._off = off
+
+
+# ---------------------------------------------------------------- the missions
+
+
+class _Referee(Protocol):
+    """Watches what one mission asks for. `watch` is called in AS_DRIVING, and after it until the car stands."""
+
+    lap_times_s: list[float]
+    stop_distance_m: float | None  # beyond the finish line, once it has been crossed
+
+    @property
+    def laps(self) -> int: ...
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None: ...
+
+    def complaints(self) -> list[str]: ...
+
+
+class _AccelerationReferee:
+    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
+        assert track.start_line is not None and track.finish_line is not None  # check_track has looked
+        self._start = _Crossing(track.start_line)
+        self._finish = _Crossing(track.finish_line)
+        self._stop_m = settings.acceleration_stop_m
+        self._started_ns: float | None = None
+        self.laps = 0
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        started = self._start.watch(truth.t_ns, *nose)
+        if started is not None and self._started_ns is None:
+            self._started_ns = started
+        finished = self._finish.watch(truth.t_ns, *nose)
+        if finished is not None and self._started_ns is not None and not self.laps:
+            self.laps = 1
+            self.lap_times_s.append((finished - self._started_ns) / NS_PER_S)
+        if self.laps:
+            self.stop_distance_m = self._finish.line.ahead_of(*nose)
+
+    def complaints(self) -> list[str]:
+        if self._started_ns is None:
+            return ["the start line was never crossed"]
+        if self.stop_distance_m is None:
+            return ["the finish line was never crossed"]
+        return _stop_complaints(self.stop_distance_m, self._stop_m)
+
+
+def _stop_complaints(distance_m: float, most_m: float) -> list[str]:
+    if distance_m > most_m:
+        return [f"stopped {distance_m:.1f} m after the finish line, allowed are {most_m:g} m"]
+    return []
+
+
+class _SkidpadReferee:
+    """Counts the turns round both centres between one crossing of the timing line and the next."""
+
+    ORDER = ("right", "right", "left", "left")
+
+    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
+        line = track.start_line
+        assert line is not None  # check_track has looked
+        self._crossing = _Crossing(line)
+        across = Pose(line.x_m, line.y_m, line.heading_rad)
+        half = SKIDPAD_CENTRES_APART_M / 2.0
+        self._centres = {"left": across.ahead(0.0, half), "right": across.ahead(0.0, -half)}
+        self._turned = {"left": 0.0, "right": 0.0}  # rad, counter-clockwise, since the last crossing
+        self._angles: dict[str, float] = {}
+        self._stop_m = settings.skidpad_stop_m
+        self._crossed_ns: float | None = None
+        self._crossed_at_m = 0.0
+        self.sequence: list[str] = []
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None
+
+    @property
+    def laps(self) -> int:
+        return len(self.sequence)
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        for side, (cx, cy) in self._centres.items():
+            angle = math.atan2(nose[1] - cy, nose[0] - cx)
+            before = self._angles.get(side, angle)
+            self._turned[side] += math.remainder(angle - before, 2.0 * math.pi)
+            self._angles[side] = angle
+        crossed = self._crossing.watch(truth.t_ns, *nose)
+        if crossed is not None and (self._crossed_ns is None or truth.distance_m - self._crossed_at_m > 20.0):
+            if self._crossed_ns is not None:
+                self.sequence.append(self._side())
+                self.lap_times_s.append((crossed - self._crossed_ns) / NS_PER_S)
+            self._crossed_ns = crossed
+            self._crossed_at_m = truth.distance_m
+            self._turned = {"left": 0.0, "right": 0.0}
+        if len(self.sequence) >= len(self.ORDER):
+            self.stop_distance_m = self._crossing.line.ahead_of(*nose)
+
+    def _side(self) -> str:
+        nearly = 0.9 * 2.0 * math.pi
+        if self._turned["right"] < -nearly:
+            return "right"
+        return "left" if self._turned["left"] > nearly else "no circle"
+
+    def complaints(self) -> list[str]:
+        if self._crossed_ns is None:
+            return ["the timing line was never crossed"]
+        if tuple(self.sequence) != self.ORDER:
+            return [f"laps driven: {', '.join(self.sequence) or 'none'}; asked for: {', '.join(self.ORDER)}"]
+        if self.stop_distance_m is None or self.stop_distance_m < 0.0:
+            return ["did not leave the skidpad through the exit lane"]
+        return _stop_complaints(self.stop_distance_m, self._stop_m)
+
+
+class _CircuitReferee:
+    """Laps: a crossing of the line counts when the track before it was really driven."""
+
+    SHARE_OF_LAP = 0.85
+    LEAST_LAP_M = 30.0  # where no centreline is known
+
+    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
+        assert track.start_line is not None  # check_track has looked
+        self._crossing = _Crossing(track.start_line)
+        self._lap_m = track.length_m * self.SHARE_OF_LAP if track.closed else self.LEAST_LAP_M
+        self._wanted = laps
+        self._stop_m = settings.circuit_stop_m
+        self._crossed_ns: float | None = None
+        self._crossed_at_m = 0.0
+        self._finished_at_m = 0.0
+        self.laps = 0
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        at_m = route.progress_m if route is not None else truth.distance_m
+        crossed = self._crossing.watch(truth.t_ns, *nose)
+        if crossed is not None and self._crossed_ns is None:
+            self._crossed_ns, self._crossed_at_m = crossed, at_m
+        elif crossed is not None and self._crossed_ns is not None and at_m - self._crossed_at_m > self._lap_m:
+            self.laps += 1
+            self.lap_times_s.append((crossed - self._crossed_ns) / NS_PER_S)
+            self._crossed_ns, self._crossed_at_m = crossed, at_m
+            if self.laps == self._wanted:
+                self._finished_at_m = truth.distance_m
+        if self.laps >= self._wanted:
+            self.stop_distance_m = truth.distance_m - self._finished_at_m
+
+    def complaints(self) -> list[str]:
+        if self._crossed_ns is None:
+            return ["the start line was never crossed"]
+        if self.laps < self._wanted:
+            return [f"{self.laps} of {self._wanted} laps driven"]
+        if self.laps > self._wanted:
+            return [f"{self.laps} laps driven where {self._wanted} were asked for"]
+        return _stop_complaints(self.stop_distance_m or 0.0, self._stop_m)
+
+
+class _Sweep:
+    """How far the road wheels have been steered, and whether they came back."""
+
+    def __init__(self) -> None:
+        self.left_deg = self.right_deg = self.now_deg = 0.0
+
+    def watch(self, steer_deg: float) -> None:
+        self.left_deg = max(self.left_deg, steer_deg)
+        self.right_deg = min(self.right_deg, steer_deg)
+        self.now_deg = steer_deg
+
+    def complaints(self, least_deg: float) -> list[str]:
+        found = []
+        if self.left_deg < least_deg:
+            found.append(f"steered {self.left_deg:.1f} deg to the left, asked for are {least_deg:.1f} deg")
+        if -self.right_deg < least_deg:
+            found.append(f"steered {-self.right_deg:.1f} deg to the right, asked for are {least_deg:.1f} deg")
+        return found
+
+
+def _driven_rpm(truth: CarTruth, model: CarModel) -> float:
+    """The slowest driven wheel."""
+    fl, fr, rl, rr = truth.wheel_rpm
+    return min(
+        min(fl, fr) if model.driven_front else math.inf,
+        min(rl, rr) if model.driven_rear else math.inf,
+    )
+
+
+class _InspectionAReferee:
+    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
+        self._model, self._settings = model, settings
+        self._sweep = _Sweep()
+        self._began_ns: int | None = None  # a driven wheel turns
+        self._reached_ns: int | None = None
+        self._left_ns: int | None = None  # last seen at the wheel speed asked for
+        self._rest_ns: int | None = None
+        self._top_rpm = 0.0
+        self.laps = 0
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        self._sweep.watch(truth.steer_deg)
+        rpm = _driven_rpm(truth, self._model)
+        self._top_rpm = max(self._top_rpm, rpm)
+        if self._began_ns is None and rpm > STANDING_RPM:
+            self._began_ns = truth.t_ns
+        if rpm >= self._settings.inspection_a_rpm * RPM_TOLERANCE:
+            self._reached_ns = self._reached_ns or truth.t_ns
+            self._left_ns, self._rest_ns = truth.t_ns, None
+        elif self._left_ns is not None and self._rest_ns is None and max(truth.wheel_rpm) < STANDING_RPM:
+            self._rest_ns = truth.t_ns
+
+    def complaints(self) -> list[str]:
+        s = self._settings
+        found = self._sweep.complaints(self._model.steer_limit_deg - s.sweep_tolerance_deg)
+        if abs(self._sweep.now_deg) > s.sweep_tolerance_deg:
+            found.append(f"steering ended at {self._sweep.now_deg:.1f} deg instead of straight")
+        if self._began_ns is None or self._reached_ns is None or self._left_ns is None:
+            return [*found, f"driven wheels reached {self._top_rpm:.0f} of {s.inspection_a_rpm:.0f} rpm"]
+        up_s = (self._reached_ns - self._began_ns) / NS_PER_S
+        if up_s > s.inspection_a_spin_up_s:
+            found.append(f"driven wheels took {up_s:.1f} s to reach {s.inspection_a_rpm:.0f} rpm")
+        if self._rest_ns is None:
+            found.append("the wheels did not come to rest")
+        elif (down_s := (self._rest_ns - self._left_ns) / NS_PER_S) > s.inspection_a_spin_down_s:
+            found.append(f"the wheels took {down_s:.1f} s to come to rest")
+        return found
+
+
+class _InspectionBReferee:
+    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
+        self._model, self._settings = model, settings
+        self._top_rpm = 0.0
+        self.laps = 0
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        self._top_rpm = max(self._top_rpm, _driven_rpm(truth, self._model))
+
+    def complaints(self) -> list[str]:
+        wanted = self._settings.inspection_b_rpm
+        if self._top_rpm < wanted * RPM_TOLERANCE:
+            return [f"driven wheels reached {self._top_rpm:.0f} of {wanted:.0f} rpm"]
+        return []
+
+
+class _DemoReferee:
+    """Sweep, accelerate, stop, accelerate: each step begins where the last one ended."""
+
+    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
+        self._settings = settings
+        self._sweep = _Sweep()
+        self._legs: list[tuple[float, float | None]] = []  # (where it pulled away, where it reached the speed)
+        self._moving = False
+        self._stops: list[float] = []
+        self._straight_deg = 0.0  # steering when it pulled away first
+        self.laps = 0
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        at = truth.distance_m
+        if not self._moving and truth.speed_mps > 0.2:
+            self._moving = True
+            if not self._legs:
+                self._straight_deg = truth.steer_deg
+            self._legs.append((at, None))
+        elif self._moving and truth.speed_mps < 0.02:
+            self._moving = False
+            self._stops.append(at)
+        if not self._legs:
+            self._sweep.watch(truth.steer_deg)
+        elif self._moving and self._legs[-1][1] is None and truth.speed_mps * 3.6 >= self._settings.demo_speed_kmh:
+            self._legs[-1] = (self._legs[-1][0], at)
+
+    def complaints(self) -> list[str]:
+        s = self._settings
+        found = self._sweep.complaints(s.demo_sweep_deg)
+        if abs(self._straight_deg) > 3.0:
+            found.append(f"pulled away with the steering at {self._straight_deg:.1f} deg instead of straight")
+        for number, (begin, fast) in enumerate(self._legs[:2], 1):
+            if fast is None:
+                found.append(f"acceleration {number} did not reach {s.demo_speed_kmh:g} km/h")
+            elif fast - begin > s.demo_accelerate_m:
+                found.append(f"acceleration {number} took {fast - begin:.1f} m to {s.demo_speed_kmh:g} km/h")
+        if len(self._legs) != 2:
+            found.append(f"{len(self._legs)} accelerations instead of 2")
+        if self._legs and self._stops:
+            length = self._stops[0] - self._legs[0][0]
+            most = s.demo_accelerate_m + s.demo_stop_m
+            if length > most:
+                found.append(f"the first stop came after {length:.1f} m, allowed are {most:g} m")
+        return found
+
+
+_REFEREES: Final[Mapping[Ami, type[Any]]] = MappingProxyType(
+    {
+        Ami.ACCELERATION: _AccelerationReferee,
+        Ami.SKIDPAD: _SkidpadReferee,
+        Ami.AUTOCROSS: _CircuitReferee,
+        Ami.TRACKDRIVE: _CircuitReferee,
+        Ami.STATIC_INSPECTION_A: _InspectionAReferee,
+        Ami.STATIC_INSPECTION_B: _InspectionBReferee,
+        Ami.AUTONOMOUS_DEMO: _DemoReferee,
+    }
+)
+
+
+def check_track(track: Track, mission: Ami) -> str | None:
+    """Why a mission cannot be judged on a track; None when it can."""
+    wanted = {
+        Ami.ACCELERATION: TrackKind.ACCELERATION,
+        Ami.SKIDPAD: TrackKind.SKIDPAD,
+        Ami.AUTOCROSS: TrackKind.CIRCUIT,
+        Ami.TRACKDRIVE: TrackKind.CIRCUIT,
+    }.get(mission)
+    if mission not in _REFEREES:
+        return f"{mission.label} is no mission"
+    if wanted is not None and track.kind is not wanted:
+        name = mission.name.lower()
+        return f"mission {name} needs a track of kind {wanted.value}, but {track.name} is of kind {track.kind.value}"
+    return None
+
+
+# ---------------------------------------------------------------- the judge
+
+
+@dataclass
+class _Stay:
+    """A time in which the car must not move."""
+
+    state: AsState
+    x_m: float
+    y_m: float
+    since_ns: int
+    excused: bool = field(default=False)
+
+
+class Judge:
+    """Judges one run. `observe` wants a look every 10 ms or so; `verdict` may be asked at any time.
+
+    Raises ValueError where the mission cannot be driven on the track.
+    """
+
+    def __init__(
+        self,
+        track: Track,
+        mission: Ami,
+        model: CarModel,
+        settings: JudgeSettings | None = None,
+        now_ns: int = 0,
+        epoch_ns: int = 0,
+    ) -> None:
+        """`epoch_ns` is the instant from which the verdict counts its times."""
+        problem = check_track(track, mission)
+        if problem is not None:
+            raise ValueError(problem)
+        self.mission = mission
+        self._settings = settings if settings is not None else JudgeSettings()
+        self._model = model
+        self._epoch_ns = epoch_ns
+        self._begin_ns = now_ns
+        self.laps_wanted = MISSION_LAPS.get(mission, 1)
+        if mission is Ami.TRACKDRIVE and self._settings.laps is not None:
+            self.laps_wanted = self._settings.laps
+        self._referee: _Referee = _REFEREES[mission](track, model, self._settings, self.laps_wanted)
+        self._route = _Route(track) if track.centreline_m is not None else None
+        self._surroundings = _Surroundings(track, model)
+        self._states: list[tuple[AsState, int]] = []
+        self._reasons: list[str] = []
+        self._stay: _Stay | None = None
+        self._driving_ns: int | None = None
+        self._over_ns: int | None = None  # left AS_DRIVING
+        self._stood_ns: int | None = None
+        self._moved_ns: int | None = None
+        self._still_ns: int | None = None
+        self._top_mps = 0.0
+        self._worst_m = 0.0
+        self._begin_m: float | None = None
+        self._distance_m = 0.0
+        self._cause: ShutdownCause | None = None
+        self._last_ns = now_ns
+        self.done = False
+
+    # ------------------------------------------------------------ what it sees
+
+    def observe(self, truth: CarTruth, as_state: AsState, cause: ShutdownCause | None = None) -> None:
+        """One look at the car. `cause` is the SHUTDOWN_CAUSE on its display."""
+        if self.done:
+            return
+        now = truth.t_ns
+        self._last_ns = now
+        if not self._states or self._states[-1][0] is not as_state:
+            self._enter(as_state, truth)
+        if cause is not None and cause is not ShutdownCause.NO_SHUTDOWN:
+            self._cause = cause
+        self._watch_stay(truth, as_state)
+        if self._driving_ns is not None:
+            self._watch_drive(truth)
+        self._watch_end(truth, as_state)
+
+    def _enter(self, state: AsState, truth: CarTruth) -> None:
+        now = truth.t_ns
+        self._states.append((state, now))
+        pose = truth.pose
+        may_roll = state is AsState.EMERGENCY_BRAKE
+        self._stay = None if may_roll else _Stay(state, pose.x_m, pose.y_m, now)
+        if state is AsState.AS_DRIVING:
+            if self._driving_ns is not None:
+                self._blame("drove a second time without a new run")
+            self._driving_ns = self._driving_ns or now
+            self._begin_m = truth.distance_m if self._begin_m is None else self._begin_m
+        elif self._driving_ns is not None and self._over_ns is None:
+            self._over_ns = now
+
+    def _watch_stay(self, truth: CarTruth, state: AsState) -> None:
+        stay = self._stay
+        if stay is None or stay.excused:
+            return
+        since_s = (truth.t_ns - stay.since_ns) / NS_PER_S
+        if state is AsState.AS_DRIVING and since_s >= self._settings.wait_s:
+            self._stay = None
+            return
+        moved = math.hypot(truth.pose.x_m - stay.x_m, truth.pose.y_m - stay.y_m) > STILL_M
+        if moved or (max(truth.wheel_rpm) > STANDING_RPM and since_s > 0.1):
+            stay.excused = True  # once is enough
+            if state is AsState.AS_DRIVING:
+                self._blame(f"moved {since_s:.2f} s after entering AS_DRIVING, must wait {self._settings.wait_s:g} s")
+            else:
+                self._blame(f"moved in {state.label}")
+
+    def _watch_drive(self, truth: CarTruth) -> None:
+        pose = truth.pose
+        if self._route is not None:
+            self._route.follow(pose.x_m, pose.y_m)
+        lateral = self._route.lateral_m if self._route is not None else None
+        self._referee.watch(truth, pose.ahead(self._model.nose_m), self._route)
+        self._surroundings.look(pose, lateral)
+        speed = truth.speed_mps
+        if lateral is not None and speed > 0.1:
+            self._worst_m = max(self._worst_m, abs(lateral))
+        self._top_mps = max(self._top_mps, speed)
+        self._distance_m = truth.distance_m - (self._begin_m or 0.0)
+        if speed > 0.1:
+            self._moved_ns = self._moved_ns or truth.t_ns
+            self._still_ns = truth.t_ns
+
+    def _watch_end(self, truth: CarTruth, state: AsState) -> None:
+        now = truth.t_ns
+        s = self._settings
+        if self._driving_ns is None:
+            if state is AsState.EMERGENCY_BRAKE:
+                self._end("EMERGENCY_BRAKE before the run began")
+            elif s.start_timeout_s is not None and now - self._begin_ns > s.start_timeout_s * NS_PER_S:
+                self._end(f"did not start: no AS_DRIVING within {s.start_timeout_s:g} s")
+            return
+        if state is AsState.AS_DRIVING:
+            most_s = s.drive_timeout_s or DRIVE_TIMEOUT_S.get(self.mission, LAP_TIMEOUT_S * self.laps_wanted)
+            if now - self._driving_ns > most_s * NS_PER_S:
+                self._end(f"did not finish: still in AS_DRIVING after {most_s:g} s")
+            return
+        if state in (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE):
+            # over once it has stood for a second: a car that ought to stand may still roll on
+            standing = truth.speed_mps < 0.02 and max(truth.wheel_rpm) < STANDING_RPM
+            self._stood_ns = (self._stood_ns or now) if standing else None
+            overdue = now - (self._over_ns or now) > 30.0 * NS_PER_S
+            if overdue:
+                self._end(f"still moving 30 s after {state.label}")
+            elif self._stood_ns is not None and now - self._stood_ns >= NS_PER_S:
+                self._end(None)
+        else:
+            self._end(f"the run ended in {state.label}")
+
+    def _end(self, why: str | None) -> None:
+        if why is not None:
+            self._blame(why)
+        self.done = True
+
+    def _blame(self, why: str) -> None:
+        if why not in self._reasons:
+            self._reasons.append(why)
+
+    # ------------------------------------------------------------ what it says
+
+    @property
+    def laps(self) -> int:
+        return self._referee.laps
+
+    @property
+    def waiting(self) -> bool:
+        """The car has not been in AS_DRIVING yet."""
+        return self._driving_ns is None and not self.done
+
+    def _reasons_now(self) -> list[str]:
+        found = list(self._reasons)
+        if self._driving_ns is None:
+            return found or ["never entered AS_DRIVING"]
+        wanted = MISSION_END[self.mission]
+        last = self._states[-1][0]
+        if last is not wanted:
+            by = f" ({self._cause.label})" if self._cause is not None and last is AsState.EMERGENCY_BRAKE else ""
+            found.append(f"ended in {last.label}{by}, the mission ends in {wanted.label}")
+        elif wanted is AsState.EMERGENCY_BRAKE and self._cause is not ShutdownCause.AI_COMPUTER_REQUEST:
+            by = "an open shutdown circuit" if self._cause is None else self._cause.label
+            found.append(f"the emergency brake came by {by}, not by the AI computer's request")
+        found += self._referee.complaints()
+        if self._surroundings.off_course:
+            times = self._surroundings.off_course
+            found.append(f"off course {'once' if times == 1 else f'{times} times'}")
+        return found
+
+    def verdict(self) -> Verdict:
+        reasons = self._reasons_now()
+        if not self.done:
+            reasons.append("the run is not over")
+        moving_s = (self._still_ns - self._moved_ns) / NS_PER_S if self._still_ns and self._moved_ns else 0.0
+        driving_end = self._over_ns or self._last_ns
+        hit = len(self._surroundings.hit)
+        return Verdict(
+            mission=self.mission.name.lower(),
+            result="fail" if reasons else "pass",
+            reasons=tuple(reasons),
+            as_states=tuple((state.label, (t - self._epoch_ns) / NS_PER_S) for state, t in self._states),
+            laps=self._referee.laps,
+            lap_times_s=tuple(round(t, 3) for t in self._referee.lap_times_s),
+            cones_hit=hit,
+            penalty_s=CONE_PENALTY_S * hit,
+            off_course=self._surroundings.off_course,
+            max_lateral_error_m=round(self._worst_m, 3),
+            mean_speed_mps=round(self._distance_m / moving_s, 3) if moving_s > 0.0 else 0.0,
+            top_speed_mps=round(self._top_mps, 3),
+            distance_m=round(self._distance_m, 2),
+            driving_time_s=round((driving_end - (self._driving_ns or driving_end)) / NS_PER_S, 3),
+            stop_distance_m=None if (d := self._referee.stop_distance_m) is None else round(d, 2),
+            shutdown_cause=None if self._cause is None else self._cause.label,
+            finished=self.done,
+        )

@@ -1,0 +1,225 @@
+"""The whole AI side against the whole car in virtual time: nothing waits, and the same seed is the same run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fsai_hil.rules.checker import WireChecker, WireReport
+from fsai_hil.simulator.ai_computer import OnboardComputer
+from fsai_hil.simulator.judge import Verdict
+from fsai_hil.simulator.world import World, WorldSetup
+from fsai_vcu.core.bridge import Bridge
+from fsai_vcu.core.control.controller import Controller
+from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.driving import ConeObservation
+from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.planning.planner import Planner
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.revisions import revision
+
+STEP_NS = 1_000_000  # the bus is looked at every millisecond
+CONE_PERIOD_NS = 50_000_000  # 20 Hz, as a camera or lidar pipeline
+CONFIDENCE_THRESHOLD = 0.5  # the detector's default
+PROGRESS_PERIOD_NS = 500_000_000
+NS_PER_S = 1e9
+RUNS_OF_A_PROCESS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class LockstepResult:
+    """A run in lockstep: what the judge saw, what the wire showed, what the bridge reported at the end."""
+
+    verdict: Verdict
+    wire: WireReport
+    report: BridgeReport
+    sim_time_s: float
+    wall_time_s: float
+    seed: int
+    faults: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        return self.verdict.passed and self.wire.ok
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: the verdict's keys and the run's own."""
+        reasons = [*self.verdict.reasons, *(f"on the wire: {violation}" for violation in self.wire.violations[:10])]
+        return {
+            **self.verdict.as_dict(),
+            "result": "pass" if self.passed else "fail",
+            "reasons": reasons,
+            "faults": list(self.faults),
+            "gate_reasons": dict(self.report.reason_counts),
+            "emergency": self.report.emergency,
+            "response_p50_ms": self.wire.response_p50_ms,
+            "response_max_ms": self.wire.response_max_ms,
+            "sim_time_s": round(self.sim_time_s, 3),
+            "wall_time_s": round(self.wall_time_s, 3),
+            "seed": self.seed,
+        }
+
+
+class Lockstep:
+    """World and onboard computer, side by side in virtual time."""
+
+    def __init__(
+        self,
+        setup: WorldSetup,
+        *,
+        limits: OperationalLimits | None = None,
+        controller: ControllerSettings | None = None,
+        config: BridgeConfig | None = None,
+        on_frame: Callable[[Frame], None] | None = None,
+    ) -> None:
+        """`on_frame` sees every frame of the bus, in order (a log).
+
+        Raises ValueError for a setup that cannot be built.
+        """
+        self.world = World(setup)
+        chosen = revision(setup.revision)
+        car = CARS[setup.revision]
+        config = config or BridgeConfig()
+        if setup.profile == "official-simulator":
+            car = CARS["official-simulator"].with_steer_limit(chosen.steer_limit_deg)
+            config = official_simulator(config)
+        missions = MissionSettings() if setup.laps is None else MissionSettings(trackdrive_laps=setup.laps)
+        settings = controller or ControllerSettings()
+        if limits is not None:
+            settings = replace(settings, max_speed_mps=min(settings.max_speed_mps, limits.max_speed_mps))
+        self._now_ns = setup.start_ns
+        self._revision, self._car, self._config, self._limits = chosen, car, config, limits
+        self._missions, self._settings = missions, settings
+        self._bridges = 0
+        self.computer = OnboardComputer(
+            self._new_bridge(),
+            self.world.codec,
+            Planner(car, missions=missions),
+            Controller(car, settings, missions),
+            self._now_ns,
+        )
+        # Nothing is in flight in lockstep: what the car has said, the bridge has heard before it speaks.
+        self.wire = WireChecker(
+            self.world.codec,
+            in_flight_ns=STEP_NS,
+            handshake_in_flight_ns=STEP_NS,
+            clock_slack_ns=0,
+            car=car,
+            limits=limits or UNLIMITED,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
+        )
+        self.on_frame = on_frame
+        self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames
+        self._next_cones_ns = self._now_ns
+        self._asked_autonomous = False
+        self.detector: Callable[[ConeObservation], ConeObservation] = confident
+        self.detects = True  # False: the detector has stopped
+
+    @property
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    @property
+    def bridge(self) -> Bridge:
+        """The bridge in hand: a restart brings another one."""
+        return self.computer.bridge
+
+    def _new_bridge(self) -> Bridge:
+        # On the car a new process draws a first run id that no earlier one can have used.
+        first_run_id = 1 + RUNS_OF_A_PROCESS * self._bridges
+        self._bridges += 1
+        return Bridge(
+            self.world.codec, self._revision, self._car, self._config, self._limits, first_run_id, now_ns=self._now_ns
+        )
+
+    def start_bridge(self) -> None:
+        """The bridge's process is started anew: it knows nothing, and is in manual mode."""
+        self.computer.start_bridge(self._new_bridge(), self._now_ns)
+        self.wire.restarted()
+
+    def start_planner(self) -> None:
+        """The planner's process is started anew."""
+        self.computer.start_planner(Planner(self._car, missions=self._missions))
+
+    def start_controller(self) -> None:
+        """The controller's process is started anew."""
+        self.computer.start_controller(Controller(self._car, self._settings, self._missions))
+
+    def intrude(self, frame: Frame) -> None:
+        """Somebody else's frame is on the bus: everybody hears it."""
+        if self.on_frame is not None:
+            self.on_frame(frame)
+        self.computer.on_frame(frame)
+        self.world.on_frame(frame)
+
+    def step(self) -> None:
+        """One millisecond."""
+        self._now_ns = now_ns = self._now_ns + STEP_NS
+        for frame in self.world.advance(now_ns):
+            self._see(frame)
+            self.computer.on_frame(frame)
+        if now_ns >= self._next_cones_ns:
+            self._next_cones_ns += CONE_PERIOD_NS
+            seen = self.detector(self.world.see_cones(now_ns))
+            if self.detects:
+                self.computer.on_cones(seen)
+        if not self._asked_autonomous:
+            # What the operator types once: the mode is kept for every mission after it.
+            self._asked_autonomous = self.bridge.set_mode("autonomous", now_ns)[0]
+        for frame in self.computer.advance(now_ns):
+            self._see(frame)
+            self.world.on_frame(frame)
+
+    def _see(self, frame: Frame) -> None:
+        self.wire.on_frame(frame)
+        if self.watch is not None:
+            self.watch(frame)
+        if self.on_frame is not None:
+            self.on_frame(frame)
+
+    def run(
+        self,
+        progress: Callable[[World, BridgeReport], None] | None = None,
+        *,
+        realtime: bool = False,
+    ) -> LockstepResult:
+        """Drive until the judge has seen every mission. `progress` is called twice a simulated second."""
+        began = time.monotonic()
+        start_ns = self._now_ns
+        next_progress_ns = start_ns
+        while not self.world.done:
+            self.step()
+            if self._now_ns >= next_progress_ns:
+                next_progress_ns += PROGRESS_PERIOD_NS
+                if progress is not None:
+                    progress(self.world, self.computer.report())
+            if realtime:
+                ahead_s = (self._now_ns - start_ns) / NS_PER_S - (time.monotonic() - began)
+                if ahead_s > 0:
+                    time.sleep(ahead_s)
+        report = self.computer.report()
+        return LockstepResult(
+            self.world.verdict(),
+            self.wire.report(),
+            report,
+            (self._now_ns - start_ns) / NS_PER_S,
+            time.monotonic() - began,
+            self.world.setup.seed,
+            self.world.faults(),
+        )
+
+
+def confident(observation: ConeObservation, threshold: float = CONFIDENCE_THRESHOLD) -> ConeObservation:
+    """Only the cones that a detector is sure enough of."""
+    keep = observation.confidence >= threshold
+    return ConeObservation(
+        observation.t_ns, observation.xy_m[keep], observation.color[keep], observation.confidence[keep]
+    )

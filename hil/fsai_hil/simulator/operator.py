@@ -1,0 +1,312 @@
+"""The person beside the car: walks the switches, chooses missions, gives Go, and presses what a scenario asks for.
+
+Pure: driven by the time and by what the car shows (ASSI, siren, display), like a person; it never looks at the state
+machine behind them. A person's work is a script: what to wait for, one thing after another, and what to do when it has
+been seen. Scripts are data, not running code, so that a run can be copied in the middle of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from enum import Enum
+from functools import partial
+from typing import Any, Final, Protocol
+
+from fsai_hil.simulator.indicators import Assi, Indicators, Siren
+from fsai_hil.simulator.power import POWER_UP, PowerUp
+from fsai_hil.simulator.profiles import MS, S
+from fsai_hil.simulator.switches import Switches
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.immutable import Immutable
+
+HAND_NS: Final = 300 * MS  # from one switch to the next
+REACTION_NS: Final = 500 * MS  # from seeing to doing
+FINISHED_NS: Final = 3 * S  # how long people look at a car that has finished
+OFF_NS: Final = 2 * S  # a power cycle is no flick: the AI computer must see the car gone
+GO_PATIENCE_NS: Final = 1500 * MS  # a Go that starts nothing is taken back and given again
+
+READY: Final = frozenset({Assi.YELLOW, Assi.YELLOW_AND_BLUE})
+ENDED: Final = frozenset({Assi.BLUE, Assi.BLUE_FLASHING, Assi.OFF})
+
+SWITCH_NAMES: Final = tuple(field.name for field in fields(Switches))
+
+
+class CarShows(Protocol):
+    """What a person beside the car sees, and what a person's hands reach."""
+
+    switches: Switches
+
+    @property
+    def indicators(self) -> Indicators: ...
+
+    @property
+    def mission_selectable(self) -> bool: ...
+
+    @property
+    def shut_down(self) -> bool: ...
+
+
+def _at_once(car: CarShows) -> bool:
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Await(Immutable):
+    """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on unseen instead."""
+
+    what: str
+    seen: Callable[[CarShows], bool] = _at_once
+    delay_ns: int = HAND_NS
+    patience_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Do(Immutable):
+    """What the hands do, and what that adds to the script right here. Told whether the last thing awaited was seen."""
+
+    act: Callable[[Switches, bool], Script]
+
+
+Script = Sequence[Await | Do]
+
+
+class Moment(Enum):
+    """From when an event counts its time: the first look, or the first time that the ASSI shows a state."""
+
+    START = frozenset(Assi)
+    READY = READY
+    DRIVING = frozenset({Assi.YELLOW_FLASHING})
+    EMERGENCY = frozenset({Assi.BLUE_FLASHING})
+    FINISHED = frozenset({Assi.BLUE})
+
+
+@dataclass(frozen=True, slots=True)
+class At(Immutable):
+    """Something that happens whatever the script is about: `after_ns` after a moment, `switch` becomes `value`.
+
+    Raises ValueError for a switch that the car does not have.
+    """
+
+    after_ns: int
+    switch: str
+    value: Any = True
+    since: Moment = Moment.START
+
+    def __post_init__(self) -> None:
+        if self.switch not in SWITCH_NAMES:
+            raise ValueError(f"the car has no switch {self.switch!r}: choose one of {', '.join(SWITCH_NAMES)}")
+
+
+class Operator:
+    """Follows a script, and does beside it what is due `at` a moment.
+
+    Call `act` about once a millisecond of virtual time; it moves `car.switches`. `doing` says in words what is being
+    waited for, `done` that the script has ended, `log` what was done and when.
+    """
+
+    def __init__(self, script: Script = (), at: Iterable[At] = ()) -> None:
+        self._ahead = tuple(script)  # of the script
+        self._await_since_ns: int | None = None  # None: it has not begun
+        self._seen_ns: int | None = None
+        self._at = list(at)
+        self._moments_ns: dict[Moment, int] = {}
+        self.log: list[tuple[int, str]] = []
+
+    @classmethod
+    def auto(
+        cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = (), switch_off_at_end: bool = True
+    ) -> Operator:
+        """One who has these missions driven one after another, from a car that is off to a car that is off."""
+        return cls(drive_missions(POWER_UP[revision], missions, switch_off_at_end), at)
+
+    @property
+    def done(self) -> bool:
+        return not self._ahead
+
+    @property
+    def doing(self) -> str:
+        for step in self._ahead:
+            if isinstance(step, Await):
+                return step.what
+        return "nothing left to do"
+
+    def act(self, now_ns: int, car: CarShows) -> None:
+        """Look at the car at `now_ns` and move what is to be moved."""
+        if self._at:
+            self._events(now_ns, car)
+        if self._await_since_ns is None:
+            self._go_on(now_ns, car.switches, True)
+        if not self._ahead:
+            return
+        awaited = self._ahead[0]
+        assert isinstance(awaited, Await) and self._await_since_ns is not None  # `_go_on` does what is to be done
+        if self._seen_ns is None and awaited.seen(car):
+            self._seen_ns = now_ns
+        if self._seen_ns is not None:
+            if now_ns - self._seen_ns >= awaited.delay_ns:
+                self.log.append((now_ns, awaited.what))
+                self._ahead = self._ahead[1:]
+                self._go_on(now_ns, car.switches, True)
+        elif awaited.patience_ns is not None and now_ns - self._await_since_ns >= awaited.patience_ns:
+            self.log.append((now_ns, f"no longer waiting: {awaited.what}"))
+            self._ahead = self._ahead[1:]
+            self._go_on(now_ns, car.switches, False)
+
+    def _go_on(self, now_ns: int, switches: Switches, seen: bool) -> None:
+        """Do what is to be done before the next thing to wait for."""
+        while self._ahead and isinstance(step := self._ahead[0], Do):
+            self._ahead = (*step.act(switches, seen), *self._ahead[1:])
+        self._await_since_ns = now_ns
+        self._seen_ns = None
+
+    def _events(self, now_ns: int, car: CarShows) -> None:
+        assi = car.indicators.assi
+        for moment in Moment:
+            if assi in moment.value:
+                self._moments_ns.setdefault(moment, now_ns)
+        waiting = []
+        for event in self._at:
+            since_ns = self._moments_ns.get(event.since)
+            if since_ns is None or now_ns - since_ns < event.after_ns:
+                waiting.append(event)
+                continue
+            setattr(car.switches, event.switch, event.value)
+            value = event.value.name if isinstance(event.value, Enum) else event.value
+            self.log.append((now_ns, f"{event.switch} is {value}"))
+        self._at = waiting
+
+
+# ---------------------------------------------------------------- scripts
+
+
+def drive_missions(power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end: bool = True) -> Script:
+    """Power up, choose the mission, give Go, wait for the end, switch off what this car wants off; then the next."""
+    script: list[Await | Do] = [*power_on(power_up)]
+    for number, mission in enumerate(missions, start=1):
+        last = number == len(missions)
+        if number > 1:
+            script.append(Do(partial(_power_on_again, power_up)))
+        script += (
+            Await("waiting until the display offers the missions", _offers_missions, REACTION_NS),
+            _put("ami", mission),
+            Do(_asms_on_again),  # the mission before may have ended with it
+            Await("waiting for yellow and blue: 5 s in AS_READY", _ready_for_go, REACTION_NS),
+            Await("looking whether the car is still ready", _emergency, 0, patience_ns=0),
+            Do(_go_unless_emergency),
+            Await("waiting for the end of the mission", _ended, 0),
+            Await("looking how it ended", _emergency, 0, patience_ns=0),
+            Do(partial(_let_it_end, power_up, last, switch_off_at_end)),
+        )
+    return script
+
+
+def power_on(power_up: PowerUp) -> Script:
+    """The switches in the order of this car's power-up."""
+    return (
+        Await("checking the dongle, the E-stops and the remote", delay_ns=OFF_NS),
+        _put("dongle", True),
+        _put("remote_estop", False),
+        _put("car_estop", False),
+        _put("remote_radio_ok", True),
+        _put("go", False),
+        *(step for name in power_up.switches_on for step in _turn(name, True)),
+    )
+
+
+def power_down(names: Iterable[str]) -> Script:
+    """The switches off, one after another; LVMS only when the car has shut down."""
+    script: list[Await | Do] = []
+    for name in names:
+        if name == "lvms":
+            script.append(Await("waiting until the car has shut down", _shut_down))
+        script += _turn(name, False)
+        if name == "lvms":
+            script.append(_put("ami", Ami.NOT_SELECTED))  # the display forgets
+    return script
+
+
+def give_go() -> Script:
+    """Go; off and on again as long as the car stays ready and does not start."""
+    return (
+        _put("go", True),
+        Await("giving Go", _no_longer_ready, delay_ns=0, patience_ns=GO_PATIENCE_NS),
+        Do(_again_unless_started),
+    )
+
+
+# ---------------------------------------------------------------- what hands do
+
+
+def _put(switch: str, value: Any) -> Do:
+    return Do(partial(_put_now, switch, value))
+
+
+def _turn(switch: str, on: bool) -> Script:
+    return Await(f"turning {switch.upper()} {'on' if on else 'off'}"), _put(switch, on)
+
+
+def _put_now(switch: str, value: Any, switches: Switches, seen: bool) -> Script:
+    setattr(switches, switch, value)
+    return ()
+
+
+def _power_on_again(power_up: PowerUp, switches: Switches, seen: bool) -> Script:
+    return () if switches.lvms else power_on(power_up)
+
+
+def _asms_on_again(switches: Switches, seen: bool) -> Script:
+    return () if switches.asms else _turn("asms", True)
+
+
+def _go_unless_emergency(switches: Switches, emergency: bool) -> Script:
+    return () if emergency else give_go()
+
+
+def _again_unless_started(switches: Switches, started: bool) -> Script:
+    if started:
+        return ()
+    return _put("go", False), Await("taking Go back", delay_ns=REACTION_NS), *give_go()
+
+
+def _let_it_end(power_up: PowerUp, last: bool, switch_off_at_end: bool, switches: Switches, emergency: bool) -> Script:
+    everything = emergency or last  # after an emergency only a power cycle leads on
+    off = power_down(("asms", "tsms", "lvms") if everything else power_up.switches_off)
+    return (
+        Await("waiting until the siren falls silent", _silent)
+        if emergency
+        else Await("letting the car stand", delay_ns=FINISHED_NS),
+        _put("go", False),
+        *(() if last and not switch_off_at_end else off),
+    )
+
+
+# ---------------------------------------------------------------- what is seen
+
+
+def _offers_missions(car: CarShows) -> bool:
+    return car.mission_selectable
+
+
+def _ready_for_go(car: CarShows) -> bool:
+    return car.indicators.assi in (Assi.YELLOW_AND_BLUE, Assi.BLUE_FLASHING)
+
+
+def _no_longer_ready(car: CarShows) -> bool:
+    return car.indicators.assi not in READY
+
+
+def _emergency(car: CarShows) -> bool:
+    return car.indicators.assi is Assi.BLUE_FLASHING
+
+
+def _ended(car: CarShows) -> bool:
+    return car.indicators.assi in ENDED
+
+
+def _silent(car: CarShows) -> bool:
+    return car.indicators.siren is Siren.OFF
+
+
+def _shut_down(car: CarShows) -> bool:
+    return car.shut_down

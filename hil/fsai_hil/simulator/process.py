@@ -1,0 +1,501 @@
+"""`fsai-vcu vcu`: the simulated VCU and car as a process on a bus, in real time.
+
+One thread waits on the bus until the car next has something to say. Frames that wait are heard before time moves on,
+and a process that was held up for long lets the car's time stand still meanwhile: it must not take its own slowness for
+the AI computer's. It needs no AI computer: without one it says what a car says, and waits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import json
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, TextIO
+
+from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.simulator.ground_truth import TruthSender
+from fsai_hil.simulator.judge import Verdict
+from fsai_hil.simulator.operator import SWITCH_NAMES
+from fsai_hil.simulator.power import POWER_UP
+from fsai_hil.simulator.profiles import PROFILES
+from fsai_hil.simulator.tracks import BUILT_IN, load_track
+from fsai_hil.simulator.world import World, WorldSetup, mission_named
+from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.database import DatabaseError
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
+from fsai_vcu.runtime.realtime import FIFO_PRIORITY, go_real_time
+from fsai_vcu.runtime.recording import CandumpWriter
+
+PROGRAM: Final = "fsai-vcu vcu"
+TRUTH_PERIOD_NS: Final = 20_000_000  # faster than any sensor looks
+HELD_UP_NS: Final = 50_000_000  # half of what the VCU grants the AI computer
+REOPEN_NS: Final = 250_000_000
+COMMANDS_PERIOD_NS: Final = 50_000_000
+PROGRESS_NS: Final = 1_000_000_000
+GO_OFF_NS: Final = 200_000_000
+STATUS_ID: Final = BY_NAME["VCU2AI_Status"].can_id
+LINGER_NS: Final = 2_000_000_000  # the car goes on speaking after the end, so that the AI side sees it
+
+HELP: Final = f"""commands:
+  on                     all switches on, in the order of this car's power-up
+  off                    all switches off
+  NAME on|off            one switch: {", ".join(name for name in SWITCH_NAMES if name.islower())}
+  ami MISSION            choose a mission on the display ({", ".join(a.name.lower() for a in Ami)})
+  go [off]               Go (off and on again if it is on already)
+  estop [off]            the remote E-stop
+  status                 what the car shows
+  measure NAME           count the AI computer's response times from now on under NAME (in the result)
+  help, quit"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    missions = [ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED]
+    add = parser.add_argument
+    add("-i", "--interface", default="vcan0", metavar="BUS", help="bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)")
+    add("--mission", default="trackdrive", metavar="NAME[,NAME…]", help=f"one of {', '.join(missions)}; or several")
+    add("--auto", action="store_true", help="walk the switches, choose the mission, give Go, and end with it")
+    tracks = f"a CSV file, {', '.join(BUILT_IN)} or random-SEED (the mission's own)"
+    add("--track", metavar="FILE.csv|NAME", help=tracks)
+    add("--revision", default="2026", choices=sorted(REVISIONS), help="interface revision of the car (2026)")
+    add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
+    add("--laps", type=int, metavar="N", help="laps of a trackdrive (10)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of everything random (0)")
+    add("--truth", type=int, metavar="PORT", help="send the true pose to this UDP port of 127.0.0.1, for sensors")
+    add("--no-gps", action="store_true", help="a car without the PCAN-GPS")
+    add("--gps-decimation", type=int, default=1, metavar="N", help="send only each Nth of the PCAN-GPS's frames (1)")
+    add("--log-decimation", type=int, default=1, metavar="N", help="send only each Nth of the logging frames (1)")
+    add("--timeout", type=float, metavar="S", help="with --auto: give up after S seconds (the judge's own limits)")
+    add("--log", metavar="FILE", help="record the bus as this process sees it, as a candump log")
+    add("--plot", metavar="FILE.png", help="save a picture of track, path and speed")
+    add("--result", metavar="FILE.json", help="save verdict, track and driven path")
+    add("--json", action="store_true", help="print the result as one JSON object, the last line of stdout")
+    add("--quiet", action="store_true", help="no progress lines")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0: the judge passed every mission (or an interactive session ended); 1: not; 130: interrupted."""
+    try:
+        setup = _setup(args)
+        world = World(setup)
+        bus = open_bus(args.interface, receive=AI_IDS)
+    except (BusError, DatabaseError, ValueError) as error:  # a TrackError is a ValueError
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
+    try:
+        process = VcuProcess(world, bus, args)
+    except OSError as error:
+        bus.close()
+        print(f"{PROGRAM}: {args.log} cannot be written: {error.strerror}", file=sys.stderr)
+        return 1
+    # A car is never late: this one is not either, where that is allowed. But the bridge under test goes first.
+    go_real_time(FIFO_PRIORITY - 10)
+    try:
+        with _signals(process.stop):
+            process.loop()
+    finally:
+        process.close()
+    return _finish(process, args)
+
+
+def _setup(args: argparse.Namespace) -> WorldSetup:
+    if args.laps is not None and args.laps < 1:
+        raise ValueError(f"--laps is {args.laps}, but must be 1 or more")
+    if args.truth is not None and not 0 < args.truth < 65536:
+        raise ValueError(f"--truth is {args.truth}, but a port is 1 to 65535")
+    if args.timeout is not None and not 0.0 < args.timeout < float("inf"):
+        raise ValueError(f"--timeout is {args.timeout:g}, but must be a time in seconds")
+    return WorldSetup(
+        missions=tuple(mission_named(name) for name in args.mission.split(",")),
+        track=load_track(args.track) if args.track else None,
+        revision=args.revision,
+        profile=args.profile,
+        seed=args.seed,
+        laps=args.laps,
+        auto=args.auto,
+        gps=not args.no_gps,
+        gps_decimation=args.gps_decimation,
+        log_decimation=args.log_decimation,
+        start_ns=time.monotonic_ns(),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """Where a measurement of response times begins in everything that is counted."""
+
+    name: str
+    t_ns: int  # of the monotonic clock
+    answered: int
+    sent: int
+    comms_losses: int
+    held_up_ns: int
+
+
+class VcuProcess:
+    """A world that lives by the monotonic clock and talks on a bus."""
+
+    def __init__(self, world: World, bus: CanBus, args: argparse.Namespace) -> None:
+        self.world = world
+        self._bus: CanBus | None = bus
+        self._spec: str = args.interface
+        self._auto: bool = args.auto
+        self._quiet: bool = args.quiet
+        self._timeout_ns = None if args.timeout is None else world.now_ns + int(args.timeout * 1e9)
+        self._truth = None if args.truth is None else TruthSender(args.truth)
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        self._log = None if not args.log else CandumpWriter(args.log, args.interface, offset_ns=offset_ns)
+        self._stdin: TextIO | None = None if args.auto else sys.stdin
+        self._typed = b""
+        self._reopen_ns = 0
+        self._go_again_ns: int | None = None
+        self.interrupted: str | None = None
+        self.why_ended = ""
+        self.frames_in = self.frames_out = self.dropped = self.bus_losses = 0
+        self.late_max_ns = 0
+        self.held_up_ns = 0  # by so much the car's time is behind the monotonic clock
+        self.status_late_ns: list[int] = []  # of each 0x520: from when it was due until it had been sent
+        self._marks: list[_Mark] = []
+        self._wake_ns = world.now_ns
+
+    def stop(self, why: str) -> None:
+        """End as soon as the loop looks (safe in a signal handler)."""
+        self.interrupted = why
+
+    # ------------------------------------------------------------ the loop
+
+    def loop(self) -> None:
+        world = self.world
+        start = world.now_ns
+        next_truth = next_progress = next_commands = start
+        end_ns: int | None = None
+        self._say(f"simulated car on {self._spec}: {world.setup.revision}, {world.setup.profile}, {world.track.name}")
+        while self.interrupted is None:
+            self._listen(self._wake_ns)
+            now = self._now_ns()
+            if now < self._wake_ns:
+                continue
+            late_ns = now - self._wake_ns
+            self.late_max_ns = max(self.late_max_ns, late_ns)
+            if late_ns > HELD_UP_NS:
+                self.held_up_ns += late_ns
+                now = self._wake_ns
+            self._speak(now)
+            self._wake_ns = world.next_due_ns()
+            if self._truth is not None and now >= next_truth:
+                next_truth = max(next_truth + TRUTH_PERIOD_NS, now)
+                truth = world.truth
+                self._truth.send(replace(truth, t_ns=truth.t_ns + self.held_up_ns))
+            if now >= next_commands:
+                next_commands = now + COMMANDS_PERIOD_NS
+                self._obey()
+            if now >= next_progress:
+                next_progress += PROGRESS_NS
+                self._progress(now - start)
+            if self._auto and world.done:
+                end_ns = end_ns or now + LINGER_NS
+                if now >= end_ns:
+                    self.why_ended = "the mission is over"
+                    return
+            if self._timeout_ns is not None and now >= self._timeout_ns:
+                self.why_ended = "the time is up"
+                return
+        self.why_ended = self.interrupted
+
+    def _now_ns(self) -> int:
+        """The car's time."""
+        return time.monotonic_ns() - self.held_up_ns
+
+    def _listen(self, until_ns: int) -> None:
+        """Hear what arrives until then; always what has arrived already."""
+        bus = self._bus
+        if bus is None:
+            time.sleep(max(0, until_ns - self._now_ns()) / 1e9)
+            self._reopen(time.monotonic_ns())
+            return
+        try:
+            frame = bus.recv(max(0, until_ns - self._now_ns()) / 1e9)
+            heard = 0
+            while frame is not None:
+                self.frames_in += 1
+                if self._log is not None:
+                    self._log.write(frame)
+                self.world.on_frame(replace(frame, t_ns=frame.t_ns - self.held_up_ns))
+                heard += 1
+                if heard >= 100 or (self._now_ns() >= until_ns and heard >= 20):
+                    return  # a flooded bus must not stop the clock
+                frame = bus.recv(0.0)
+        except BusLost as error:
+            self._lose(error)
+
+    def _speak(self, now: int) -> None:
+        for frame in self.world.advance(now):
+            if self._log is not None:
+                self._log.write(replace(frame, t_ns=frame.t_ns + self.held_up_ns))
+            if self._bus is None:
+                continue
+            try:
+                if self._bus.send(frame):
+                    self.frames_out += 1
+                    if frame.can_id == STATUS_ID:
+                        self.status_late_ns.append(self._now_ns() - frame.t_ns)
+                else:
+                    self.dropped += 1
+            except BusLost as error:
+                self._lose(error)
+
+    def _lose(self, error: BusLost) -> None:
+        """The bus is gone; the car lives on and comes back to it."""
+        self.bus_losses += 1
+        self._say(f"bus lost: {error}", important=True)
+        if self._bus is not None:
+            self._bus.close()
+        self._bus = None
+        self._reopen_ns = time.monotonic_ns() + REOPEN_NS
+
+    def _reopen(self, now: int) -> None:
+        if now < self._reopen_ns:
+            return
+        self._reopen_ns = now + REOPEN_NS
+        with contextlib.suppress(BusError):  # still gone: asked again in a moment
+            self._bus = open_bus(self._spec, receive=AI_IDS)
+            self._say("bus is back", important=True)
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.close()
+        if self._truth is not None:
+            self._truth.close()
+        if self._log is not None:
+            self._log.close()
+
+    # ------------------------------------------------------------ people
+
+    def _say(self, text: str, important: bool = False) -> None:
+        if important or not self._quiet:
+            print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
+
+    def _progress(self, since_ns: int) -> None:
+        if self._quiet:
+            return
+        print(f"[{since_ns / 1e9:6.1f} s] {self.describe()}", file=sys.stderr, flush=True)
+
+    def describe(self) -> str:
+        """The car in one line."""
+        world = self.world
+        vcu, lights = world.vcu, world.vcu.indicators
+        words = [
+            f"{vcu.state.label:<15}",
+            f"{world.car.speed_mps:5.1f} m/s",
+            f"lap {world.judge.laps}/{world.judge.laps_wanted}",
+            f"ASSI {lights.assi}",
+        ]
+        if not vcu.powered:
+            words.append("low voltage off")
+        elif not self.frames_in:
+            words.append("no AI computer heard yet")
+        elif vcu.comms_lost:
+            words.append("AI computer lost")
+        if vcu.state is AsState.EMERGENCY_BRAKE:
+            words.append(f"cause {vcu.shutdown_cause.label}")
+        if self._auto and not world.operator.done:
+            words.append(world.operator.doing)
+        if self.dropped:
+            words.append(f"{self.dropped} frames dropped")
+        return " | ".join(words)
+
+    def _obey(self) -> None:
+        """Commands typed since the last look."""
+        if self._go_again_ns is not None and time.monotonic_ns() >= self._go_again_ns:
+            self._go_again_ns = None
+            self.world.vcu.switches.go = True
+        if self._stdin is None:
+            return
+        try:
+            number = self._stdin.fileno()
+            ready, _, _ = select.select([number], [], [], 0.0)
+            if not ready:
+                return
+            data = os.read(number, 4096)
+        except (OSError, ValueError):
+            self._stdin = None
+            return
+        if not data:
+            self._stdin = None  # nobody types; the car goes on until it is told to end
+            return
+        *lines, self._typed = (self._typed + data).split(b"\n")
+        for line in lines:
+            answer = self.command(line.decode(errors="replace"))
+            if answer:
+                print(answer, flush=True)
+
+    def _mark(self, name: str) -> _Mark:
+        vcu = self.world.vcu
+        answered, sent = len(vcu.response_times_ns), len(self.status_late_ns)
+        return _Mark(name, time.monotonic_ns(), answered, sent, vcu.comms_losses, self.held_up_ns)
+
+    def measurements(self) -> list[dict[str, Any]]:
+        """Response times, and how late this process itself was, from each `measure` to the next."""
+        found = []
+        for begin, end in itertools.pairwise([*self._marks, self._mark("end")]):
+            response_ns = self.world.vcu.response_times_ns[begin.answered : end.answered]
+            found.append(
+                {
+                    "name": begin.name,
+                    "seconds": round((end.t_ns - begin.t_ns) / 1e9, 3),
+                    "response": ResponseTimes(response_ns).as_dict(),
+                    "status_late": ResponseTimes(self.status_late_ns[begin.sent : end.sent]).as_dict(),
+                    "comms_losses": end.comms_losses - begin.comms_losses,
+                    "held_up_ms": round((end.held_up_ns - begin.held_up_ns) / 1e6, 3),
+                }
+            )
+        return found
+
+    def command(self, line: str) -> str:
+        """Do what a person types; the answer in words."""
+        words = line.split()
+        if not words:
+            return ""
+        verb, rest = words[0].lower(), [word.lower() for word in words[1:]]
+        switches = self.world.vcu.switches
+        power_up = POWER_UP[self.world.setup.revision]
+        if verb == "help":
+            return HELP
+        if verb == "quit":
+            self.stop("asked to quit")
+            return ""
+        if verb == "status":
+            return self.describe()
+        if verb == "measure":
+            self._marks.append(self._mark(" ".join(rest) or str(len(self._marks) + 1)))
+            return f"measuring: {self._marks[-1].name}"
+        if verb in ("on", "off"):
+            names = power_up.switches_on if verb == "on" else ("go", *reversed(power_up.switches_on))
+            for name in names:
+                setattr(switches, name, verb == "on")
+            return f"{', '.join(names)}: {verb}"
+        if verb == "ami":
+            name = " ".join(rest)
+            try:
+                switches.ami = Ami.NOT_SELECTED if name == "not_selected" else mission_named(name)
+            except ValueError as error:
+                return str(error)
+            return f"mission on the display: {switches.ami.name.lower()}"
+        if verb == "estop":
+            verb = "remote_estop"
+        flag = {"on": True, "off": False, "1": True, "0": False}.get(rest[0] if rest else "on")
+        if verb not in SWITCH_NAMES or not isinstance(getattr(switches, verb), bool) or flag is None:
+            return f"unknown command {line.strip()!r}; help shows what there is"
+        if verb == "go" and flag and switches.go:
+            # only a rising edge starts the car: let it be seen off first
+            switches.go = False
+            self._go_again_ns = time.monotonic_ns() + GO_OFF_NS
+            return "go: off and on again"
+        setattr(switches, verb, flag)
+        return f"{verb}: {'on' if flag else 'off'}"
+
+
+@contextlib.contextmanager
+def _signals(stop: Callable[[str], None]) -> Iterator[None]:
+    """Ctrl-C and a polite kill end the loop in order."""
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        stop(f"ended by {signal.Signals(number).name}")
+
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+# ---------------------------------------------------------------- the end
+
+
+def result_of(process: VcuProcess) -> dict[str, Any]:
+    """What a program wants to know of the session."""
+    world = process.world
+    verdict = world.verdict()
+    verdicts = world.verdicts if world.verdicts else [verdict]
+    return {
+        **verdict.as_dict(),
+        "result": "pass" if _passed(process) else "fail",
+        "missions": [each.as_dict() for each in verdicts],
+        "ended": process.why_ended,
+        "track": world.track.name,
+        "revision": world.setup.revision,
+        "profile": world.setup.profile,
+        "seed": world.setup.seed,
+        "sim_time_s": round((world.now_ns - world.setup.start_ns) / 1e9, 3),
+        "faults": list(world.faults()),
+        "transitions": [
+            {"t_s": round((each.t_ns - world.setup.start_ns) / 1e9, 3), "text": str(each)}
+            for each in world.vcu.transitions
+        ],
+        "handshake": world.handshake(),
+        "measurements": process.measurements(),
+        "frames_in": process.frames_in,
+        "frames_out": process.frames_out,
+        "frames_dropped": process.dropped,
+        "bus_losses": process.bus_losses,
+        "late_max_ms": round(process.late_max_ns / 1e6, 3),
+        "held_up_ms": round(process.held_up_ns / 1e6, 3),
+    }
+
+
+def _passed(process: VcuProcess) -> bool:
+    world = process.world
+    return world.done and all(verdict.passed for verdict in world.verdicts)
+
+
+def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
+    world = process.world
+    saved_all = True
+    verdicts: list[Verdict] = world.verdicts if world.verdicts else [world.verdict()]
+    result = result_of(process)
+    if args.result:
+        track = world.runs[0].track
+        saved = {
+            **result,
+            "cones": [
+                [round(float(x), 3), round(float(y), 3), int(color)]
+                for (x, y), color in zip(track.cones_xy_m, track.cone_colors, strict=True)
+            ],
+            "path": [asdict(sample) for sample in world.runs[0].samples],
+        }
+        try:
+            Path(args.result).write_text(json.dumps(saved) + "\n", encoding="utf-8")
+        except OSError as error:
+            print(f"{PROGRAM}: {args.result} cannot be written: {error.strerror}", file=sys.stderr)
+            saved_all = False
+    if args.plot:
+        from fsai_hil.simulator.plot import PlotError, save_plot
+
+        try:
+            save_plot(Path(args.plot), world.runs[0].track, world.runs[0].samples, verdicts[0])
+        except PlotError as error:
+            print(f"{PROGRAM}: {error}", file=sys.stderr)
+            saved_all = False
+    if args.auto or world.verdicts:
+        for verdict in verdicts:
+            print(verdict.summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
+    if args.json:
+        print(json.dumps(result), flush=True)
+    if not saved_all:
+        return 1
+    if not args.auto:
+        return 0
+    return 0 if _passed(process) else 130 if process.interrupted == "ended by SIGINT" else 1

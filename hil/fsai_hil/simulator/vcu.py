@@ -1,0 +1,796 @@
+"""The car's vehicle control unit, simulated: what it hears from the AI computer, decides, orders and says.
+
+Pure: frames and sensor readings in, frames and orders out, time an argument in integer nanoseconds. The state machine
+is the table of `as_machine.py`, the link's supervision `ai_link.py`, the power-up `power.py`, and how a VCU may differ
+`profiles.py`; this file puts them together.
+
+Source: the vehicle's interface specification v4.0 (2021) and the signal databases and documents of 2026.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from operator import attrgetter
+from types import MappingProxyType
+from typing import Final, cast
+
+from fsai_hil.simulator.ai_link import AiLink
+from fsai_hil.simulator.as_machine import (
+    CAR_FAULTS,
+    READY_STEER_DEG,
+    STANDING_RPM,
+    Row,
+    Situation,
+    ai_faults,
+    taken,
+    transition_table,
+)
+from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_hil.simulator.faults import FaultyWire
+from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
+from fsai_hil.simulator.indicators import DARK, Indicators, indicators
+from fsai_hil.simulator.power import (
+    INITIAL_ACTIONS_NS,
+    POWER_UP,
+    SELF_TEST_NS,
+    SHUTDOWN_NS,
+    EmergencyBrakeSystem,
+    SystemAction,
+    SystemState,
+    TractiveSystem,
+    op_state,
+)
+from fsai_hil.simulator.profiles import MS, SPECIFICATION, Profile
+from fsai_hil.simulator.switches import Switches
+from fsai_vcu.interface.bus_table import BY_NAME, Flow
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import (
+    AsState,
+    BrakeStatus,
+    Direction,
+    EbsState,
+    MissionStatus,
+    ShutdownCause,
+    SteeringStatus,
+    TsState,
+)
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import (
+    AiBrake,
+    AiDriveFront,
+    AiDriveRear,
+    AiImage,
+    AiStatus,
+    AiSteer,
+    Faults,
+    GpsImage,
+    Image,
+    LogDynamics1,
+    LogStatus,
+    VcuBrake,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuStatus,
+    VcuSteer,
+    VcuSystemStatus,
+    WheelCounts,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.signals import rows
+
+TORQUE_LIMIT_NM: Final = 195.0  # interface specification v4.0: axle torque request 0-195 Nm
+WHEEL_RPM_MOST: Final = 1250.0  # signal database: range of the wheel speeds
+KMH_PER_MPS: Final = 3.6
+# Each device hands its frames to the bus at once, and the bus puts them one behind the other.
+GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames
+
+
+@dataclass(frozen=True, slots=True)
+class Transition(Immutable):
+    """One change of the AS state and what brought it about."""
+
+    t_ns: int
+    source: AsState
+    target: AsState
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.source.label} -> {self.target.label}: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Message(Immutable):
+    """One cyclic message. `build` makes its image as it is at a time; None: the PCAN-GPS does."""
+
+    kind: type[Image]
+    period_ns: int
+    phase_ns: int
+    build: Callable[[SimulatedVcu, int], Image] | None
+
+
+class SimulatedVcu:
+    """A VCU on a car's bus.
+
+    Set `switches`, hand it the AI computer's frames, call `step` at least once a millisecond (or at `next_due_ns()`)
+    with what the car's sensors read; do what `actuation` orders. Faults of the wire go into `outgoing` (what the VCU
+    and the PCAN-GPS say) and `incoming` (what it hears).
+
+    `gps_decimation` and `log_decimation` stretch the periods of the PCAN-GPS's and the logging frames on machines that
+    cannot carry them all. Raises ValueError for an interface revision whose power-up is not known.
+    """
+
+    def __init__(
+        self,
+        codec: Codec,
+        revision: Revision,
+        profile: Profile = SPECIFICATION,
+        now_ns: int = 0,
+        gps: bool = True,
+        gps_decimation: int = 1,
+        log_decimation: int = 1,
+    ) -> None:
+        if revision.name not in POWER_UP:
+            raise ValueError(f"no power-up is known for revision {revision.name!r}: only for {', '.join(POWER_UP)}")
+        if gps_decimation < 1 or log_decimation < 1:
+            raise ValueError("a decimation is 1 or more")
+        self.codec = codec
+        self.revision = revision
+        self.profile = profile
+        self.power_up = POWER_UP[revision.name]
+        self.switches = Switches()
+        self.incoming = FaultyWire()
+        self.outgoing = FaultyWire()
+        self.transitions: list[Transition] = []
+        self.history: list[tuple[int, AsState]] = [(now_ns, self.power_up.first_state)]
+        self.response_times_ns: list[int] = []
+        self.comms_losses = 0  # how often AI_COMMS_LOST was raised
+        self.power_cycles = 0
+        self._now_ns = now_ns
+        self._feedback = CarFeedback()
+        self._motion = _motion(self._feedback)
+        self._circumstances: object = None  # of the last look
+        self._table = transition_table(profile)
+        self._ai_faults = ai_faults(profile)
+        self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
+        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS said last
+        self._powered = False
+        self._ebs_closed_itself = False
+        self._begin(now_ns)
+
+    def behave(self, profile: Profile) -> None:
+        """Behave otherwise from now on, as far as the state machine goes."""
+        self.profile = profile
+        self._table = transition_table(profile)
+        self._ai_faults = ai_faults(profile)
+        self._settled_until_ns = self._now_ns
+
+    # ------------------------------------------------------------ what it hears
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame of the AI computer has arrived, at its `t_ns`."""
+        if self.incoming.sound:
+            self._hear(frame)
+        else:
+            for arrived in self.incoming.through((frame,), frame.t_ns):
+                self._hear(arrived)
+
+    def _hear(self, frame: Frame) -> None:
+        if not self._powered or frame.can_id not in AI_IDS:
+            return
+        if self.power_up.ai_master_switch and not self.switches.aims:
+            return  # an AI computer without power says nothing
+        image = self.codec.decode(frame).image
+        if image is None:
+            return  # a malformed message is a missing one
+        self._now_ns = max(self._now_ns, frame.t_ns)
+        self._link.on_image(cast(AiImage, image), frame.t_ns)
+        # the VCU sees the five messages one after another: what meets between two of them has met
+        self._look(self._now_ns)
+
+    # ------------------------------------------------------------ what it does
+
+    def step(self, now_ns: int, feedback: CarFeedback) -> list[Frame]:
+        """Live on until `now_ns`, where the sensors read `feedback`; returns the frames sent, each with its time."""
+        self._feedback = feedback
+        self._motion = _motion(feedback)
+        if not self.incoming.sound:
+            for arrived in self.incoming.through((), now_ns):
+                self._hear(arrived)
+        self._now_ns = now_ns
+        if self.switches.lvms != self._powered:
+            if self.switches.lvms:
+                self._begin(now_ns)
+                self._powered = True
+            else:
+                self._power_off(now_ns)
+        sent: list[Frame] = []
+        if self._powered:
+            self._look(now_ns)
+            due = self._due
+            while due and due[0][0] <= now_ns:
+                t_ns, order = due[0]
+                message = self._messages[order]
+                heapq.heapreplace(due, (t_ns + message.period_ns, order))
+                sent.append(self._frame(message, t_ns))
+        if not self.outgoing.sound:
+            return self.outgoing.through(sent, now_ns)
+        return sent
+
+    def next_due_ns(self) -> int:
+        """When the next frame is due; a millisecond from now while the VCU has no power."""
+        return self._due[0][0] if self._powered else self._now_ns + MS
+
+    def _begin(self, now_ns: int) -> None:
+        """Everything as it is when low voltage comes on."""
+        self._powered_ns = now_ns
+        self._settled_until_ns = now_ns
+        self._link = AiLink(self.profile)
+        self._link.response_times_ns = self.response_times_ns
+        self._comms_were_lost = False
+        self._tractive_system = TractiveSystem(now_ns)
+        self._ebs = EmergencyBrakeSystem(now_ns)
+        self._device = PcanGps(now_ns)
+        self._situation = Situation()
+        self._latched: dict[str, bool] = {}
+        self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
+        self._state = self.power_up.first_state
+        self._state_since_ns = now_ns
+        self._go_before = True  # a Go that is on while the VCU starts is no rising edge
+        self._has_moved = False
+        self._power_cycle_needed = False
+        self._activated = False
+        self._tsms_was_on = False
+        self._shutdown_since_ns: int | None = None
+        self._held_steer_deg = self._feedback.steer_deg
+        self._due = [(now_ns + INITIAL_ACTIONS_NS + m.phase_ns, order) for order, m in enumerate(self._messages)]
+        heapq.heapify(self._due)
+
+    def _power_off(self, now_ns: int) -> None:
+        """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed anew."""
+        self._ebs_closed_itself |= self._ebs.state in (EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED)
+        self._powered = False
+        self.power_cycles += 1
+        self._change(now_ns, self.power_up.first_state, "LVMS off")
+
+    # ------------------------------------------------------------ deciding
+
+    def _look(self, now_ns: int) -> None:
+        """Look at everything once: subsystems first, then one row of the state machine.
+
+        Where the last look changed nothing, and nothing that it looked at has changed, this one would not either: that
+        saves nine looks of ten, which were a tenth of a simulation's time.
+        """
+        circumstances = (self._link.requests, self._motion, _positions(self.switches))
+        if now_ns < self._settled_until_ns and circumstances == self._circumstances:
+            return
+        before = (self._state, self._tractive_system.state, self._ebs.state, self._go_before)
+        took = self._look_closely(now_ns)
+        after = (self._state, self._tractive_system.state, self._ebs.state, self._go_before)
+        self._circumstances = circumstances
+        self._settled_until_ns = now_ns if took or before != after else self._next_change_ns(now_ns)
+
+    def _next_change_ns(self, now_ns: int) -> int:
+        """Until when looking again changes nothing, if nothing else changes."""
+        if (
+            not self._activated
+            or self._comms_were_lost
+            or self._tractive_system.state in PASSING_TRACTIVE_STATES
+            or self._ebs.state in PASSING_EBS_STATES
+        ):
+            return now_ns
+        profile = self.profile
+        # A handshake that toggles after this look is missed at the earliest so much later.
+        change_ns = min(self._link.deadline_ns(), now_ns + profile.echo_timeout_ns)
+        for timer_ns in (profile.ready_wait_ns, profile.emergency_timer_ns):
+            over_ns = self._state_since_ns + timer_ns
+            if now_ns < over_ns < change_ns:
+                change_ns = over_ns
+        return change_ns
+
+    def _look_closely(self, now_ns: int) -> bool:
+        """Whether a row of the state machine was taken."""
+        switches, link, s = self.switches, self._link, self._situation
+        comms_lost = link.lost(now_ns)
+        if comms_lost and not self._comms_were_lost:
+            self.comms_losses += 1
+        self._comms_were_lost = comms_lost
+        sdc_open = self.sdc_open
+        self._follow_power(now_ns, sdc_open)
+
+        rpm = self._feedback.wheel_rpm
+        s.fastest_wheel_rpm = max(rpm)
+        s.slowest_wheel_rpm = min(rpm)
+        s.steer_deg = self._feedback.steer_deg
+        s.asms = switches.asms
+        s.tsms = switches.tsms
+        s.go = self.go_signal
+        s.go_rising = s.go and not self._go_before
+        self._go_before = s.go
+        s.ami = switches.ami
+        s.sdc_open = sdc_open
+        s.ebs_armed = self._ebs.armed
+        s.ebs_unavailable = not s.ebs_armed
+        s.tractive_system_running = self._tractive_system.running
+        s.power_cycle_needed = self._power_cycle_needed
+        s.hvil_open = switches.hvil_open
+        s.hvil_short = switches.hvil_short
+        s.ebs_fault = switches.ebs_fault
+        s.offboard_charger_fault = switches.offboard_charger_fault
+        s.charge_procedure_fault = switches.charge_procedure_fault
+        s.bms_fault = switches.bms_fault
+        s.comms_lost = comms_lost
+        s.estop_request, status, s.direction, s.torque_requested, s.brake_requested, s.steer_requested = link.requests
+        # what was said before the link was lost acknowledges nothing
+        s.mission_status = MissionStatus.NOT_SELECTED if comms_lost else status
+        in_state_ns = now_ns - self._state_since_ns
+        s.ready_wait_over = in_state_ns >= self.profile.ready_wait_ns
+        s.emergency_timer_over = in_state_ns >= self.profile.emergency_timer_ns
+
+        if s.fastest_wheel_rpm >= STANDING_RPM and self._state is AsState.AS_DRIVING:
+            self._has_moved = True
+        row = taken(self._table, self._state, s)
+        if row is not None:
+            self._take(row, now_ns)
+        return row is not None
+
+    def _take(self, row: Row, now_ns: int) -> None:
+        if row.fault is not None:
+            self._latched[row.fault.name] = True
+            self.shutdown_cause = row.fault.cause
+        if row.target is AsState.EMERGENCY_BRAKE:
+            self._power_cycle_needed = True
+        if row.source is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
+            self._power_cycle_needed = True
+        if row.reset:
+            self._latched.clear()
+            self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
+            self._power_cycle_needed = False
+        if row.source is AsState.AS_DRIVING:
+            self._held_steer_deg = self._steer_target_deg()
+        elif row.source is AsState.AS_READY:
+            self._held_steer_deg = 0.0
+        self._has_moved = False
+        self._change(now_ns, row.target, row.why)
+        self._follow_power(now_ns, self.sdc_open)
+
+    def _change(self, now_ns: int, target: AsState, why: str) -> None:
+        if target is not self._state:
+            self.transitions.append(Transition(now_ns, self._state, target, why))
+            self.history.append((now_ns, target))
+        self._state = target
+        self._state_since_ns = now_ns
+        self._settled_until_ns = now_ns
+
+    def _follow_power(self, now_ns: int, sdc_open: bool) -> None:
+        """Shutdown, tractive system and EBS follow the switches, the shutdown circuit and the state."""
+        switches = self.switches
+        if switches.tsms:
+            self._tsms_was_on = True
+        elif self._tsms_was_on and self._shutdown_since_ns is None:
+            self._shutdown_since_ns = now_ns
+        if not self._activated:
+            self._activated = not self._booting(now_ns) and self._link.valid(now_ns)
+        emergency = self._state is AsState.EMERGENCY_BRAKE
+        alive = (
+            self._activated
+            and switches.tsms
+            and self._shutdown_since_ns is None
+            and not sdc_open
+            and not emergency
+            and not self._power_cycle_needed
+        )
+        self._tractive_system.update(now_ns, alive, switches.bms_fault or switches.hvil_open or switches.hvil_short)
+        self._ebs.update(now_ns, alive and switches.asms, switches.ebs_fault, emergency)
+        self._ebs_closed_itself &= not self._ebs.armed
+
+    def _booting(self, now_ns: int) -> bool:
+        return now_ns - self._powered_ns < INITIAL_ACTIONS_NS + SELF_TEST_NS
+
+    # ------------------------------------------------------------ what can be read
+
+    @property
+    def powered(self) -> bool:
+        """Low voltage is on: the VCU runs and speaks."""
+        return self._powered
+
+    @property
+    def state(self) -> AsState:
+        return self._state
+
+    @property
+    def in_state_ns(self) -> int:
+        return self._now_ns - self._state_since_ns
+
+    @property
+    def go_signal(self) -> bool:
+        """The remote's Go as the VCU receives it."""
+        return self.switches.go and self.switches.remote_radio_ok
+
+    @property
+    def sdc_open(self) -> bool:
+        """Interface specification v4.0: what opens the shutdown circuit."""
+        s = self.switches
+        return (
+            s.remote_estop
+            or not s.remote_radio_ok
+            or s.car_estop
+            or s.crash
+            or not s.dongle
+            or s.bms_fault
+            or s.hvil_open
+            or s.hvil_short
+            or s.ebs_fault
+            or s.offboard_charger_fault
+            or s.charge_procedure_fault
+        )
+
+    @property
+    def comms_lost(self) -> bool:
+        """AI_COMMS_LOST now."""
+        return self._powered and self._link.lost(self._now_ns)
+
+    @property
+    def handshake(self) -> bool:
+        """The HANDSHAKE bit that the VCU sends at present."""
+        return self._link.bit
+
+    @property
+    def faults(self) -> Faults:
+        """The fault bits of 0x520: those that stopped the car until power is cycled, and those that are there now."""
+        s, latched = self.switches, self._latched
+        return Faults(
+            ai_estop_request=latched.get("ai_estop_request", False),
+            hvil_open=s.hvil_open or latched.get("hvil_open", False),
+            hvil_short=s.hvil_short or latched.get("hvil_short", False),
+            ebs=s.ebs_fault or latched.get("ebs", False),
+            offboard_charger=s.offboard_charger_fault or latched.get("offboard_charger", False),
+            ai_comms_lost=self.comms_lost or latched.get("ai_comms_lost", False),
+            autonomous_braking=latched.get("autonomous_braking", False),
+            mission_status=latched.get("mission_status", False),
+            charge_procedure=s.charge_procedure_fault or latched.get("charge_procedure", False),
+            bms=s.bms_fault or latched.get("bms", False),
+            brake_plausibility=latched.get("brake_plausibility", False),
+        )
+
+    @property
+    def power_cycle_needed(self) -> bool:
+        """The car will not get ready again before LVMS has been off."""
+        return self._power_cycle_needed
+
+    @property
+    def system_state(self) -> SystemState:
+        """SM_SYS of 0x120."""
+        since_ns = self._now_ns - self._powered_ns
+        if since_ns < INITIAL_ACTIONS_NS:
+            return SystemState.INITIAL_ACTIONS
+        if since_ns < INITIAL_ACTIONS_NS + SELF_TEST_NS:
+            return SystemState.POWER_ON_SELF_TEST
+        if self._shutdown_since_ns is not None:
+            over = self._now_ns - self._shutdown_since_ns >= SHUTDOWN_NS
+            return SystemState.SHUTDOWN_OFF if over else SystemState.SHUTDOWN
+        if not self._activated:
+            return SystemState.AUX
+        if self._tractive_system.running or self._state is not AsState.AS_OFF or self._power_cycle_needed:
+            return SystemState.DRIVE_AUTONOMOUS
+        return SystemState.POWERTRAIN_ENABLE
+
+    @property
+    def mission_selectable(self) -> bool:
+        """The display offers the missions: the VCU is ready to drive autonomously and no mission is under way."""
+        return (
+            self._powered
+            and self._state is AsState.AS_OFF
+            and self._tractive_system.running
+            and self._shutdown_since_ns is None
+        )
+
+    @property
+    def shut_down(self) -> bool:
+        """SHUTDOWN_OFF: the low-voltage master switch may be turned off."""
+        return not self._powered or (
+            self._shutdown_since_ns is not None and self._now_ns - self._shutdown_since_ns >= SHUTDOWN_NS
+        )
+
+    @property
+    def indicators(self) -> Indicators:
+        if not self._powered:
+            return DARK
+        return indicators(
+            self._state,
+            self.in_state_ns,
+            self.profile.ready_wait_ns,
+            self.profile.emergency_timer_ns,
+            self._has_moved,
+            self._tractive_system.live,
+        )
+
+    # ------------------------------------------------------------ what it orders
+
+    @property
+    def torque_max_nm(self) -> tuple[float, float]:
+        """FRONT_ and REAR_AXLE_TRQ_MAX: nothing without the tractive system or without a motor."""
+        if not (self._powered and self._tractive_system.running):
+            return 0.0, 0.0
+        derated = self.switches.torque_limit_nm
+        most = TORQUE_LIMIT_NM if derated is None else min(TORQUE_LIMIT_NM, max(0.0, derated))
+        return (most if self.power_up.front_axle_driven else 0.0), most
+
+    @property
+    def steer_max_deg(self) -> float:
+        """ANGLE_MAX."""
+        derated, most = self.switches.steer_limit_deg, self.revision.steer_limit_deg
+        return most if derated is None else min(most, max(0.0, derated))
+
+    def _steer_target_deg(self) -> float:
+        most = self.steer_max_deg
+        target = min(most, max(-most, self._link.steer.steer_deg))
+        return float(round(target)) if self.profile.whole_degree_steering else target
+
+    @property
+    def actuation(self) -> Actuation:
+        """The orders of this instant.
+
+        Torque and steering requests count only in AS_DRIVING. Before it the wheels are held straight; after it, where
+        they were. The brake request counts always; the EBS closes the brakes whatever is asked.
+        """
+        if not self._powered:
+            return Actuation(steer_deg=self._held_steer_deg, ebs_engaged=self._ebs_closed_itself)
+        link, state, profile = self._link, self._state, self.profile
+        closed = self._ebs_closed_itself or state is AsState.EMERGENCY_BRAKE
+        brake = link.brake
+        front_brake, rear_brake = brake.front_pct, brake.rear_pct
+        if closed or (profile.brakes_fully_when_neutral and link.status.direction is Direction.NEUTRAL):
+            front_brake = rear_brake = 100.0
+        live = self._tractive_system.live
+        if state is not AsState.AS_DRIVING:
+            steer = 0.0 if state is AsState.AS_READY else self._held_steer_deg
+            return Actuation(steer, 0.0, 0.0, 0, 0, front_brake, rear_brake, closed, live)
+        front_torque = rear_torque = 0.0
+        braking = front_brake > 0.0 or rear_brake > 0.0  # interface specification v4.0: braking has priority
+        if link.status.direction is Direction.FORWARD and not braking:
+            front_max, rear_max = self.torque_max_nm
+            rear_torque = min(rear_max, link.drive_rear.torque_nm)
+            if not profile.rear_torque_only:
+                front_torque = min(front_max, link.drive_front.torque_nm)
+        return Actuation(
+            self._steer_target_deg(),
+            front_torque,
+            rear_torque,
+            link.drive_front.motor_speed_max_rpm,
+            link.drive_rear.motor_speed_max_rpm,
+            front_brake,
+            rear_brake,
+            False,
+            live,
+        )
+
+    # ------------------------------------------------------------ what it says
+
+    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_Message, ...]:
+        """Everything that is sent in this revision, 0x520 first."""
+        decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
+        if gps:
+            decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
+        declared = {row.image: BY_NAME[row.message] for row in rows(self.codec.mapping)}
+        messages: list[_Message] = []
+        for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
+            message = declared[kind]
+            if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
+                continue
+            phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0
+            period_ns = message.period_ns[self.revision.name] * decimation.get(kind, 1)
+            messages.append(_Message(kind, period_ns, phase_ns, BUILDERS.get(kind)))
+        return tuple(messages)
+
+    def _frame(self, message: _Message, t_ns: int) -> Frame:
+        if message.build is not None:
+            return self.codec.encode(message.build(self, t_ns))
+        # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
+        image = self._device.image(cast("type[GpsImage]", message.kind), t_ns, self._feedback)
+        last = self._repeated.get(message.kind)
+        if last is not None and image is last[0]:
+            return Frame(last[1].can_id, last[1].data, t_ns)
+        encoded = self.codec.encode(image)
+        self._repeated[message.kind] = (image, encoded)
+        return encoded if encoded.t_ns == t_ns else Frame(encoded.can_id, encoded.data, t_ns)
+
+    def _warnings(self) -> dict[str, bool]:
+        """The AI computer's faults where they do not stop the car: outside AS_DRIVING they are warnings."""
+        return {fault.name: fault.when(self._situation) for fault in self._ai_faults}
+
+    def _status_image(self, t_ns: int) -> VcuStatus:
+        s, profile = self.switches, self.profile
+        shutting_down = self._shutdown_since_ns is not None
+        faults = self.faults
+        hidden = profile.as_state_zero_without_asms and not s.asms
+        ops = self.power_up.sends_op_states
+        booting = self._booting(t_ns)
+        return VcuStatus(
+            handshake=self._link.next_bit(t_ns),
+            shutdown_request=shutting_down,
+            as_switch=s.asms,
+            ts_switch=s.tsms,
+            go_signal=self.go_signal,
+            steering_status=SteeringStatus.ACTIVE if self._steering_active() else SteeringStatus.OFF,
+            as_state=AsState.AS_INIT if hidden else self._state,
+            ami=s.ami,
+            fault=bool(self._latched) or self.comms_lost or any(fault.when(self._situation) for fault in CAR_FAULTS),
+            warning=s.batt_temp_high or s.batt_soc_low,
+            warn_batt_temp_high=s.batt_temp_high,
+            warn_batt_soc_low=s.batt_soc_low,
+            faults=faults,
+            shutdown_cause=self.shutdown_cause,
+            op_state=op_state(booting, any(f.when(self._situation) for f in CAR_FAULTS)) if ops else None,
+            ts_state=self._tractive_system.state if ops else None,
+            ebs_state=self._ebs.state if ops else None,
+            t_rx_ns=t_ns,
+        )
+
+    def _steering_active(self) -> bool:
+        return (
+            self.switches.asms
+            and not self.switches.steering_fault
+            and self._tractive_system.running
+            and self._state is not AsState.EMERGENCY_BRAKE
+        )
+
+    def _drive_front_image(self, t_ns: int) -> VcuDriveFront:
+        request = min(TORQUE_LIMIT_NM, self._link.drive_front.torque_nm)
+        return VcuDriveFront(_torque(self._feedback.front_torque_nm), request, self.torque_max_nm[0], t_ns)
+
+    def _drive_rear_image(self, t_ns: int) -> VcuDriveRear:
+        request = min(TORQUE_LIMIT_NM, self._link.drive_rear.torque_nm)
+        return VcuDriveRear(_torque(self._feedback.rear_torque_nm), request, self.torque_max_nm[1], t_ns)
+
+    def _steer_image(self, t_ns: int) -> VcuSteer:
+        most = self.revision.steer_limit_deg
+        angle = min(most, max(-most, self._feedback.steer_deg))
+        request = min(most, max(-most, self._link.steer.steer_deg))
+        return VcuSteer(angle, self.steer_max_deg, request, t_ns)
+
+    def _brake_image(self, t_ns: int) -> VcuBrake:
+        known = self.profile.sends_brake_and_ebs_status
+        requested = self._link.brake
+        return VcuBrake(
+            _percent(self._feedback.front_brake_pct),
+            _percent(requested.front_pct),
+            _percent(self._feedback.rear_brake_pct),
+            _percent(requested.rear_pct),
+            self._brake_status(t_ns) if known else BrakeStatus.INITIALISING,  # 0 on the wire
+            self._ebs.status if known else None,
+            t_ns,
+        )
+
+    def _brake_status(self, t_ns: int) -> BrakeStatus:
+        if self.switches.brake_fault:
+            return BrakeStatus.FAULT
+        if self._booting(t_ns):
+            return BrakeStatus.INITIALISING
+        if self._shutdown_since_ns is None:
+            return BrakeStatus.READY
+        return BrakeStatus.SHUTDOWN_COMPLETE if self.shut_down else BrakeStatus.SHUTTING_DOWN
+
+    def _speeds_image(self, t_ns: int) -> WheelSpeeds:
+        fl, fr, rl, rr = self._feedback.wheel_rpm
+        return WheelSpeeds(_rpm(fl), _rpm(fr), _rpm(rl), _rpm(rr), t_ns)
+
+    def _counts_image(self, t_ns: int) -> WheelCounts:
+        fl, fr, rl, rr = self._feedback.pulses
+        return WheelCounts(fl & 0xFFFF, fr & 0xFFFF, rl & 0xFFFF, rr & 0xFFFF, t_ns)
+
+    def _system_image(self, t_ns: int) -> VcuSystemStatus:
+        link, warned = self._link, self._warnings()
+        state = self.system_state
+        if state <= SystemState.AUX:
+            action = SystemAction.INITIALISE
+        else:
+            ending = state in (SystemState.SHUTDOWN, SystemState.SHUTDOWN_OFF)
+            action = SystemAction.SHUTDOWN if ending else SystemAction.DRIVE_AUTO
+        return VcuSystemStatus(
+            sm_sys=state,
+            sm_as=self._state,
+            sys_action_state=action,
+            status_timeout=link.missing(AiStatus, t_ns),
+            drive_front_timeout=link.missing(AiDriveFront, t_ns),
+            drive_rear_timeout=link.missing(AiDriveRear, t_ns),
+            steer_timeout=link.missing(AiSteer, t_ns),
+            brake_timeout=link.missing(AiBrake, t_ns),
+            handshake_timeout=link.echo_missing(t_ns),
+            warn_brake_plausibility=warned["brake_plausibility"],
+            warn_ai_estop_req=warned["ai_estop_request"],
+            warn_ai_comms_lost=warned["ai_comms_lost"],
+            warn_auto_braking=warned["autonomous_braking"],
+            warn_mission_status=warned["mission_status"],
+            t_rx_ns=t_ns,
+        )
+
+    def _log_dynamics_image(self, t_ns: int) -> LogDynamics1:
+        order, car = self.actuation, self._feedback
+        return LogDynamics1(
+            speed_actual_kmh=round(car.speed_mps * KMH_PER_MPS),
+            speed_target_kmh=self._link.status.speed_demand_kmh,
+            steer_actual_deg=car.steer_deg,
+            steer_target_deg=order.steer_deg,
+            brake_actual_pct=round(max(car.front_brake_pct, car.rear_brake_pct)),
+            brake_target_pct=round(max(order.front_brake_pct, order.rear_brake_pct)),
+            torque_actual_pct=round(_torque_pct(car.front_torque_nm, car.rear_torque_nm)),
+            torque_target_pct=round(_torque_pct(order.front_torque_nm, order.rear_torque_nm)),
+            t_rx_ns=t_ns,
+        )
+
+    def _log_status_image(self, t_ns: int) -> LogStatus:
+        status = self._link.status
+        braking = max(self._feedback.front_brake_pct, self._feedback.rear_brake_pct) > 0.0
+        ready = self._brake_status(t_ns) is BrakeStatus.READY
+        return LogStatus(
+            assi=max(int(self._state), int(AsState.AS_OFF)),
+            ebs=self._ebs.status,
+            ami=self.switches.ami,
+            steering=int(self._steering_active()),
+            service_brake=LOG_BRAKE_ENGAGED if braking else LOG_BRAKE_AVAILABLE if ready else LOG_BRAKE_DISENGAGED,
+            lap_counter=status.lap_counter,
+            cones_count_actual=status.cones_count_actual,
+            cones_count_all=status.cones_count_all,
+            t_rx_ns=t_ns,
+        )
+
+
+BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = MappingProxyType(
+    {
+        VcuStatus: SimulatedVcu._status_image,
+        VcuDriveFront: SimulatedVcu._drive_front_image,
+        VcuDriveRear: SimulatedVcu._drive_rear_image,
+        VcuSteer: SimulatedVcu._steer_image,
+        VcuBrake: SimulatedVcu._brake_image,
+        WheelSpeeds: SimulatedVcu._speeds_image,
+        WheelCounts: SimulatedVcu._counts_image,
+        VcuSystemStatus: SimulatedVcu._system_image,
+        LogDynamics1: SimulatedVcu._log_dynamics_image,
+        LogStatus: SimulatedVcu._log_status_image,
+    }
+)
+
+_positions: Final = attrgetter(*(field.name for field in fields(Switches)))
+
+# States which pass by themselves.
+PASSING_TRACTIVE_STATES: Final = frozenset({TsState.TS_PRECHARGE, TsState.TS_ACTIVATE})
+PASSING_EBS_STATES: Final = frozenset({EbsState.EBS_INIT, EbsState.EBS_CHARGING, EbsState.EBS_DISCHARGING})
+
+
+def _motion(feedback: CarFeedback) -> tuple[bool, bool, bool, bool]:
+    """What the state machine distinguishes of the car's motion and steering."""
+    rpm = feedback.wheel_rpm
+    fastest = max(rpm)
+    return (
+        fastest > STANDING_RPM,
+        fastest < STANDING_RPM,
+        min(rpm) > STANDING_RPM,
+        abs(feedback.steer_deg) < READY_STEER_DEG,
+    )
+
+
+# signal database: State_service_brake of 0x502
+LOG_BRAKE_DISENGAGED: Final = 1
+LOG_BRAKE_ENGAGED: Final = 2
+LOG_BRAKE_AVAILABLE: Final = 3
+
+
+def _torque(value_nm: float) -> float:
+    return min(TORQUE_LIMIT_NM, max(-TORQUE_LIMIT_NM, value_nm))
+
+
+def _torque_pct(front_nm: float, rear_nm: float) -> float:
+    return min(100.0, 100.0 * max(abs(front_nm), abs(rear_nm)) / TORQUE_LIMIT_NM)
+
+
+def _percent(value: float) -> float:
+    return min(100.0, max(0.0, value))
+
+
+def _rpm(value: float) -> int:
+    return round(min(WHEEL_RPM_MOST, max(0.0, value)))

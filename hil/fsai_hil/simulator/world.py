@@ -1,0 +1,307 @@
+"""The whole far side of the bus in virtual time: car, VCU, track, cone sensor, judge and the person with the switches.
+
+Pure: frames in, frames out, the time an argument. The same object runs in lockstep and, told the monotonic clock, as a
+process on a bus. Deterministic: the same setup and the same frames at the same times give the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.simulator.car import Car, car_model
+from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_hil.simulator.faults import FrameFault
+from fsai_hil.simulator.ground_truth import Truth
+from fsai_hil.simulator.judge import Judge, JudgeSettings, Verdict, check_track
+from fsai_hil.simulator.operator import At, Operator
+from fsai_hil.simulator.profiles import profile as profile_named
+from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
+from fsai_hil.simulator.tracks import MISSION_TRACK, Track, load_track
+from fsai_hil.simulator.vcu import SimulatedVcu
+from fsai_vcu.core.driving import ConeObservation
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.revisions import revision as revision_named
+
+STEP_NS: Final = 2_000_000  # the grid on which the VCU looks and the car moves on
+LOOK_NS: Final = 10_000_000  # judge and operator
+SAMPLE_NS: Final = 50_000_000  # what is kept for the plot
+STANDSTILL_STATES: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF})
+STATIC_INSPECTIONS: Final = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldSetup:
+    """What a world is made of. The defaults drive one mission on its own built-in track, by themselves.
+
+    `missions` are driven one after another without a restart of anything; the first decides what `track` must be, and
+    a mission that cannot be driven on it gets its own built-in one. Names are checked by `World`.
+    """
+
+    missions: Sequence[Ami]
+    track: Track | None = None  # None: the first mission's own
+    revision: str = "2026"
+    profile: str = "specification"
+    seed: int = 0
+    laps: int | None = None  # of a trackdrive; None: ten
+    auto: bool = True  # somebody walks the switches; else nobody does
+    noise_level: float = 1.0
+    sensor: SensorSettings | None = None  # None: the ordinary sensor at `noise_level`
+    judge: JudgeSettings | None = None
+    gps: bool = True
+    gps_decimation: int = 1
+    log_decimation: int = 1
+    at: Sequence[At] = ()  # switches and buttons at moments of the run
+    outgoing_faults: Sequence[FrameFault] = ()  # on what the car says
+    incoming_faults: Sequence[FrameFault] = ()  # on what the car hears
+    dbc_paths: Sequence[Path] | None = None
+    start_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Sample(Immutable):
+    """One point of the driven path."""
+
+    t_s: float
+    x_m: float
+    y_m: float
+    speed_mps: float
+    steer_deg: float
+    as_state: int
+
+
+@dataclass
+class _Run:
+    """One mission of the sequence."""
+
+    mission: Ami
+    track: Track
+    judge: Judge
+    sensor: ConeSensor
+    samples: list[Sample] = field(default_factory=list)
+
+
+class World:
+    """Composes everything on the car's side.
+
+    Give it the AI computer's frames, let it `advance`, pass on what the car says, ask it for cones.
+    Raises ValueError (TrackError is one) for a setup that cannot be built.
+    """
+
+    def __init__(self, setup: WorldSetup, codec: Codec | None = None) -> None:
+        if not setup.missions:
+            raise ValueError("no mission to drive")
+        if setup.seed < 0:
+            raise ValueError(f"seed is {setup.seed}, but must be 0 or more")
+        self.setup = setup
+        profile = profile_named(setup.profile)
+        revision = revision_named(setup.revision)
+        self.codec = codec if codec is not None else Codec(revision, setup.dbc_paths)
+        self.vcu = SimulatedVcu(
+            self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
+        )
+        for fault in setup.outgoing_faults:
+            self.vcu.outgoing.add(fault)
+        for fault in setup.incoming_faults:
+            self.vcu.incoming.add(fault)
+        self.model = car_model(setup.revision, profile.simulators_car)
+        self.car = Car(self.model, now_ns=setup.start_ns)
+        self.operator = Operator.auto(setup.revision, setup.missions, setup.at) if setup.auto else Operator(at=setup.at)
+        self._sensor_settings = setup.sensor or SensorSettings(noise_level=setup.noise_level)
+        self._judge_settings = _judge_settings(setup)
+        self._first_track = setup.track or load_track(MISSION_TRACK[_a_mission(setup.missions[0])])
+        self._now_ns = setup.start_ns
+        self._next_look_ns = setup.start_ns
+        self._next_sample_ns = setup.start_ns
+        self.verdicts: list[Verdict] = []  # of the runs that are over
+        self.runs: list[_Run] = []
+        self._spoken_to = False
+        # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
+        self.actuator_faults: list[Callable[[Actuation, int], Actuation]] = []
+        self.sensor_faults: list[Callable[[CarFeedback, int], CarFeedback]] = []
+        self._run = self._stage(setup.missions[0])
+
+    # ------------------------------------------------------------ what goes in
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame from the AI computer arrives at `frame.t_ns`."""
+        self.vcu.on_frame(frame)
+        self._spoken_to = True
+
+    def advance(self, to_ns: int) -> list[Frame]:
+        """Live on until `to_ns`; what the car has said meanwhile, each frame with its time, in order.
+
+        The world moves in steps of a fixed grid, so it does not matter in what portions time is handed over.
+        """
+        sent: list[Frame] = []
+        now = self._now_ns + STEP_NS
+        while now <= to_ns:
+            self._now_ns = now
+            if now >= self._next_look_ns or self._spoken_to or self.vcu.next_due_ns() <= now:
+                self._spoken_to = False
+                self._step(now, sent)
+            now += STEP_NS
+        return sent
+
+    def _step(self, now: int, sent: list[Frame]) -> None:
+        order = self.vcu.actuation
+        for actuator in self.actuator_faults:
+            order = actuator(order, now)
+        self.car.advance(now, order)
+        feedback = self.car.feedback()
+        for sensor in self.sensor_faults:
+            feedback = sensor(feedback, now)
+        sent += self.vcu.step(now, feedback)
+        if now >= self._next_look_ns:
+            self._next_look_ns += LOOK_NS
+            self._look(now)
+
+    def _look(self, now: int) -> None:
+        self.operator.act(now, self.vcu)
+        state = self.vcu.state
+        run = self._run
+        if now >= self._next_sample_ns or (run.samples and run.samples[-1].as_state != state):
+            self._next_sample_ns = now + SAMPLE_NS
+            self._sample(now, state)
+        if not run.judge.done:
+            run.judge.observe(self.car.truth(), state, self.vcu.shutdown_cause)
+            if run.judge.done:
+                self.verdicts.append(run.judge.verdict())
+        self._follow_display(state)
+
+    def _sample(self, now: int, state: AsState) -> None:
+        pose = self.car.pose
+        t_s = (now - self.setup.start_ns) / 1e9
+        point = Sample(t_s, pose.x_m, pose.y_m, self.car.speed_mps, self.car.truth().steer_deg, int(state))
+        self._run.samples.append(point)
+
+    def _follow_display(self, state: AsState) -> None:
+        """People bring the car to its start when it is off: for a mission newly chosen on the display, and after a run
+        (the same mission may be driven twice)."""
+        if state not in STANDSTILL_STATES or not self.car.standing:
+            return
+        run, ami = self._run, self.vcu.switches.ami
+        over = run.judge.done and not (self.setup.auto and self.done)
+        if over or (ami is not run.mission and ami is not Ami.NOT_SELECTED and not run.judge.done):
+            self._run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
+
+    def _stage(self, mission: Ami) -> _Run:
+        track = self._first_track
+        again = bool(self.runs)
+        if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
+            track = load_track(MISSION_TRACK[mission])
+        judge = Judge(track, mission, self.model, self._judge_settings, self._now_ns, self.setup.start_ns)
+        sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
+        self.car.place(track.staging(mission, self.model.nose_m), mission in STATIC_INSPECTIONS)
+        run = _Run(mission, track, judge, sensor)
+        if again and self.runs[-1].judge.waiting:
+            self.runs.pop()  # nobody drove it
+        self.runs.append(run)
+        return run
+
+    # ------------------------------------------------------------ what can be seen
+
+    @property
+    def now_ns(self) -> int:
+        """The last step: the instant of everything that can be seen."""
+        return self._now_ns
+
+    def next_due_ns(self) -> int:
+        """When the car next has something to say or to do, as things stand: advance at the latest then."""
+        due_ns = min(self.vcu.next_due_ns(), self._next_look_ns)
+        steps = max(1, -((self._now_ns - due_ns) // STEP_NS))
+        return self._now_ns + steps * STEP_NS
+
+    def see_cones(self, t_ns: int) -> ConeObservation:
+        """What the cone sensor reports of the present instant: raw, noisy, in the vehicle frame, stamped `t_ns`."""
+        return self._run.sensor.see(self.car.pose, t_ns)
+
+    @property
+    def track(self) -> Track:
+        return self._run.track
+
+    @property
+    def mission(self) -> Ami:
+        return self._run.mission
+
+    @property
+    def judge(self) -> Judge:
+        return self._run.judge
+
+    @property
+    def samples(self) -> Sequence[Sample]:
+        """The path driven in the present run."""
+        return self._run.samples
+
+    @property
+    def truth(self) -> Truth:
+        car = self.car.truth()
+        return Truth(
+            t_ns=car.t_ns,
+            x_m=car.pose.x_m,
+            y_m=car.pose.y_m,
+            yaw_rad=car.pose.yaw_rad,
+            speed_mps=car.speed_mps,
+            yaw_rate_radps=car.yaw_rate_radps,
+            steer_deg=car.steer_deg,
+            as_state=self.vcu.state.label,
+            mission=self._run.mission.name.lower(),
+            track=self._run.track.source,
+            seed=self.setup.seed,
+            laps=self._run.judge.laps,
+        )
+
+    @property
+    def done(self) -> bool:
+        """Every mission that was asked for has been judged."""
+        return len(self.verdicts) >= len(self.setup.missions)
+
+    def verdict(self) -> Verdict:
+        """The latest run's verdict: of the run in hand, or of the last one while none has begun anew."""
+        if not self._run.judge.done and self._run.judge.waiting and self.verdicts:
+            return self.verdicts[-1]
+        return self._run.judge.verdict()
+
+    def handshake(self) -> dict[str, Any]:
+        """How fast the AI computer echoed the handshake, as scrutineering measures it."""
+        times = ResponseTimes(self.vcu.response_times_ns).as_dict()
+        if not times["count"]:
+            return {"echoes": 0}
+        return {
+            "echoes": times["count"],
+            "median_ms": times["p50_ms"],
+            "p99_ms": times["p99_ms"],
+            "p999_ms": times["p999_ms"],
+            "max_ms": times["max_ms"],
+        }
+
+    def faults(self) -> tuple[str, ...]:
+        """The fault bits that the car shows now, by name."""
+        faults = self.vcu.faults
+        return tuple(bit.name for bit in fields(faults) if getattr(faults, bit.name))
+
+
+def _a_mission(mission: Ami) -> Ami:
+    if mission is Ami.NOT_SELECTED:
+        raise ValueError("NOT_SELECTED is no mission")
+    return mission
+
+
+def _judge_settings(setup: WorldSetup) -> JudgeSettings:
+    settings = setup.judge or JudgeSettings(start_timeout_s=120.0 if setup.auto else None)
+    return settings if setup.laps is None else replace(settings, laps=setup.laps)
+
+
+def mission_named(name: str) -> Ami:
+    """The mission of that name in any case; ValueError lists the valid ones."""
+    known = {ami.name.lower(): ami for ami in Ami if ami is not Ami.NOT_SELECTED}
+    try:
+        return known[name.strip().lower()]
+    except KeyError:
+        raise ValueError(f"unknown mission {name!r}: choose one of {', '.join(known)}") from None

@@ -1,0 +1,91 @@
+"""What the bridge has to say that is new: its reports turned into lines for the log. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.core.supervision.reasons import Reason, words_of
+from fsai_vcu.diagnostics.explain.causes import CAUSES, SHUTDOWN
+from fsai_vcu.interface.enums import AsState
+
+SAME_REASON_EVERY_NS = 1_000_000_000
+_STALE = Reason.COMMAND_STALE.slug
+_LATE_LOOP = Reason.LOOP_FAULT.slug
+
+Level = Literal["info", "warning", "error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    text: str
+    level: Level = "info"
+
+
+class News:
+    """Each change once; a reason that keeps coming up, once a second with its count."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, str] = {}
+        self._counts: dict[str, int] = {}
+        self._said_ns: dict[str, int] = {}
+
+    def of(self, report: BridgeReport, whose_silence: Callable[[], str]) -> list[Line]:
+        """`whose_silence` is asked where the vehicle command is stale: it says which input is missing."""
+        lines = [
+            Line(text, level)
+            for key, text, quiet, level in self._facts(report)
+            if self._changed(key, text) and not quiet
+        ]
+        # The reason is counted in AS_DRIVING only; the report counts every missed deadline.
+        counts = {**report.reason_counts, _LATE_LOOP: report.loop_faults}
+        for slug, count in counts.items():
+            said_ns = self._said_ns.get(slug)
+            more = count - self._counts.get(slug, 0)
+            if not more or (said_ns is not None and report.t_ns - said_ns < SAME_REASON_EVERY_NS):
+                continue
+            detail = whose_silence() if slug == _STALE else report.reason_details.get(slug)
+            text = words_of(slug) + (f" ({detail})" if detail else "") + (f" [{more} times]" if more > 1 else "")
+            lines.append(Line(text, "error" if slug in (_STALE, _LATE_LOOP) else "warning"))
+            self._counts[slug] = count
+            self._said_ns[slug] = report.t_ns
+        return lines
+
+    def _changed(self, key: str, text: str) -> bool:
+        changed = self._seen.get(key) != text
+        self._seen[key] = text
+        return changed
+
+    @staticmethod
+    def _facts(report: BridgeReport) -> list[tuple[str, str, bool, Level]]:
+        """(key, sentence, nothing worth saying, level)"""
+        as_state = report.run.as_state
+        mission = report.run.mission
+        braking = as_state is AsState.EMERGENCY_BRAKE
+        state = "not heard" if as_state is None else as_state.label + (f": {_cause_of(report)}" if braking else "")
+        return [
+            ("mode", f"mode {report.mode}", False, "info"),
+            ("as_state", f"AS state {state}", as_state is None, "error" if braking else "info"),
+            ("run", f"run {report.run.run_id}, mission {mission.label}", False, "info"),
+            ("emergency", f"ESTOP_REQUEST latched: {report.emergency}", report.emergency is None, "warning"),
+            ("stopping", f"stopping: {report.stopping}", report.stopping is None, "warning"),
+            ("bus", f"bus lost: {report.bus_lost}", report.bus_lost is None, "warning"),
+            (
+                "shutdown",
+                "the car asks for shutdown (SHUTDOWN_REQUEST)" if report.shutdown_requested else "",
+                not report.shutdown_requested,
+                "warning",
+            ),
+        ]
+
+
+def _cause_of(report: BridgeReport) -> str:
+    """SHUTDOWN_CAUSE in words."""
+    status = report.vehicle.status
+    cause = None if status is None else status.shutdown_cause
+    if cause is None:
+        return "SHUTDOWN_CAUSE is unknown"
+    slug = SHUTDOWN.get(cause)
+    return f"SHUTDOWN_CAUSE {cause.label}" + ("" if slug is None else f", {CAUSES[slug].words}")

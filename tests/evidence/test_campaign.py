@@ -1,0 +1,363 @@
+"""The campaign itself: every kind once, spread over processes; killed and resumed; and able to fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsai_hil.evidence.campaign import runner
+from fsai_hil.evidence.campaign.cases import Case, case_from_spec
+from fsai_hil.evidence.campaign.catalogue import ROWS
+from fsai_hil.evidence.campaign.cluster import ClusterError, on_cluster
+from fsai_hil.evidence.campaign.record import read
+from fsai_hil.evidence.campaign.runner import Plan, batches, drive_batch
+from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
+from fsai_hil.evidence.campaign.sources import digest
+from fsai_hil.evidence.model import patched
+from fsai_hil.evidence.seeded import SEEDS
+from fsai_vcu.cli.main import main
+from fsai_vcu.core import bridge
+from fsai_vcu.core.planning.planner import Planner
+from fsai_vcu.core.supervision import gate as gating
+from fsai_vcu.core.supervision import supervisor
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import REACTIONS, Asked, Consequence, Step
+from fsai_vcu.interface.enums import Ami
+
+CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
+SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--window", "2"]
+ONE_CAR = [*SHORT, "--revisions", "2026"]
+
+
+def test_every_kind_of_fault_once_ends_as_the_safety_rules_demand(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The short form of the campaign; the long one is a command of its own."""
+    short = [*SHORT, "--missions", "acceleration,autonomous_demo"]  # some kinds apply to one of them only
+    arguments = ["campaign", "--runs", str(len(ROWS)), "--jobs", "2", "--out", str(tmp_path), *short]
+    status = main(arguments)
+    told = capsys.readouterr().out
+    assert status == 0, told
+    runs = read(tmp_path / "record.jsonl")[1]
+    assert {run["fault"] for run in runs} == {kind.name for kind in ROWS}
+    assert "every run ended as the rules demand" in told
+    table = tmp_path / "faults.md"
+    assert main(["campaign", "--table", str(tmp_path / "record.jsonl"), "-o", str(table)]) == 0
+    text = table.read_text()
+    assert all(f"| `{kind.name}` |" in text for kind in ROWS)
+    assert f"Worse than the rules allow: 0 of {len(ROWS)} runs" in text
+    assert f"signal databases): `{digest()}`." in text
+
+
+# ---------------------------------------------------------------- it can fail
+
+
+def _old_confirm(state: Any, role: str, run_id: int) -> Any:
+    return replace(state, confirmed=state.confirmed | {role}) if run_id == state.run_id else state
+
+
+def _limited(**changes: object) -> Callable[..., Any]:
+    """Wraps what takes a configuration first: some of it is another."""
+
+    def wrap(original: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda config, *rest: original(replace(config, **changes), *rest)
+
+    return wrap
+
+
+def _fails_on_nothing(original: Callable[..., Any]) -> Callable[..., Any]:
+    def on_cones(planner: Any, seen: Any, motion: Any) -> Any:
+        if not len(seen.xy_m):
+            raise ValueError("nothing to plan with")
+        return original(planner, seen, motion)
+
+    return on_cones
+
+
+def _fails(*_: object) -> Any:
+    raise ZeroDivisionError("of the wheel speeds")
+
+
+def _only_the_clock(config: Any, state: Any, stop: Any, now_ns: int) -> Any:
+    return state, now_ns - stop.since_ns >= config.stop_timeout_ns and state.fastest_rpm >= config.standstill_rpm
+
+
+def _stops_for_anything_else(original: Callable[..., Any]) -> Callable[..., Any]:
+    def begin_stop(state: Any, cause: object, *rest: Any) -> Any:
+        return state if cause is Asked.MISSION_DONE else original(state, cause, *rest)
+
+    return begin_stop
+
+
+def _limit_for_ever(original: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda config, axle, left, right, now_ns: original(config, axle, left, right, axle.t_rx_ns)
+
+
+def _patches_of(name: str) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+    return next(seed.patches for seed in SEEDS if seed.name == name)
+
+
+LATE_STOP = (Step("command_stale_ns", Consequence.HOLD), Step("implausible_lost_ns", Consequence.STOP_MANUAL))
+SEEDED: dict[str, tuple[str, Callable[[], tuple[tuple[Any, str, object], ...]]]] = {
+    **{
+        seed.name: (spec, seed.patches)
+        for seed in SEEDS
+        for name, spec in (
+            ("lost wheel speeds are only reported", "speeds_lost:duration=1500"),
+            ("lost steering feedback never asks for the emergency", "steering_lost:duration=1500"),
+            ("both pedals are only reported", "both_pedals:duration=1000"),
+            ("an intruder is only reported", "intruder:message=0x512,frames=1,payload=zeros"),
+            ("a fault of the loop only stops", "loop_late:late=51"),
+            ("Go off is only reported", "status_go_off:duration=500"),
+            ("an AS switch that falls is only reported", "status_as_switch_off:duration=500"),
+            ("a fault bit that rises is only reported", "status_one_fault_bit:duration=500,bit=bms"),
+            ("an AS_STATE that nobody knows is only reported", "status_undefined_as_state:duration=80,state=9"),
+            ("a pulse count contradicts no wheel speed", "wheels_dead:duration=2000"),
+            ("a lost command is only held", "controller_silent:duration=1500"),
+            ("odd wheels never ask for the emergency", "wheel_offset:wheel=fl,size=400"),
+            ("a stop without effect goes unnoticed", "brakes_failing"),
+            ("no command is out of order", "controller_nan:field=throttle,value=nan,duration=1500"),
+            ("torque rises right after the brake", "controller_pumping:duration=2000,period=40"),
+        )
+        if seed.name == name
+    },
+    "a lost command stops the car too late": (
+        "controller_silent:duration=1500",
+        lambda: ((supervisor, "REACTIONS", {**REACTIONS, Reason.COMMAND_STALE: LATE_STOP}),),
+    ),
+    "a restarted planner drives on": (
+        "planner_restarted:duration=100",
+        lambda: ((supervisor, "confirm", _old_confirm),),
+    ),
+    "the emergency brake that is asked for is forgotten": (
+        "emergency_asked",
+        lambda: ((supervisor, "ask_emergency", lambda state, *rest: state),),
+    ),
+    "an intruder is only reported, and the car stops itself for what it hears": (
+        "intruder:message=0x510,frames=20,period=1,payload=zeros",
+        _patches_of("an intruder is only reported"),
+    ),
+    "the planner's process ends where there is nothing to see": (
+        "detector_blind:duration=1500",
+        lambda: ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
+    ),
+    "the bridge's process ends at wheel speeds": (
+        "remote_estop",
+        lambda: ((supervisor, "on_speeds", _fails),),
+    ),
+    "a deceleration is not looked for": (
+        "brakes_failing",
+        lambda: ((supervisor, "_stop_ineffective", _only_the_clock),),
+    ),
+    "the end of the mission is overheard": (
+        "planner_finishes_early",
+        lambda: ((supervisor, "_begin_stop", _stops_for_anything_else(supervisor._begin_stop)),),
+    ),
+    "a torque limit holds for ever": (
+        "rear_limit_lost:duration=1500",
+        lambda: ((gating, "_axle_limit_nm", _limit_for_ever(gating._axle_limit_nm)),),
+    ),
+    "steering turns as fast as it is asked to": (
+        "controller_swinging:duration=1500,period=300",
+        lambda: ((gating, "_steering", _limited(steer_rate_degps=1e6)(gating._steering)),),
+    ),
+    "0x520 lasts 70 ms": (
+        "status_lost:duration=84",
+        lambda: (
+            (bridge, "gate", _limited(vcu_stale_ns=70_000_000)(gating.gate)),
+            (supervisor, "supervise", _limited(vcu_stale_ns=70_000_000)(supervisor.supervise)),
+        ),
+    ),
+    "an unnecessary stop": (
+        "status_lost:duration=70",
+        lambda: (
+            (supervisor, "REACTIONS", {**REACTIONS, Reason.VCU_SILENT: (Step("vcu_stale_ns", Consequence.STOP),)}),
+        ),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def snapshots() -> Snapshots:
+    return Snapshots()
+
+
+def _case(spec: str) -> Case:
+    name, _, parameters = spec.partition(":")
+    return case_from_spec(
+        f"{name}:after=5500,{parameters}", mission=Ami.ACCELERATION, revision="2026", seed=0, full=False
+    )
+
+
+def test_all_seeded_defects_were_found_by_name() -> None:
+    assert len(SEEDED) == 27
+
+
+@pytest.mark.parametrize("name", SEEDED)
+def test_the_campaign_reports_a_defect_put_in_on_purpose(name: str, snapshots: Snapshots) -> None:
+    spec, patches = SEEDED[name]
+    case = _case(spec)
+    with ExitStack() as stack:
+        for owner, attribute, value in patches():
+            stack.enter_context(patched(owner, attribute, value))
+        broken = run_case(case, snapshots, 1000)
+    assert broken["verdict"] == "worse", f"not noticed: {broken}"
+    assert broken["reasons"]
+
+
+def test_a_failing_campaign_says_so_with_the_line_that_replays_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with patched(supervisor, "ask_emergency", lambda state, *rest: state):
+        chosen = ["--runs", "2", "--jobs", "1", "--faults", "emergency_asked"]
+        status = main(["campaign", *chosen, "--out", str(tmp_path), *ONE_CAR])
+    told = capsys.readouterr().out
+    assert status == 1
+    worse = [run for run in read(tmp_path / "record.jsonl")[1] if run["verdict"] == "worse"]
+    assert len(worse) == 2
+    assert all(f"worse: {run['replay']}" in told for run in worse)
+    assert "drives on, where the rules demand: EMERGENCY_BRAKE by our ESTOP_REQUEST" in told
+    assert "2 worse than the rules allow" in told
+
+
+# ---------------------------------------------------------------- killed, interrupted, resumed
+
+
+def _lines(path: Path) -> int:
+    return len(path.read_text().splitlines()) if path.exists() else 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_campaign_that_is_ended_in_the_middle_goes_on_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
+    record = tmp_path / "record.jsonl"
+    arguments = ["--runs", "12", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
+    command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0) as run:
+        while _lines(record) < 3:
+            assert run.poll() is None, run.communicate()
+            time.sleep(0.02)
+        os.killpg(run.pid, number) if number is signal.SIGINT else run.send_signal(number)
+        _, error = run.communicate(timeout=60)
+    if number is signal.SIGINT:
+        assert run.returncode == 130
+        assert "--resume goes on" in error and "Traceback" not in error
+    kept = _lines(record) - 1
+    assert 2 <= kept < 12
+    again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
+    assert f"{kept} runs are in" in again.stderr or f"{kept - 1} runs are in" in again.stderr
+    assert sorted(run["index"] for run in read(record)[1]) == list(range(12))
+
+
+def test_a_record_of_other_sources_is_neither_continued_nor_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = ["campaign", "--runs", "1", "--jobs", "1", "--faults", "remote_estop", *ONE_CAR, "--out", str(tmp_path)]
+    assert main(chosen) == 0
+    before = (tmp_path / "record.jsonl").read_text()
+    monkeypatch.setattr(runner, "digest", lambda: "other")
+    capsys.readouterr()
+    assert main([*chosen, "--resume"]) == 1
+    said = capsys.readouterr().err
+    assert f"is of other sources ({digest()}, these are other): without --resume" in said and said.count("\n") == 1
+    assert (tmp_path / "record.jsonl").read_text() == before
+    assert main([*chosen, "--resume", "--renew"]) == 0
+    assert "is now record-before-1.jsonl: it is of other sources" in capsys.readouterr().err
+    assert (tmp_path / "record-before-1.jsonl").read_text() == before
+    assert read(tmp_path / "record.jsonl")[0].sources == "other"
+    assert main([*chosen, "--resume", "--renew"]) == 0, "the same sources go on"
+    assert not (tmp_path / "record-before-2.jsonl").exists()
+    assert main(chosen) == 0
+    assert "is now record-before-2.jsonl: without --resume a campaign begins anew" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- on a cluster
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    distributed: Any = import_module("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, protocol="tcp"
+    ) as made:
+        yield made.scheduler_address
+
+
+def test_a_dask_cluster_drives_the_same_campaign(cluster: str, tmp_path: Path) -> None:
+    arguments = ["campaign", "--runs", "4", "--faults", "go_off,emergency_asked", *ONE_CAR]
+    assert main([*arguments, "--dask", cluster, "--out", str(tmp_path / "there")]) == 0
+    assert main([*arguments, "--jobs", "1", "--out", str(tmp_path / "here")]) == 0
+    there, here = (read(tmp_path / place / "record.jsonl")[1] for place in ("there", "here"))
+    assert _told(there) == _told(here)
+
+
+def _told(runs: list[dict[str, Any]]) -> list[str]:
+    kept = [{name: value for name, value in run.items() if name != "wall_s"} for run in runs]
+    return sorted(json.dumps(run) for run in kept)
+
+
+def test_without_dask_there_is_one_line_that_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["campaign", "--runs", "1", "--full", "0", "--dask", "tcp://127.0.0.1:1", "--out", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert "pip install 'fsai-vcu[dask]'" in error and error.count("\n") == 1
+
+
+def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = Plan(1, 1)
+    monkeypatch.setattr(runner, "digest", lambda: "other")
+    with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
+        next(on_cluster(cluster, plan, batches(plan, plan.tasks())))
+
+
+def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsai_hil.evidence.campaign.cluster.CONNECT_TIMEOUT_S", 0.5)
+    plan = Plan(1, 1)
+    with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        next(on_cluster("tcp://127.0.0.1:9", plan, batches(plan, plan.tasks())))
+
+
+# ---------------------------------------------------------------- wrong use
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--runs", "0", "--full", "0"], "one of them at least 1"),
+        (["--faults", "gremlins"], "unknown fault 'gremlins'"),
+        (["--missions", "picnic"], "unknown mission 'picnic'"),
+        (["--revisions", "1999"], "1999"),
+        (["--jobs", "0"], "at least 1 process"),
+        (["--window", "0.1"], "1 to 100 s"),
+        (["--faults", "planner_silent", "--missions", "static_inspection_a"], "none of these faults applies"),
+        (["--table", "/nowhere/record.jsonl"], "/nowhere/record.jsonl: No such file"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(
+    arguments: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["campaign", *arguments, "--out", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert complaint in error and error.count("\n") == 1
+
+
+def test_a_batch_of_a_plan_can_be_driven_anywhere() -> None:
+    """What a cluster's worker is sent is picklable, and small."""
+    import pickle
+
+    plan = Plan(1, 10_000, 300)
+    assert len(pickle.dumps((drive_batch, plan, [(False, 7)]))) < 2000

@@ -1,0 +1,183 @@
+"""The catalogue is data: every row is whole, can be drawn, written down and read again."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fsai_hil.evidence.campaign.cases import LEGS_MS, Selection, Since, case_from_spec, case_of, drawn
+from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
+from fsai_hil.evidence.campaign.demands import MAY_STOP_ITSELF, NOTHING, Demand, End
+from fsai_hil.evidence.campaign.injections import no_number
+from fsai_hil.simulator.faults import Delay, Drop, FlipBits, Freeze, Repeat, WrongLength
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.interface.enums import Ami
+
+every_kind = pytest.mark.parametrize("kind", ROWS, ids=lambda kind: kind.name)
+
+
+def test_there_are_more_than_forty_kinds_each_with_a_name_of_its_own() -> None:
+    assert len(KINDS) == len(ROWS) > 40
+
+
+@every_kind
+def test_every_row_says_what_it_is_what_is_demanded_and_where_it_applies(kind: FaultKind) -> None:
+    assert kind.what and kind.demanded and kind.missions and kind.revisions
+    assert "|" not in kind.what + kind.demanded, "it would break the table"
+
+
+@every_kind
+def test_a_demand_follows_from_whatever_is_drawn(kind: FaultKind) -> None:
+    rng = random.Random(5)
+    for _ in range(50):
+        demand = kind.demand(drawn(kind, rng))
+        assert isinstance(demand, Demand) and demand.ends and End.UNSAFE not in demand.ends
+
+
+@every_kind
+def test_a_case_can_be_written_down_and_read_again(kind: FaultKind) -> None:
+    index = ROWS.index(kind)
+    case = case_of(3, index, Selection())
+    assert case.fault == kind.name
+    again = case_from_spec(case.spec, mission=case.mission, revision=case.revision, seed=case.seed, full=False)
+    assert again == replace(case, index=0)
+    assert f"--fault {case.spec}" in case.replay
+
+
+def test_a_case_follows_from_seed_and_index_alone() -> None:
+    forward = [case_of(9, index, Selection()) for index in range(400)]
+    backward = [case_of(9, index, Selection()) for index in reversed(range(400))]
+    assert forward == backward[::-1]
+    assert forward != [case_of(10, index, Selection()) for index in range(400)]
+
+
+def test_every_kind_takes_its_turn_and_no_case_comes_twice() -> None:
+    cases = [case_of(1, index, Selection()) for index in range(3 * len(ROWS))]
+    assert {case.fault for case in cases[: len(ROWS)]} == set(KINDS)
+    assert len({(case.fault, case.spec, case.mission, case.revision) for case in cases}) == len(cases)
+
+
+def test_cases_keep_to_the_missions_and_revisions_of_their_kind() -> None:
+    for index in range(10 * len(ROWS)):
+        case = case_of(2, index, Selection())
+        assert case.mission in case.kind.missions and case.revision in case.kind.revisions
+        if case.kind.from_start:
+            assert (case.since, case.after_ms, case.leg_ms) == (Since.START, 0, None)
+            continue
+        assert case.leg_ms in LEGS_MS[case.mission]
+        assert case.leg_ms < case.after_ms
+
+
+def test_full_length_cases_begin_their_faults_in_every_phase() -> None:
+    cases = [case_of(1, index, Selection(), full=True) for index in range(400)]
+    assert {case.since for case in cases} == set(Since)
+    assert any(case.since is Since.DRIVING and case.after_ms < 3000 for case in cases)
+
+
+class Wire:
+    """Where a fault between car and AI computer is put."""
+
+    def __init__(self) -> None:
+        self.faults: list[Any] = []
+
+    def add(self, fault: Any) -> None:
+        self.faults.append(fault)
+
+
+def on_the_wire(kind: FaultKind) -> list[tuple[type, frozenset[int], bool]]:
+    """What a kind does to messages: how, which, and whether as the car hears them."""
+    said, heard = Wire(), Wire()
+    vcu = SimpleNamespace(outgoing=said, incoming=heard)
+    try:
+        kind.begin(SimpleNamespace(world=SimpleNamespace(vcu=vcu)), drawn(kind, random.Random(1)), 0)  # type: ignore[arg-type]
+    except AttributeError:
+        return []  # it is done to something else than messages
+    faults = [(fault, wire is heard) for wire in (said, heard) for fault in wire.faults]
+    return [(type(fault), fault.window.ids, car) for fault, car in faults if hasattr(fault, "window")]
+
+
+@pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x520, 0x527)], ids=hex)
+def test_every_message_is_lost_late_frozen_duplicated_corrupted_and_cut(can_id: int) -> None:
+    done = {
+        how
+        for kind in ROWS
+        for how, ids, heard_by_car in on_the_wire(kind)
+        if ids == frozenset({can_id}) and heard_by_car is (can_id < 0x520)
+    }
+    assert {Drop, Delay, Freeze, Repeat, FlipBits, WrongLength} <= done
+
+
+@pytest.mark.parametrize(("prefix", "may_meet"), [("ai_status", False), ("ai_steer", False), ("ai_front", True)])
+def test_where_the_car_misses_our_frames_for_less_than_100_ms_the_words_are_the_demand(
+    prefix: str, may_meet: bool
+) -> None:
+    for name in ("lost", "wrong_length"):
+        kind = KINDS[f"{prefix}_{name}"]
+        assert kind.demand({"duration": 50}) == (MAY_STOP_ITSELF if may_meet else NOTHING)
+        assert kind.demanded.startswith("under 100 ms it drives on, or" if may_meet else "under 100 ms nothing")
+
+
+def test_numbers_out_of_range_of_either_sign_are_drawn_and_are_out_of_range_for_every_car() -> None:
+    kind = KINDS["controller_nan"]
+    rng = random.Random(3)
+    seen = {(values["field"], values["value"]) for values in (drawn(kind, rng) for _ in range(300))}
+    assert seen == set(product(("steering_rad", "throttle", "brake"), ("nan", "inf", "beyond", "negative")))
+    command = VehicleCommand(0, 1, 0.1, 0.2)
+    for field, value in seen:
+        assert no_number(command, {"field": field, "value": value}, rng, 0).problems(math.radians(30.0)), (field, value)
+
+
+def test_each_step_of_the_clock_that_is_drawn_changes_stamps_of_data_that_is_50_ms_old() -> None:
+    kind = KINDS["clock_stepped"]
+    rng = random.Random(3)
+    for _ in range(50):
+        values = drawn(kind, rng)
+        computer = SimpleNamespace(command_filter=None)
+        kind.begin(SimpleNamespace(computer=computer), values, 0)  # type: ignore[arg-type]
+        command = VehicleCommand(0, 1)
+        assert computer.command_filter(command, 50_000_000).t_sensor_ns == abs(values["step"]) * 1_000_000 > 0
+
+
+def test_a_selection_narrows_faults_missions_and_revisions() -> None:
+    selection = Selection(("go_off", "planner_silent"), (Ami.SKIDPAD,), ("2021",), 1)
+    cases = [case_of(1, index, selection) for index in range(20)]
+    assert {(case.mission, case.revision, case.seed) for case in cases} == {(Ami.SKIDPAD, "2021", 0)}
+    assert {case.fault for case in cases} == {"go_off", "planner_silent"}
+
+
+@pytest.mark.parametrize(
+    ("spec", "complaint"),
+    [
+        ("no_such_fault", "unknown fault 'no_such_fault'"),
+        ("status_lost:duration", "is not NAME=VALUE"),
+        ("status_lost:colour=red", "has no parameter 'colour'"),
+        ("status_lost:duration=long", "must be a whole number"),
+        ("status_lost:since=tuesday", "choose one of start"),
+        ("status_lost:after=-5", "must be a whole number of 0 or more"),
+        ("wheel_dead:wheel=fifth", "choose one of fl"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_in_one_clear_line(spec: str, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        case_from_spec(spec, mission=None, revision="2026", seed=0, full=False)
+
+
+def test_a_fault_by_hand_draws_what_is_not_given_and_keeps_what_is() -> None:
+    case = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=4, full=False)
+    same = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=4, full=False)
+    other = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=5, full=False)
+    assert case == same != other
+    assert case.params["duration"] == 70 and case.mission is Ami.AUTOCROSS
+
+
+def test_a_fault_is_refused_where_it_does_not_apply() -> None:
+    with pytest.raises(ValueError, match="does not apply to static_inspection_a"):
+        case_from_spec("planner_silent", mission=Ami.STATIC_INSPECTION_A, revision="2026", seed=0, full=False)
+    with pytest.raises(ValueError, match="does not apply to revision 2026"):
+        case_from_spec("motor_one_axle", mission=None, revision="2026", seed=0, full=False)

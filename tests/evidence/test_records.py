@@ -1,0 +1,123 @@
+"""A campaign's record survives a kill, goes on where it was, and belongs to one campaign."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.evidence.campaign.cases import Selection
+from fsai_hil.evidence.campaign.record import RecordError, Writer, of_other_sources, put_aside, read
+from fsai_hil.evidence.campaign.runner import Plan, batches
+from fsai_hil.evidence.campaign.sources import digest, digest_of, files
+
+
+def plan(seed: int = 1) -> Plan:
+    return Plan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
+
+
+def line(index: int, full: bool = False) -> dict[str, object]:
+    return {"index": index, "full": full, "verdict": "ok", "fault": "go_off"}
+
+
+def test_what_was_written_is_read_again(tmp_path: Path) -> None:
+    with Writer(tmp_path / "record.jsonl", plan().header(), resume=False) as writer:
+        writer.add(line(3))
+        writer.add(line(3, full=True))
+    header, runs = read(tmp_path / "record.jsonl")
+    assert header == plan().header()
+    assert [(run["full"], run["index"]) for run in runs] == [(False, 3), (True, 3)]
+
+
+def test_a_line_cut_short_by_a_kill_is_left_out_and_driven_again(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    with Writer(path, plan().header(), resume=False) as writer:
+        writer.add(line(0))
+        writer.add(line(1))
+    path.write_bytes(path.read_bytes()[:-10])
+    with Writer(path, plan().header(), resume=True) as writer:
+        assert writer.done == {(False, 0)}
+        writer.add(line(1))
+    assert [run["index"] for run in read(path)[1]] == [0, 1]
+    assert all(json.loads(text) for text in path.read_text().splitlines())
+
+
+def test_a_record_that_is_there_is_not_overwritten_by_accident(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    Writer(path, plan().header(), resume=False).close()
+    with pytest.raises(RecordError, match="--resume goes on with it"):
+        Writer(path, plan().header(), resume=False)
+
+
+def test_another_campaigns_record_is_not_continued(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    Writer(path, plan(1).header(), resume=False).close()
+    with pytest.raises(RecordError, match="another campaign"):
+        Writer(path, plan(2).header(), resume=True)
+
+
+def test_a_record_of_other_sources_is_not_continued_and_the_line_says_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    header = plan().header()
+    for before in (replace(header, sources="0123456789ab"), replace(header, sources="")):
+        path.unlink(missing_ok=True)
+        Writer(path, before, resume=False).close()
+        assert of_other_sources(path, header) and not of_other_sources(path, before)
+        with pytest.raises(RecordError, match=r"is of other sources .* without --resume"):
+            Writer(path, header, resume=True)
+
+
+def test_a_record_that_is_put_aside_keeps_a_name_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    assert put_aside(path) is None
+    for number in (1, 2):
+        path.write_text(f"{number}\n")
+        assert put_aside(path) == tmp_path / f"record-before-{number}.jsonl"
+    assert (tmp_path / "record-before-1.jsonl").read_text() == "1\n"
+
+
+def test_the_digest_is_of_all_code_that_decides_a_run_and_of_nothing_else() -> None:
+    names = set(files())
+    assert {
+        "fsai_vcu.core.supervision.gate",
+        "fsai_vcu.core.planning.lane",
+        "fsai_vcu.interface.codec",
+        "fsai_vcu.runtime.engine",
+        "fsai_hil.simulator.lockstep",
+        "fsai_hil.simulator.tracks",
+        "fsai_hil.evidence.campaign.catalogue",
+        "fsai_hil.evidence.campaign.verdict",
+        "fsai_hil.evidence.campaign",
+        "ads_dv_2026.dbc",
+    } <= names
+    others = ("carpc", "vcan", "scrutineering", "mutation", "fuzz", "cli", "fsai_nodes", "runner")
+    assert not [name for name in names if any(part in name.split(".") for part in others)]
+    modules = [import_module(name) for name in names if not name.endswith(".dbc")]
+    used = {str(getattr(value, "__module__", "")) for module in modules for value in vars(module).values()}
+    assert {name for name in used if name.partition(".")[0] in ("fsai_vcu", "fsai_hil")} <= names
+
+
+def test_another_byte_of_any_file_is_another_digest() -> None:
+    contents = {name: path.read_bytes() for name, path in files().items()}
+    assert digest_of(contents) == digest()
+    changed = [digest_of({**contents, name: data + b"\n"}) for name, data in contents.items()]
+    assert len({digest(), *changed}) == 1 + len(contents)
+
+
+def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a record\n")
+    with pytest.raises(RecordError, match="not a line of a fault campaign"):
+        read(path)
+    path.write_text('{"a": 1}\n')
+    with pytest.raises(RecordError, match="is not the record"):
+        read(path)
+
+
+def test_every_task_is_in_exactly_one_batch_and_full_length_runs_come_first() -> None:
+    tasks = [task for batch in batches(plan(), plan().tasks()) for task in batch]
+    assert sorted(tasks) == sorted(plan().tasks())
+    assert [full for full, _ in tasks[:3]] == [True] * 3

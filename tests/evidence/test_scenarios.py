@@ -1,0 +1,129 @@
+"""Runs of the campaign: a copy of a snapshot is the drive itself, and a replay the run that was recorded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsai_hil.evidence.campaign.cases import Case, Selection, Since, case_of
+from fsai_hil.evidence.campaign.runner import Plan, drive_batch
+from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, drive_to, power_up, run_case
+from fsai_vcu.cli.main import main
+from fsai_vcu.interface.enums import Ami
+
+
+@pytest.fixture(scope="module")
+def snapshots() -> Snapshots:
+    return Snapshots()
+
+
+def case(fault: str, mission: Ami = Ami.ACCELERATION, after_ms: int = 3500, **params: object) -> Case:
+    return Case(fault, mission, "2026", 0, Since.DRIVING, after_ms, {"chance": 3, **params})
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        case("detector_inventing", Ami.AUTOCROSS, duration=800, count=12),  # chance of detector, planner and fault
+        case("gps_corrupted", duration=900, bits=5),
+    ],
+    ids=lambda one: one.fault,
+)
+def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up(one: Case, snapshots: Snapshots) -> None:
+    copied = [Scenario(one, snapshots.rig(one), 1000) for _ in range(2)]
+    rig = power_up(one)
+    assert one.leg_ms is not None
+    drive_to(rig, one.leg_ms)
+    whole = Scenario(one, rig, 1000)
+    for scenario in (*copied, whole):
+        while not scenario.over:
+            scenario.step()
+    first, second = copied
+    assert first.seen == whole.seen
+    assert second.seen == whole.seen, "the first copy's run has changed the snapshot"
+    assert first.verdict() == whole.verdict()
+
+
+def test_the_order_in_which_cases_are_driven_changes_nothing() -> None:
+    selection = Selection(("steering_sensor_noisy", "wheel_very_noisy"), (Ami.ACCELERATION,), ("2026",), 1)
+    plan = Plan(5, 2, selection=selection, window_ms=1000)
+    forward = drive_batch(plan, [(False, 0), (False, 1)])
+    backward = drive_batch(plan, [(False, 1), (False, 0)])
+    assert [_told(line) for line in forward] == [_told(line) for line in reversed(backward)]
+
+
+def _told(line: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in line.items() if name != "wall_s"}
+
+
+def test_a_run_ends_early_once_nothing_can_happen_any_more(snapshots: Snapshots) -> None:
+    line = run_case(case("emergency_asked"), snapshots)
+    assert line["verdict"] == "ok" and line["end"] == "ESTOP"
+    assert line["sim_s"] < 5.0
+
+
+def test_a_full_length_run_goes_from_power_up_to_the_end(snapshots: Snapshots) -> None:
+    one = Case("go_off", Ami.ACCELERATION, "2021", 0, Since.READY, 3000, {"chance": 0}, full=True)
+    line = run_case(one, snapshots)
+    assert line["verdict"] == "ok" and not line["applies"]
+    assert line["sim_s"] > 15.0
+
+
+def test_a_replay_is_the_recorded_run_and_explains_itself(
+    capsys: pytest.CaptureFixture[str], snapshots: Snapshots
+) -> None:
+    selection = Selection(("manual_asked",), (Ami.ACCELERATION,), ("2026",), 1)
+    recorded = run_case(case_of(1, 0, selection), snapshots)
+    arguments = recorded["replay"].split()[1:]
+    assert main([*arguments, "--json"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert replayed == {name: value for name, value in recorded.items() if name in replayed}
+    assert main(arguments) == 0
+    told = capsys.readouterr().out
+    assert recorded["replay"] in told
+    assert "FAULT manual_asked" in told and "demanded: " in told and "as the safety rules demand" in told
+
+
+def test_the_story_says_what_the_bridge_saw_and_did_and_when(capsys: pytest.CaptureFixture[str]) -> None:
+    spec = "controller_silent:after=5000,duration=1500"
+    assert main(["drive", "--mission", "acceleration", "--fault", spec]) == 0
+    told = capsys.readouterr().out
+    assert "bridge sees: the vehicle command is stale" in told
+    assert "bridge: AS_DRIVING, torque 0 until what is stale is fresh again" in told
+    assert "bridge stops the car because the vehicle command is stale" in told
+    assert "car: AS_FINISHED (mission FINISHED at rest)" in told
+    assert "seen: service-brake stop, FINISHED" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--fault", "nothing"], "unknown fault 'nothing': --list-faults shows"),
+        (["--fault", "go_off", "--track", "small_oval"], "--track does not go with --fault"),
+        (["--fault", "go_off", "--noise", "2"], "do not go with --fault"),
+        (["--fault", "go_off", "--mission", "picnic"], "unknown mission 'picnic'"),
+    ],
+)
+def test_what_cannot_be_driven_is_one_clear_line(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["drive", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert complaint in error and error.count("\n") == 1
+
+
+def test_the_catalogue_is_listed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["drive", "--list-faults"]) == 0
+    listed = capsys.readouterr().out
+    assert main(["campaign", "--list"]) == 0
+    assert capsys.readouterr().out == listed
+    assert "status_lost" in listed and "duration 10…30" in listed
+
+
+def test_a_fault_by_hand_can_be_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "bus.log"
+    assert main(["drive", "--mission", "acceleration", "--fault", "intruder:message=0x513", "--log", str(log)]) == 0
+    assert " 513#" in log.read_text()

@@ -1,0 +1,288 @@
+"""The judgement, on observations made by hand: what is worse than the rules allow is called so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from fsai_hil.evidence.campaign.cases import Case, Since
+from fsai_hil.evidence.campaign.demands import End
+from fsai_hil.evidence.campaign.observation import Cycle, Observation
+from fsai_hil.evidence.campaign.verdict import judge
+from fsai_vcu.interface.enums import Ami, AsState
+
+MS = 1_000_000
+FAULT_NS = 5_000 * MS
+
+
+def observed(
+    *,
+    torque_until_ms: int = 10_000,
+    brake_from_ms: int | None = None,
+    estop_from_ms: int | None = None,
+    rest_from_ms: int | None = None,
+    then: tuple[int, AsState] | None = None,
+    finished_from_ms: int | None = None,
+    until_ms: int = 10_000,
+) -> Observation:
+    """A drive with cycles every 10 ms; times are ms after the fault, which is at 5 s of AS_DRIVING."""
+    seen = Observation(states=[(0, AsState.AS_DRIVING)])
+    for t_ms in range(-1900, until_ms, 10):
+        t_ns = FAULT_NS + t_ms * MS
+        braking = brake_from_ms is not None and t_ms >= brake_from_ms
+        seen.cycles.append(
+            Cycle(
+                t_ns,
+                estop_from_ms is not None and t_ms >= estop_from_ms,
+                finished_from_ms is not None and t_ms >= finished_from_ms,
+                100.0 if t_ms < torque_until_ms and not braking else 0.0,
+                80.0 if braking else 0.0,
+            )
+        )
+        seen.moving.append((t_ns, rest_from_ms is None or t_ms < rest_from_ms))
+    if then is not None:
+        seen.states.append((FAULT_NS + then[0] * MS, then[1]))
+    seen.ended_ns = FAULT_NS + until_ms * MS
+    return seen
+
+
+def case(fault: str, **params: object) -> Case:
+    return Case(fault, Ami.AUTOCROSS, "2026", 0, Since.DRIVING, 5000, {"chance": 0, **params})
+
+
+SILENT = case("controller_silent", duration=1000)
+STOPPED = {"brake_from_ms": 310, "torque_until_ms": 100, "rest_from_ms": 1500}
+FINISHED = {"then": (2100, AsState.AS_FINISHED), "finished_from_ms": 2090}
+
+
+def test_a_stop_in_time_is_as_the_rules_demand() -> None:
+    verdict = judge(SILENT, observed(**STOPPED, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
+    assert verdict.ok and verdict.end is End.STOP
+    assert (verdict.reaction_ms, verdict.safe_ms) == (310, 1500)
+
+
+def test_a_car_that_drives_on_where_it_must_stop_is_worse_than_allowed() -> None:
+    verdict = judge(SILENT, observed(), FAULT_NS, ())
+    assert not verdict.ok and verdict.end is End.ON
+    assert "drives on, where the rules demand: service-brake stop" in verdict.faults[0]
+
+
+def test_a_car_that_stops_where_it_may_drive_on_is_worse_than_allowed() -> None:
+    verdict = judge(case("controller_silent", duration=40), observed(**STOPPED, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
+    assert not verdict.ok and "where the rules demand: drives on" in verdict.faults[0]
+
+
+@pytest.mark.parametrize("over", [True, False])
+def test_a_car_that_brakes_to_the_end_of_its_mission_drives_on_and_one_without_a_mission_s_end_does_not(
+    over: bool,
+) -> None:
+    seen = observed(torque_until_ms=1500, rest_from_ms=7000)
+    if over:
+        seen.mission_over_ns = FAULT_NS + 6800 * MS
+    verdict = judge(case("controller_silent", duration=40), seen, FAULT_NS, ())
+    assert verdict.end is (End.ON if over else End.HELD)
+    assert verdict.ok is over
+
+
+@pytest.mark.parametrize(("brake_ms", "late"), [(340, False), (350, True)])
+def test_a_brake_that_comes_too_late_is_worse_than_allowed(brake_ms: int, late: bool) -> None:
+    changed = {**STOPPED, "brake_from_ms": brake_ms}
+    verdict = judge(SILENT, observed(**changed, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
+    assert verdict.ok is not late, verdict.faults
+
+
+@pytest.mark.parametrize(("torque_ms", "late"), [(140, False), (170, True)])
+def test_torque_that_stays_too_long_is_worse_than_allowed(torque_ms: int, late: bool) -> None:
+    changed = {**STOPPED, "torque_until_ms": torque_ms}
+    verdict = judge(SILENT, observed(**changed, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
+    assert verdict.ok is not late, verdict.faults
+
+
+def test_a_car_that_drives_again_by_itself_is_worse_than_allowed() -> None:
+    seen = observed(**STOPPED, **FINISHED)  # type: ignore[arg-type]
+    seen.cycles[-5].torque_nm = 20.0
+    verdict = judge(SILENT, seen, FAULT_NS, ())
+    assert not verdict.ok and "torque 20 Nm" in verdict.faults[0]
+
+
+def test_a_car_that_never_comes_to_rest_is_worse_than_allowed() -> None:
+    changed = {**STOPPED, "rest_from_ms": None}
+    verdict = judge(SILENT, observed(**changed, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
+    assert "moves where it must stand" in verdict.faults[0]
+    verdict = judge(SILENT, observed(**changed, finished_from_ms=2090), FAULT_NS, ())  # type: ignore[arg-type]
+    assert "a safe state never came" in verdict.faults[0]
+
+
+@pytest.mark.parametrize(("estop_ms", "late"), [(20, False), (40, True)])
+def test_estop_request_must_come_in_time(estop_ms: int, late: bool) -> None:
+    seen = observed(torque_until_ms=10, estop_from_ms=estop_ms, then=(estop_ms + 4, AsState.EMERGENCY_BRAKE))
+    verdict = judge(case("emergency_asked"), seen, FAULT_NS, ())
+    assert verdict.end is End.ESTOP
+    assert verdict.ok is not late, verdict.faults
+
+
+def test_an_emergency_without_our_request_is_the_cars_own() -> None:
+    seen = observed(torque_until_ms=10, then=(12, AsState.EMERGENCY_BRAKE))
+    verdict = judge(case("go_off"), seen, FAULT_NS, ())
+    assert verdict.ok and verdict.end is End.SELF and verdict.safe_ms == 12
+
+
+def test_a_rule_broken_on_the_bus_is_worse_than_allowed_whatever_the_end() -> None:
+    seen = observed(**STOPPED, **FINISHED)  # type: ignore[arg-type]
+    verdict = judge(SILENT, seen, FAULT_NS, ["1.0 s: rule 1: torque and brake together"])
+    assert verdict.faults == ("on the wire: 1.0 s: rule 1: torque and brake together",)
+
+
+def test_a_mission_that_was_over_before_asks_for_no_reaction() -> None:
+    seen = observed(**STOPPED, **FINISHED)  # type: ignore[arg-type]
+    seen.mission_over_ns = FAULT_NS + 20 * MS
+    verdict = judge(SILENT, seen, FAULT_NS, ())
+    assert verdict.ok and not verdict.applies
+
+
+def test_a_car_that_moves_before_it_may_is_worse_than_allowed() -> None:
+    seen = observed(**STOPPED, **FINISHED)  # type: ignore[arg-type]
+    seen.states[0] = (FAULT_NS - 2500 * MS, AsState.AS_DRIVING)
+    verdict = judge(SILENT, seen, FAULT_NS, ())
+    assert any("before it may" in fault for fault in verdict.faults)
+
+
+@pytest.mark.parametrize("supervised", [True, False])
+def test_a_car_that_still_moves_where_it_must_stand_is_unsafe_whatever_the_rules_demand(supervised: bool) -> None:
+    one = case("status_corrupted", duration=100, bits=3) if supervised else replace(SILENT, since=Since.START)
+    standing, moving = (
+        observed(rest_from_ms=rest_ms, **FINISHED)  # type: ignore[arg-type]
+        for rest_ms in (1500, None)
+    )
+    assert judge(one, standing, FAULT_NS, ()).ok
+    verdict = judge(one, moving, FAULT_NS, ())
+    assert verdict.end is End.UNSAFE and "moves where it must stand" in verdict.faults[-1]
+
+
+NEVER_ENDS = {
+    "it rolls on and nobody drives it": (observed(torque_until_ms=1000), False, True),
+    "it is driven by command": (observed(), False, False),
+    "it stands, and nobody says that it must drive": (observed(torque_until_ms=1000, rest_from_ms=3000), False, False),
+    "it stands, the mission is over, and FINISHED never comes": (
+        observed(torque_until_ms=1000, rest_from_ms=3000),
+        True,
+        True,
+    ),
+    "the emergency brake never brings it to rest": (observed(then=(3000, AsState.EMERGENCY_BRAKE)), False, True),
+}
+
+
+@pytest.mark.parametrize("ran_out", [True, False])
+@pytest.mark.parametrize("name", NEVER_ENDS)
+def test_a_run_that_has_not_ended_after_the_longest_time_is_unsafe(name: str, ran_out: bool) -> None:
+    made, over, unsafe = NEVER_ENDS[name]
+    seen = replace(made, ran_out=ran_out, mission_over_ns=FAULT_NS + 2500 * MS if over else None)
+    verdict = judge(case("speeds_frozen", duration=100), seen, FAULT_NS, ())
+    assert (verdict.end is End.UNSAFE) is (ran_out and unsafe)
+    assert verdict.ok is not (ran_out and unsafe)
+
+
+def test_a_moment_that_never_came_does_not_excuse_a_car_that_still_moves() -> None:
+    verdict = judge(SILENT, observed(then=(100, AsState.AS_OFF)), None, ())
+    assert not verdict.ok and verdict.end is End.UNSAFE
+
+
+@pytest.mark.parametrize(("fault", "worse"), [("pulses_wrong", True), ("detector_blind", False)])
+def test_a_car_that_leaves_the_course_is_worse_than_allowed_where_nothing_may_change(fault: str, worse: bool) -> None:
+    seen = observed()
+    seen.left_course = 1
+    verdict = judge(case(fault, way="double", duration=500), seen, FAULT_NS, ())
+    assert verdict.ok is not worse
+    assert not worse or "left the course" in verdict.faults[0]
+
+
+def test_a_process_of_ours_that_ends_by_an_exception_is_worse_than_allowed_whatever_the_end() -> None:
+    seen = observed(torque_until_ms=10, then=(12, AsState.EMERGENCY_BRAKE))
+    assert judge(case("go_off"), seen, FAULT_NS, ()).ok
+    verdict = judge(case("go_off"), seen, FAULT_NS, (), ["the bridge's process ended: KeyError: 5"])
+    assert verdict.faults == ("the bridge's process ended: KeyError: 5",)
+
+
+INTRUDER = case("intruder", message="0x510", frames=5, period=1, payload="zeros")
+
+
+@pytest.mark.parametrize("emergency_ms", [0, 4])
+@pytest.mark.parametrize(("estop_ms", "ok"), [(10, True), (20, True), (40, False), (None, False)])
+def test_an_intruder_asks_for_estop_request_also_where_the_car_stops_itself(
+    estop_ms: int | None, ok: bool, emergency_ms: int
+) -> None:
+    seen = observed(torque_until_ms=5, estop_from_ms=estop_ms, then=(emergency_ms, AsState.EMERGENCY_BRAKE))
+    verdict = judge(INTRUDER, seen, FAULT_NS, ())
+    assert verdict.end is End.SELF
+    assert verdict.ok is ok, verdict.faults
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_a_planner_that_says_it_is_over_must_be_stopped_for_and_its_word_is_not_enough(brakes: bool) -> None:
+    seen = observed(**STOPPED, **FINISHED) if brakes else observed(torque_until_ms=100, rest_from_ms=1500)  # type: ignore[arg-type]
+    for cycle in seen.cycles_after(FAULT_NS + 60 * MS):
+        cycle.torque_nm = 0.0
+        cycle.brake_pct = 80.0 if brakes else 0.0
+    seen.mission_over_ns = FAULT_NS + 40 * MS
+    verdict = judge(case("planner_finishes_early"), seen, FAULT_NS, ())
+    assert verdict.ok is brakes, verdict.faults
+
+
+def test_brakes_that_do_nothing_are_noticed_by_the_missing_deceleration() -> None:
+    for estop_ms, ok in ((519, True), (700, False), (3010, False)):
+        seen = observed(
+            torque_until_ms=10, brake_from_ms=20, estop_from_ms=estop_ms, then=(estop_ms + 4, AsState.EMERGENCY_BRAKE)
+        )
+        assert judge(case("brakes_failing"), seen, FAULT_NS, ()).ok is ok
+
+
+def test_a_steering_limit_that_the_car_lowers_is_no_reason_to_stop() -> None:
+    derated = case("steering_derated", limit="steer_limit_deg", value=5.0)
+    assert judge(derated, observed(), FAULT_NS, ()).ok
+    assert not judge(derated, observed(**STOPPED, **FINISHED), FAULT_NS, ()).ok  # type: ignore[arg-type]
+
+
+def steered(off_for_ms: int, **reacts: int) -> Observation:
+    seen = observed(**reacts)  # type: ignore[arg-type]
+    for t_ms in range(-100, 3000, 10):
+        t_ns = FAULT_NS + t_ms * MS
+        seen.requests.append((t_ns, 0.0))
+        seen.angles.append((t_ns, 9.0 if 0 <= t_ms < off_for_ms else 0.0))
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("off_for_ms", "reacts", "ok"),
+    [
+        (250, {}, True),
+        (500, {}, False),
+        (500, {"brake_from_ms": 310, "torque_until_ms": 310}, True),
+        (500, {"brake_from_ms": 400, "torque_until_ms": 400}, False),
+        (900, {"brake_from_ms": 310, "torque_until_ms": 310}, False),
+    ],
+)
+def test_a_steering_that_is_surely_off_must_stop_the_car_in_its_times(
+    off_for_ms: int, reacts: dict[str, int], ok: bool
+) -> None:
+    seen = steered(off_for_ms, **reacts)
+    if reacts:
+        seen.moving = [(t_ns, moves and t_ns < FAULT_NS + 2000 * MS) for t_ns, moves in seen.moving]
+        seen.states.append((FAULT_NS + 2100 * MS, AsState.AS_FINISHED))
+        for cycle in seen.cycles_after(FAULT_NS + 2100 * MS):
+            cycle.finished = True
+    verdict = judge(case("steering_stuck_rack"), seen, FAULT_NS, ())
+    assert verdict.ok is ok, verdict.faults
+
+
+@pytest.mark.parametrize(("runs_for_ms", "ok"), [(150, True), (400, False)])
+def test_speeds_contradicted_by_counts_must_stop_the_car(runs_for_ms: int, ok: bool) -> None:
+    """At 4 turns/s the contradiction is sure after 200 ms; a stop is due 100 ms later."""
+    seen = observed()
+    for step in range(-50, 200):
+        t_ns = FAULT_NS + step * 10 * MS
+        runs = 0 <= step < runs_for_ms // 10
+        pulses = round(0.8 * (step if runs else 0 if step < 0 else runs_for_ms // 10))
+        seen.wheels.append((t_ns, (0, 0, 0, 0)))
+        seen.counts.append((t_ns, (pulses % 65536,) * 4))
+    assert judge(case("wheels_dead", duration=4000), seen, FAULT_NS, ()).ok is ok

@@ -1,0 +1,101 @@
+"""What a /run_mission goal waits for."""
+
+from __future__ import annotations
+
+import pytest
+
+from fsai_nodes.mission_goal import GOALS, GoalError, Outcome, Waiting
+from fsai_vcu.interface.enums import Ami, AsState
+
+S = 1_000_000_000
+OFF, READY, DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
+FINISHED, EMERGENCY, INIT = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, AsState.AS_INIT
+
+
+def outcome_of(waiting: Waiting, states: list[AsState | None], mission: Ami = Ami.TRACKDRIVE) -> Outcome | None:
+    """The first outcome over one state after another, a second apart."""
+    for index, state in enumerate(states):
+        outcome = waiting.step(state, mission, index * S)
+        if outcome is not None:
+            return outcome
+    return None
+
+
+@pytest.mark.parametrize(
+    ("until", "states", "ended"),
+    [
+        ("finished", [OFF, READY, DRIVING, FINISHED], "reached"),
+        ("", [OFF, READY, DRIVING, FINISHED], "reached"),
+        ("finished", [FINISHED], "reached"),
+        ("finished", [OFF, READY, DRIVING, EMERGENCY], "missed"),
+        ("finished", [OFF, READY, DRIVING, OFF], "missed"),
+        ("finished", [OFF, READY, DRIVING, INIT], "missed"),
+        ("finished", [OFF, READY, OFF, READY], None),
+        ("finished", [EMERGENCY, OFF, READY, DRIVING, FINISHED], "reached"),
+        ("ready", [OFF, READY], "reached"),
+        ("ready", [OFF, EMERGENCY], "missed"),
+        ("driving", [OFF, READY, DRIVING], "reached"),
+        ("driving", [OFF, READY, EMERGENCY], "missed"),
+        ("driving", [FINISHED, OFF, READY, DRIVING], "reached"),
+        ("emergency", [READY, DRIVING, EMERGENCY], "reached"),
+        ("emergency", [READY, DRIVING, FINISHED], "missed"),
+        ("emergency", [READY, DRIVING, OFF], "missed"),
+        ("off", [FINISHED, OFF], "reached"),
+        ("off", [EMERGENCY, INIT], "reached"),
+        ("end", [READY, DRIVING, FINISHED], "reached"),
+        ("end", [READY, DRIVING, EMERGENCY], "reached"),
+        ("end", [READY, DRIVING, OFF], "missed"),
+        ("finished", [None, None], None),
+    ],
+)
+def test_a_goal_ends_as_the_table_says(until: str, states: list[AsState | None], ended: str | None) -> None:
+    outcome = outcome_of(Waiting("", until, 0.0, 0), states)
+    assert (outcome.ended if outcome else None) == ended
+    assert outcome is None or outcome.success == (ended == "reached")
+
+
+def test_another_mission_than_the_expected_ends_it_once_the_car_is_ready() -> None:
+    waiting = Waiting("skidpad", "finished", 0.0, 0)
+    assert waiting.step(OFF, Ami.NOT_SELECTED, 0) is None
+    assert waiting.step(OFF, Ami.TRACKDRIVE, S) is None  # the choice is not made yet
+    outcome = waiting.step(READY, Ami.TRACKDRIVE, 2 * S)
+    assert outcome is not None and outcome.ended == "wrong_mission" and not outcome.success
+    assert "SKIDPAD" in outcome.message and "TRACKDRIVE" in outcome.message
+
+
+def test_the_expected_mission_is_followed_to_its_end() -> None:
+    outcome = outcome_of(Waiting("Trackdrive", "finished", 0.0, 0), [OFF, READY, DRIVING, FINISHED])
+    assert outcome is not None and outcome.success
+
+
+def test_the_timeout_is_over_at_its_value_and_not_a_nanosecond_before() -> None:
+    waiting = Waiting("", "finished", 2.5, 7)
+    assert waiting.step(READY, Ami.TRACKDRIVE, 7 + 2_500_000_000 - 1) is None
+    outcome = waiting.step(READY, Ami.TRACKDRIVE, 7 + 2_500_000_000)
+    assert outcome is not None and outcome.ended == "timeout" and "AS_READY" in outcome.message
+
+
+def test_no_timeout_waits_for_ever() -> None:
+    assert Waiting("", "finished", 0.0, 0).step(None, Ami.NOT_SELECTED, 10**18) is None
+
+
+def test_an_unknown_goal_is_refused_by_naming_the_valid_ones() -> None:
+    with pytest.raises(GoalError, match="|".join(GOALS)):
+        Waiting("", "done", 0.0, 0)
+
+
+def test_an_unknown_mission_is_refused_by_naming_the_valid_ones() -> None:
+    with pytest.raises(GoalError, match="acceleration, skidpad, autocross, trackdrive"):
+        Waiting("drag race", "finished", 0.0, 0)
+
+
+@pytest.mark.parametrize("timeout_s", [-1.0, float("nan"), float("inf")])
+def test_a_timeout_that_is_no_time_is_refused(timeout_s: float) -> None:
+    with pytest.raises(GoalError, match="timeout_s"):
+        Waiting("", "finished", timeout_s, 0)
+
+
+def test_every_goal_can_be_reached_and_is_not_missed_by_what_reaches_it() -> None:
+    for name, goal in GOALS.items():
+        assert goal.reached, name
+        assert not goal.reached & goal.missed, name

@@ -1,0 +1,165 @@
+"""The nodes as processes: bad input gets one clear line and a non-zero status; signals end them in order."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
+pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
+
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.bus import open_bus
+
+LONG_S = 60.0
+
+
+def start(module: str, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", f"fsai_nodes.{module}", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=dict(os.environ, PYTHONUNBUFFERED="1"),
+    )
+
+
+def parameters(**values: object) -> list[str]:
+    return ["--ros-args", *(word for name, value in values.items() for word in ("-p", f"{name}:={value}"))]
+
+
+def complaint(error_output: str) -> list[str]:
+    """The lines that are not the log of a start."""
+    return [line for line in error_output.splitlines() if "[INFO]" not in line]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"can_interface": "nosuch0"}, "no CAN interface 'nosuch0'"),
+        ({"can_interface": "loopback:a", "dbc_files": "/nowhere/car.dbc"}, "/nowhere/car.dbc: no such DBC file"),
+        ({"can_interface": "loopback:a", "limits": "/nowhere/limits.toml"}, "/nowhere/limits.toml"),
+        ({"can_interface": "loopback:a", "limits": "max_sped_mps=3.0"}, "unknown limit max_sped_mps"),
+        ({"can_interface": "loopback:a", "revision": 2019}, "revision must be one of 2021, 2026"),
+        ({"can_interface": "loopback:a", "wheel_mapping": "fl=fr"}, "wheel mapping"),
+        ({"can_interface": "loopback:a", "holding_brake_pct": ".nan"}, "holding_brake_pct"),
+        ({"can_interfaze": "loopback:a"}, "unknown parameter can_interfaze: did you mean can_interface?"),
+    ],
+)
+def test_what_the_bridge_cannot_start_with_gets_one_clear_line(values: dict[str, object], words: str) -> None:
+    process = start("vcu_bridge", *parameters(**values))
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 1
+    lines = complaint(error_output)
+    assert len(lines) == 1, error_output
+    assert lines[0].startswith("vcu_bridge: ") and words in lines[0]
+
+
+def test_a_second_bridge_on_the_same_bus_refuses_to_start() -> None:
+    bus = f"loopback:second-{os.getpid()}"
+    from fsai_vcu.runtime.lock import InterfaceLock
+
+    lock = InterfaceLock(bus)
+    try:
+        process = start("vcu_bridge", *parameters(can_interface=bus))
+        _, error_output = process.communicate(timeout=LONG_S)
+    finally:
+        lock.release()
+    assert process.returncode == 1
+    assert "already drives" in complaint(error_output)[0]
+
+
+def test_an_occupied_truth_port_gets_one_clear_line() -> None:
+    from fsai_hil.simulator.ground_truth import TruthReceiver
+
+    with TruthReceiver(0) as occupied:
+        process = start("sensor_simulator", *parameters(truth_port=occupied.port))
+        _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 1
+    assert len(complaint(error_output)) == 1 and str(occupied.port) in error_output
+
+
+def test_an_unknown_node_cannot_be_composed() -> None:
+    process = start("composed", "--nodes", "cone_detector,toaster")
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 2
+    assert "toaster" in error_output and "path_planner" in error_output
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("lapz:=3", "unknown parameter lapz: did you mean laps?"),
+        ("path_planner:lapz:=3", "unknown parameter lapz: did you mean laps?"),
+        ("path_planner:max_speed:=3.0", "unknown parameter max_speed: path_planner has"),
+    ],
+)
+def test_composed_nodes_refuse_what_none_of_them_has(given: str, words: str) -> None:
+    process = start("composed", "--ros-args", "-p", given)
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 1
+    lines = complaint(error_output)
+    assert len(lines) == 1 and lines[0].startswith("composed: ") and words in lines[0], error_output
+
+
+def test_a_parameter_for_every_node_is_taken_by_who_has_it(tmp_path: Path) -> None:
+    file = tmp_path / "shared.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    max_speed: 3.0\n    lapz: 3\n    exposure_us: 900\n")
+    process = start("composed", "--ros-args", "--params-file", str(file), "-p", "laps:=3")
+    from ros_rig import RosRig
+
+    with RosRig() as rig:
+        wanted = {"cone_detector", "path_planner", "vehicle_controller"}
+        rig.spin_until(lambda: wanted <= set(rig.tester.get_node_names()), "the three nodes", LONG_S)
+    process.send_signal(signal.SIGTERM)
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 0
+    (warning,) = complaint(error_output)
+    assert "unknown parameter lapz: did you mean laps?" in warning and "path_planner" in warning
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_bridge_says_goodbye_before_it_falls_silent(number: signal.Signals, tmp_path: Path) -> None:
+    name = f"loopback:goodbye-{os.getpid()}-{int(number)}"
+    codec = Codec(revision("2026"))
+    with open_bus(name) as bus:
+        process = start("vcu_bridge", *parameters(can_interface=name))
+        until = time.monotonic() + LONG_S
+        frame: Frame | None = None
+        while frame is None:
+            assert time.monotonic() < until, "the bridge never sent"
+            frame = bus.recv(0.1)
+        process.send_signal(number)
+        assert process.wait(LONG_S) == 0
+        last: dict[int, Frame] = {}
+        while (frame := bus.recv(0.2)) is not None:
+            last[frame.can_id] = frame
+    _, error_output = process.communicate()
+    assert sorted(last) == [0x510, 0x511, 0x512, 0x513, 0x514]
+    for can_id in (0x511, 0x512, 0x513, 0x514):
+        assert codec.decode(last[can_id]).image is not None
+        assert not any(last[can_id].data[:2]), "at rest it leaves with zeros"
+    assert complaint(error_output) == []
+
+
+def test_all_driving_nodes_run_composed_in_one_process_and_end_in_order(tmp_path: Path) -> None:
+    process = start("composed")
+    from rclpy.node import Node
+    from ros_rig import RosRig
+
+    with RosRig() as rig:
+        observer: Node = rig.tester
+        wanted = {"cone_detector", "path_planner", "vehicle_controller"}
+        rig.spin_until(lambda: wanted <= set(observer.get_node_names()), "the three nodes", LONG_S)
+    process.send_signal(signal.SIGTERM)
+    _, error_output = process.communicate(timeout=LONG_S)
+    assert process.returncode == 0
+    assert complaint(error_output) == []

@@ -1,0 +1,108 @@
+"""The benchmark runs, compares like with like, leaves figures that a program can read, and judges the node's start."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.rehearsal import bench
+from fsai_hil.rehearsal.bench import (
+    NODE_START,
+    NODE_START_WALL,
+    QUICK,
+    REVISION,
+    Result,
+    assert_same_values,
+    bench_node,
+    cantools_database,
+    car_frames,
+    command_values,
+    main,
+    some_command,
+    too_slow,
+)
+from fsai_vcu.interface.codec import Codec, Decoded
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.revisions import revision
+
+
+def test_quick_prints_a_table_and_writes_every_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--quick", "-o", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "bench.json").read_text())
+    assert found["quick"] is True and found["machine"]["python"] and found["versions"]["cantools"]
+    by_name = {each["name"]: each for each in found["results"]}
+    compared = ["decode a frame", "encode a frame", "answer a 0x520", "start to a first frame"]
+    node = [NODE_START, NODE_START_WALL] if find_spec("rclpy") and find_spec("fsai_msgs") else []
+    assert list(by_name) == [*compared, *node, "drive acceleration"]
+    for name in node:
+        assert by_name[name]["ours"]["least"] > 0 and by_name[name]["peer"] is None
+    for name in compared:
+        each = by_name[name]
+        for figure in (each["ours"], each["peer"], each["ratio"]):
+            assert 0 < figure["least"] <= figure["median"] <= figure["most"]
+    assert by_name["drive acceleration"]["ours"]["median"] > 0 and by_name["drive acceleration"]["peer"] is None
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in by_name)
+    assert node or "not measured: the bridge node" in printed
+
+
+def test_a_bridge_node_that_takes_more_than_a_second_of_its_own_to_its_first_frame_fails_the_benchmark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow = [Result.of(NODE_START, "s", [1.04, 1.2]), Result.of(NODE_START_WALL, "s", [1.4, 1.6])]
+    assert too_slow([Result.of(NODE_START, "s", [1.0, 1.2]), slow[1]]) is None, "one start was disturbed"
+    assert too_slow([]) is None
+    monkeypatch.setattr(bench, "run", lambda *_: slow)
+    assert main(["--quick", "-o", str(tmp_path)]) == 0, "in a hurry nothing is judged"
+    capsys.readouterr()
+    assert main(["-o", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert (
+        said.err
+        == "fsai_hil.rehearsal.bench: start bridge node: 1.04 s of processor time to its first frame, more than 1 s\n"
+    )
+    assert (tmp_path / "bench.json").exists() and NODE_START_WALL in said.out
+
+
+def test_a_bridge_node_that_ends_without_a_frame_is_named_with_its_last_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "fsai_nodes"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "vcu_bridge.py").write_text("raise SystemExit('no such bus')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(AssertionError, match=r"^no frame of vcu_bridge: no such bus"):
+        bench_node(QUICK)
+
+
+def test_what_is_compared_has_the_same_values_and_a_difference_would_be_seen() -> None:
+    codec, database = Codec(revision(REVISION)), cantools_database()
+    frames = car_frames(codec, database, count=5)
+    assert {frame.can_id for frame in frames} == set(range(0x520, 0x527))
+    assert len({frame.data for frame in frames}) > 20, "the frames hardly differ"
+    assert assert_same_values(codec, database, frames) > 150
+
+    class Altered(Codec):
+        def decode(self, frame: Frame) -> Decoded:
+            return super().decode(Frame(frame.can_id, bytes([frame.data[0] ^ 1, *frame.data[1:]]), frame.t_ns))
+
+    with pytest.raises(AssertionError):
+        assert_same_values(Altered(revision(REVISION)), database, frames)
+
+
+def test_an_encoding_that_differs_from_cantools_is_not_compared() -> None:
+    codec, database = Codec(revision(REVISION)), cantools_database()
+    frames = list(codec.encode_command(some_command()))
+    assert len(command_values(database, frames)) == 5
+    frames[0] = Frame(frames[0].can_id, bytes([frames[0].data[0] | 0x80, *frames[0].data[1:]]))  # a bit of no signal
+    with pytest.raises(AssertionError, match="0x510 differs"):
+        command_values(database, frames)
+
+
+def test_a_folder_that_cannot_be_made_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--quick", "-o", "/proc/absent"]) == 1
+    assert capsys.readouterr().err == "fsai_hil.rehearsal.bench: /proc/absent: No such file or directory\n"

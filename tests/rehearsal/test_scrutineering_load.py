@@ -1,0 +1,154 @@
+"""The load is what it says: busy processors, a busy disk, a bus filled to the car's bitrate."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.rehearsal.scrutineering.conditions import (
+    BY_NAME,
+    CONDITIONS,
+    SHORT,
+    Condition,
+    Load,
+    Stance,
+    conditions_named,
+)
+from fsai_hil.rehearsal.scrutineering.load import (
+    BUS_BITS_PER_S,
+    MEMORY_MOST_BYTES,
+    car_bits_per_s,
+    fill_frames_per_s,
+    frame_bits,
+    loaded,
+)
+from fsai_hil.rehearsal.scrutineering.machine import (
+    machine,
+    scheduling_in_words,
+    scheduling_of,
+    source_revision,
+    versions,
+)
+from fsai_hil.rehearsal.stack import Stack, StackError, await_condition
+
+
+def test_a_frame_without_stuff_bits_has_the_bits_of_the_can_standard() -> None:
+    assert frame_bits(0) == 47
+    assert frame_bits(8) == 111
+
+
+def test_thinned_out_frames_leave_more_of_the_bus_to_fill() -> None:
+    whole, thinned = car_bits_per_s("2026"), car_bits_per_s("2026", 20, 10)
+    assert 0 < thinned < whole < BUS_BITS_PER_S
+    assert fill_frames_per_s(thinned) > fill_frames_per_s(whole) > 0
+
+
+def test_the_cars_frames_and_the_filling_are_one_full_bus() -> None:
+    car_bits = car_bits_per_s("2021")
+    assert car_bits + fill_frames_per_s(car_bits) * frame_bits(8) == pytest.approx(BUS_BITS_PER_S)
+    assert fill_frames_per_s(BUS_BITS_PER_S + 1) == 0
+
+
+def test_a_busy_machine_is_busy_while_it_is_measured_and_not_after(tmp_path: Path) -> None:
+    disk_file = tmp_path / "disk-load"
+    condition = Condition("driving-loaded", Stance.DRIVING, (Load.PROCESSORS, Load.DISK))
+    with Stack("vcan0", tmp_path) as stack:
+        with loaded(stack, condition, disk_file, 0.0):
+            processes = list(stack.processes.values())
+            assert len(processes) == (machine()["processors"] + 1)
+
+            def cpu_ticks() -> int:
+                path = Path(f"/proc/{processes[0].popen.pid}/stat")
+                return int(path.read_text().split()[13])
+
+            before = cpu_ticks()
+            await_condition(lambda: cpu_ticks() > before, 20.0, "the processor is used")
+            written = disk_file.stat().st_mtime_ns
+            await_condition(lambda: disk_file.stat().st_mtime_ns > written, 20.0, "the disk is written to")
+        assert stack.processes == {}
+        assert not any(process.alive for process in processes)
+        assert not disk_file.exists()
+
+
+def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path) -> None:
+    condition = Condition("driving-memory", Stance.DRIVING, (Load.MEMORY,))
+
+    def resident_bytes(pid: int) -> int:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    with Stack("vcan0", tmp_path) as stack, loaded(stack, condition, tmp_path / "file", 0.0):
+        (neighbour,) = stack.processes.values()
+        pid = neighbour.popen.pid
+        await_condition(lambda: resident_bytes(pid) > MEMORY_MOST_BYTES // 8, 20.0, "it takes memory")
+        assert Path(f"/proc/{pid}/oom_score_adj").read_text().strip() == "1000"
+        most = 0
+        before = resident_bytes(pid)
+        while (now := resident_bytes(pid)) >= before:
+            most = before = max(before, now)
+        assert most <= MEMORY_MOST_BYTES + (64 << 20), "and no more than it may"
+
+
+def test_a_load_that_ends_by_itself_is_an_error_not_an_idle_machine(tmp_path: Path) -> None:
+    condition = Condition("driving-disk", Stance.DRIVING, (Load.DISK,))
+    with (
+        Stack("vcan0", tmp_path) as stack,
+        pytest.raises(StackError, match="disk-driving-disk ended with status 1"),
+        loaded(stack, condition, tmp_path / "absent" / "file", 0.0),
+    ):
+        time.sleep(0)
+
+
+def test_a_bus_that_is_not_filled_to_the_end_is_an_error(tmp_path: Path) -> None:
+    condition = Condition("driving-full-bus", Stance.DRIVING, (Load.BUS,))
+    with (
+        Stack("absent0", tmp_path) as stack,
+        pytest.raises(StackError, match="bus-driving-full-bus ended"),
+        loaded(stack, condition, tmp_path / "file", 0.0),
+    ):
+        (cangen,) = stack.processes.values()
+        cangen.wait(20.0)
+
+
+# ------------------------------------------------------------ conditions
+
+
+def test_the_car_only_ever_has_to_come_on_from_one_condition_to_the_next() -> None:
+    order = list(Stance)
+    stances = [order.index(condition.stance) for condition in CONDITIONS]
+    assert stances == sorted(stances)
+    assert len(BY_NAME) == len(CONDITIONS)
+    assert all(BY_NAME[name].stance is Stance.ALONE for name in SHORT)
+
+
+def test_named_conditions_are_measured_in_the_tables_order() -> None:
+    assert [each.name for each in conditions_named(["driving", "idle"])] == ["idle", "driving"]
+
+
+@pytest.mark.parametrize("names", [["idle", "asleep"], [], [""]])
+def test_an_unknown_condition_is_refused_with_the_known_ones(names: list[str]) -> None:
+    with pytest.raises(ValueError, match="choose from idle, idle-busy"):
+        conditions_named(names)
+
+
+# ------------------------------------------------------------ the machine
+
+
+def test_the_machine_tells_what_a_figure_depends_on() -> None:
+    facts = machine()
+    assert facts["kernel"].startswith("Linux ") and facts["processors"] >= 1 and facts["memory_gib"] > 0
+    assert versions()["cantools"][0].isdigit() and "python-can" in versions()
+
+
+def test_scheduling_is_read_from_the_kernel(tmp_path: Path) -> None:
+    with Stack("vcan0", tmp_path) as stack:
+        process = stack.start("sleeper", ["sleep", "60"])
+        found = scheduling_of(process.popen.pid)
+    assert (found["policy"], found["priority"], found["memory_locked"]) == ("ordinary", 0, False)
+    assert "refused" in scheduling_in_words(found)
+
+
+def test_the_source_is_a_commit_or_nothing(tmp_path: Path) -> None:
+    assert source_revision(tmp_path) == ""

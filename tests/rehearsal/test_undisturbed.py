@@ -1,0 +1,352 @@
+"""A failure while the machine stood still is run again, and said; one on a machine that ran is never repeated."""
+
+from __future__ import annotations
+
+import os
+import signal
+import textwrap
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+import fsai_hil.rehearsal.stall_monitor
+from fsai_hil.rehearsal.demo import rehearse
+from fsai_hil.rehearsal.stack import StackError
+from fsai_hil.rehearsal.stall_monitor import (
+    RUNS,
+    SPELL,
+    STOOD_STILL_NS,
+    Outcome,
+    SlowSpell,
+    Stall,
+    StallMonitor,
+    describe,
+    judge_run,
+    watch,
+)
+
+pytest_plugins = ["pytester"]
+
+STALL = Stall(1_000_000_000, 52_000_000)
+
+PLUGIN = """
+import itertools, pathlib, pytest
+from fsai_hil.rehearsal.undisturbed import Undisturbed
+from fsai_hil.rehearsal.stall_monitor import BusySpell, Stall
+
+SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
+PUT_OFF = {put_off!r}
+BUSY = {busy!r}
+
+class Scripted:
+    def __init__(self):
+        self.left = list(SCRIPT)
+        self.time_ns = 0
+    def clock(self):
+        self.time_ns += 1000
+        return self.time_ns
+    def disturbances(self, since_ns):
+        assert since_ns == self.time_ns, "it asks about this run"
+        return [Stall(since_ns, 52_000_000)] if self.left.pop(0) else []
+    def busy_spells(self, since_ns):
+        return [BusySpell(since_ns, since_ns + 500_000_000)] if BUSY else []
+
+def pytest_configure(config):
+    monitor = Scripted()
+    config.pluginmanager.register(Undisturbed(monitor, monitor.clock, pathlib.Path(PUT_OFF) if PUT_OFF else None))
+
+def note(word):
+    with pathlib.Path("notes").open("a") as notes:
+        print(word, file=notes)
+
+@pytest.fixture(scope="module")
+def shared():
+    note("up")
+    yield []
+    note("down")
+"""
+
+
+def run(
+    pytester: pytest.Pytester, script: list[bool], tests: str, put_off: str = "", busy: bool = False
+) -> tuple[pytest.RunResult, list[str]]:
+    """The result of the tests under a stall monitor that answers by the script, and what the tests noted."""
+    pytester.makeconftest(PLUGIN.format(script=script, put_off=put_off, busy=busy))
+    pytester.makepyfile("from conftest import note\n" + textwrap.dedent(tests))
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    return result, Path(pytester.path / "notes").read_text().split()
+
+
+FAILS_TWICE = """
+    def test_it(shared):
+        note("run")
+        assert open("notes").read().split().count("run") > 2
+"""
+
+
+def test_a_failure_on_a_machine_that_ran_is_never_repeated(pytester: pytest.Pytester) -> None:
+    result, notes = run(pytester, [False], FAILS_TWICE)
+    result.assert_outcomes(failed=1)
+    assert notes == ["up", "run", "down"]
+    assert "stood still" not in result.stdout.str()
+
+
+def test_a_failure_while_the_machine_stood_still_is_said_and_run_again_with_fixtures_made_anew(
+    pytester: pytest.Pytester,
+) -> None:
+    result, notes = run(pytester, [True, True], FAILS_TWICE)
+    result.assert_outcomes(passed=1)
+    assert notes == ["up", "run", "down"] * 3
+    said = [line for line in result.stdout.lines if "stood still" in line]
+    assert said == [f"test_it: the machine stood still for 52 ms: run {number} shows nothing" for number in (1, 2)]
+
+
+def test_an_undisturbed_failure_after_a_disturbed_one_fails(pytester: pytest.Pytester) -> None:
+    result, notes = run(pytester, [True, False], FAILS_TWICE)
+    result.assert_outcomes(failed=1)
+    assert notes.count("run") == 2
+
+
+def test_a_test_that_never_ran_undisturbed_fails_and_says_so(pytester: pytest.Pytester) -> None:
+    result, notes = run(pytester, [True] * RUNS, "def test_it(): note('run'); assert False")
+    result.assert_outcomes(failed=1)
+    assert notes == ["run"] * RUNS
+    result.stdout.fnmatch_lines(["*never ran undisturbed: in run 3 of 3 too the machine stood still for 52 ms"])
+
+
+def test_where_tests_can_be_put_off_a_disturbed_failure_goes_on_the_list_and_is_no_failure(
+    pytester: pytest.Pytester,
+) -> None:
+    tests = """
+        import pytest
+
+        @pytest.mark.parametrize("which", ["disturbed", "sound"])
+        def test_it(shared, which):
+            note(which)
+            assert which == "sound"
+    """
+    result, notes = run(pytester, [True], tests, put_off="names")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["*1 passed, 1 put off*"])
+    assert notes == ["up", "disturbed", "down", "up", "sound", "down"]
+    (name,) = (pytester.path / "names").read_text().splitlines()
+    assert name.endswith("test_it[disturbed]")
+    result.stdout.fnmatch_lines(["*the machine stood still for 52 ms: put off"])
+    assert "FAILURES" not in result.stdout.str()
+    assert "AssertionError" in (pytester.path / "names.txt").read_text(), "how it failed is kept"
+
+
+def test_a_failure_on_a_machine_that_ran_is_never_put_off(pytester: pytest.Pytester) -> None:
+    result, _ = run(pytester, [False], "def test_it(): note('run'); assert False", put_off="names")
+    result.assert_outcomes(failed=1)
+    assert not (pytester.path / "names").exists()
+
+
+@pytest.mark.parametrize("put_off", ["names", ""])
+def test_a_busy_machine_is_a_reason_to_look_again_with_more_time_and_no_excuse_elsewhere(
+    pytester: pytest.Pytester, put_off: str
+) -> None:
+    """It may be the very code under test that was busy."""
+    result, notes = run(pytester, [False], "def test_it(): note('run'); assert False", put_off=put_off, busy=True)
+    assert notes == ["run"]
+    assert result.ret == (0 if put_off else 1)
+    assert (pytester.path / "names").exists() is bool(put_off)
+
+
+def test_a_disturbed_setup_and_a_disturbed_teardown_are_run_again_too(pytester: pytest.Pytester) -> None:
+    tests = """
+        import pathlib, pytest
+
+        @pytest.fixture(params=["setup", "teardown"])
+        def fragile(request):
+            mark = pathlib.Path(request.param)
+            first = not mark.exists()
+            mark.touch()
+            assert not first or request.param != "setup"
+            yield
+            assert not first or request.param != "teardown"
+
+        def test_it(shared, fragile):
+            note("run")
+    """
+    result, notes = run(pytester, [True, True], tests)
+    result.assert_outcomes(passed=2)
+    assert notes == ["up", "down", "up", "run", "run", "down", "up", "run", "down"]
+
+
+def test_what_a_failed_test_left_in_a_shared_fixture_does_not_reach_the_next(pytester: pytest.Pytester) -> None:
+    tests = """
+        def test_first(shared):
+            note("first")
+            shared.append("spoilt")
+            assert False
+
+        def test_second(shared):
+            note("second")
+            assert not shared
+
+        def test_third(shared):
+            note("third")
+    """
+    result, notes = run(pytester, [False], tests)
+    result.assert_outcomes(failed=1, passed=2)
+    assert notes == ["up", "first", "down", "up", "second", "third", "down"]
+
+
+@pytest.mark.parametrize("number", range(1, RUNS + 1))
+def test_without_a_stall_or_without_a_failure_every_run_counts(number: int) -> None:
+    assert judge_run(True, [], number) is Outcome.COUNTS
+    assert judge_run(False, [STALL], number) is Outcome.COUNTS
+    assert judge_run(True, [STALL], number) is (Outcome.AGAIN if number < RUNS else Outcome.NEVER_UNDISTURBED)
+
+
+def noted(tmp_path: Path, *stalls: Stall) -> StallMonitor:
+    """A stall monitor whose notes are these and whose process is not started."""
+    stall_monitor = object.__new__(StallMonitor)
+    stall_monitor._path = tmp_path / "notes"
+    lines = ["real-time", *(f"stall {stall.due_ns} {stall.late_ns}" for stall in stalls)]
+    stall_monitor._path.write_text("\n".join(lines) + "\nstall 12345 9999")  # the last is just being written
+    return stall_monitor
+
+
+def test_only_stalls_long_enough_that_touch_the_time_asked_about_are_told(tmp_path: Path) -> None:
+    before = Stall(0, STOOD_STILL_NS)
+    into = Stall(STOOD_STILL_NS, STOOD_STILL_NS)
+    short = Stall(3 * STOOD_STILL_NS, STOOD_STILL_NS - 1)
+    out = Stall(5 * STOOD_STILL_NS, STOOD_STILL_NS)
+    after = Stall(5 * STOOD_STILL_NS + 1, STOOD_STILL_NS)
+    stall_monitor = noted(tmp_path, before, into, short, out, after)
+    assert stall_monitor.stalls(2 * STOOD_STILL_NS, 5 * STOOD_STILL_NS) == [into, out]
+    assert stall_monitor.stalls(2 * STOOD_STILL_NS, 5 * STOOD_STILL_NS, at_least_ns=0) == [into, short, out]
+
+
+def test_stalls_are_described_by_the_longest() -> None:
+    assert describe([STALL]) == "stood still for 52 ms"
+    assert describe([STALL, Stall(0, 90_400_000)]) == "stood still for 90 ms (the longest of 2 times)"
+
+
+def test_slow_spells_are_described_by_the_slowest_and_by_their_sum() -> None:
+    spells = [SlowSpell(0, 500_000_000, 0.61), SlowSpell(500_000_000, 1_200_000_000, 0.52)]
+    assert describe(spells) == "ran at 52 % of its speed for 1.2 s"
+    assert describe([STALL, *spells]) == "stood still for 52 ms and ran at 52 % of its speed for 1.2 s"
+
+
+class Machine:
+    """One whose clock only goes on as it is told; the stall monitor on it ends after so many wakes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, notes: Path, idle_share: float = 1.0) -> None:
+        self.now_ns, self.wakes = 0, 0
+        self._notes = notes
+        for name, instead in (("monotonic_ns", lambda: self.now_ns), ("sleep", self._sleep)):
+            monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor.time, name, instead)
+        monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor, "sum", self._sum, raising=False)
+        monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor, "_idle_ns", lambda _: int(self.now_ns * idle_share))
+        monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor, "_stand_first", lambda: "ordinary")
+        self.counting_ns: Callable[[int], int] = lambda _: 50_000  # at which wake it takes how long
+
+    def _sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+        self.wakes += 1
+        if self.wakes > self._last:
+            raise EOFError
+
+    def _sum(self, numbers: Iterable[int]) -> int:
+        if numbers is fsai_hil.rehearsal.stall_monitor.COUNTED:
+            self.now_ns += self.counting_ns(self.wakes)
+        return sum(numbers)
+
+    def watched(self, spells: int) -> StallMonitor:
+        self._last = spells * SPELL
+        with pytest.raises(EOFError):
+            watch(str(self._notes))
+        stall_monitor = object.__new__(StallMonitor)
+        stall_monitor._path = self._notes
+        return stall_monitor
+
+
+def test_the_monitor_notes_that_the_machine_counts_far_more_slowly_than_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another's work on the same processor is what slows it on a shared machine; here its own counting grows."""
+    machine = Machine(monkeypatch, tmp_path / "notes")
+    machine.counting_ns = lambda wake: 100_000 if 2 * SPELL < wake <= 4 * SPELL else 50_000
+    slow = machine.watched(6).slow_spells(0)
+    assert [spell.speed for spell in slow] == [0.5, 0.5]
+    assert slow[0].until_ns == slow[1].due_ns, "each spell begins where the last one ended"
+
+
+@pytest.mark.parametrize(("idle_share", "spells"), [(0.02, 2), (0.03, 0)])
+def test_the_monitor_notes_that_no_processor_had_time_to_spare(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, idle_share: float, spells: int
+) -> None:
+    stall_monitor = Machine(monkeypatch, tmp_path / "notes", idle_share).watched(2)
+    busy = stall_monitor.busy_spells(0)
+    assert len(busy) == spells
+    assert stall_monitor.disturbances(0) == [], "it may be those that are tested"
+    if spells:
+        assert describe(busy) == "had no time to spare for 1.0 s"
+
+
+def test_idle_time_is_the_kernels_own_figure_for_one_processor() -> None:
+    def idle_s() -> float:
+        stat = os.open("/proc/stat", os.O_RDONLY)
+        try:
+            return fsai_hil.rehearsal.stall_monitor._idle_ns(stat) / 1e9
+        finally:
+            os.close(stat)
+
+    before, uptime = idle_s(), Path("/proc/uptime").read_text().split()
+    assert before >= 0.95 * float(uptime[1]) / (os.cpu_count() or 1), "and what it waited for a disk"
+    assert before <= idle_s() <= float(Path("/proc/uptime").read_text().split()[0]) * 1.01
+
+
+def test_the_monitor_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
+    with StallMonitor(tmp_path / "notes") as stall_monitor:
+        since_ns = time.monotonic_ns()
+        os.kill(stall_monitor._process.pid, signal.SIGSTOP)
+        held_s = 0.2
+        time.sleep(held_s)  # the very thing that is measured
+        os.kill(stall_monitor._process.pid, signal.SIGCONT)
+        until = time.monotonic() + 10.0
+        while not (seen := stall_monitor.stalls(since_ns)) and time.monotonic() < until:
+            time.sleep(0.01)
+    assert max(stall.late_ns for stall in seen) >= held_s * 1e9 * 0.9
+    assert stall_monitor._process.returncode is not None, "it has been ended"
+
+
+@pytest.mark.parametrize(
+    ("runs", "status", "said"),
+    [
+        ([(0, True)], 0, []),
+        ([(1, False)], 1, []),
+        ([(None, False)], 1, []),
+        ([(1, True), (0, False)], 0, ["stood still for 52 ms"]),
+        ([(None, True), (0, True)], 0, ["stood still for 52 ms"]),
+        ([(1, True), (1, False)], 1, ["stood still for 52 ms"]),
+        ([(1, True), (1, True)], 1, ["stood still for 52 ms", "this time too"]),
+    ],
+)
+def test_the_demo_drives_once_more_only_if_it_failed_while_the_machine_stood_still(
+    runs: list[tuple[int | None, bool]],
+    status: int,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    left = list(runs)
+    disturbed = False
+
+    def drive() -> int:
+        nonlocal disturbed
+        result, disturbed = left.pop(0)
+        if result is None:
+            raise StackError("a process ended")
+        return result
+
+    monkeypatch.setattr(StallMonitor, "disturbances", lambda *_: [STALL] if disturbed else [])
+    assert rehearse(drive) == status
+    assert left == []
+    lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]
+    assert len(lines) == len(said) and all(words in line for words, line in zip(said, lines, strict=True))

@@ -1,0 +1,103 @@
+"""Distributions of response times: exact percentiles, shares and bins, and what the simulated car tells of them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vcu_bench import Bench
+
+from fsai_hil.rules.response import BINS_MS, THRESHOLDS_MS, ResponseTimes
+from fsai_hil.simulator.profiles import MS, S
+
+TIMES = st.lists(st.integers(min_value=0, max_value=10 * S), max_size=300)
+
+
+def test_percentiles_are_nearest_ranks_not_interpolations() -> None:
+    times = ResponseTimes(range(1, 1001))
+    assert [times.quantile_ns(share) for share in (0.0, 0.5, 0.99, 0.999, 1.0)] == [1, 500, 990, 999, 1000]
+    assert ResponseTimes([7]).quantile_ns(0.5) == 7
+    assert ResponseTimes([1, 9]).quantile_ns(0.5) == 1
+    assert ResponseTimes([1, 9]).quantile_ns(0.51) == 9
+
+
+def test_the_longest_time_of_all_is_never_hidden_by_a_percentile() -> None:
+    times = ResponseTimes([1] * 999_999)
+    times.add(500 * MS)
+    assert times.quantile_ns(0.999) == 1
+    assert times.quantile_ns(1.0) == 500 * MS
+    assert times.as_dict()["max_ms"] == 500.0
+
+
+@given(TIMES, st.sampled_from([0.0, 0.5, 0.9, 0.99, 0.999, 1.0]))
+def test_at_least_the_share_of_all_times_do_not_exceed_their_percentile_and_fewer_do_any_smaller(
+    times_ns: list[int], share: float
+) -> None:
+    found = ResponseTimes(times_ns).quantile_ns(share)
+    if not times_ns:
+        assert found is None
+        return
+    assert found in times_ns
+    needed = max(1, math.ceil(round(share * 1000) * len(times_ns) / 1000))
+    assert sum(time_ns <= found for time_ns in times_ns) >= needed
+    assert sum(time_ns < found for time_ns in times_ns) < needed
+
+
+@given(TIMES, TIMES)
+def test_merged_is_as_if_counted_together_and_the_other_stays_as_it_is(one: list[int], other: list[int]) -> None:
+    merged, rest = ResponseTimes(one), ResponseTimes(other)
+    merged.quantile_ns(0.5)  # what has been asked before must not matter
+    merged.merge(rest)
+    assert merged.as_dict() == ResponseTimes([*one, *other]).as_dict()
+    assert rest.as_dict() == ResponseTimes(other).as_dict()
+
+
+@given(TIMES)
+def test_each_time_is_in_exactly_one_bin(times_ns: list[int]) -> None:
+    bins = ResponseTimes(times_ns).histogram()
+    assert [edge for edge, _ in bins] == [*BINS_MS, None]
+    assert sum(count for _, count in bins) == len(times_ns)
+    lower = -1.0
+    for edge, count in bins:
+        upper = math.inf if edge is None else edge * MS
+        assert count == sum(lower < time_ns <= upper for time_ns in times_ns)
+        lower = upper
+
+
+def test_a_limit_itself_is_kept_and_a_nanosecond_more_is_above_it() -> None:
+    times = ResponseTimes([10 * MS - 1, 10 * MS, 10 * MS + 1])
+    assert times.count_above(10 * MS) == 1
+    assert times.share_above(10 * MS) == pytest.approx(1 / 3)
+    assert times.as_dict()["above_ms"] == {
+        str(limit): 3 if limit < 10 else 1 if limit == 10 else 0 for limit in THRESHOLDS_MS
+    }
+
+
+def test_no_times_have_no_percentiles_and_no_share() -> None:
+    nothing = ResponseTimes()
+    assert len(nothing) == 0 and nothing.share_above(0) == 0.0
+    assert nothing.as_dict()["p50_ms"] is None and nothing.as_dict()["max_ms"] is None
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
+def test_what_is_no_share_is_refused(share: float) -> None:
+    with pytest.raises(ValueError, match="a share is 0 to 1"):
+        ResponseTimes([1]).quantile_ns(share)
+
+
+# ------------------------------------------------------------ what the simulated VCU counts
+
+
+def test_each_loss_of_the_ai_computer_is_counted_once_however_long_it_lasts() -> None:
+    bench = Bench().power_up()
+    bench.run(S)
+    assert bench.vcu.comms_losses == 0
+    for losses in (1, 2):
+        bench.silent_ids = {0x513}
+        bench.run(S)
+        assert bench.vcu.comms_losses == losses
+        bench.silent_ids = set()
+        bench.run(S)
+    assert bench.vcu.comms_losses == 2

@@ -1,0 +1,355 @@
+"""The simulated car: actuators, straight-line performance, corners, wheels in the air."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from fsai_hil.simulator.car import Car, Pose, car_model
+from fsai_hil.simulator.vcu import Actuation
+
+MS = 1_000_000
+FULL = Actuation(rear_torque_nm=195.0, rear_motor_speed_max_rpm=4000, tractive_system_live=True)
+COAST = Actuation(tractive_system_live=True)
+
+
+def drive(car: Car, order: Actuation, seconds: float) -> None:
+    """In steps of 10 ms, as the VCU orders."""
+    end = car.t_ns + round(seconds * 1e9)
+    while car.t_ns < end:
+        car.advance(min(end, car.t_ns + 10 * MS), order)
+
+
+def at_speed(speed_mps: float, **changes: object) -> Car:
+    car = Car(replace(car_model("2026"), **changes))  # type: ignore[arg-type]
+    while car.speed_mps < speed_mps:
+        drive(car, FULL, 0.01)
+    return car
+
+
+def stopping(car: Car, order: Actuation) -> tuple[float, float]:
+    """(metres, seconds) until it stands."""
+    begin_m, begin_ns = car.truth().distance_m, car.t_ns
+    while car.speed_mps > 0.0:
+        drive(car, order, 0.01)
+        assert car.t_ns - begin_ns < 60e9, "it never stops"
+    return car.truth().distance_m - begin_m, (car.t_ns - begin_ns) / 1e9
+
+
+# ------------------------------------------------------------ straight ahead
+
+
+def test_a_rear_driven_car_leaves_the_line_with_1_9_mps2() -> None:
+    car = Car(car_model("2026"))
+    drive(car, FULL, 0.3)
+    assert car.truth().accel_mps2[0] == pytest.approx(1.9, abs=0.1)
+
+
+def test_75_m_at_full_throttle_take_between_9_and_11_seconds() -> None:
+    car = Car(car_model("2026"))
+    while car.truth().distance_m < 75.3:
+        drive(car, FULL, 0.01)
+    assert car.t_ns / 1e9 == pytest.approx(9.8, abs=0.3)
+
+
+def test_the_car_reaches_about_21_mps_and_no_more() -> None:
+    car = Car(car_model("2026"))
+    drive(car, FULL, 60.0)
+    assert car.speed_mps == pytest.approx(21.0, abs=0.7)
+
+
+def test_both_axles_drive_in_2021_and_only_the_rear_one_in_2026() -> None:
+    order = replace(FULL, front_torque_nm=195.0, front_motor_speed_max_rpm=4000)
+    both, rear = Car(car_model("2021")), Car(car_model("2026"))
+    drive(both, order, 1.0)
+    drive(rear, order, 1.0)
+    assert both.speed_mps > 1.8 * rear.speed_mps
+    assert rear.feedback().front_torque_nm == 0.0
+
+
+def test_torque_slews_by_50_nm_in_10_ms() -> None:
+    car = Car(car_model("2026"))
+    car.advance(10 * MS, FULL)
+    assert car.feedback().rear_torque_nm == pytest.approx(50.0, abs=0.1)
+    car.advance(20 * MS, COAST)
+    assert car.feedback().rear_torque_nm == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("rpm", "torque_nm"), [(0, 195), (525, 172.5), (1050, 150), (1400, 120), (1750, 100), (2450, 50), (3150, 10)]
+)
+def test_available_torque_falls_with_motor_speed(rpm: float, torque_nm: float) -> None:
+    assert Car(car_model("2026")).available_torque_nm(rpm) == pytest.approx(torque_nm)
+
+
+def test_no_torque_comes_without_a_live_tractive_system() -> None:
+    car = Car(car_model("2026"))
+    drive(car, replace(FULL, tractive_system_live=False), 1.0)
+    assert car.speed_mps == 0.0
+
+
+def test_a_motor_faster_than_its_limit_brakes_with_the_torque_asked_for() -> None:
+    coasting, braking = at_speed(8.0), at_speed(8.0)
+    drive(coasting, COAST, 1.0)
+    drive(braking, replace(FULL, rear_torque_nm=100.0, rear_motor_speed_max_rpm=0), 1.0)
+    assert braking.feedback().rear_torque_nm == pytest.approx(-100.0)
+    assert braking.speed_mps < coasting.speed_mps - 0.8
+
+
+def test_a_motor_speed_limit_of_zero_stops_the_car_and_never_reverses_it() -> None:
+    car = at_speed(5.0)
+    _, seconds = stopping(car, replace(FULL, rear_motor_speed_max_rpm=0))
+    assert seconds < 6.0
+    where = car.pose
+    drive(car, replace(FULL, rear_motor_speed_max_rpm=0), 2.0)
+    assert car.pose == where
+
+
+def test_the_motor_speed_limit_holds_the_speed() -> None:
+    car = Car(car_model("2026"))
+    limit_rpm = 1000
+    drive(car, replace(FULL, rear_motor_speed_max_rpm=limit_rpm), 15.0)
+    assert max(car.truth().wheel_rpm) * 3.5 == pytest.approx(limit_rpm, rel=0.05)
+
+
+# ------------------------------------------------------------ brakes
+
+
+def test_brakes_wait_80_ms_and_then_act() -> None:
+    car = at_speed(10.0)
+    order = replace(COAST, front_brake_pct=50.0, rear_brake_pct=50.0)
+    begin = car.t_ns
+    while car.feedback().front_brake_pct == 0.0:
+        car.advance(car.t_ns + 2 * MS, order)
+    assert 80 * MS <= car.t_ns - begin <= 84 * MS
+
+
+@pytest.mark.parametrize(
+    ("asked", "comes"), [(0.0, 0.0), (0.5, 13.0), (10.0, 13.0), (20.0, 21.2), (50.0, 53.0), (100.0, 100.0)]
+)
+def test_brake_pressure_is_6_percent_over_the_request_and_13_at_least(asked: float, comes: float) -> None:
+    car = Car(car_model("2026"))
+    drive(car, replace(COAST, front_brake_pct=asked, rear_brake_pct=asked), 1.0)
+    assert car.feedback().rear_brake_pct == pytest.approx(comes)
+
+
+def test_full_braking_decelerates_with_9_mps2() -> None:
+    car = at_speed(12.0)
+    metres, _ = stopping(car, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0))
+    speed = 12.0
+    assert metres == pytest.approx(speed**2 / (2 * 9.0) + speed * 0.12, rel=0.08)
+
+
+def test_the_ebs_brakes_fully_whatever_is_asked() -> None:
+    asked, ebs = at_speed(10.0), at_speed(10.0)
+    by_request = stopping(asked, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0))
+    by_ebs = stopping(ebs, replace(COAST, ebs_engaged=True))
+    assert by_ebs == pytest.approx(by_request)
+
+
+def test_the_least_brake_request_is_a_step_of_1_2_mps2() -> None:
+    coasting, braking = at_speed(10.0), at_speed(10.0)
+    drive(coasting, COAST, 1.0)
+    drive(braking, replace(COAST, front_brake_pct=0.5, rear_brake_pct=0.5), 1.0)
+    assert coasting.speed_mps - braking.speed_mps == pytest.approx(1.2 * 0.91, abs=0.12)
+
+
+def test_a_braked_car_does_not_pull_away_against_its_brakes() -> None:
+    car = Car(car_model("2026"))
+    drive(car, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0), 0.5)
+    drive(car, replace(FULL, front_brake_pct=100.0, rear_brake_pct=100.0), 2.0)
+    assert car.speed_mps == 0.0
+
+
+# ------------------------------------------------------------ steering
+
+
+def test_steering_waits_50_ms_then_turns_with_40_degps_less_its_play() -> None:
+    car = Car(car_model("2026"))
+    order = replace(COAST, steer_deg=20.0)
+    drive(car, order, 0.05)
+    assert car.feedback().steer_deg == 0.0
+    drive(car, order, 0.25)
+    assert car.feedback().steer_deg == pytest.approx(40.0 * 0.25 - 0.9, abs=0.1)
+    drive(car, order, 1.0)
+    assert car.feedback().steer_deg == pytest.approx(20.0 - 0.9)
+
+
+def test_a_small_steering_request_is_lost_in_the_backlash() -> None:
+    car = Car(car_model("2026"))
+    drive(car, replace(COAST, steer_deg=0.8), 1.0)
+    assert car.feedback().steer_deg == 0.0
+
+
+def test_requests_keep_their_order_through_the_dead_time() -> None:
+    car = Car(car_model("2026"))
+    car.advance(10 * MS, replace(COAST, steer_deg=10.0))
+    car.advance(20 * MS, replace(COAST, steer_deg=-10.0))
+    drive(car, replace(COAST, steer_deg=-10.0), 1.0)
+    assert car.feedback().steer_deg == pytest.approx(-10.0 + 0.9)
+
+
+@pytest.mark.parametrize("revision", ["2021", "2026"])
+def test_the_road_wheels_stop_at_the_cars_own_limit(revision: str) -> None:
+    model = car_model(revision)
+    car = Car(model)
+    drive(car, replace(COAST, steer_deg=60.0), 3.0)
+    assert car.truth().steer_deg == pytest.approx(model.steer_limit_deg - model.steer_backlash_deg)
+
+
+def test_a_slow_circle_has_the_radius_of_the_steering_geometry() -> None:
+    car = Car(car_model("2026"))
+    order = replace(FULL, rear_torque_nm=60.0, rear_motor_speed_max_rpm=250, steer_deg=21.9)
+    drive(car, order, 6.0)
+    points = []
+    for _ in range(320):  # more than once round
+        drive(car, order, 0.05)
+        points.append((car.pose.x_m, car.pose.y_m))
+    width = max(x for x, _ in points) - min(x for x, _ in points)
+    assert width / 2.0 == pytest.approx(1.53 / math.tan(math.radians(21.0)), rel=0.02)  # missions.md: 3.99 m
+
+
+def test_tyres_limit_the_lateral_acceleration() -> None:
+    car = at_speed(12.0)
+    drive(car, replace(COAST, steer_deg=25.0), 0.6)
+    peak = 0.0
+    for _ in range(50):
+        drive(car, replace(COAST, steer_deg=25.0), 0.01)
+        peak = max(peak, abs(car.truth().accel_mps2[1]))
+    assert 6.0 < peak < 1.1 * car.model.friction * 9.81
+
+
+def test_a_turning_car_turns_left_with_positive_steering_and_its_right_wheels_run_faster() -> None:
+    car = at_speed(4.0)
+    drive(car, replace(FULL, rear_torque_nm=30.0, steer_deg=10.0), 1.0)
+    fl, fr, rl, rr = car.truth().wheel_rpm
+    assert car.truth().yaw_rate_radps > 0.0
+    assert fr > fl
+    assert rr > rl
+
+
+def test_nothing_twitches_when_the_speed_passes_from_rolling_to_walking_pace() -> None:
+    car = at_speed(5.0)
+    order = replace(COAST, steer_deg=8.0)
+    before = car.truth().yaw_rate_radps
+    drive(car, order, 0.5)
+    before = car.truth().yaw_rate_radps
+    while car.speed_mps > 0.05:
+        drive(car, order, 0.01)
+        now = car.truth().yaw_rate_radps
+        assert abs(now - before) < 0.02
+        before = now
+
+
+# ------------------------------------------------------------ standing, sensors
+
+
+def test_a_car_that_nobody_moves_stands_exactly_still() -> None:
+    car = Car(car_model("2026"), Pose(3.0, -4.0, 1.0))
+    drive(car, replace(COAST, steer_deg=20.0), 5.0)
+    assert (car.pose.x_m, car.pose.y_m, car.pose.yaw_rad) == pytest.approx((3.0, -4.0, 1.0), abs=1e-12)
+    assert car.feedback().wheel_rpm == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_wheel_speeds_are_those_of_the_rolling_radius() -> None:
+    car = at_speed(8.0)
+    drive(car, COAST, 0.5)
+    expected = car.speed_mps / (2.0 * math.pi * car.model.wheel_radius_m) * 60.0
+    assert car.feedback().wheel_rpm == pytest.approx([expected] * 4, rel=0.01)
+
+
+def test_wheelspin_turns_the_driven_wheels_faster_than_the_road() -> None:
+    car = Car(replace(car_model("2026"), friction=0.2))
+    drive(car, FULL, 1.0)
+    fl, _, rl, _ = car.truth().wheel_rpm
+    assert rl > 1.5 * fl
+
+
+def test_locked_wheels_read_slower_than_the_road_on_a_slippery_track() -> None:
+    car = at_speed(8.0)
+    car.model = replace(car.model, friction=0.2)
+    drive(car, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0), 0.4)
+    rolling = car.speed_mps / (2.0 * math.pi * car.model.wheel_radius_m) * 60.0
+    assert car.truth().wheel_rpm[0] < 0.5 * rolling
+
+
+def test_pulse_counters_wrap_at_16_bits_and_lose_no_pulse() -> None:
+    car = Car(replace(car_model("2026"), pulses_per_rev=6000))
+    total, last = 0, car.feedback().pulses[2]
+    seen_wrap = False
+    revolutions = 0.0
+    for _ in range(800):
+        drive(car, FULL, 0.01)
+        revolutions += car.truth().wheel_rpm[2] * 0.01 / 60.0
+        now = car.feedback().pulses[2]
+        assert 0 <= now <= 0xFFFF
+        seen_wrap |= now < last
+        total += (now - last) & 0xFFFF
+        last = now
+    assert seen_wrap
+    assert total == pytest.approx(revolutions * 6000, rel=0.02)
+
+
+def test_a_wheel_speed_reading_rests_at_9_rpm_for_a_second_after_the_car_stops() -> None:
+    car = at_speed(2.0)
+    stopping(car, replace(COAST, front_brake_pct=30.0, rear_brake_pct=30.0))
+    assert car.feedback().wheel_rpm == (9.0, 9.0, 9.0, 9.0)
+    assert car.standing
+    drive(car, COAST, 0.9)
+    assert car.feedback().wheel_rpm == (9.0, 9.0, 9.0, 9.0)
+    drive(car, COAST, 0.15)
+    assert car.feedback().wheel_rpm == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_compass_course_is_clockwise_from_north() -> None:
+    assert Car(pose=Pose(yaw_rad=0.0)).feedback().course_deg == pytest.approx(90.0)  # east
+    assert Car(pose=Pose(yaw_rad=math.pi / 2)).feedback().course_deg == pytest.approx(0.0)  # north
+
+
+def test_100_m_north_and_east_are_seen_by_the_gps() -> None:
+    origin, moved = Car().feedback(), Car(pose=Pose(100.0, 100.0)).feedback()
+    north_m = (moved.latitude_deg - origin.latitude_deg) * 111_320.0
+    east_m = (moved.longitude_deg - origin.longitude_deg) * 111_320.0 * math.cos(math.radians(origin.latitude_deg))
+    assert (east_m, north_m) == pytest.approx((100.0, 100.0), abs=0.1)
+
+
+# ------------------------------------------------------------ in the air, and other cars
+
+
+def test_wheels_in_the_air_turn_and_the_car_stays() -> None:
+    car = Car(car_model("2026"), wheels_in_air=True)
+    rpm = 200
+    order = replace(FULL, rear_torque_nm=30.0, rear_motor_speed_max_rpm=round(rpm * 3.5))
+    drive(car, order, 8.0)
+    fl, fr, rl, rr = car.truth().wheel_rpm
+    assert (rl, rr) == pytest.approx((rpm, rpm), rel=0.1)
+    assert (fl, fr) == (0.0, 0.0)
+    assert car.pose == Pose()
+    drive(car, replace(COAST, rear_brake_pct=30.0), 3.0)
+    assert car.standing
+
+
+def test_the_same_orders_give_the_same_run_in_whatever_portions() -> None:
+    one, two = Car(car_model("2026")), Car(car_model("2026"))
+    order = replace(FULL, steer_deg=5.0)
+    one.advance(3_000 * MS, order)
+    for t in range(2, 3_001, 2):
+        two.advance(t * MS, order)
+    assert one.truth() == two.truth()
+
+
+def test_the_official_simulators_car_is_heavier_with_small_wheels_and_more_pulses() -> None:
+    model = car_model("2026", official_simulator=True)
+    assert (model.mass_kg, model.wheel_radius_m, model.pulses_per_rev) == (325.0, 0.15, 36)
+
+
+def test_placing_the_car_stops_it_and_keeps_its_pulse_counters() -> None:
+    car = at_speed(5.0)
+    pulses = car.feedback().pulses
+    assert pulses[2] > 0
+    car.place(Pose(1.0, 2.0, 0.5))
+    assert car.pose == Pose(1.0, 2.0, 0.5)
+    assert car.speed_mps == 0.0
+    assert car.feedback().pulses == pulses

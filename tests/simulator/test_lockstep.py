@@ -1,0 +1,167 @@
+"""The whole AI side against the whole car: every mission passes, and what breaks on the way ends as the rules say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from fsai_hil.simulator.lockstep import Lockstep, LockstepResult
+from fsai_hil.simulator.operator import At, Moment
+from fsai_hil.simulator.tracks import load_track
+from fsai_hil.simulator.world import WorldSetup, mission_named
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.limits import OperationalLimits
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
+from fsai_vcu.interface.enums import Ami, AsState
+
+S = 1_000_000_000
+MISSIONS = [ami for ami in Ami if ami is not Ami.NOT_SELECTED]
+
+
+def oval(**changes: object) -> WorldSetup:
+    """A short lap: the quickest run that has everything in it."""
+    setup = WorldSetup(missions=[Ami.AUTOCROSS], track=load_track("small_oval"), gps=False)
+    return replace(setup, **changes)  # type: ignore[arg-type]
+
+
+def states(result: LockstepResult) -> list[str]:
+    return [name for name, _ in result.verdict.as_states]
+
+
+def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
+    """To the moment in AS_DRIVING when the car has reached a speed."""
+    while lockstep.world.vcu.state is not AsState.AS_DRIVING or lockstep.world.car.speed_mps < speed_mps:
+        lockstep.step()
+        assert lockstep.now_ns < 60 * S, "the car never drove"
+
+
+@pytest.mark.parametrize("revision", ["2021", "2026"])
+@pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
+def test_every_mission_passes_with_every_rule_kept_and_no_guard_acting(mission: Ami, revision: str) -> None:
+    laps = 2 if mission is Ami.TRACKDRIVE else None
+    track = load_track("small_oval") if mission in (Ami.TRACKDRIVE, Ami.AUTOCROSS) else None
+    result = Lockstep(WorldSetup(missions=[mission], revision=revision, laps=laps, track=track)).run()
+    assert result.verdict.result == "pass", result.verdict.reasons
+    assert result.wire.ok, result.wire
+    assert result.report.reason_counts == {}, "a guard acted in a nominal run"
+    assert result.report.problem_counts == {}
+    assert result.verdict.cones_hit == 0
+
+
+@pytest.mark.parametrize("mission", [Ami.ACCELERATION, Ami.AUTOCROSS], ids=lambda ami: ami.name.lower())
+def test_the_official_simulators_quirks_are_coped_with(mission: Ami) -> None:
+    result = Lockstep(WorldSetup(missions=[mission], profile="official-simulator", gps=False)).run()
+    assert result.verdict.result == "pass", result.verdict.reasons
+    assert not any("brake" in violation and "together" in violation for violation in result.wire.violations)
+
+
+def test_a_second_mission_follows_without_a_restart_of_anything() -> None:
+    lockstep = Lockstep(oval(missions=[Ami.AUTOCROSS, Ami.ACCELERATION]))
+    result = lockstep.run()
+    assert [verdict.result for verdict in lockstep.world.verdicts] == ["pass", "pass"], lockstep.world.verdicts
+    assert result.wire.ok, result.wire
+
+
+def test_the_same_seed_is_the_same_run_and_another_seed_another() -> None:
+    runs = [Lockstep(oval(seed=seed)).run().as_dict() for seed in (3, 3, 4)]
+    for run in runs:
+        del run["wall_time_s"]
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_manual_while_driving_brings_the_car_to_rest_and_ends_the_run_finished() -> None:
+    lockstep = Lockstep(oval())
+    drive_until(lockstep, 3.0)
+    assert lockstep.bridge.set_mode("manual", lockstep.now_ns)[0]
+    result = lockstep.run()
+    assert states(result)[-1] == "AS_FINISHED"
+    assert result.wire.ok, result.wire
+
+
+@pytest.mark.parametrize("silence", ["planner", "controller"])
+def test_silence_of_the_driving_side_is_a_service_brake_stop(silence: str) -> None:
+    lockstep = Lockstep(oval())
+    drive_until(lockstep, 3.0)
+    if silence == "controller":
+        lockstep.computer.command_filter = lambda command, now_ns: None
+    else:
+        lockstep.computer.on_cones = lambda observation: None  # type: ignore[method-assign]
+    result = lockstep.run()
+    assert states(result)[-1] == "AS_FINISHED"
+    assert result.report.mode == "manual", "the stop for lost commands is latched"
+    assert result.wire.ok, result.wire
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 7.0, -7.0])
+@pytest.mark.parametrize("field", ["steering_rad", "throttle", "brake"])
+def test_absurd_commands_count_as_none_and_end_in_a_stop(field: str, value: float) -> None:
+    lockstep = Lockstep(oval())
+    drive_until(lockstep, 3.0)
+
+    def absurd(command: VehicleCommand, now_ns: int) -> VehicleCommand:
+        return replace(command, **{field: value})
+
+    lockstep.computer.command_filter = absurd
+    result = lockstep.run()
+    assert states(result)[-1] == "AS_FINISHED"
+    assert any("refused" in reason for reason in result.report.reason_counts), result.report.reason_counts
+    assert result.wire.ok, result.wire
+
+
+@pytest.mark.parametrize(
+    ("switch", "value", "end"),
+    [("remote_estop", True, "EMERGENCY_BRAKE"), ("go", False, "EMERGENCY_BRAKE"), ("asms", False, "EMERGENCY_BRAKE")],
+)
+def test_what_people_do_at_the_car_while_it_drives_stops_it_and_no_rule_is_broken(
+    switch: str, value: bool, end: str
+) -> None:
+    setup = oval(at=[At(after_ns=8 * S, switch=switch, value=value, since=Moment.DRIVING)])
+    result = Lockstep(setup).run()
+    assert end in states(result)
+    assert result.wire.ok, result.wire
+
+
+def test_operational_limits_are_never_exceeded() -> None:
+    limits = OperationalLimits(max_speed_mps=3.0, max_axle_torque_nm=60.0, max_steer_deg=18.0)
+    asked: list[tuple[float, float, float]] = []
+    lockstep = Lockstep(oval(), limits=limits)
+
+    def watch(command: VehicleCommand, now_ns: int) -> VehicleCommand:
+        sent = lockstep.bridge.report(now_ns).command
+        asked.append((sent.rear_torque_nm, abs(sent.steer_deg), lockstep.world.car.speed_mps))
+        return replace(command, speed_limit_mps=20.0)  # whoever drives does not care
+
+    lockstep.computer.command_filter = watch
+    result = lockstep.run()
+    assert result.verdict.result == "pass", result.verdict.reasons
+    assert max(torque for torque, _, _ in asked) <= 60.0
+    assert max(steer for _, steer, _ in asked) <= 18.0
+    assert max(speed for _, _, speed in asked) <= 3.0 * 1.05
+
+
+@pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
+def test_max_speed_is_kept_in_every_mission(mission: Ami) -> None:
+    lockstep = Lockstep(WorldSetup(missions=[mission], laps=1), controller=ControllerSettings(max_speed_mps=3.0))
+    speeds = [0.0]
+    on_stands = mission in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+
+    def watch(command: VehicleCommand, now_ns: int) -> VehicleCommand:
+        wheels = lockstep.bridge.report(now_ns).vehicle.speeds
+        rpm = max(wheels.all_rpm) if wheels is not None else 0
+        speeds.append(ADS_DV_2026.speed_of_wheel_rpm(rpm) if on_stands else lockstep.world.car.speed_mps)
+        return command
+
+    lockstep.computer.command_filter = watch
+    lockstep.run()
+    least = 1.0 if mission is Ami.STATIC_INSPECTION_B else 2.5  # that one wants 50 rpm
+    assert least < max(speeds) < 3.0 * 1.03
+
+
+def test_missions_are_named_as_on_the_display() -> None:
+    assert mission_named("Trackdrive") is Ami.TRACKDRIVE
+    with pytest.raises(ValueError, match="choose one of acceleration"):
+        mission_named("hillclimb")

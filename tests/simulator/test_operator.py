@@ -1,0 +1,216 @@
+"""The person beside the simulated car."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from vcu_bench import Bench
+
+from fsai_hil.simulator.operator import At, Await, Do, Moment, Operator, Script
+from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, S
+from fsai_hil.simulator.switches import Switches
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+
+
+class Driver:
+    """An AI computer that does every mission in two seconds, at rest, and finishes it or requests an emergency stop."""
+
+    def __init__(self, bench: Bench, ends_with_estop: bool = False) -> None:
+        self.bench = bench
+        self.ends_with_estop = ends_with_estop
+
+    def think(self) -> None:
+        bench = self.bench
+        state, selected = bench.state, bench.switches.ami is not Ami.NOT_SELECTED
+        over = state is AsState.AS_DRIVING and bench.vcu.in_state_ns > 2 * S
+        if state in (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY):
+            status = MissionStatus.SELECTED if selected else MissionStatus.NOT_SELECTED
+            bench.say(mission_status=status, direction=Direction.NEUTRAL, estop_request=False)
+        elif over and self.ends_with_estop:
+            bench.say(estop_request=True)
+        elif over or state is AsState.AS_FINISHED:
+            bench.say(mission_status=MissionStatus.FINISHED, direction=Direction.NEUTRAL)
+        elif state is AsState.AS_DRIVING:
+            bench.say(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
+
+
+def drive(bench: Bench, driver: Driver, until: Callable[[], bool], limit_ns: int = 120 * S) -> None:
+    while not until():
+        assert bench.now_ns < limit_ns, f"{bench.operator.doing}; {bench.vcu.transitions}"
+        driver.think()
+        bench.tick()
+
+
+def states(bench: Bench) -> list[AsState]:
+    return [state for _, state in bench.vcu.history]
+
+
+ONE_RUN = [AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED, AsState.AS_OFF]
+
+
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_the_operator_takes_a_car_from_off_through_its_mission_to_off(name: str) -> None:
+    bench = Bench(name)
+    bench.operator = Operator.auto(name, [Ami.TRACKDRIVE])
+    drive(bench, Driver(bench), lambda: bench.operator.done)
+    off = [AsState.AS_OFF] if name == "2021" else [AsState.AS_INIT, AsState.AS_OFF]
+    assert states(bench)[: len(off) + 4] == off + ONE_RUN
+    switches = bench.switches
+    assert not (switches.asms or switches.tsms or switches.lvms or switches.go)
+    assert bench.operator.doing == "nothing left to do"
+
+
+@pytest.mark.parametrize(
+    ("name", "order"), [("2021", ["aims", "asms", "tsms", "lvms"]), ("2026", ["lvms", "asms", "tsms"])]
+)
+def test_the_switches_go_on_in_the_order_of_the_cars_power_up(name: str, order: list[str]) -> None:
+    bench = Bench(name)
+    bench.operator = Operator.auto(name, [Ami.SKIDPAD])
+    seen: list[str] = []
+    for _ in range(6000):
+        bench.tick()
+        seen += [switch for switch in order if getattr(bench.switches, switch) and switch not in seen]
+    assert seen == order
+
+
+def test_go_is_given_only_after_yellow_and_blue() -> None:
+    bench = Bench()
+    bench.operator = Operator.auto("2021", [Ami.SKIDPAD])
+    drive(bench, Driver(bench), lambda: bench.switches.go)
+    ready_ns = next(t_ns for t_ns, state in bench.vcu.history if state is AsState.AS_READY)
+    assert 5 * S <= bench.now_ns - ready_ns <= 6 * S
+
+
+def test_a_go_that_starts_nothing_is_taken_back_and_given_again() -> None:
+    bench = Bench()
+    driver = Driver(bench)
+    bench.operator = Operator.auto("2021", [Ami.SKIDPAD])
+    drive(bench, driver, lambda: bench.state is AsState.AS_READY)
+    bench.say(steer_deg=1.0)  # so the VCU does not start
+    drive(bench, driver, lambda: bench.switches.go)
+    drive(bench, driver, lambda: not bench.switches.go)
+    bench.say(steer_deg=0.0)
+    drive(bench, driver, lambda: bench.state is AsState.AS_DRIVING)
+
+
+@pytest.mark.parametrize(("name", "cycles"), [("2021", 1), ("2026", 2)])
+def test_missions_follow_one_another_as_the_car_wants_it(name: str, cycles: int) -> None:
+    bench = Bench(name)
+    bench.operator = Operator.auto(name, [Ami.ACCELERATION, Ami.SKIDPAD])
+    chosen: list[Ami] = []
+
+    def done() -> bool:
+        if bench.state is AsState.AS_DRIVING and bench.vcu.in_state_ns == S:
+            chosen.append(bench.switches.ami)
+        return bench.operator.done
+
+    drive(bench, Driver(bench), done)
+    assert chosen == [Ami.ACCELERATION, Ami.SKIDPAD]
+    assert bench.vcu.power_cycles == cycles
+    assert states(bench).count(AsState.AS_FINISHED) == 2
+
+
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_after_an_emergency_the_operator_waits_for_the_siren_and_cycles_power_before_the_next_mission(
+    name: str,
+) -> None:
+    bench = Bench(name)
+    driver = Driver(bench, ends_with_estop=True)
+    bench.operator = Operator.auto(name, [Ami.STATIC_INSPECTION_B, Ami.SKIDPAD])
+    drive(bench, driver, lambda: bench.state is AsState.EMERGENCY_BRAKE)
+    begun_ns = bench.now_ns
+    drive(bench, driver, lambda: bench.state is AsState.AS_OFF)
+    assert bench.now_ns - begun_ns >= 15 * S
+    driver.ends_with_estop = False
+    drive(bench, driver, lambda: bench.operator.done)
+    assert states(bench).count(AsState.AS_FINISHED) == 1
+    assert bench.vcu.power_cycles == 2
+
+
+def test_the_car_can_be_left_on_after_the_last_mission() -> None:
+    bench = Bench()
+    bench.operator = Operator.auto("2021", [Ami.SKIDPAD], switch_off_at_end=False)
+    drive(bench, Driver(bench), lambda: bench.operator.done)
+    bench.run(S)
+    assert bench.state is AsState.AS_FINISHED
+
+
+def test_the_operator_copes_with_the_official_simulator() -> None:
+    bench = Bench("2021", OFFICIAL_SIMULATOR)
+    bench.operator = Operator.auto("2021", [Ami.ACCELERATION, Ami.SKIDPAD])
+    drive(bench, Driver(bench), lambda: bench.operator.done)
+    assert states(bench).count(AsState.AS_FINISHED) == 2
+
+
+# ---------------------------------------------------------------- events
+
+
+@pytest.mark.parametrize(
+    ("switch", "value"),
+    [("remote_estop", True), ("car_estop", True), ("go", False), ("asms", False), ("remote_radio_ok", False)],
+)
+def test_a_switch_is_thrown_at_its_moment_of_driving_and_the_operator_ends_the_run(switch: str, value: Any) -> None:
+    bench = Bench()
+    event = At(1500 * MS, switch, value, since=Moment.DRIVING)
+    bench.operator = Operator.auto("2021", [Ami.TRACKDRIVE], at=[event])
+    driver = Driver(bench)
+    drive(bench, driver, lambda: bench.state is AsState.EMERGENCY_BRAKE)
+    driving_ns = next(t_ns for t_ns, state in bench.vcu.history if state is AsState.AS_DRIVING)
+    assert bench.now_ns - driving_ns == pytest.approx(1500 * MS, abs=2 * MS)
+    drive(bench, driver, lambda: bench.operator.done)
+    assert not bench.switches.lvms
+
+
+def test_an_emergency_before_go_keeps_the_operator_from_giving_it() -> None:
+    bench = Bench()
+    event = At(2 * S, "car_estop", since=Moment.READY)
+    bench.operator = Operator.auto("2021", [Ami.TRACKDRIVE], at=[event])
+    driver = Driver(bench)
+    drive(bench, driver, lambda: bench.operator.done or bench.switches.go)
+    assert bench.operator.done
+
+
+def test_events_need_no_script_and_happen_in_the_order_of_their_time() -> None:
+    bench = Bench()
+    bench.operator = Operator(at=[At(20 * MS, "tsms"), At(10 * MS, "asms"), At(10 * MS, "ami", Ami.SKIDPAD)])
+    bench.run(S)
+    assert [(t_ns // MS, what) for t_ns, what in bench.operator.log] == [
+        (11, "asms is True"),
+        (11, "ami is SKIDPAD"),
+        (21, "tsms is True"),
+    ]
+
+
+def test_an_event_on_a_switch_that_the_car_lacks_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match=r"no switch 'turbo'.*asms"):
+        At(0, "turbo")
+
+
+def test_a_script_of_ones_own_waits_acts_and_runs_out_of_patience() -> None:
+    def turn_on(switches: Switches, seen: bool) -> Script:
+        switches.lvms = True
+        return ()
+
+    def crash_unless(switches: Switches, came: bool) -> Script:
+        switches.crash = not came
+        return ()
+
+    bench = Bench()
+    bench.operator = Operator(
+        [
+            Await("turning LVMS on", delay_ns=100 * MS),
+            Do(turn_on),
+            Await("waiting for a mission that cannot come", lambda car: car.mission_selectable, 0, S),
+            Do(crash_unless),
+        ]
+    )
+    bench.run(100 * MS)
+    assert not bench.switches.lvms
+    bench.run(2 * MS)
+    assert bench.switches.lvms
+    assert bench.operator.doing == "waiting for a mission that cannot come"
+    bench.run(S)
+    assert bench.switches.crash
+    assert bench.operator.done

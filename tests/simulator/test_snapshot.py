@@ -1,0 +1,134 @@
+"""A run can be copied in the middle: one drive up to a moment serves many different ends of it."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+
+import pytest
+
+from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.tracks import load_track
+from fsai_hil.simulator.world import World, WorldSetup
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.frames import Frame
+
+S = 1_000_000_000
+MISSIONS = [ami for ami in Ami if ami is not Ami.NOT_SELECTED]
+INTO_DRIVING_NS = 6 * S
+GOES_ON_NS = 3 * S
+
+
+class Log:
+    """Everything on the bus, and where the car was."""
+
+    def __init__(self, lockstep: Lockstep) -> None:
+        self._hash = hashlib.sha256()
+        self.count = 0
+        lockstep.on_frame = self.see
+
+    def see(self, frame: Frame) -> None:
+        self.count += 1
+        self._hash.update(b"%d %d %s " % (frame.t_ns, frame.can_id, frame.data))
+
+    @property
+    def digest(self) -> str:
+        return self._hash.hexdigest()
+
+
+def driving(mission: Ami, revision: str) -> Lockstep:
+    """A run some seconds into AS_DRIVING, with everything under way that can be: GPS, plans, delayed requests."""
+    track = load_track("small_oval") if mission in (Ami.TRACKDRIVE, Ami.AUTOCROSS) else None
+    lockstep = Lockstep(WorldSetup(missions=[mission, mission], revision=revision, track=track, seed=5, laps=1))
+    vcu = lockstep.world.vcu
+    while vcu.state is not AsState.AS_DRIVING or vcu.in_state_ns < INTO_DRIVING_NS:
+        lockstep.step()
+        assert lockstep.now_ns < 60 * S, "the car never drove"
+    return lockstep
+
+
+def go_on(lockstep: Lockstep, duration_ns: int = GOES_ON_NS) -> None:
+    until_ns = lockstep.now_ns + duration_ns
+    while lockstep.now_ns < until_ns:
+        lockstep.step()
+
+
+def outcome(lockstep: Lockstep) -> tuple[object, ...]:
+    """All that a run shows of itself at an instant."""
+    world = lockstep.world
+    return (
+        world.truth,
+        world.verdict(),
+        tuple(world.samples),
+        world.operator.doing,
+        tuple(world.operator.log),
+        world.vcu.switches,
+        tuple(world.vcu.transitions),
+        lockstep.wire.report(),
+        lockstep.computer.report(),
+        lockstep.computer.commanded,
+    )
+
+
+@pytest.mark.parametrize("revision", ["2021", "2026"])
+@pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
+def test_a_copy_of_a_run_goes_on_exactly_as_the_run_itself_and_neither_disturbs_the_other(
+    mission: Ami, revision: str
+) -> None:
+    run = driving(mission, revision)
+    kept = copy.deepcopy(run)
+    before = outcome(run)
+
+    # A copy to which something else happens is driven first: nothing of it may be felt by the others.
+    disturbed = copy.deepcopy(run)
+    disturbed_log = Log(disturbed)
+    disturbed.world.vcu.switches.remote_estop = True
+    go_on(disturbed)
+    assert disturbed.world.vcu.state is AsState.EMERGENCY_BRAKE
+    assert outcome(run) == before
+
+    own_log = Log(run)
+    go_on(run)
+    assert outcome(kept) == before, "the run has moved its copy"
+    copied_log = Log(kept)
+    go_on(kept)
+    assert own_log.count > 1000
+    assert (copied_log.count, copied_log.digest) == (own_log.count, own_log.digest)
+    assert outcome(kept) == outcome(run)
+    assert disturbed_log.digest != own_log.digest
+
+
+def test_a_copy_taken_while_the_operator_is_at_work_ends_every_mission_as_the_run_itself_does() -> None:
+    setup = WorldSetup(missions=[Ami.STATIC_INSPECTION_B, Ami.STATIC_INSPECTION_A], gps=False)
+    run = Lockstep(setup)
+    copies: list[Lockstep] = []
+    for doing in ("turning ASMS on", "giving Go", "waiting until the siren falls silent"):
+        while run.world.operator.doing != doing:
+            run.step()
+            assert run.now_ns < 120 * S, f"never {doing}"
+        copies.append(copy.deepcopy(run))
+    result = run.run()
+    assert [verdict.result for verdict in run.world.verdicts] == ["pass", "pass"]
+    for kept in copies:
+        again = kept.run()
+        assert again.verdict == result.verdict
+        assert again.wire == result.wire
+        assert kept.world.operator.log == run.world.operator.log
+
+
+def test_a_copy_shares_what_never_changes_and_nothing_else() -> None:
+    run = driving(Ami.AUTOCROSS, "2026")
+    kept = copy.deepcopy(run)
+    assert kept.world.codec is run.world.codec
+    assert kept.world.track is run.world.track
+    assert kept.bridge is not run.bridge
+    assert kept.world.vcu is not run.world.vcu
+    assert kept.world.vcu.switches is not run.world.vcu.switches
+
+
+def test_a_world_without_an_onboard_computer_can_be_copied_too() -> None:
+    world = World(WorldSetup(missions=[Ami.SKIDPAD], gps=True))
+    world.advance(8 * S)
+    kept = copy.deepcopy(world)
+    assert kept.advance(9 * S) == world.advance(9 * S)
+    assert kept.truth == world.truth

@@ -1,0 +1,209 @@
+"""Handshake and loss of communication, as the VCU sees them."""
+
+from __future__ import annotations
+
+import pytest
+from vcu_bench import Bench
+
+from fsai_hil.simulator.ai_link import AI_MESSAGES, AiLink
+from fsai_hil.simulator.profiles import MS, SPECIFICATION, S
+from fsai_vcu.interface.enums import AsState, MissionStatus, ShutdownCause
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus
+
+CYCLE_NS = 10 * MS
+
+
+def talk(link: AiLink, t_ns: int, handshake: bool, leave_out: type | None = None) -> None:
+    for image in (AiStatus(handshake=handshake), AiDriveFront(), AiDriveRear(), AiSteer(), AiBrake()):
+        if type(image) is not leave_out:
+            link.on_image(image, t_ns)
+
+
+def test_the_first_handshake_bit_is_one() -> None:
+    assert AiLink(SPECIFICATION).next_bit(0) is True
+
+
+def test_the_handshake_waits_for_the_echo() -> None:
+    link = AiLink(SPECIFICATION)
+    assert [link.next_bit(n * CYCLE_NS) for n in range(5)] == [True] * 5
+    talk(link, 45 * MS, handshake=True)
+    assert link.next_bit(50 * MS) is False
+    talk(link, 55 * MS, handshake=True)  # still the old bit
+    assert link.next_bit(60 * MS) is False
+    talk(link, 65 * MS, handshake=False)
+    assert link.next_bit(70 * MS) is True
+
+
+def test_the_response_time_is_measured_from_toggle_to_echo_once_per_toggle() -> None:
+    link = AiLink(SPECIFICATION)
+    link.next_bit(0)
+    talk(link, 3 * MS, handshake=True)
+    talk(link, 8 * MS, handshake=True)
+    link.next_bit(10 * MS)
+    link.next_bit(20 * MS)
+    talk(link, 24 * MS, handshake=False)
+    assert link.response_times_ns == [3 * MS, 14 * MS]
+
+
+def test_an_echo_missing_for_100_ms_is_a_loss_and_one_nanosecond_less_is_none() -> None:
+    link = AiLink(SPECIFICATION)
+    for t_ns in range(0, 20 * CYCLE_NS, CYCLE_NS):
+        link.next_bit(t_ns)
+        talk(link, t_ns + MS, handshake=link.bit)
+    toggled_ns = 20 * CYCLE_NS
+    wrong = not link.next_bit(toggled_ns)
+    for n in range(10):
+        talk(link, toggled_ns + n * CYCLE_NS + MS, handshake=wrong)
+        link.next_bit(toggled_ns + (n + 1) * CYCLE_NS)
+    assert not link.lost(toggled_ns + 100 * MS - 1)
+    assert link.lost(toggled_ns + 100 * MS)
+    assert link.echo_missing(toggled_ns + 100 * MS)
+    assert not any(link.missing(message, toggled_ns + 100 * MS) for message in AI_MESSAGES)
+
+
+@pytest.mark.parametrize("message", AI_MESSAGES, ids=lambda message: message.__name__)
+def test_any_one_message_missing_ten_times_in_a_row_is_a_loss_and_a_nanosecond_less_is_none(message: type) -> None:
+    link = AiLink(SPECIFICATION)
+    link.next_bit(0)
+    talk(link, 0, handshake=True)
+    link.next_bit(CYCLE_NS)  # an AiStatus that goes missing takes its echo along, 10 ms later
+    for n in range(1, 11):
+        talk(link, n * CYCLE_NS, handshake=link.bit, leave_out=message)
+        link.next_bit((n + 1) * CYCLE_NS)
+    assert not link.lost(100 * MS - 1)
+    assert link.lost(100 * MS)
+    assert [m for m in AI_MESSAGES if link.missing(m, 100 * MS)] == [message]
+
+
+def test_a_message_that_never_came_is_missed_from_the_first_ai_data_on() -> None:
+    link = AiLink(SPECIFICATION)
+    link.next_bit(0)
+    for n in range(11):
+        talk(link, S + n * CYCLE_NS, handshake=link.bit, leave_out=AiSteer)
+        link.next_bit(S + n * CYCLE_NS + MS)
+    assert not link.valid(S + 50 * MS)
+    assert not link.lost(S + 100 * MS - 1)
+    assert link.lost(S + 100 * MS)
+
+
+def test_nothing_is_lost_before_ai_data_has_been_heard() -> None:
+    link = AiLink(SPECIFICATION)
+    for n in range(1000):
+        link.next_bit(n * CYCLE_NS)
+    assert not link.lost(100 * S)
+    assert not link.valid(100 * S)
+
+
+def test_the_echo_of_a_handshake_that_waited_for_the_first_ai_data_has_its_full_time() -> None:
+    link = AiLink(SPECIFICATION)
+    link.next_bit(0)
+    talk(link, 5 * S, handshake=False)
+    for n in range(1, 10):
+        talk(link, 5 * S + n * CYCLE_NS, handshake=False)
+    assert not link.lost(5 * S + 100 * MS - 1)
+    assert link.lost(5 * S + 100 * MS)
+
+
+# ---------------------------------------------------------------- on the VCU
+
+
+def test_the_response_times_of_a_prompt_ai_computer_are_one_per_cycle() -> None:
+    bench = Bench().power_up()
+    bench.answer_ns = 2 * MS
+    bench.run(20 * MS)
+    del bench.vcu.response_times_ns[:]
+    bench.run(S)
+    assert len(bench.vcu.response_times_ns) == 100
+    assert set(bench.vcu.response_times_ns) == {2 * MS}
+
+
+@pytest.mark.parametrize("can_id", range(0x510, 0x515), ids=hex)
+def test_losing_one_of_the_five_messages_while_driving_stops_the_car_within_its_time(can_id: int) -> None:
+    bench = Bench().to_driving()
+    bench.run(S)
+    bench.silent_ids = {can_id}
+    begun_ns = bench.now_ns
+    bench.run_until(lambda: bench.state is AsState.EMERGENCY_BRAKE, 150 * MS)
+    assert 90 * MS <= bench.now_ns - begun_ns <= 101 * MS
+    assert bench.vcu.shutdown_cause is ShutdownCause.AI_COMMS_FAULT
+    assert bench.status().faults.ai_comms_lost
+
+
+def test_a_wrong_echo_while_driving_stops_the_car_within_its_time() -> None:
+    bench = Bench().to_driving()
+    bench.run(S)
+    bench.echoes = False
+    begun_ns = bench.now_ns
+    bench.run_until(lambda: bench.state is AsState.EMERGENCY_BRAKE, 150 * MS)
+    assert 100 * MS <= bench.now_ns - begun_ns <= 112 * MS
+
+
+@pytest.mark.parametrize("way", ["to_ready", "to_finished"])
+def test_a_silent_ai_computer_is_an_emergency_in_as_ready_and_as_finished(way: str) -> None:
+    bench: Bench = getattr(Bench(), way)()
+    bench.talks = False
+    bench.run(150 * MS)
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.vcu.shutdown_cause is ShutdownCause.AI_COMMS_FAULT
+
+
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_in_as_off_a_lost_link_is_reported_and_mends_when_the_ai_computer_is_back(name: str) -> None:
+    bench = Bench(name).power_up()
+    bench.talks = False
+    bench.run(150 * MS)
+    assert bench.state is AsState.AS_OFF
+    status = bench.status()
+    assert status.faults.ai_comms_lost
+    assert status.shutdown_cause is ShutdownCause.NO_SHUTDOWN
+    bench.talks = True
+    bench.run(50 * MS)
+    assert not bench.status().faults.ai_comms_lost
+
+
+def test_what_was_said_before_the_link_was_lost_makes_no_car_ready() -> None:
+    bench = Bench().power_up()
+    bench.say(mission_status=MissionStatus.SELECTED)
+    bench.run(50 * MS)
+    bench.talks = False
+    bench.run(150 * MS)
+    bench.switches.ami = bench.switches.ami.SKIDPAD
+    bench.run(S)
+    assert bench.state is AsState.AS_OFF
+
+
+def test_messages_of_the_wrong_length_count_as_missing() -> None:
+    bench = Bench().to_driving()
+    bench.silent_ids = {0x513}
+    for _ in range(12):
+        bench.run(10 * MS)
+        bench.vcu.on_frame(Frame(0x513, bytes(3), bench.now_ns))
+    assert bench.state is AsState.EMERGENCY_BRAKE
+
+
+def test_frames_of_others_are_no_ai_data() -> None:
+    bench = Bench()
+    bench.talks = False
+    bench.switches.aims = bench.switches.asms = bench.switches.tsms = bench.switches.lvms = True
+    for _ in range(100):
+        bench.run(10 * MS)
+        for can_id in (0x501, 0x515, 0x520, 0x600):
+            bench.vcu.on_frame(Frame(can_id, bytes(8), bench.now_ns))
+        bench.vcu.on_frame(Frame(0x510, bytes(8), bench.now_ns, error=True))
+        bench.vcu.on_frame(Frame(0x510, bytes(8), bench.now_ns, extended=True))
+    bench.run(10 * S)
+    assert not bench.vcu.comms_lost
+    assert not bench.vcu.mission_selectable
+
+
+def test_the_2021_status_message_names_each_timeout() -> None:
+    bench = Bench().power_up()
+    bench.silent_ids = {0x512, 0x514}
+    bench.run(200 * MS)
+    del bench.sent[:]
+    bench.run(20 * MS)
+    system = bench.images(VcuSystemStatus)[-1]
+    assert isinstance(system, VcuSystemStatus)
+    assert system.drive_rear_timeout and system.brake_timeout and system.warn_ai_comms_lost
+    assert not (system.status_timeout or system.drive_front_timeout or system.steer_timeout or system.handshake_timeout)

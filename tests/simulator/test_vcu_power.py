@@ -1,0 +1,296 @@
+"""Power-up and switching off in both revisions, and what people see of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from vcu_bench import Bench, codec
+
+from fsai_hil.simulator.indicators import Assi, Siren, Tsal
+from fsai_hil.simulator.power import SystemState
+from fsai_hil.simulator.profiles import MS, S
+from fsai_hil.simulator.vcu import SimulatedVcu
+from fsai_vcu.interface.enums import (
+    AsState,
+    BrakeStatus,
+    Direction,
+    EbsState,
+    EbsStatus,
+    MissionStatus,
+    OpState,
+    SteeringStatus,
+    TsState,
+)
+from fsai_vcu.interface.images import VcuBrake, VcuStatus, VcuSystemStatus
+from fsai_vcu.interface.revisions import Revision
+
+
+def distinct(values: list[Any]) -> list[Any]:
+    """The values in the order in which they first appear."""
+    return list(dict.fromkeys(values))
+
+
+def test_a_car_without_low_voltage_says_nothing_and_shows_nothing() -> None:
+    bench = Bench()
+    bench.switches.aims = bench.switches.asms = bench.switches.tsms = True
+    assert bench.run(S) == []
+    assert not bench.vcu.powered
+    assert bench.tsal() is Tsal.OFF
+    assert not bench.vcu.actuation.ebs_engaged
+
+
+def test_2021_the_vcu_rests_in_aux_until_the_ai_computer_speaks_and_then_enables_autonomous_driving() -> None:
+    bench = Bench("2021")
+    bench.talks = False
+    for name in ("aims", "asms", "tsms", "lvms"):
+        setattr(bench.switches, name, True)
+    bench.run(20 * S)
+    assert bench.vcu.system_state is SystemState.AUX
+    assert bench.tsal() is Tsal.GREEN
+    bench.talks = True
+    bench.run(5 * S)
+    said = [image for image in bench.images(VcuSystemStatus) if isinstance(image, VcuSystemStatus)]
+    assert distinct([image.sm_sys for image in said]) == [
+        SystemState.POWER_ON_SELF_TEST,
+        SystemState.AUX,
+        SystemState.POWERTRAIN_ENABLE,
+        SystemState.DRIVE_AUTONOMOUS,
+    ]
+    assert bench.vcu.mission_selectable
+    assert {image.sm_as for image in said} == {AsState.AS_OFF}
+
+
+def test_2021_the_ai_computer_is_not_heard_while_its_master_switch_is_off() -> None:
+    bench = Bench("2021")
+    for name in ("asms", "tsms", "lvms"):
+        setattr(bench.switches, name, True)
+    bench.run(5 * S)
+    assert bench.vcu.system_state is SystemState.AUX
+    bench.switches.aims = True
+    bench.run(5 * S)
+    assert bench.vcu.system_state is SystemState.DRIVE_AUTONOMOUS
+
+
+def test_2026_tractive_system_and_ebs_come_up_when_valid_can_data_arrives() -> None:
+    bench = Bench("2026")
+    bench.talks = False
+    for name in ("lvms", "asms", "tsms"):
+        setattr(bench.switches, name, True)
+        bench.run(300 * MS)
+    bench.run(10 * S)
+    status = bench.status()
+    assert (status.as_state, status.ts_state, status.ebs_state) == (AsState.AS_INIT, TsState.TS_INIT, EbsState.EBS_INIT)
+    assert status.op_state is OpState.OP_AUTO
+    del bench.sent[:]
+    bench.talks = True
+    bench.run(5 * S)
+    said = [image for image in bench.images(VcuStatus) if isinstance(image, VcuStatus)]
+    assert distinct([image.ts_state for image in said]) == [
+        TsState.TS_INIT,
+        TsState.TS_PRECHARGE,
+        TsState.TS_ACTIVATE,
+        TsState.TS_RUNNING,
+    ]
+    assert distinct([image.ebs_state for image in said]) == [
+        EbsState.EBS_INIT,
+        EbsState.EBS_CHARGING,
+        EbsState.EBS_ARMED,
+    ]
+    for image in said:
+        up = image.ts_state is TsState.TS_RUNNING and image.ebs_state is EbsState.EBS_ARMED
+        assert image.as_state is (AsState.AS_OFF if up else AsState.AS_INIT)
+
+
+def test_2026_incomplete_can_data_brings_nothing_up() -> None:
+    bench = Bench("2026")
+    bench.silent_ids = {0x514}
+    bench.switches.lvms = bench.switches.asms = bench.switches.tsms = True
+    bench.run(10 * S)
+    assert bench.state is AsState.AS_INIT
+    assert bench.tsal() is Tsal.GREEN
+
+
+@pytest.mark.parametrize("missing", ["asms", "tsms"])
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_the_ebs_is_not_armed_without_both_switches(name: str, missing: str) -> None:
+    bench = Bench(name)
+    for switch in {"aims", "lvms", "asms", "tsms"} - {missing}:
+        setattr(bench.switches, switch, True)
+    bench.run(10 * S)
+    brake = bench.images(VcuBrake)[-1]
+    assert isinstance(brake, VcuBrake)
+    assert brake.ebs_status is EbsStatus.UNAVAILABLE
+    assert brake.brake_status is BrakeStatus.READY
+
+
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_the_car_does_not_come_up_with_an_open_shutdown_circuit(name: str) -> None:
+    bench = Bench(name)
+    bench.switches.remote_estop = True
+    bench.switches.aims = bench.switches.lvms = bench.switches.asms = bench.switches.tsms = True
+    bench.run(10 * S)
+    assert not bench.vcu.mission_selectable
+    bench.switches.remote_estop = False
+    bench.run(5 * S)
+    assert bench.vcu.mission_selectable
+
+
+def test_2021_a_second_mission_needs_asms_off_and_on_only() -> None:
+    bench = Bench("2021").to_finished()
+    bench.switches.asms = bench.switches.go = False
+    bench.say(mission_status=MissionStatus.NOT_SELECTED)
+    bench.run(S)
+    bench.switches.asms = True
+    bench.say(mission_status=MissionStatus.SELECTED)
+    bench.run_until(lambda: bench.state is AsState.AS_READY, 10 * S)
+    assert bench.vcu.power_cycles == 0
+
+
+def test_2026_a_second_mission_needs_all_switches_off_and_on() -> None:
+    bench = Bench("2026").to_finished()
+    bench.switches.asms = bench.switches.go = False
+    bench.say(mission_status=MissionStatus.SELECTED, direction=Direction.NEUTRAL)
+    bench.run(2 * S)
+    bench.switches.asms = True
+    bench.run(10 * S)
+    assert bench.state is AsState.AS_OFF
+    bench.switches.asms = bench.switches.tsms = bench.switches.lvms = False
+    bench.run(S)
+    bench.switches.lvms = bench.switches.asms = bench.switches.tsms = True
+    bench.run_until(lambda: bench.state is AsState.AS_READY, 10 * S)
+
+
+def test_tsms_off_shuts_the_car_down_and_lvms_may_go_off_two_seconds_later() -> None:
+    bench = Bench("2021").power_up()
+    assert not bench.status().shutdown_request
+    bench.switches.asms = bench.switches.tsms = False
+    status = bench.status()
+    assert status.shutdown_request
+    assert not bench.vcu.shut_down
+    assert bench.vcu.system_state is SystemState.SHUTDOWN
+    bench.run(2 * S)
+    assert bench.vcu.shut_down
+    assert bench.vcu.system_state is SystemState.SHUTDOWN_OFF
+    assert bench.tsal() is Tsal.GREEN
+    bench.switches.tsms = True
+    bench.run(5 * S)
+    assert bench.status().shutdown_request, "a shutdown that has begun ends with LVMS off"
+
+
+def test_a_tsms_that_was_never_on_requests_no_shutdown() -> None:
+    bench = Bench("2026")
+    bench.switches.lvms = True
+    bench.run(5 * S)
+    assert not bench.status().shutdown_request
+
+
+def test_after_low_voltage_has_been_off_the_vcu_begins_anew() -> None:
+    bench = Bench("2026").to_ready()
+    bench.switches.lvms = False
+    assert bench.run(2 * S) == []
+    bench.switches.lvms = True
+    status = bench.status()
+    assert status.as_state is AsState.AS_INIT
+    assert status.handshake is True
+
+
+def test_an_ebs_that_low_voltage_left_under_pressure_keeps_the_brakes_closed_until_it_is_armed_anew() -> None:
+    bench = Bench("2026").to_ready()
+    assert not bench.vcu.actuation.ebs_engaged
+    bench.switches.lvms = False
+    bench.run(S // 10)
+    assert bench.vcu.actuation.ebs_engaged
+    bench.switches.lvms = True
+    bench.run_until(lambda: bench.status().as_state is AsState.AS_INIT, S)
+    assert bench.vcu.actuation.ebs_engaged, "a VCU that starts does not let a car roll"
+    bench.switches.lvms = False
+    bench.run(S // 10)
+    bench.switches.lvms = True
+    bench.run(S)
+    assert bench.vcu.actuation.ebs_engaged, "nor does one that starts twice"
+    bench.run_until(lambda: bench.state is AsState.AS_READY, 20 * S)
+    assert not bench.vcu.actuation.ebs_engaged
+
+
+def test_steering_is_ready_with_the_tractive_system_and_off_in_an_emergency() -> None:
+    bench = Bench().power_up()
+    assert bench.status().steering_status is SteeringStatus.ACTIVE
+    bench.switches.steering_fault = True
+    assert bench.status().steering_status is SteeringStatus.OFF
+    assert Bench().to_emergency().status().steering_status is SteeringStatus.OFF
+
+
+def test_an_unknown_revision_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match=r"'2031'.*2021, 2026"):
+        SimulatedVcu(codec("2021"), Revision("2031", (), 21.0))
+
+
+# ---------------------------------------------------------------- indicators
+
+
+def test_assi_and_siren_tell_the_run() -> None:
+    bench = Bench()
+    seen: list[tuple[str, str]] = []
+    bench.power_up()
+    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
+    bench = Bench().to_ready()
+    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
+    bench = Bench().to_driving()
+    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
+    bench = Bench().to_finished()
+    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
+    bench = Bench().to_emergency()
+    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
+    assert seen == [
+        ("off", "off"),
+        ("yellow", "off"),
+        ("yellow flashing", "on"),
+        ("blue", "off"),
+        ("blue flashing", "on"),
+    ]
+
+
+def test_blue_joins_yellow_for_one_second_after_the_five_seconds() -> None:
+    bench = Bench().to_ready()
+    ready_ns = bench.vcu.history[-1][0]
+    shown = []
+    for offset_ns in (5 * S - 1, 5 * S, 6 * S - 1, 6 * S):
+        bench.run(ready_ns + offset_ns - bench.now_ns)
+        shown.append(bench.vcu.indicators.assi)
+    assert shown == [Assi.YELLOW, Assi.YELLOW_AND_BLUE, Assi.YELLOW_AND_BLUE, Assi.YELLOW]
+
+
+def test_the_siren_sounds_three_seconds_and_then_intermittently_until_the_car_moves() -> None:
+    bench = Bench().to_driving()
+    driving_ns = bench.vcu.history[-1][0]
+    bench.run(driving_ns + 3 * S - 1 - bench.now_ns)
+    assert bench.siren() is Siren.ON
+    bench.tick(1)
+    assert bench.siren() is Siren.INTERMITTENT
+    bench.wheels(9.0)
+    bench.run(S)
+    assert bench.siren() is Siren.INTERMITTENT
+    bench.wheels(12.0)
+    bench.tick()
+    assert bench.siren() is Siren.OFF
+    bench.wheels(0.0)
+    bench.tick()
+    assert bench.siren() is Siren.OFF
+
+
+def test_the_siren_sounds_fifteen_seconds_in_an_emergency() -> None:
+    bench = Bench().to_emergency()
+    begun_ns = bench.vcu.history[-1][0]
+    bench.run(begun_ns + 15 * S - 1 - bench.now_ns)
+    assert bench.siren() is Siren.ON
+    bench.tick(1)
+    assert bench.siren() is Siren.OFF
+
+
+def test_tsal_is_red_while_the_tractive_system_is_live_and_green_after_an_emergency() -> None:
+    bench = Bench().to_driving()
+    assert bench.tsal() is Tsal.RED_FLASHING
+    bench.switches.car_estop = True
+    bench.tick()
+    assert bench.tsal() is Tsal.GREEN

@@ -1,0 +1,429 @@
+"""The autonomous-system state machine of the simulated VCU: each row of the specification's table."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+from vcu_bench import Bench
+
+from fsai_hil.simulator.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Fault, Row, Situation, taken, transition_table
+from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, Profile, S
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.images import Faults
+
+TABLE = transition_table(SPECIFICATION)
+
+# A situation in which each state stays as it is: a sound car whose AI computer does what it should.
+QUIET: dict[AsState, Situation] = {
+    AsState.AS_INIT: Situation(),
+    AsState.AS_OFF: Situation(),
+    AsState.AS_READY: Situation(
+        asms=True,
+        tsms=True,
+        ami=Ami.TRACKDRIVE,
+        ebs_armed=True,
+        ebs_unavailable=False,
+        mission_status=MissionStatus.SELECTED,
+    ),
+    AsState.AS_DRIVING: Situation(
+        asms=True,
+        tsms=True,
+        go=True,
+        ami=Ami.TRACKDRIVE,
+        ebs_armed=True,
+        ebs_unavailable=False,
+        mission_status=MissionStatus.RUNNING,
+        direction=Direction.FORWARD,
+        fastest_wheel_rpm=200.0,
+        slowest_wheel_rpm=180.0,
+        torque_requested=True,
+        steer_requested=True,
+    ),
+    AsState.AS_FINISHED: Situation(
+        asms=True, tsms=True, go=True, ebs_armed=True, mission_status=MissionStatus.FINISHED
+    ),
+    AsState.EMERGENCY_BRAKE: Situation(asms=True, tsms=True, sdc_open=True),
+}
+
+ROWS_OF_THE_SPECIFICATION: list[tuple[AsState, AsState, dict[str, Any]]] = [
+    (AsState.AS_INIT, AsState.AS_OFF, {"tractive_system_running": True, "ebs_armed": True}),
+    (
+        AsState.AS_OFF,
+        AsState.AS_READY,
+        {
+            "asms": True,
+            "tsms": True,
+            "ebs_armed": True,
+            "ami": Ami.SKIDPAD,
+            "mission_status": MissionStatus.SELECTED,
+        },
+    ),
+    (AsState.AS_READY, AsState.AS_DRIVING, {"ready_wait_over": True, "go": True, "go_rising": True}),
+    (AsState.AS_READY, AsState.EMERGENCY_BRAKE, {"sdc_open": True}),
+    (AsState.AS_READY, AsState.EMERGENCY_BRAKE, {"comms_lost": True}),
+    (AsState.AS_READY, AsState.AS_OFF, {"asms": False}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"sdc_open": True}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"asms": False}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"go": False}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"estop_request": True}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"mission_status": MissionStatus.FINISHED}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"direction": Direction.NEUTRAL}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"comms_lost": True}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"brake_requested": True}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"bms_fault": True}),
+    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"ebs_unavailable": True}),
+    (
+        AsState.AS_DRIVING,
+        AsState.AS_FINISHED,
+        {"mission_status": MissionStatus.FINISHED, "fastest_wheel_rpm": 9.9, "slowest_wheel_rpm": 0.0},
+    ),
+    (AsState.AS_FINISHED, AsState.AS_OFF, {"asms": False}),
+    (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, {"sdc_open": True}),
+    (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, {"comms_lost": True}),
+    (AsState.EMERGENCY_BRAKE, AsState.AS_OFF, {"emergency_timer_over": True, "asms": False}),
+]
+
+
+def named(case: Any) -> str | None:
+    if isinstance(case, AsState):
+        return case.label
+    return "+".join(case) if isinstance(case, dict) else None
+
+
+def test_every_state_has_an_entry_in_the_table_of_every_profile() -> None:
+    for profile in (SPECIFICATION, OFFICIAL_SIMULATOR):
+        assert set(transition_table(profile)) == set(AsState)
+
+
+def test_every_row_that_depends_on_a_profile_names_a_field_of_it() -> None:
+    names = {field.name for field in fields(Profile)}
+    items: list[Row | Fault] = [*ROWS, *AI_FAULTS, *CAR_FAULTS]
+    conditions = {name for item in items for name in (item.only, item.unless) if name}
+    assert conditions and conditions <= names
+
+
+def test_every_fault_is_a_fault_bit_of_the_status_message() -> None:
+    assert {fault.name for fault in (*AI_FAULTS, *CAR_FAULTS)} == {field.name for field in fields(Faults)}
+
+
+@pytest.mark.parametrize("state", AsState, ids=named)
+def test_a_state_stays_while_nothing_happens(state: AsState) -> None:
+    assert taken(TABLE, state, QUIET[state]) is None
+
+
+@pytest.mark.parametrize(("source", "target", "conditions"), ROWS_OF_THE_SPECIFICATION, ids=named)
+def test_a_row_of_the_specification_is_taken(source: AsState, target: AsState, conditions: dict[str, Any]) -> None:
+    row = taken(TABLE, source, replace(QUIET[source], **conditions))
+    assert row is not None
+    assert row.target is target
+
+
+@pytest.mark.parametrize(("source", "target", "conditions"), ROWS_OF_THE_SPECIFICATION, ids=named)
+def test_a_row_needs_each_of_its_conditions(source: AsState, target: AsState, conditions: dict[str, Any]) -> None:
+    quiet = QUIET[source]
+    for left_out in conditions:
+        if left_out in ("slowest_wheel_rpm", "go"):  # not a condition of these rows, only part of the picture
+            continue
+        situation = replace(quiet, **{**conditions, left_out: getattr(quiet, left_out)})
+        row = taken(TABLE, source, situation)
+        assert row is None or row.target is not target, f"{left_out} does not matter"
+
+
+@pytest.mark.parametrize(
+    "hindrance",
+    [
+        {"torque_requested": True},
+        {"steer_requested": True},
+        {"steer_deg": 5.0},
+        {"steer_deg": -5.0},
+        {"direction": Direction.FORWARD},
+        {"go_rising": False},
+        {"ready_wait_over": False},
+    ],
+    ids=named,
+)
+def test_the_car_does_not_start_while_a_condition_of_as_ready_is_unmet(hindrance: dict[str, Any]) -> None:
+    willing = replace(QUIET[AsState.AS_READY], ready_wait_over=True, go=True, go_rising=True, steer_deg=4.99)
+    assert taken(TABLE, AsState.AS_READY, willing) is not None
+    assert taken(TABLE, AsState.AS_READY, replace(willing, **hindrance)) is None
+
+
+@pytest.mark.parametrize("status", [s for s in MissionStatus if s is not MissionStatus.SELECTED])
+def test_as_ready_needs_the_ai_computers_acknowledgement(status: MissionStatus) -> None:
+    situation = replace(QUIET[AsState.AS_READY], mission_status=status)
+    assert taken(TABLE, AsState.AS_OFF, situation) is None
+
+
+def test_as_ready_is_refused_while_a_power_cycle_is_due() -> None:
+    willing = QUIET[AsState.AS_READY]
+    assert taken(TABLE, AsState.AS_OFF, willing) is not None
+    assert taken(TABLE, AsState.AS_OFF, replace(willing, power_cycle_needed=True)) is None
+
+
+@pytest.mark.parametrize("rpm", [10.0, 9.99, 0.0])
+@pytest.mark.parametrize(
+    "lie", [{"mission_status": MissionStatus.FINISHED}, {"direction": Direction.NEUTRAL}], ids=named
+)
+def test_at_ten_rpm_or_less_neither_finished_nor_neutral_is_a_fault(rpm: float, lie: dict[str, Any]) -> None:
+    situation = replace(QUIET[AsState.AS_DRIVING], fastest_wheel_rpm=rpm, slowest_wheel_rpm=0.0, **lie)
+    row = taken(TABLE, AsState.AS_DRIVING, situation)
+    assert row is None or row.target is AsState.AS_FINISHED
+
+
+def test_finished_needs_every_wheel_under_ten_rpm_and_not_at_it() -> None:
+    for rpm, target in ((10.0, None), (9.99, AsState.AS_FINISHED)):
+        situation = replace(QUIET[AsState.AS_DRIVING], mission_status=MissionStatus.FINISHED, fastest_wheel_rpm=rpm)
+        row = taken(TABLE, AsState.AS_DRIVING, situation)
+        assert (row.target if row else None) is target
+
+
+@pytest.mark.parametrize(
+    ("lie", "fault", "cause"),
+    [
+        ({"estop_request": True}, "ai_estop_request", ShutdownCause.AI_COMPUTER_REQUEST),
+        ({"mission_status": MissionStatus.FINISHED}, "mission_status", ShutdownCause.MISSION_STATUS_FAULT),
+        ({"direction": Direction.NEUTRAL}, "autonomous_braking", ShutdownCause.AUTONOMOUS_BRAKING_FAULT),
+        ({"comms_lost": True}, "ai_comms_lost", ShutdownCause.AI_COMMS_FAULT),
+        ({"brake_requested": True}, "brake_plausibility", ShutdownCause.BRAKE_PLAUSIBILITY_FAULT),
+        ({"hvil_open": True, "sdc_open": True}, "hvil_open", ShutdownCause.HVIL_OPEN_FAULT),
+        ({"hvil_short": True, "sdc_open": True}, "hvil_short", ShutdownCause.HVIL_SHORT_FAULT),
+        ({"ebs_fault": True, "sdc_open": True}, "ebs", ShutdownCause.EBS_FAULT),
+        ({"ebs_unavailable": True}, "ebs", ShutdownCause.EBS_FAULT),
+        ({"offboard_charger_fault": True, "sdc_open": True}, "offboard_charger", ShutdownCause.OFFBOARD_CHARGER_FAULT),
+        ({"charge_procedure_fault": True, "sdc_open": True}, "charge_procedure", ShutdownCause.CHARGE_PROCEDURE_FAULT),
+        ({"bms_fault": True, "sdc_open": True}, "bms", ShutdownCause.BMS_FAULT),
+    ],
+    ids=named,
+)
+def test_a_fault_in_as_driving_brings_its_fault_bit_and_cause(
+    lie: dict[str, Any], fault: str, cause: ShutdownCause
+) -> None:
+    row = taken(TABLE, AsState.AS_DRIVING, replace(QUIET[AsState.AS_DRIVING], **lie))
+    assert row is not None and row.target is AsState.EMERGENCY_BRAKE
+    assert row.fault is not None
+    assert (row.fault.name, row.fault.cause) == (fault, cause)
+
+
+# ---------------------------------------------------------------- the same, on the VCU
+
+
+def test_a_whole_run_goes_through_the_states_in_their_order() -> None:
+    bench = Bench().to_finished()
+    bench.switches.asms = False
+    bench.run(10 * MS)
+    states = [state for _, state in bench.vcu.history]
+    assert states == [AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED, AsState.AS_OFF]
+    assert [str(t) for t in bench.vcu.transitions][1] == "AS_READY -> AS_DRIVING: Go"
+
+
+def test_go_one_nanosecond_before_five_seconds_in_as_ready_is_lost() -> None:
+    bench = Bench().to_ready()
+    ready_ns = bench.vcu.history[-1][0]
+    bench.run(ready_ns + 5 * S - 1 - bench.now_ns)
+    bench.switches.go = True
+    bench.tick(0)
+    assert bench.vcu.in_state_ns == 5 * S - 1
+    bench.run(2 * S)
+    assert bench.state is AsState.AS_READY, "a Go that was on too early must not start the car later"
+    bench.switches.go = False
+    bench.run(10 * MS)
+    bench.switches.go = True
+    bench.run(10 * MS)
+    assert bench.state is AsState.AS_DRIVING
+
+
+def test_go_at_five_seconds_in_as_ready_starts_the_car() -> None:
+    bench = Bench().to_ready()
+    bench.run(bench.vcu.history[-1][0] + 5 * S - bench.now_ns)
+    bench.switches.go = True
+    bench.tick(0)
+    assert bench.vcu.history[-1] == (bench.now_ns, AsState.AS_DRIVING)
+
+
+def test_a_go_that_was_left_on_since_before_power_up_does_not_start_the_car() -> None:
+    bench = Bench()
+    bench.switches.go = True
+    bench.to_ready()
+    bench.run(8 * S)
+    assert bench.state is AsState.AS_READY
+
+
+def test_the_car_is_not_started_with_its_wheels_turned() -> None:
+    bench = Bench().to_ready()
+    bench.car = replace(bench.car, steer_deg=5.0)
+    bench.run(6 * S)
+    bench.switches.go = True
+    bench.run(10 * MS)
+    assert bench.state is AsState.AS_READY
+
+
+@pytest.mark.parametrize(
+    "opened",
+    ["remote_estop", "car_estop", "crash", "hvil_open", "hvil_short", "ebs_fault", "bms_fault"],
+)
+@pytest.mark.parametrize("way", ["to_ready", "to_driving", "to_finished"])
+def test_whatever_opens_the_shutdown_circuit_is_an_emergency(opened: str, way: str) -> None:
+    bench: Bench = getattr(Bench(), way)()
+    setattr(bench.switches, opened, True)
+    bench.tick()
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.vcu.actuation.ebs_engaged
+
+
+@pytest.mark.parametrize("lost", ["remote_radio_ok", "dongle"])
+def test_losing_the_radio_or_the_dongle_is_an_emergency(lost: str) -> None:
+    bench = Bench().to_driving()
+    setattr(bench.switches, lost, False)
+    bench.tick()
+    assert bench.state is AsState.EMERGENCY_BRAKE
+
+
+def test_tsms_off_while_driving_is_an_emergency_because_the_ebs_is_gone() -> None:
+    bench = Bench().to_driving()
+    bench.switches.tsms = False
+    bench.tick()
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.vcu.shutdown_cause is ShutdownCause.EBS_FAULT
+
+
+def test_a_fault_stays_in_the_status_message_until_power_is_cycled() -> None:
+    bench = Bench().to_emergency()
+    bench.say(estop_request=False)
+    bench.run(16 * S)
+    bench.switches.asms = False
+    status = bench.status()
+    assert status.as_state is AsState.AS_OFF
+    assert status.fault and status.faults.ai_estop_request
+    assert status.shutdown_cause is ShutdownCause.AI_COMPUTER_REQUEST
+    bench.switches.lvms = False
+    bench.run(S)
+    bench.switches.lvms = True
+    status = bench.status()
+    assert not status.fault
+    assert status.shutdown_cause is ShutdownCause.NO_SHUTDOWN
+
+
+def test_an_emergency_ends_fifteen_seconds_after_it_began_and_not_a_nanosecond_before() -> None:
+    bench = Bench().to_emergency()
+    bench.switches.asms = False
+    bench.run(bench.vcu.history[-1][0] + 15 * S - 1 - bench.now_ns)
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    bench.tick(1)
+    assert bench.state is AsState.AS_OFF
+
+
+def test_an_emergency_does_not_end_before_asms_is_off() -> None:
+    bench = Bench().to_emergency()
+    bench.run(20 * S)
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    bench.switches.asms = False
+    bench.tick()
+    assert bench.state is AsState.AS_OFF
+
+
+@pytest.mark.parametrize("name", ["2021", "2026"])
+def test_after_an_emergency_only_a_power_cycle_makes_the_car_ready_again(name: str) -> None:
+    bench = Bench(name).to_emergency()
+    bench.say(estop_request=False, mission_status=MissionStatus.SELECTED, direction=Direction.NEUTRAL)
+    bench.run(16 * S)
+    bench.switches.asms = bench.switches.go = False
+    bench.run(S)
+    bench.switches.asms = True
+    bench.run(10 * S)
+    assert bench.state is AsState.AS_OFF
+    assert bench.vcu.power_cycle_needed
+    bench.switches.lvms = False
+    bench.run(S)
+    bench.switches.lvms = True
+    bench.run_until(lambda: bench.state is AsState.AS_READY, 10 * S)
+    assert bench.vcu.power_cycles == 1
+
+
+def test_torque_and_brake_that_meet_between_two_frames_are_a_fault() -> None:
+    bench = Bench().to_driving()
+    bench.deliver(rear_torque_nm=50.0, rear_motor_speed_max_rpm=500)
+    assert bench.state is AsState.AS_DRIVING
+    # the next cycle brakes without torque, but its brake frame comes before the torque frames
+    braking = replace(bench.command, handshake=bench.vcu.handshake, rear_torque_nm=0.0, rear_brake_pct=20.0)
+    status, front, rear, steer, brake = bench.codec.encode_command(braking, bench.now_ns)
+    for frame in (status, brake, front, rear, steer):
+        bench.vcu.on_frame(frame)
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.vcu.shutdown_cause is ShutdownCause.BRAKE_PLAUSIBILITY_FAULT
+
+
+def test_torque_before_brake_in_one_cycle_is_no_fault() -> None:
+    bench = Bench().to_driving()
+    bench.deliver(rear_torque_nm=50.0, rear_motor_speed_max_rpm=500)
+    bench.deliver(rear_torque_nm=0.0, rear_brake_pct=20.0)
+    bench.run(S)
+    assert bench.state is AsState.AS_DRIVING
+
+
+# ---------------------------------------------------------------- what it orders
+
+
+def test_torque_and_steering_requests_count_only_in_as_driving() -> None:
+    bench = Bench().to_ready()
+    bench.deliver(rear_torque_nm=50.0, steer_deg=10.0, rear_motor_speed_max_rpm=500)
+    bench.run(100 * MS)
+    order = bench.vcu.actuation
+    assert (order.front_torque_nm, order.rear_torque_nm, order.steer_deg) == (0.0, 0.0, 0.0)
+    bench = Bench().to_driving()
+    bench.deliver(front_torque_nm=40.0, rear_torque_nm=50.0, steer_deg=10.0, rear_motor_speed_max_rpm=500)
+    order = bench.vcu.actuation
+    assert (order.front_torque_nm, order.rear_torque_nm, order.steer_deg) == (40.0, 50.0, 10.0)
+    assert order.rear_motor_speed_max_rpm == 500
+
+
+@pytest.mark.parametrize("way", ["power_up", "to_ready", "to_driving", "to_finished"])
+def test_a_brake_request_counts_in_every_state(way: str) -> None:
+    bench: Bench = getattr(Bench(), way)()
+    bench.deliver(front_brake_pct=30.0, rear_brake_pct=20.0)
+    order = bench.vcu.actuation
+    assert (order.front_brake_pct, order.rear_brake_pct) == (30.0, 20.0)
+
+
+@pytest.mark.parametrize("direction", [Direction.NEUTRAL, Direction.REVERSE])
+def test_there_is_no_torque_without_forward(direction: Direction) -> None:
+    bench = Bench().to_driving()
+    bench.deliver(rear_torque_nm=50.0, direction=direction)
+    assert bench.vcu.actuation.rear_torque_nm == 0.0
+
+
+def test_torque_and_steering_are_clamped_to_the_live_limits() -> None:
+    bench = Bench().to_driving()
+    bench.switches.torque_limit_nm = 60.0
+    bench.switches.steer_limit_deg = 12.0
+    bench.deliver(front_torque_nm=195.0, rear_torque_nm=195.0, steer_deg=-21.0)
+    order = bench.vcu.actuation
+    assert (order.front_torque_nm, order.rear_torque_nm, order.steer_deg) == (60.0, 60.0, -12.0)
+
+
+def test_the_car_of_2026_has_no_motor_in_front() -> None:
+    bench = Bench("2026").to_driving()
+    bench.deliver(front_torque_nm=100.0, rear_torque_nm=100.0)
+    order = bench.vcu.actuation
+    assert (order.front_torque_nm, order.rear_torque_nm) == (0.0, 100.0)
+
+
+def test_in_an_emergency_the_ebs_brakes_the_torque_is_gone_and_the_wheels_stay_where_they_were() -> None:
+    bench = Bench().to_driving()
+    bench.deliver(rear_torque_nm=100.0, steer_deg=7.0)
+    bench.switches.remote_estop = True
+    bench.tick()
+    bench.deliver(steer_deg=-7.0)
+    order = bench.vcu.actuation
+    assert order.ebs_engaged
+    assert not order.tractive_system_live
+    assert (order.rear_torque_nm, order.steer_deg, order.front_brake_pct) == (0.0, 7.0, 100.0)
+
+
+def test_an_armed_ebs_brakes_the_car_whose_low_voltage_fails() -> None:
+    bench = Bench().to_driving()
+    bench.switches.lvms = False
+    bench.tick()
+    assert not bench.vcu.powered
+    assert bench.vcu.actuation.ebs_engaged

@@ -1,0 +1,169 @@
+"""Faults on the wire, by themselves and between the VCU and the AI computer."""
+
+from __future__ import annotations
+
+import pytest
+from vcu_bench import Bench, codec
+
+from fsai_hil.simulator.faults import (
+    KINDS,
+    Delay,
+    Drop,
+    FaultyWire,
+    FlipBits,
+    Freeze,
+    Intruder,
+    Overwrite,
+    Repeat,
+    Window,
+    WrongLength,
+    WrongValues,
+)
+from fsai_hil.simulator.profiles import MS, S
+from fsai_vcu.interface.enums import AsState, ShutdownCause
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+
+SPEEDS = frozenset({0x525})
+
+
+def frames(can_id: int, count: int, period_ns: int = 10 * MS) -> list[Frame]:
+    return [Frame(can_id, bytes([n]), n * period_ns) for n in range(count)]
+
+
+def test_a_sound_wire_changes_nothing() -> None:
+    wire = FaultyWire()
+    sent = frames(0x520, 5)
+    assert wire.sound
+    assert wire.through(sent, S) == sent
+
+
+def test_a_fault_is_in_force_from_the_beginning_of_its_window_and_before_its_end() -> None:
+    wire = FaultyWire([Drop(Window(frozenset({0x520}), from_ns=10 * MS, until_ns=30 * MS))])
+    arrived = wire.through(frames(0x520, 5), S)
+    assert [frame.t_ns // MS for frame in arrived] == [0, 30, 40]
+
+
+def test_a_fault_meets_only_the_ids_that_it_names_or_all() -> None:
+    sent = [*frames(0x520, 2), *frames(0x525, 2)]
+    named = FaultyWire([Drop(Window(SPEEDS))]).through(sent, S)
+    assert {frame.can_id for frame in named} == {0x520}
+    assert FaultyWire([Drop()]).through(sent, S) == []
+
+
+def test_dropping_by_chance_follows_its_seed_and_a_count_ends_it() -> None:
+    sent = frames(0x520, 200)
+    one, same, other = (FaultyWire([Drop(probability=0.3, seed=seed)]).through(sent, 10 * S) for seed in (1, 1, 2))
+    assert one == same != other
+    assert 100 < len(one) < 180
+    assert len(FaultyWire([Drop(count=3)]).through(sent, 10 * S)) == 197
+
+
+def test_a_frozen_message_repeats_what_it_said_first_and_thaws() -> None:
+    wire = FaultyWire([Freeze(Window(from_ns=10 * MS, until_ns=40 * MS))])
+    arrived = wire.through(frames(0x525, 5), S)
+    assert [frame.data[0] for frame in arrived] == [0, 1, 1, 1, 4]
+    assert [frame.t_ns for frame in arrived] == [n * 10 * MS for n in range(5)]
+
+
+def test_a_delayed_frame_arrives_later_and_no_frame_of_its_id_overtakes_it() -> None:
+    wire = FaultyWire([Delay(Window(until_ns=25 * MS), delay_ns=30 * MS)])
+    first = wire.through(frames(0x520, 3), 20 * MS)
+    assert first == []
+    assert not wire.sound
+    later = wire.through([Frame(0x520, b"\x03", 30 * MS)], 30 * MS)
+    assert [(frame.t_ns // MS, frame.data[0]) for frame in later] == [(30, 0)]
+    rest = wire.through([], S)
+    assert [(frame.t_ns // MS, frame.data[0]) for frame in rest] == [(40, 1), (50, 2), (50, 3)]
+
+
+def test_jitter_stays_within_its_bound_and_keeps_the_order() -> None:
+    wire = FaultyWire([Delay(delay_ns=MS, jitter_ns=20 * MS, seed=3)])
+    arrived = wire.through(frames(0x520, 100), 10 * S)
+    assert [frame.data[0] for frame in arrived] == list(range(100))
+    assert all(MS <= frame.t_ns - n * 10 * MS <= 21 * MS for n, frame in enumerate(arrived))
+
+
+def test_a_frame_cannot_be_delayed_into_the_past() -> None:
+    with pytest.raises(ValueError, match="before it was sent"):
+        Delay(delay_ns=-1)
+
+
+def test_bits_flip_and_lengths_change() -> None:
+    sent = [Frame(0x520, b"\x0f\xf0", 0)]
+    assert FaultyWire([FlipBits(mask=b"\x01")]).through(sent, 0)[0].data == b"\x0e\xf0"
+    assert FaultyWire([FlipBits(mask=b"\xff\xff\xff")]).through(sent, 0)[0].data == b"\xf0\x0f"
+    assert FaultyWire([WrongLength(length=1)]).through(sent, 0)[0].data == b"\x0f"
+    assert FaultyWire([WrongLength(length=4)]).through(sent, 0)[0].data == b"\x0f\xf0\0\0"
+    assert len(FaultyWire([Repeat(times=3)]).through(sent, 0)) == 3
+
+
+def test_wrong_values_are_written_by_the_fields_of_the_image() -> None:
+    wire = FaultyWire([WrongValues(codec("2021"), Window(SPEEDS), {"fl_rpm": 999})])
+    sent = codec("2021").encode(WheelSpeeds(1, 2, 3, 4, 5))
+    (arrived,) = wire.through([sent], S)
+    assert codec("2021").decode(arrived).image == WheelSpeeds(999, 2, 3, 4, 5)
+
+
+def test_an_intruder_sends_at_its_own_period_between_the_others() -> None:
+    wire = FaultyWire([Intruder(Frame(0x510, b"\x01"), Window(from_ns=5 * MS, until_ns=35 * MS), 10 * MS)])
+    arrived = wire.through(frames(0x520, 3), 20 * MS)
+    assert [(frame.can_id, frame.t_ns // MS) for frame in arrived] == [
+        (0x520, 0),
+        (0x510, 5),
+        (0x520, 10),
+        (0x510, 15),
+        (0x520, 20),
+    ]
+    assert [frame.t_ns // MS for frame in wire.through([], S)] == [25]
+
+
+def test_faults_add_up_in_their_order_and_can_be_taken_away() -> None:
+    wire = FaultyWire()
+    freeze, flip = Freeze(), FlipBits(mask=b"\x80")
+    wire.add(freeze)
+    wire.add(flip)
+    assert [frame.data[0] for frame in wire.through(frames(0x520, 3), S)] == [0x80] * 3
+    wire.remove(freeze)
+    assert [frame.data[0] for frame in wire.through(frames(0x520, 2), S)] == [0x80, 0x81]
+    wire.clear()
+    assert wire.sound
+
+
+def test_every_kind_has_a_name_for_scenarios() -> None:
+    assert {Drop, Freeze, Delay, FlipBits, WrongLength, Overwrite, WrongValues, Repeat, Intruder} == set(KINDS.values())
+
+
+# ---------------------------------------------------------------- on the VCU
+
+
+def test_what_the_vcu_does_not_hear_is_missing() -> None:
+    bench = Bench().to_driving()
+    bench.vcu.incoming.add(Drop(Window(frozenset({0x512}), from_ns=bench.now_ns)))
+    bench.run(150 * MS)
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.vcu.shutdown_cause is ShutdownCause.AI_COMMS_FAULT
+
+
+def test_what_the_vcu_says_can_vanish() -> None:
+    bench = Bench().power_up()
+    bench.vcu.outgoing.add(Drop(Window(SPEEDS)))
+    assert SPEEDS.isdisjoint({frame.can_id for frame in bench.run(S)})
+
+
+def test_an_ai_computer_slowed_by_the_wire_answers_later() -> None:
+    bench = Bench().power_up()
+    bench.vcu.incoming.add(Delay(delay_ns=7 * MS))
+    bench.run(100 * MS)
+    del bench.vcu.response_times_ns[:]
+    bench.run(S)
+    assert set(bench.vcu.response_times_ns) == {8 * MS}
+
+
+def test_a_frozen_status_leaves_the_handshake_standing_and_the_car_stops() -> None:
+    bench = Bench().to_driving()
+    bench.vcu.outgoing.add(Freeze(Window(frozenset({0x520}))))
+    bench.run(S)
+    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert isinstance(frozen := bench.images(VcuStatus)[-1], VcuStatus)
+    assert frozen.as_state is AsState.AS_DRIVING

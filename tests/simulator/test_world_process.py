@@ -1,0 +1,242 @@
+"""The simulated car as a process: commands that people type, a bus that goes and comes, results and pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from scripted_driver import ScriptedDriver, Wish
+
+from fsai_hil.simulator import plot, process
+from fsai_hil.simulator.ground_truth import TruthReceiver
+from fsai_hil.simulator.plot import PlotError, save_plot
+from fsai_hil.simulator.process import VcuProcess, add_arguments, run
+from fsai_hil.simulator.tracks import load_track
+from fsai_hil.simulator.world import World, WorldSetup
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import BusLost, open_bus
+
+
+def arguments(*argv: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args(argv)
+
+
+class FakeBus:
+    """A bus nobody else is on; it breaks when it is told to."""
+
+    def __init__(self) -> None:
+        self.sent: list[Frame] = []
+        self.broken = False
+        self.closed = False
+
+    def send(self, frame: Frame) -> bool:
+        if self.broken:
+            raise BusLost("interface down")
+        self.sent.append(frame)
+        return True
+
+    def recv(self, timeout_s: float) -> Frame | None:
+        if self.broken:
+            raise BusLost("interface down")
+        time.sleep(min(timeout_s, 0.01))
+        return None
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def made(bus: FakeBus, *argv: str) -> VcuProcess:
+    args = arguments("-i", "fake", "--quiet", *argv)
+    setup = WorldSetup(missions=[Ami.TRACKDRIVE], auto=args.auto, gps=False, start_ns=time.monotonic_ns())
+    return VcuProcess(World(setup), bus, args)  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------ people
+
+
+def test_typed_commands_move_switches_and_answer_in_words() -> None:
+    vcu = made(FakeBus())
+    switches = vcu.world.vcu.switches
+    assert vcu.command("on") == "lvms, asms, tsms: on"
+    assert (switches.lvms, switches.asms, switches.tsms) == (True, True, True)
+    assert vcu.command("asms off") == "asms: off"
+    assert not switches.asms
+    assert "skidpad" in vcu.command("ami skidpad")
+    assert switches.ami is Ami.SKIDPAD
+    vcu.command("go")
+    assert switches.go
+    vcu.command("estop")
+    assert switches.remote_estop
+    vcu.command("estop off")
+    assert not switches.remote_estop
+    vcu.command("off")
+    assert not (switches.lvms or switches.tsms or switches.go)
+    assert "ASSI" in vcu.command("status")
+    assert "quit" in vcu.command("help")
+    vcu.command("quit")
+    assert vcu.interrupted == "asked to quit"
+
+
+def test_a_go_that_is_on_already_is_taken_back_first() -> None:
+    vcu = made(FakeBus())
+    vcu.command("go")
+    assert vcu.command("go") == "go: off and on again"
+    assert not vcu.world.vcu.switches.go
+
+
+@pytest.mark.parametrize("line", ["fly", "asms maybe", "ami rally", "torque_limit_nm on", "__class__"])
+def test_a_command_that_means_nothing_changes_nothing_and_says_so(line: str) -> None:
+    vcu = made(FakeBus())
+    before = str(vcu.world.vcu.switches)
+    assert "unknown" in vcu.command(line)
+    assert str(vcu.world.vcu.switches) == before
+
+
+# ------------------------------------------------------------ the bus
+
+
+def test_a_lost_bus_is_waited_for_while_the_car_lives_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = FakeBus(), FakeBus()
+    monkeypatch.setattr(process, "open_bus", lambda *args, **kwargs: second)
+    vcu = made(first)
+    vcu._stdin = None
+    vcu.command("on")
+    sends = second.send
+
+    def last_words(frame: Frame) -> bool:
+        vcu.stop("heard enough")
+        return sends(frame)
+
+    monkeypatch.setattr(second, "send", last_words)
+    first.broken = True
+    vcu.loop()
+    assert first.closed
+    assert vcu.bus_losses == 1
+    assert second.sent
+
+
+def test_a_process_that_was_held_up_lets_the_cars_time_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    vcu = made(FakeBus(), "--auto", "--timeout", "0.3")
+    start = vcu.world.now_ns
+    monotonic_ns = time.monotonic_ns
+    jumped = {"ns": 0}
+    monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic_ns() + jumped["ns"])
+    speak = vcu._speak
+
+    def hang(now: int) -> None:
+        speak(now)
+        if now - start > 100_000_000:
+            jumped["ns"] = 5_000_000_000
+
+    monkeypatch.setattr(vcu, "_speak", hang)
+    vcu.loop()
+    assert vcu.held_up_ns > 4_900_000_000
+    assert vcu.world.now_ns - start < 1_000_000_000
+
+
+def test_an_auto_run_ends_by_itself_when_the_time_is_up_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    bus = FakeBus()
+    vcu = made(bus, "--auto", "--timeout", "0.2")
+    vcu.loop()
+    assert vcu.why_ended == "the time is up"
+    result = process.result_of(vcu)
+    assert result["result"] == "fail"
+    assert result["handshake"] == {"echoes": 0}
+    json.dumps(result)
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["-i", "vcan-absent"], "vcan-absent"),
+        (["-i", "loopback:t", "--track", "gone.csv"], "gone.csv: cannot be read"),
+        (["-i", "loopback:t", "--mission", "rally"], "unknown mission 'rally'"),
+        (["-i", "loopback:t", "--mission", "skidpad", "--track", "autocross"], "needs a track of kind skidpad"),
+        (["-i", "loopback:t", "--laps", "0"], "--laps is 0"),
+        (["-i", "loopback:t", "--truth", "70000"], "--truth is 70000"),
+        (["-i", "loopback:t", "--timeout", "nan"], "--timeout is nan"),
+        (["-i", "loopback:t", "--timeout", "inf"], "--timeout is inf"),
+        (["-i", "loopback:t", "--seed", "-1"], "seed is -1"),
+        (["-i", "loopback:t", "--log", "/absent/bus.log"], "/absent/bus.log cannot be written"),
+    ],
+)
+def test_bad_input_gets_one_clear_line(argv: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments(*argv)) == 1
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_a_result_that_cannot_be_saved_is_said_and_is_a_failure(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["-i", "loopback:t", "--auto", "--quiet", "--timeout", "0.1", "--json", "--result", "/absent/verdict.json"]
+    assert run(arguments(*argv)) == 1
+    said = capsys.readouterr()
+    assert "/absent/verdict.json cannot be written" in said.err
+    assert json.loads(said.out.splitlines()[-1])["result"] == "fail", "the verdict is printed all the same"
+
+
+def test_as_a_process_it_speaks_on_the_bus_tells_the_truth_and_ends_politely(tmp_path: Path) -> None:
+    channel = f"loopback:sim-{os.getpid()}"
+    result = tmp_path / "result.json"
+    log = tmp_path / "bus.log"
+    with TruthReceiver(0) as receiver, open_bus(channel) as bus:
+        argv = [
+            sys.executable, "-m", "fsai_vcu.cli.main", "vcu", "-i", channel, "--mission", "skidpad",
+            "--truth", str(receiver.port), "--result", str(result), "--log", str(log), "--json", "--quiet",
+        ]  # fmt: skip
+        child = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        try:
+            assert child.stdin is not None
+            child.stdin.write("on\nami skidpad\n")
+            child.stdin.flush()
+            heard: set[int] = set()
+            until = time.monotonic() + 30.0
+            while not {0x520, 0x525} <= heard and time.monotonic() < until:
+                frame = bus.recv(0.5)
+                if frame is not None:
+                    heard.add(frame.can_id)
+            assert {0x520, 0x525} <= heard
+            truth = receiver.wait(5.0)
+            assert truth is not None
+            assert truth.track == "skidpad"
+        finally:
+            child.send_signal(signal.SIGTERM)
+            out, _ = child.communicate(timeout=30.0)
+    assert child.returncode == 0  # an interactive session that was ended is no failure
+    assert json.loads(out.splitlines()[-1])["ended"] == "ended by SIGTERM"
+    saved = json.loads(result.read_text())
+    assert saved["path"]
+    assert len(saved["cones"]) == len(load_track("skidpad").cones_xy_m)
+    assert " 520#" in log.read_text()
+
+
+# ------------------------------------------------------------ pictures
+
+
+def test_a_picture_of_a_run_is_a_png(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    world = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False))
+    ScriptedDriver(world, lambda world, since_s: Wish(torque_nm=195.0)).run(20.0)
+    path = tmp_path / "run.png"
+    save_plot(path, world.track, world.samples, world.verdict())
+    assert path.read_bytes().startswith(b"\x89PNG")
+    save_plot(path, load_track("static"), [])
+    with pytest.raises(PlotError, match="cannot be written"):
+        save_plot(tmp_path / "absent" / "run.png", world.track, world.samples)
+
+
+def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(PlotError, match="pip install") as caught:
+        save_plot(tmp_path / "run.png", load_track("static"), [])
+    assert str(caught.value) == plot.MISSING

@@ -1,0 +1,67 @@
+"""The ground-truth side channel between processes."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+
+import pytest
+
+from fsai_hil.simulator.ground_truth import Truth, TruthReceiver, TruthSender, pack, unpack
+
+TRUTH = Truth(123, 1.0, -2.5, 0.25, 3.0, 0.1, -4.0, "AS_DRIVING", "trackdrive", "/some/track.csv", 7, 2)
+
+
+def test_what_is_packed_is_unpacked() -> None:
+    assert unpack(pack(TRUTH)) == TRUTH
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[]",
+        b"{}",
+        pack(TRUTH).replace(b"3.0", b"NaN"),
+        pack(TRUTH).replace(b"7", b'"7"'),
+        b"x" * 3000,
+    ],
+)
+def test_anything_else_is_refused_in_one_line(datagram: bytes) -> None:
+    with pytest.raises(ValueError, match="not a ground-truth datagram") as caught:
+        unpack(datagram)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_receiver_gets_the_newest_truth_and_counts_what_is_malformed() -> None:
+    with TruthReceiver(0) as receiver, TruthSender(receiver.port) as sender:
+        assert receiver.latest() is None
+        sender.send(TRUTH)
+        sender.send(replace(TRUTH, t_ns=124))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.sendto(b"hello", ("127.0.0.1", receiver.port))
+        first = receiver.wait(5.0)
+        assert first == TRUTH
+        newest = receiver.latest()
+        assert newest is not None
+        assert newest.t_ns == 124
+        assert receiver.malformed == 1
+
+
+def test_a_sender_without_a_listener_loses_nothing_but_the_datagram() -> None:
+    with TruthReceiver(0) as receiver:
+        port = receiver.port
+    with TruthSender(port) as sender:
+        for _ in range(20):
+            sender.send(TRUTH)
+
+
+def test_a_taken_port_is_an_error_at_once() -> None:
+    with TruthReceiver(0) as receiver, pytest.raises(OSError, match="in use"):
+        TruthReceiver(receiver.port)
+
+
+def test_a_receiver_waits_no_longer_than_told() -> None:
+    with TruthReceiver(0) as receiver:
+        assert receiver.wait(0.01) is None
