@@ -1,4 +1,4 @@
-"""The bridge end to end: frames in, frames out, in virtual time; a witness holds every cycle to the safety rules."""
+"""The bridge end to end: frames in, frames out, in virtual time; every cycle is held to the rules on the wire."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_a_process_that_only_listens_never_sends() -> None:
 
 def test_a_process_that_only_listens_takes_no_other_bridge_for_an_intruder() -> None:
     rig = Rig(BridgeConfig(listen_only=True)).wake()
-    rig.bridge.on_frame(Frame(0x510, bytes(8), rig.now_ns))
+    rig.hear(Frame(0x510, bytes(8), rig.now_ns))
     assert "intruder" not in rig.report.reason_counts
 
 
@@ -184,7 +184,7 @@ def test_the_handshake_is_echoed_at_once_even_from_a_0x520_that_is_not_believed(
     for bit in (0, 1, 0, 1):
         broken[0] = broken[0] & 0xFE | bit
         rig.now_ns += CYCLE
-        rig.bridge.on_frame(Frame(0x520, bytes(broken), rig.now_ns))
+        rig.hear(Frame(0x520, bytes(broken), rig.now_ns))
         assert rig.cycle() is not None and rig.sent.handshake == bool(bit)
     assert rig.report.problem_counts
 
@@ -435,7 +435,7 @@ def unknown_state(rig: Rig) -> None:
     """A 0x520 of AS_STATE 15, which is in no table."""
     data = bytearray(rig.codec.encode(rig.status).data)
     data[2] = data[2] & 0xF0 | 0x0F
-    rig.bridge.on_frame(Frame(0x520, bytes(data), rig.now_ns))
+    rig.hear(Frame(0x520, bytes(data), rig.now_ns))
 
 
 def test_an_unknown_as_state_takes_torque_away_at_once() -> None:
@@ -510,7 +510,7 @@ def test_wheel_speeds_not_believed_are_as_if_missing(odd: tuple[int, int, int, i
     speed_mps, since_ns = rig.report.motion.speed_mps, rig.now_ns
     data = struct.pack("<4H", *odd)  # the codec refuses to encode it
     rig.mute = {WheelSpeeds}
-    rig.alive = lambda rig: rig.bridge.on_frame(Frame(0x525, data, rig.now_ns))
+    rig.alive = lambda rig: rig.hear(Frame(0x525, data, rig.now_ns))
     rig.run_ms(90)
     assert rig.report.vehicle.speeds == WheelSpeeds(200, 200, 200, 200, t_rx_ns=since_ns)
     assert rig.report.motion.speed_mps == speed_mps and dict(rig.report.reason_counts) == {}
@@ -594,7 +594,7 @@ def test_frames_that_waited_are_reported(driving: bool, age_ns: int, told: bool)
 @pytest.mark.parametrize("can_id", [0x510, 0x511, 0x512, 0x513, 0x514])
 def test_an_intruder_is_an_emergency_with_its_first_frame_and_is_named(can_id: int) -> None:
     rig = Rig().driving()
-    rig.bridge.on_frame(Frame(can_id, b"\x01\x02", rig.now_ns))
+    rig.hear(Frame(can_id, b"\x01\x02", rig.now_ns))
     rig.step()
     assert rig.sent.estop_request and not rig.sent.torque_requested
     assert rig.report.emergency is not None and f"0x{can_id:03X} [01 02]" in rig.report.emergency
@@ -603,7 +603,7 @@ def test_an_intruder_is_an_emergency_with_its_first_frame_and_is_named(can_id: i
 
 def test_an_intruder_outside_as_driving_is_named_and_latches_nothing() -> None:
     rig = Rig().ready()
-    rig.bridge.on_frame(Frame(0x512, bytes(4), rig.now_ns))
+    rig.hear(Frame(0x512, bytes(4), rig.now_ns))
     rig.step()
     assert rig.report.emergency is None and rig.report.reason_details == {"intruder": "0x512 [00 00 00 00]"}
 
@@ -611,7 +611,7 @@ def test_an_intruder_outside_as_driving_is_named_and_latches_nothing() -> None:
 def test_an_intruder_stands_between_now_and_driving_for_as_long_as_he_is_heard_and_5_s_after() -> None:
     rig, words = Rig().ready(), "an intruder sends on our ids: 0x512 [00 00 00 00]"
     heard_ns = rig.now_ns
-    rig.bridge.on_frame(Frame(0x512, bytes(4), heard_ns))
+    rig.hear(Frame(0x512, bytes(4), heard_ns))
     assert words in rig.bridge.report(heard_ns + 5 * S - 1).why_not_driving
     assert words not in rig.bridge.report(heard_ns + 5 * S).why_not_driving
     assert rig.bridge.report(heard_ns + 5 * S).reason_details == {"intruder": "0x512 [00 00 00 00]"}
@@ -686,7 +686,7 @@ def test_nine_frames_of_another_revision_between_frames_of_ours_name_no_other(ou
 )
 def test_what_is_no_frame_of_ours_is_no_intruder(frame: Frame) -> None:
     rig = Rig().driving()
-    rig.bridge.on_frame(replace(frame, t_ns=rig.now_ns))
+    rig.hear(replace(frame, t_ns=rig.now_ns))
     rig.step()
     assert rig.report.emergency is None and rig.sent.torque_requested
 
@@ -1171,8 +1171,8 @@ def test_what_has_not_sent_yet_ends_in_silence(config: BridgeConfig) -> None:
 def test_frames_are_counted_and_what_is_wrong_with_them_by_its_words() -> None:
     rig = Rig().wake()
     for _ in range(2):
-        rig.bridge.on_frame(Frame(0x525, b"\x01", rig.now_ns))
-    rig.bridge.on_frame(Frame(0x7FF, b"", rig.now_ns))
+        rig.hear(Frame(0x525, b"\x01", rig.now_ns))
+    rig.hear(Frame(0x7FF, b"", rig.now_ns))
     assert rig.report.rx_counts[0x525] == 32 and rig.report.rx_counts[0x7FF] == 1
     assert list(rig.report.problem_counts.values()) == [2]
 
@@ -1215,7 +1215,7 @@ def test_a_shutdown_request_is_passed_on_at_rest() -> None:
 def test_gps_frames_are_kept_beside_the_cars() -> None:
     rig = Rig().wake()
     frame = rig.codec.encode(RotationB(z_degps=3.5))
-    rig.bridge.on_frame(replace(frame, t_ns=rig.now_ns))
+    rig.hear(replace(frame, t_ns=rig.now_ns))
     assert rig.report.gps.rotation_b == RotationB(z_degps=3.5, t_rx_ns=rig.now_ns)
 
 

@@ -106,7 +106,7 @@ def unplugged() -> Rig:
 def intruded() -> Rig:
     rig = Rig().autonomous()
     for frame in rig.codec.encode_command(rig.sent)[2:3]:
-        rig.bridge.on_frame(frame)
+        rig.hear(frame)
     return rig
 
 

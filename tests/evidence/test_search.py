@@ -15,7 +15,7 @@ from fsai_hil.evidence.model import CYCLE_NS, NOW, Composition, Scope, State, pa
 from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
 from fsai_hil.evidence.search import Move, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
-from fsai_hil.rules.invariants import RULES
+from fsai_hil.rules.checker import RULES
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.gate import GateState

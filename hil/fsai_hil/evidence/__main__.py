@@ -14,7 +14,7 @@ from fsai_hil.evidence.model import Composition, swift_copies
 from fsai_hil.evidence.scopes import all_scopes, scope
 from fsai_hil.evidence.search import explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
-from fsai_hil.rules.invariants import RULES
+from fsai_hil.rules.checker import RULES
 
 EXAMPLE = "example: python -m fsai_hil.evidence --scope messages --seeded"
 

@@ -1,6 +1,6 @@
 """`python -m fsai_hil.evidence.fuzz`: strange frames, commands, services and times before the real Bridge and Engine.
 
-Cases run in virtual time, an independent oracle (`wire_rules.py`) judges every frame that goes out. A case is made anew
+Cases run in virtual time, an independent checker (`rules`) judges every frame that goes out. A case is made anew
 from its lineage, a failure is cut down to the fewest events and written to out/fuzz/ as a file that can be replayed.
 """
 

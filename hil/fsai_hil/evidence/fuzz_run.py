@@ -1,4 +1,4 @@
-"""Plays the events of a case to the real Bridge and Engine in virtual time, with the oracle on the wire between them.
+"""Plays the events of a case to the real Bridge and Engine in virtual time, with the checker on the wire between them.
 
 The loop round them is the one of `runtime.loop.BridgeLoop` without its thread: a frame is answered, a broken bus is
 given up and reopened, a turn that is 50 ms late is reported, a killed process begins anew. The car is a few lines: it
@@ -17,9 +17,9 @@ from functools import cache
 from typing import Any, Final
 
 from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, Setup
-from fsai_hil.rules.numbers import DEADLINE_MISS_NS, FUTURE_NS, MS, STOP_TIMEOUT_NS
+from fsai_hil.rules.checker import Process, WireChecker
+from fsai_hil.rules.numbers import DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
 from fsai_hil.rules.violation import Violation
-from fsai_hil.rules.wire_rules import Terms, WireOracle
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
@@ -64,7 +64,7 @@ class Broken(Exception):
 
 
 class Played:
-    """One process under test, the car it talks to and the oracle between them, at one instant of virtual time."""
+    """One process under test, the car it talks to and the checker between them, at one instant of virtual time."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -78,18 +78,26 @@ class Played:
         self.watch: Callable[[Played], None] | None = None
         self.say: Callable[[str], None] | None = None  # what is told of, in words
         config = setup.config
-        terms = Terms(
-            self.car,
-            setup.limits,
-            config.listen_only,
-            config.autonomous_at_power_up,
-            config.motor_brakes,
-            # A car that brakes by its motors alone is given longer; the table's 3 s are everybody else's.
-            config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS,
-            config.stop_brake_pct,
-            config.short_sequence_allowed,
+        self.checker = WireChecker(
+            self.codec,
+            in_flight_ns=0,
+            handshake_in_flight_ns=0,
+            clock_slack_ns=0,
+            car=self.car,
+            limits=setup.limits,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
+            process=Process(
+                listen_only=config.listen_only,
+                autonomous_at_power_up=config.autonomous_at_power_up,
+                service_brake_pct=config.stop_brake_pct,
+                # A car that brakes by its motors alone is given longer; the table's 3 s are everybody else's.
+                stop_timeout_ns=config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS,
+            ),
         )
-        self.oracle = WireOracle(self.codec, terms)
+        self.problems: list[Violation] = []
+        self.frames = 0
         self._first_run_id = 1
         self._new_process()
         self._next_car_ns = self.now_ns
@@ -160,14 +168,15 @@ class Played:
                 getattr(self, f"_do_{one.name}")(**one.values)
             except Broken as error:
                 cause = error.__cause__
-                self.oracle.problems.append(Violation("never an exception", f"{type(cause).__name__}: {cause}"))
-            if self.oracle.problems or self.cycles >= MAX_CYCLES:
+                self.problems.append(Violation("never an exception", f"{type(cause).__name__}: {cause}"))
+            self.problems += self.checker.taken()
+            if self.problems or self.cycles >= MAX_CYCLES:
                 break
-        return self.oracle.problems
+        return self.problems
 
     def _do_run(self, cycles: int) -> None:
         for _ in range(cycles):
-            if self.oracle.problems:
+            if self.checker.found:
                 return
             self._pass(max(0, self._next_car_ns - self.now_ns))
             self._next_car_ns = self.now_ns + self.period_ns
@@ -288,7 +297,8 @@ class Played:
         if self._running:
             run_id = self._ask(lambda: self.bridge.run.run_id) + offset
             self._ask(lambda: self.bridge.on_reset_confirmed(role, run_id))
-            self.oracle.on_confirmed(role, self.now_ns, current=offset == 0)
+            if offset == 0:
+                self.checker.on_confirmed(role)
 
     def _do_confirming(self, on: bool) -> None:
         self.confirming = on
@@ -297,13 +307,13 @@ class Played:
         now_ns = self.now_ns
         if name == "mode":
             answer = self._ask(lambda: self.bridge.set_mode(text, now_ns))
-            self.oracle.on_mode(text, answer, now_ns)
+            self.checker.on_mode(text, answer, now_ns)
         elif name == "emergency":
             answer = self._ask(lambda: self.bridge.emergency_brake(text, now_ns))
-            self.oracle.on_emergency(answer)
+            self.checker.on_emergency(answer[0])
         else:
             answer = self._ask(lambda: self.bridge.reset(now_ns))
-            self.oracle.on_reset(answer, now_ns)
+            self.checker.on_reset(answer[0], now_ns)
         if self.say is not None:
             self.say(f"{'':17}answered: {'yes' if answer[0] else 'no'}, {answer[1]}")
 
@@ -320,14 +330,14 @@ class Played:
         self.now_ns += RESTART_NS
         self._first_run_id = self._ask(lambda: self.bridge.run.run_id) + 1000
         self._confirmed_run = None
-        self.oracle.on_restart()
+        self.checker.restarted()
         self._new_process()
         self._turn()
 
     def _do_end(self) -> None:
         if self._back_ns is None:
             self._ask(lambda: self.bridge.begin_stop(self.now_ns))
-            self.oracle.on_end(self.now_ns)
+            self.checker.on_end()
 
     # ------------------------------------------------------------ the car
 
@@ -398,7 +408,7 @@ class Played:
     def _deliver(self, frame: Frame) -> None:
         if self._back_ns is None and self._running:
             self._ask(lambda: self.engine.on_frame(frame))
-            self.oracle.received(frame)
+            self.checker.received(frame)
 
     # ------------------------------------------------------------ planner and controller
 
@@ -420,23 +430,8 @@ class Played:
         offset = said.pop("run_offset", 0)
         run_id = self._ask(lambda: self.bridge.run.run_id) + offset
         command = VehicleCommand(now_ns - age_ns, run_id, **said)
-        problems = self._ask(lambda: self.bridge.on_command(command, now_ns))
-        self.oracle.on_command(command, problems, now_ns, current=offset == 0, fit=self._fit(command))
-
-    def _fit(self, command: VehicleCommand) -> bool:
-        """Whether a command is in order, by what its fields mean (safety rule 7)."""
-        limit_rad = math.radians(self.codec.revision.steer_limit_deg)
-        return (
-            all(
-                math.isfinite(value)
-                for value in (command.steering_rad, command.throttle, command.brake, command.speed_limit_mps)
-            )
-            and abs(command.steering_rad) <= limit_rad + 1e-9
-            and 0.0 <= command.throttle <= 1.0
-            and 0.0 <= command.brake <= 1.0
-            and command.speed_limit_mps >= 0.0
-            and command.t_sensor_ns - self.now_ns <= FUTURE_NS
-        )
+        refused = bool(self._ask(lambda: self.bridge.on_command(command, now_ns)))
+        self.checker.on_command(command, refused, now_ns, current=offset == 0)
 
     # ------------------------------------------------------------ the loop
 
@@ -473,7 +468,7 @@ class Played:
             self._back_ns = None
             self.engine = Engine(self.bridge, self.codec, self._send, now_ns)
             self._ask(lambda: self.bridge.bus_back(now_ns))
-            self.oracle.on_bus_back(now_ns)
+            self.checker.on_bus_back(now_ns)
             if self.say is not None:
                 self.say(f"{now_ns / 1e6:12.3f} ms  the bus is back")
         due_ns = self.engine.due_ns()
@@ -482,20 +477,20 @@ class Played:
         if now_ns - due_ns >= DEADLINE_MISS_NS:
             why = f"the CAN loop was {(now_ns - due_ns) / 1e6:.0f} ms late"
             self._ask(lambda: self.bridge.loop_fault(why, now_ns))
-            self.oracle.on_loop_fault(now_ns)
-        self.oracle.before_cycle(now_ns)
+            self.checker.on_loop_fault()
+        self.checker.before_cycle(now_ns)
         self._taken, self._made = 0, False
         try:
             self._ask(lambda: self.engine.poll(now_ns))
         except BusLost as lost:
-            self.oracle.after_cycle(True, now_ns)
+            self.checker.cycle_over(now_ns)
             assert self._breaking is not None
             back_ns = self._breaking[1]
             self._breaking = None
             self._lose(str(lost), back_ns)
             return
-        self.oracle.after_cycle(self._made, now_ns)
-        self.oracle.on_mode_shown(self.bridge._state.mode.value)
+        self.checker.cycle_over(now_ns, self._made)
+        self.checker.on_mode_shown(self.bridge._state.mode.value)
         if self.say is not None:
             self._tell()
         self.cycles += 1
@@ -512,7 +507,8 @@ class Played:
             return False
         self._taken += 1
         frame = Frame(frame.can_id, frame.data, self.now_ns)
-        image = self.oracle.sent(frame)
+        self.frames += 1
+        image = self.checker.sent(frame)
         if isinstance(image, AiDriveFront | AiDriveRear):
             axle = 0 if isinstance(image, AiDriveFront) else 1
             self.torque_nm[axle] = image.torque_nm
@@ -543,7 +539,7 @@ class Played:
             return
         self._back_ns = self.now_ns + for_ns
         self._ask(lambda: self.bridge.bus_lost(why, self.now_ns))
-        self.oracle.on_bus_lost(self.now_ns)
+        self.checker.on_bus_lost(self.now_ns)
 
 
 _TOLD: Final = (
@@ -589,7 +585,7 @@ def at_station(setup: str, station: str) -> Played:
         problems = played.play(events)
         if problems:
             raise NotOrdinary(setup, station, problems[0])
-        played.cycles, played.began_ns, played.oracle.frames = 0, played.now_ns, 0
+        played.cycles, played.began_ns, played.frames = 0, played.now_ns, 0
         _stations[key] = played
     kept = _stations[key]
     shared = (kept.codec, kept.car, kept.setup)

@@ -155,7 +155,7 @@ class Fuzzer:
             played, problems = play_watched(case)
             tally.cases += 1
             tally.cycles += played.cycles
-            tally.frames += played.oracle.frames
+            tally.frames += played.frames
             tally.simulated_s += played.played_ns / 1e9
             tally.reached |= played.reached
             if problems:

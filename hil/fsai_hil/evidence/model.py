@@ -1,4 +1,4 @@
-"""The bridge, composed with the VCU's state machine and a witness, as one thing that can be searched.
+"""The bridge, composed with the VCU's state machine and the checker of the rules, as one thing that can be searched.
 
 What runs is the real code: a `Bridge` with its supervisor and gate, and the VCU's transition table of `as_machine`.
 This module saves its state, puts it back, and says what the environment may do. What stands in for something:
@@ -31,22 +31,12 @@ from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.evidence.search import Move
-from fsai_hil.rules.invariants import Limits, Order, Witness
+from fsai_hil.rules.checker import EDGES, Process, WireChecker
 from fsai_hil.rules.numbers import (
     BACKLOG_NS,
     CAR_PATIENCE_NS,
-    COMMAND_FRESH_NS,
-    COUNTED_NS,
     CYCLE_NS,
-    DATA_FRESH_NS,
-    FUTURE_NS,
-    LAUNCH_NS,
-    LISTEN_FIRST_NS,
-    MOST_MOTOR_RPM,
-    MOST_TORQUE_NM,
     MS,
-    READY_SEEN_NS,
-    SPEEDS_FRESH_NS,
     S,
 )
 from fsai_hil.rules.violation import Violation
@@ -68,6 +58,7 @@ from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, Shu
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiCommand,
+    AiImage,
     Faults,
     Image,
     VcuBrake,
@@ -234,14 +225,12 @@ class Setting:
 
 # ---------------------------------------------------------------- the clocks
 
-# Names are those of the fields that hold them; `VCU …` and `witness …` are the other two parties' own.
+# Names are those of the fields that hold them; `VCU …` are the other party's own. Behind them come the checker's.
 _CLOCKS: Final = (
     "status", "heard", "driving", "speeds", "still", "stop", "window", "pedals", "cycle", "command",
     "listening", "reopened", "complete", "steer odd", "wheel odd",
     "said status", "said speeds", "said steer", "said axles",
-    "VCU state", "VCU hears", "VCU echo",
-    "witness driving", "witness still", "witness command", "witness heard", "witness pedals", "witness listening",
-    "witness complete", "ready", "turning", "witness ready", "witness turning",
+    "VCU state", "VCU hears", "VCU echo", "ready", "turning",
 )  # fmt: skip
 
 
@@ -259,8 +248,7 @@ def _edges(c: BridgeConfig) -> tuple[tuple[int, ...], ...]:
         (), command, (c.listen_first_ns,), (c.vcu_lost_ns,), (c.send_lost_ns,), odd, odd,
         vcu, (*speeds, c.wheel_jump_ns - CYCLE_NS, c.wheel_jump_ns), steer, (c.feedback_stale_ns,),
         (5 * S, 15 * S), (100 * MS,), (100 * MS,),
-        launch, (c.standstill_ns,), command, heard, (c.both_pedals_ns,), (c.listen_first_ns,), (c.send_lost_ns,),
-        (c.ready_wait_ns,), (c.standstill_ns,), (READY_SEEN_NS,), (COUNTED_NS,),
+        (c.ready_wait_ns,), (c.standstill_ns,), *EDGES,
     )  # fmt: skip
 
 
@@ -480,7 +468,7 @@ class Scope:
 
 
 class Composition:
-    """Bridge, VCU and witness under one scope's environment: a model for `search.explore`.
+    """Bridge, VCU and the checker under one scope's environment: a model for `search.explore`.
 
     With `only_rule` the problems of all other rules are passed over: can this rule alone find it?
     """
@@ -498,26 +486,10 @@ class Composition:
             if choice not in self.choices:
                 raise ValueError(f"{scope.name}: the ending {name!r} is none of the scope's choices")
             self.endings[name] = self.choices.index(choice)
-        entry = revision(setting.revision)
         self._codec = _codec(setting.revision)
+        self._checker = self._new_checker()
         self._bridge = self._new_bridge()
-        rpm_per_mps = 60.0 / (2.0 * math.pi * setting.car.rolling_radius_m) * setting.car.gear_ratio
-        rate = setting.config.steer_rate_degps
-        assert rate is not None, "the search sets the rate: a cycle must be enough for the steering"
-        self.limits = Limits(
-            steer_deg=min(entry.steer_limit_deg, setting.limits.max_steer_deg),
-            steer_rate_degps=rate,
-            torque_nm=min(MOST_TORQUE_NM, setting.limits.max_axle_torque_nm),
-            motor_rpm=int(min(MOST_MOTOR_RPM, setting.limits.max_speed_mps * rpm_per_mps)),
-            front_driven=setting.car.driven_front,
-            rear_driven=setting.car.driven_rear,
-            brakes_by_motor=setting.config.service_brake == "motor",
-            service_brake_pct=setting.config.stop_brake_pct,
-            may_send=not setting.config.listen_only,
-            autonomous_at_power_up=setting.config.autonomous_at_power_up and not setting.config.listen_only,
-            stop_cycles=setting.config.stop_cycles,
-            short_sequence=setting.config.short_sequence_allowed,
-        )
+        assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
         self._sends_fail = any(choice.frames < 5 for choice in scope.choices)
         self._leaves_emergency = any(not choice.asms or choice.car_off for choice in scope.choices)
         # A command whose data alone is that old is lost at once: then it matters how long commands have been awaited.
@@ -529,14 +501,13 @@ class Composition:
         self._table_runs = all(choice.says is None for choice in scope.choices)
         self._table: Table = transition_table(setting.profile)
         self._vcu = _Vcu(setting.first_state)
-        self._witness = Witness()
         self._situation = Situation()
         self._edges = _edges(setting.config)
         self._ages = tuple(
             tuple(sorted({0, *(age for edge in edges for age in (edge - 1, edge))})) for edges in self._edges
         )
         self.checks: Counter[str] = Counter()
-        self._encoded: dict[AiCommand, tuple[Violation, ...]] = {}
+        self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
@@ -552,6 +523,29 @@ class Composition:
         made._odometry = cast(Any, _NoOdometry())
         return made
 
+    def _new_checker(self) -> WireChecker:
+        setting = self.scope.setting
+        config = setting.config
+        return WireChecker(
+            self._codec,
+            in_flight_ns=0,
+            handshake_in_flight_ns=0,
+            clock_slack_ns=0,
+            car=setting.car,
+            limits=setting.limits,
+            steer_rate_degps=config.steer_rate_degps,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
+            process=Process(
+                listen_only=config.listen_only,
+                autonomous_at_power_up=config.autonomous_at_power_up,
+                service_brake_pct=config.stop_brake_pct,
+                stop_cycles=config.stop_cycles,
+                nothing_hidden=True,
+            ),
+        )
+
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
@@ -559,7 +553,7 @@ class Composition:
         self._bridge = self._new_bridge()
         self._bridge._gate = GateState(cycle_ns=None)
         self._vcu = _Vcu(self.scope.setting.first_state)
-        self._witness = Witness()
+        self._checker = self._new_checker()
         disc, raw = self._save(NOW)
         return disc, self._rounded(raw)
 
@@ -573,7 +567,7 @@ class Composition:
 
     def _save(self, now: int) -> tuple[tuple[object, ...], list[int]]:
         """The whole composition at `now`: what is no time, and the ages, not yet rounded."""
-        b, v, w, c = self._bridge, self._vcu, self._witness, self.config
+        b, v, c = self._bridge, self._vcu, self.config
         s, g = b._state, b._gate
 
         def age(t_ns: int | None) -> int:
@@ -617,22 +611,9 @@ class Composition:
         silent_bit = v.bit
         table = self._table_runs  # else the VCU is whatever the environment says
 
-        w_driving = w.as_state is AsState.AS_DRIVING
-        w_command_age, w_order = NEVER, None
-        if w_driving and w.command_ns is not None and not w.latched and w.autonomous:
-            w_command_age = max(age(w.command_ns), age(w.data_ns) - (DATA_FRESH_NS - COMMAND_FRESH_NS))
-            if w_command_age < COMMAND_FRESH_NS:
-                w_order = w.order
-            elif w.no_more_torque:
-                w_command_age = NEVER  # no command counts any more
-            if w_order is not None and w.no_more_torque:
-                # Of a command only the steering counts, where the planner may still speak.
-                w_order = Order(w_order.steer_deg, 0.0, 0.0, False, False) if steers else None
-                w_command_age = w_command_age if steers else NEVER
-        w_driving_age = age(w.driving_ns)
-        if w_driving_age >= LAUNCH_NS and 0 <= w_command_age < CYCLE_NS and not self._data_may_be_lost:
-            w_driving_age = LAUNCH_NS
-        in_hand = w_driving and 0 <= w_command_age < COMMAND_FRESH_NS
+        told = self._checker.seen
+        told.handshake = bool(told.handshake) != silent_bit
+        wire, wire_ages = self._checker.saved(now, data_may_be_lost=self._data_may_be_lost)
         disc = (
             # supervisor
             (s.as_state, s.go and driving, s.fault and driving, s.was_silent, s.sequence, s.fastest_rpm, s.mission,
@@ -653,18 +634,13 @@ class Composition:
             # VCU
             (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
              v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake),
-            # witness
-            (w.silence, w.path, w.handshake != silent_bit, w.autonomous, w.latched, w_order, w.alarm,
-             w.no_more_torque, w.restarted, w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed and w.zeros == 1,
-             w.torque_runs, w.steer_deg, w.mission, w.confirmed, w.power_up and c.autonomous_at_power_up,
-             w.reopening, w.ended, w.brake_pct if w_driving else 0.0, w.acknowledged, w.waited, w.unknown),
+            wire,
         )  # fmt: skip
         vcu_age = NEVER
         if v.state is AsState.AS_READY:
             vcu_age = min(age(v.since_ns), _READY_NS)
         elif v.state is AsState.EMERGENCY_BRAKE:
             vcu_age = age(v.since_ns) if self._leaves_emergency else 0
-        w_speeds_fresh = w.speeds_ns is not None and now - w.speeds_ns < SPEEDS_FRESH_NS
         raw = [
             age(s.status_ns),
             age(s.heard_ns),
@@ -688,24 +664,16 @@ class Composition:
             vcu_age if table else NEVER,
             age(v.ai_ns) if table else NEVER,
             age(v.echo_ns) if table else NEVER,
-            w_driving_age,
-            w.speeds_ns - w.still_ns if w_speeds_fresh and w.still_ns is not None else NEVER,  # type: ignore[operator]
-            w_command_age,
-            age(w.heard_ns),
-            age(w.pedals_ns) if in_hand and not w.no_more_torque else NEVER,
-            NEVER if w.began_ns is None else min(age(w.began_ns), LISTEN_FIRST_NS),
-            NEVER if w.complete_ns is None else age(w.complete_ns) if driving and self._sends_fail else 0,
             age(s.ready_since_ns),
             NEVER if age(s.turning_ns) >= c.standstill_ns else age(s.turning_ns),
-            age(w.ready_ns),
-            NEVER if age(w.turning_ns) >= COUNTED_NS else age(w.turning_ns),
+            *wire_ages,
         ]
         return disc, raw
 
     def _load(self, state: State) -> None:
         """Put the composition back as it was saved, at `NOW`."""
-        (sup, gat, shell, said, vcu, wit), ages = cast(Any, state)
-        b, v, w, c = self._bridge, self._vcu, self._witness, self.config
+        (sup, gat, shell, said, vcu, wire), ages = cast(Any, state)
+        b, v, c = self._bridge, self._vcu, self.config
         t = [None if age < 0 else NOW - age for age in ages]
         speeds_ns, still = t[3], ages[4]
         steers = sup[12]
@@ -719,13 +687,13 @@ class Composition:
             heard_ns=t[1],
             was_silent=sup[3],
             sequence=sup[4],
-            ready_since_ns=t[29],
+            ready_since_ns=t[22],
             ready_waited_ns=c.ready_wait_ns if sup[9] else 0,
             driving_since_ns=t[2],
             speeds_ns=speeds_ns,
             fastest_rpm=sup[5],
             still_since_ns=None if still < 0 else cast(int, speeds_ns) - still,
-            turning_ns=t[30],
+            turning_ns=t[23],
             run_id=2,
             mission=sup[6],
             confirmed=sup[7],
@@ -752,7 +720,7 @@ class Composition:
             awaiting=gat[7],
             tried_selected=gat[9],
             acknowledged_run_id=2 if gat[10] else None,
-            pulses=_turning_since(t[30]),
+            pulses=_turning_since(t[23]),
             run_id=2,
         )
         b._decision = _NO_DECISION
@@ -800,26 +768,7 @@ class Composition:
         v.since_ns = NOW if t[19] is None else t[19]
         v.ai_ns, v.echo_ns = t[20], t[21]
 
-        (w.silence, w.path, w.handshake, w.autonomous, w.latched, w.order, w.alarm, w.no_more_torque, w.restarted,
-         w.bus_gone, w.torque_may_be_there, w.zeros, w.echoed, w.torque_runs, w.steer_deg, w.mission,
-         w.confirmed, w.power_up, w.reopening, w.ended, w.brake_pct, w.acknowledged, w.waited,
-         w.unknown) = wit  # fmt: skip
-        w.as_state = None if status is None else status[0]
-        w.go = False if status is None else status[1]
-        w.marks = None if status is None else status[3]
-        w.status_ns = t[15]
-        w.rpm, w.speeds_ns = rpm, t[16]
-        w.angle_max_deg, w.steer_ns = angle_max, t[17]
-        w.torque_max_nm, w.axle_ns = torque_max, t[18]
-        w.driving_ns = t[22]
-        w.still_ns = None if ages[23] < 0 else cast(int, w.speeds_ns) - ages[23]
-        w.command_ns, w.data_ns = t[24], t[24] or 0
-        w.heard_ns = t[25]
-        w.pedals_ns = t[26]
-        w.began_ns, w.complete_ns = t[27], t[28]
-        w.cycle_ns = t[8]  # when the last cycle was made is no judgement of the bridge's
-        w.steer_odd_ns, w.wheel_odd_ns = t[13], t[14]
-        w.ready_ns, w.turning_ns = t[31], t[32]
+        self._checker.load((wire, ages[-len(EDGES) :]), NOW)
 
     # ------------------------------------------------------------ moves
 
@@ -890,11 +839,11 @@ class Composition:
         self, choice: Choice, now: int
     ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Violation, ...], AiCommand | None]:
         """One cycle at `now`: what the composition is then, what is wrong with it, and what was sent."""
-        problems: list[Violation] = []
+        problems: tuple[Violation, ...] = ()
         if choice.event == "restart":
             self._bridge = self._new_bridge()
-            self._witness.restart()
-        w = self._witness
+            self._checker.restarted()
+        checker = self._checker
         if choice.car_off:
             self._vcu.switch_off(self.scope.setting.first_state)
         else:
@@ -905,29 +854,28 @@ class Composition:
         if choice.event is not None:
             self._happens(choice.event, now)
         if choice.request is not None:
-            self._requested(choice.request, now, problems)
-        if choice.confirm:
-            w.confirmed |= choice.confirm
-            for role in choice.confirm - b._state.confirmed:
-                b.on_reset_confirmed(role, b._state.run_id)
+            self._requested(choice.request, now)
+        for role in choice.confirm - b._state.confirmed:
+            b.on_reset_confirmed(role, b._state.run_id)
+            checker.on_confirmed(role)
         if choice.command != _NO_COMMAND:
-            self._commanded(COMMANDS[choice.command], now, problems)
+            self._commanded(COMMANDS[choice.command], now)
         asked = b.cycle(now)
-        if w.speaks(self.limits):
-            problems += w.before_cycle(b._state.mode.value, self.limits, now)
+        checker.before_cycle(now)
+        checker.on_mode_shown(b._state.mode.value)
         if asked is not None:
             self._count(asked, choice)
-            problems += w.on_cycle(asked, self.limits, now)
-            problems += self._frames(asked)
-            problems += self._sent(choice, asked, now)
-        w.steer_odd_ns, w.wheel_odd_ns = b._steering.implausible_since_ns, b._wheels.implausible_since_ns
+            problems, images = self._images(asked)
+            self._sent(choice, asked, images, now)
+        checker.on_implausible(b._steering.implausible_since_ns, b._wheels.implausible_since_ns)
+        problems += checker.taken()
         if problems and self._only_rule is not None:
-            problems = [problem for problem in problems if problem.rule == self._only_rule]
-        return self._save(now), tuple(problems), asked
+            problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
+        return self._save(now), problems, asked
 
     def _count(self, asked: AiCommand, choice: Choice) -> None:
         """Each rule is counted in the cycles in which it has something to say."""
-        w, checks = self._witness, self.checks
+        w, checks = self._checker.seen, self.checks
         driving = w.as_state is AsState.AS_DRIVING
         for rule in ("8", "9", "output table", "modes"):
             checks[rule] += 1
@@ -989,35 +937,31 @@ class Composition:
                 v.state, v.since_ns = row.target, now
 
     def _car_speaks(self, choice: Choice, now: int) -> None:
-        v, w, lost = self._vcu, self._witness, choice.lost
-        say = self._bridge.on_frame
+        v, lost = self._vcu, choice.lost
+
+        def say(frame: _Said) -> None:
+            self._bridge.on_frame(frame)
+            self._checker.on_decoded(frame.can_id, frame.decoded, now)
+
         if v.echo_ns is None:
             v.bit = not v.bit
             v.echo_ns = now
         if STATUS not in lost:
-            w.handshake = v.bit
             if choice.unreadable:
-                w.on_unknown_status(now)
                 say(_unreadable_frame(v.bit, now))
             else:
-                fault = choice.fault
-                w.on_status(v.state, choice.go, fault, choice.ami, choice.marks, now)
-                say(_status_frame(v.bit, choice.go, v.state, choice.ami, fault, choice.marks, now))
+                say(_status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
         if AXLES not in lost:
-            w.torque_max_nm, w.axle_ns = choice.torque_max_nm, now
             say(_front_frame(choice.torque_max_nm, now))
             say(_rear_frame(choice.torque_max_nm, now))
         if STEER not in lost:
-            w.angle_max_deg, w.steer_ns = choice.angle_max_deg, now
             say(_steer_frame(choice.angle_max_deg, now))
         if BRAKE not in lost:
-            w.on_brake(not v.brake)
             say(_brake_frame(v.brake, now))
         if SPEEDS not in lost:
-            w.on_speeds(choice.rpm, now)
             say(_speeds_frame(choice.rpm, now))
         if choice.counting:
-            w.turning_ns = now
+            self._checker.wheels.turning_ns = now
             b = self._bridge
             b._state = supervisor.on_pulses(b._state, now)
             b._gate = replace(b._gate, pulses=_turning_since(now))
@@ -1025,109 +969,76 @@ class Composition:
     # ------------------------------------------------------------ people, planner and loop
 
     def _happens(self, event: str, now: int) -> None:
-        b, w = self._bridge, self._witness
-        driving = w.as_state is AsState.AS_DRIVING
+        b, checker = self._bridge, self._checker
         match event:
             case "an intruder sends 0x511":
                 b.on_frame(Frame(0x511, bytes(4), now))
-                w.alarm = w.alarm or (driving and not b._config.listen_only)
+                checker.on_intruder(event)
             case "the loop misses its deadline":
                 b.loop_fault("a deadline was missed by 50 ms", now)
-                w.alarm = w.alarm or driving
+                checker.on_loop_fault()
             case "the bus is lost":
                 b.bus_lost("the interface is gone", now)
-                if not w.bus_gone:
-                    w.on_bus_gone(now)
+                checker.on_bus_lost(now)
             case "the bus is back":
                 b.bus_back(now)
-                if w.bus_gone:
-                    w.on_bus_back(now)
+                checker.on_bus_back(now)
             case "the software is stopped":
                 b.begin_stop(now)
-                w.on_end()
+                checker.on_end()
             case "frames waited for 20 ms":
                 b.backlog(BACKLOG_NS, now)
 
-    def _requested(self, request: str, now: int, problems: list[Violation]) -> None:
-        b, w = self._bridge, self._witness
+    def _requested(self, request: str, now: int) -> None:
+        b, checker = self._bridge, self._checker
         match request:
             case "the emergency brake":
-                accepted, _ = b.emergency_brake("somebody asked for it", now)
-                w.latched = w.latched or accepted
+                checker.on_emergency(b.emergency_brake("somebody asked for it", now)[0])
             case "reset":
-                accepted, _ = b.reset(now)
-                if accepted and w.latched:
-                    if w.as_state not in (AsState.AS_INIT, AsState.AS_OFF):
-                        problems.append(Violation("6", "reset accepted outside AS_INIT and AS_OFF"))
-                    w.latched = False
+                checker.on_reset(b.reset(now)[0], now)
             case mode:
-                accepted, _ = b.set_mode(mode, now)
-                if not accepted:
-                    return
-                if mode not in ("autonomous", "manual"):
-                    problems.append(Violation("2", f"the unknown mode {mode!r} was accepted"))
-                elif mode == "autonomous" and w.as_state not in (
-                    AsState.AS_INIT,
-                    AsState.AS_OFF,
-                    AsState.AS_READY,
-                ):
-                    problems.append(Violation("2", "autonomous accepted where the car could launch at once"))
-                w.autonomous, w.power_up = mode == "autonomous", False
-                if mode == "manual" and w.as_state is AsState.AS_DRIVING:
-                    w.no_more_torque = True
+                checker.on_mode(mode, b.set_mode(mode, now), now)
 
-    def _commanded(self, ask: Ask, now: int, problems: list[Violation]) -> None:
-        b, w = self._bridge, self._witness
-        refused = b.on_command(
-            VehicleCommand(
-                now - ask.data_age_ns,
-                b._state.run_id + ask.run,
-                ask.steering_rad,
-                ask.throttle,
-                ask.brake,
-                ask.speed_limit_mps,
-                ask.finished,
-                ask.estop,
-            ),
-            now,
+    def _commanded(self, ask: Ask, now: int) -> None:
+        b = self._bridge
+        command = VehicleCommand(
+            now - ask.data_age_ns,
+            b._state.run_id + ask.run,
+            ask.steering_rad,
+            ask.throttle,
+            ask.brake,
+            ask.speed_limit_mps,
+            ask.finished,
+            ask.estop,
         )
-        if refused:
-            return
-        absurd = not (
-            math.isfinite(ask.steering_rad)
-            and 0.0 <= ask.throttle <= 1.0
-            and 0.0 <= ask.brake <= 1.0
-            and abs(ask.steering_rad) <= math.radians(30.0)
-            and ask.data_age_ns >= -FUTURE_NS
-            and ask.run == _THIS_RUN
-        )
-        if absurd:
-            problems.append(Violation("7", f"taken, though out of order: {ask.words}"))
-            return
-        order = Order(math.degrees(ask.steering_rad), ask.throttle, ask.brake, ask.finished, ask.estop)
-        w.on_command(order, now - ask.data_age_ns, now)
+        refused = bool(b.on_command(command, now))
+        self._checker.on_command(command, refused, now, current=ask.run == _THIS_RUN)
 
     # ------------------------------------------------------------ the wire
 
-    def _frames(self, asked: AiCommand) -> Sequence[Violation]:
-        """The real codec takes it, and makes the five frames of it (rule 8)."""
-        problems = self._encoded.get(asked)
-        if problems is None:
-            problems = ()
+    def _images(self, asked: AiCommand) -> tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]:
+        """What the real codec makes of it: its five frames, decoded again, and what is wrong with them (rule 8)."""
+        made = self._encoded.get(asked)
+        if made is None:
+            images: list[tuple[int, AiImage]] = []
             try:
-                ids = [frame.can_id for frame in self._codec.encode_command(asked)]
-                if ids != [0x510, 0x511, 0x512, 0x513, 0x514]:
-                    problems = (Violation("8", f"a cycle of the frames {ids}"),)
+                for frame in self._codec.encode_command(asked):
+                    if self._checker.well_formed(frame):
+                        images.append((frame.can_id, cast(AiImage, self._codec.decode(frame).image)))
+                problems = self._checker.taken()
             except EncodeError as error:
                 problems = (Violation("8", str(error)),)
-            self._encoded[asked] = problems
-        return problems
+            made = self._encoded[asked] = problems, tuple(images)
+        return made
 
-    def _sent(self, choice: Choice, asked: AiCommand, now: int) -> Sequence[Violation]:
+    def _sent(self, choice: Choice, asked: AiCommand, images: Sequence[tuple[int, AiImage]], now: int) -> None:
         """The frames leave one after another; the VCU looks after each, and keeps what it saw last."""
-        b, v = self._bridge, self._vcu
-        problems: list[Violation] = []
+        b, v, checker = self._bridge, self._vcu, self._checker
         brake = asked.front_brake_pct > 0.0 or asked.rear_brake_pct > 0.0
+        checker.on_sending()
+        for can_id, image in images[: choice.frames]:
+            checker.on_ai(can_id, image, now)
+        checker.cycle_over(now)
         if not choice.car_off:
             for number in range(choice.frames):
                 before = (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake)
@@ -1148,14 +1059,9 @@ class Composition:
                         v.ai_ns = now
                 if v.ai_ns is None:
                     v.ai_ns = now
-                if (v.front or v.rear) and v.brake:
-                    problems.append(Violation("1", "the VCU sees torque and brake at the same time"))
                 if before != (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake):
                     self._look(choice, now)
-        complete = choice.frames == 5
-        b.on_sent(complete, now)
-        self._witness.on_sent(asked, complete, now)
-        return problems
+        b.on_sent(choice.frames == 5, now)
 
     # ------------------------------------------------------------ words
 

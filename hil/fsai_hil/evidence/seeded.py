@@ -241,11 +241,14 @@ SEEDS: Final[tuple[Seed, ...]] = (
         config={"short_sequence_allowed": True},  # else the 5 s in AS_READY are missed as well
     ),
     Seed(
-        "autonomous is accepted in every state", "2", "run", lambda: ((supervisor, "IDLE_STATES", frozenset(AsState)),)
+        "autonomous is accepted in every state",
+        "modes",
+        "run",
+        lambda: ((supervisor, "IDLE_STATES", frozenset(AsState)),),
     ),
     Seed(
         "an unknown mode counts as autonomous",
-        "2",
+        "modes",
         "power-up",
         _wrapped(
             supervisor,

@@ -1,74 +1,81 @@
-"""An independent look at a bus: do the frames that were on it keep the rules that can be seen there?
+"""The rules on the wire, judged by one who stands beside the bus and knows nothing of supervisor and gate.
 
-The checker knows the interface (through the codec) and nothing of the gate that is to keep the rules. It is fed with
-every frame of a bus, of the AI computer and of the car, in the order of time.
+`WireChecker` is fed with what was on the bus, of the car and of the AI computer, in the order of time: as frames, or as
+their decoded images. That is enough for a log. Who drives the process itself also tells what the process is told
+(commands, modes, confirmations, lost buses) by a `Process`; what can be known only so is checked only then. And where
+everything is told that can stop a drive (`nothing_hidden`), each output has exactly one right value, and is held to it.
 
 What is on the wire at an instant was decided a little earlier: a value that the car sent less than `in_flight_ns` ago
 may not have been seen yet. A rule is broken only when it is broken for every value that the sender can have seen.
 
-Which safety rule is checked how, by frames alone:
-
-1. torque and brake: never above zero together in what the VCU saw last of each frame; torque rises from zero only after
-   a whole cycle without both and a 0x524 after it that echoes zero, or two such cycles; brake rises only after a whole
-   cycle without torque. A cycle that lacks a frame is not whole.
-2. each frame with torque against the 0x520 seen: AS_DRIVING, Go, its age, 3 s in AS_DRIVING, FORWARD, no ESTOP_REQUEST;
-   an AS_STATE that is known, and a mission for which SELECTED was sent. The mode and the command behind it are not on
-   the wire: see `evidence/wire_rules.py`.
-3. NEUTRAL and FINISHED in AS_DRIVING against the wheel speeds and pulse counts seen; speeds that may not be believed
-   count as missing (`evidence/wheel_rules.py`).
-4. steering against the revision's limit, ANGLE_MAX and the operational limit, and its change against the car's steering
-   rate; torque against 195 Nm, a live TRQ_MAX, the constant-power schedule and the operational limit, none on an axle
-   without a motor; motor speed limit against the operational speed limit.
-5. MISSION_STATUS, direction, steering and torque in AS_INIT, AS_OFF and AS_READY. What SELECTED needs besides is not on
-   the wire.
-6. ESTOP_REQUEST goes back to 0 only in AS_INIT and AS_OFF. Who cleared it is not on the wire.
-7. every frame of the AI computer has its length, and values of the interface's table.
-8. no identifier that is not of this bus, none extended or remote. An intruder on the AI computer's own ids cannot be
-   told apart on a log; whoever knows it keeps his frames from the checker.
-9. the handshake echo against the bits received.
-10. torque only after AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends, 5 s of AS_READY with
-    Go off among them: a pause in its frames or a second without 0x520 (a power cycle) begins anew.
-
-And besides: no torque after a switch, SHUTDOWN_REQUEST, a fault bit or SHUTDOWN_CAUSE turned in AS_DRIVING; two cycles
-are never closer than 8 ms; and what the output table says of each AS state as far as it is one value: MISSION_STATUS,
-direction, and no brake in AS_INIT, AS_OFF and EMERGENCY_BRAKE.
+A rule is a function below the decorator `_rule`, which says what it is called and which frames it is held against; what
+it yields is what is wrong. The clauses are those of the safety rules, the numbers are in `numbers.py`.
 """
 
 from __future__ import annotations
 
 import gzip
 import math
+import re
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
-from enum import Enum, auto
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
-from typing import IO, Generic, TypeVar
+from typing import IO, Any, Final, NamedTuple
 
 from fsai_hil.rules.numbers import (
     CAR_PATIENCE_NS,
+    COMMAND_FRESH_NS,
+    COMMAND_LOST_NS,
+    COUNTED_NS,
     CYCLE_GAP_NS,
+    CYCLE_NS,
+    DATA_FRESH_NS,
+    FEEDBACK_LOST_NS,
     FEEDBACK_STALE_NS,
+    FUTURE_NS,
     LAUNCH_NS,
+    LISTEN_FIRST_NS,
     MOST_MOTOR_RPM,
     MOST_TORQUE_NM,
+    MS,
+    ODD_LOST_NS,
+    ODD_NS,
+    ODD_STEER_DEG,
+    ODD_STEER_SETTLED_NS,
+    ODD_WHEEL_RPM,
+    PEDALS_NS,
     POWER_CYCLE_NS,
     READY_SEEN_NS,
+    SEND_LOST_NS,
+    SPEED_JUMP_NS,
+    SPEEDS_FRESH_NS,
     STATUS_FRESH_NS,
+    STATUS_LOST_NS,
     STILL_NS,
+    STILL_RPM,
+    STOP_CYCLES,
+    STOP_TIMEOUT_NS,
+    S,
     constant_power_nm,
 )
 from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.rules.violation import Violation
 from fsai_hil.rules.wheels import Belief, Wheels
+from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
-from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.bus_table import BY_ID
+from fsai_vcu.interface.codec import Codec, Decoded
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
+    AiImage,
     AiStatus,
     AiSteer,
     Faults,
@@ -83,37 +90,168 @@ from fsai_vcu.interface.images import (
 )
 from fsai_vcu.interface.reserved import AI_IDS
 
-MS = 1_000_000
-SECOND = 1_000_000_000
+RULES: Final = {
+    "1": "torque and brake never meet at the VCU",
+    "2": "torque only with everything that allows it",
+    "3": "NEUTRAL or FINISHED in AS_DRIVING only at proven rest",
+    "4": "steering, torque and motor speed within every limit",
+    "5": "before AS_DRIVING: zeros, NEUTRAL, at most SELECTED",
+    "6": "an emergency request latches",
+    "7": "commands out of order are refused whole",
+    "8": "the five frames and no other, and only of a process that may send",
+    "9": "the handshake echoes the last bit received",
+    "10": "no drive goes on after a restart",
+    "output table": "status, direction, steering and brake are those of the AS state and of what is due",
+    "modes": "autonomous only as it was chosen, manual after a lost command",
+    "reactions": "graded reactions come in time",
+    "interval": "two cycles are never closer than 8 ms",
+    "safe end": "a safe end is reached from every state",
+}
 
-RESTART_GAP_NS = 150 * MS  # a process that starts listens for 200 ms before its first frame
-STATUS_ID = 0x520
-RESOLUTION = 0.051  # half a raw step of torque and steering, and a float's rounding
+ROLES: Final = frozenset(("planner", "controller"))
+OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
+IDLE: Final = (*OFF, AsState.AS_READY)
+UNBRAKED: Final = (*OFF, AsState.EMERGENCY_BRAKE)  # output table: the car holds or brakes itself there
+STATUS_ID: Final = 0x520
+RESTART_GAP_NS: Final = 150 * MS  # a process that starts listens for 200 ms before its first frame
+STEER_STEP_DEG: Final = 0.1  # interface specification v4.0: the signals' resolution
+BRAKE_STEP_PCT: Final = 0.5
+LONGEST_TURN_NS: Final = 2 * CYCLE_NS  # after a longer pause nobody turns by all that was missed
+TINY: Final = 1e-6  # of a float
+_OFF_SEEN, _READY_SEEN, _WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
+_NOBODY: Final[frozenset[str]] = frozenset()
+_KEPT: Final = 1000  # violations kept as text; all are counted
+_NEVER: Final = -1
 
-OFF = (AsState.AS_INIT, AsState.AS_OFF)
-IDLE = (*OFF, AsState.AS_READY)
-UNBRAKED = (*OFF, AsState.EMERGENCY_BRAKE)  # output table: the car holds or brakes itself there
-_TORQUE_KEYS = ("state", "wait", "go", "direction", "emergency", "age", "known", "mission")
-_KEPT = 1000  # violations kept as text; all are counted
 
-T = TypeVar("T")
+class Order(NamedTuple):
+    """What a command in order asks for."""
+
+    steer_deg: float
+    throttle: float
+    brake: float
+    speed_limit_mps: float
+    finished: bool
+    estop: bool
 
 
-class _Recent(Generic[T]):
-    """The values that a sender can have seen last: all younger than the time in flight, and the one before them."""
+@dataclass(frozen=True, slots=True)
+class Process:
+    """The process behind the frames, of which it is told what it is told: what the rules name of its configuration.
 
-    def __init__(self, in_flight_ns: int) -> None:
-        self._in_flight_ns = in_flight_ns
-        self._values: deque[tuple[int, T]] = deque()
+    `nothing_hidden`: what a plausibility check finds is told as well, so that every stop has its reason.
+    """
 
-    def add(self, t_ns: int, value: T) -> None:
-        self._values.append((t_ns, value))
+    listen_only: bool = False
+    autonomous_at_power_up: bool = False
+    service_brake_pct: float = 80.0  # what a stop is made with
+    stop_cycles: int = STOP_CYCLES
+    stop_timeout_ns: int = STOP_TIMEOUT_NS
+    nothing_hidden: bool = False
 
-    def at(self, t_ns: int) -> list[T]:
-        values = self._values
-        while len(values) > 1 and t_ns - values[1][0] >= self._in_flight_ns:
-            values.popleft()
-        return [value for _, value in values]
+
+@dataclass(slots=True)
+class Seen:
+    """What has been seen on the bus and heard from people, as a value: no part of it is ever changed in place.
+
+    Times are ns; None: never. What the wheels say is in `Wheels`.
+    """
+
+    # what the car said
+    as_state: AsState | None = None
+    go: bool = False
+    fault: bool = False
+    status_ns: int | None = None
+    heard_ns: int | None = None  # any 0x520, believed or not
+    unknown: bool = False  # the last 0x520 is none that anybody knows
+    silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
+    marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
+    handshake: bool | None = None
+    mission: Ami = Ami.NOT_SELECTED
+    ready_ns: int | None = None  # since when it has been AS_READY
+    waited: bool = False  # for 5 s before Go
+    path: int = 0
+    driving_ns: int | None = None  # None: not driving, or since before the log began
+    turned: tuple[int, str] | None = None  # what ended the drive by turning, and when
+    angle_deg: float = 0.0
+    angle_max_deg: float | None = None
+    steer_ns: int | None = None
+    front_max_nm: float | None = None
+    front_ns: int | None = None
+    rear_max_nm: float | None = None
+    rear_ns: int | None = None
+    # what people and the planner said
+    autonomous: bool = False
+    power_up: bool = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
+    confirmed: frozenset[str] = _NOBODY  # who has reset himself for this mission
+    acknowledged: bool = False  # SELECTED went out whole for it
+    latched: bool = False  # an emergency: granted, or seen on the wire
+    order: Order | None = None  # the newest command in order
+    command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
+    pedals_ns: int | None = None  # since when every command has asked for both
+    # what went wrong
+    alarm: str | None = None  # why an emergency is due in this run
+    stopped: str | None = None  # why torque is over in this run
+    stopped_ns: int = 0
+    steer_odd_ns: int | None = None
+    wheel_odd_ns: int | None = None
+    restarted: bool = True  # the process is new and has not seen AS_OFF yet
+    bus_gone: bool = False
+    reopening: bool = False  # the bus is back, and the car has not been heard on it
+    back_ns: int | None = None  # what could not be heard before then is not missing
+    ended: int | None = None  # cycles sent since the software was told to stop
+    # what went out
+    began_ns: int | None = None  # the first cycle, sent or not
+    complete_ns: int | None = None  # the last cycle that went out whole, or the first that was tried
+    torque_nm: tuple[float, float] = (0.0, 0.0)  # front and rear, as the VCU has last seen them
+    brake_pct: tuple[float, float] = (0.0, 0.0)
+    braked_pct: float = 0.0  # what this process asked for last
+    torque_may_be_there: bool = True
+    torque_runs: bool = False
+    zeros: int = 0  # complete cycles with both at zero; 2 means more
+    echoed: bool = False  # and the newest 0x524, after them, says so
+    steer_deg: float = 0.0
+    steered_ns: int | None = None
+    whole: bool = True  # the last cycle that was made went out whole
+
+
+# The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
+_EDGES: Final[Mapping[str, tuple[int, ...]]] = {
+    "status_ns": (STATUS_FRESH_NS, STATUS_LOST_NS),
+    "heard_ns": (POWER_CYCLE_NS - CYCLE_NS, POWER_CYCLE_NS),
+    "ready_ns": (READY_SEEN_NS,),
+    "driving_ns": (LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS),
+    "steer_ns": (FEEDBACK_STALE_NS, FEEDBACK_LOST_NS),
+    "front_ns": (FEEDBACK_STALE_NS,),
+    "rear_ns": (FEEDBACK_STALE_NS,),
+    "command_ns": (COMMAND_FRESH_NS, COMMAND_LOST_NS),
+    "pedals_ns": (PEDALS_NS,),
+    "steer_odd_ns": (ODD_NS, ODD_LOST_NS),
+    "wheel_odd_ns": (ODD_NS, ODD_LOST_NS),
+    "back_ns": (STATUS_LOST_NS, FEEDBACK_LOST_NS),
+    "began_ns": (LISTEN_FIRST_NS,),
+    "complete_ns": (SEND_LOST_NS,),
+    "steered_ns": (),
+}
+EDGES: Final = (
+    *_EDGES.values(),
+    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
+    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
+    (STILL_NS,),
+    (COUNTED_NS,),
+)
+"""The ages at which each clock of `WireChecker.saved` matters."""
+_PLAIN: Final = (
+    "as_state", "go", "fault", "unknown", "silent", "marks", "handshake", "mission", "waited", "path", "angle_max_deg",
+    "front_max_nm", "rear_max_nm", "autonomous", "power_up", "confirmed", "acknowledged", "latched", "order", "alarm",
+    "stopped", "restarted", "bus_gone", "reopening", "ended", "torque_nm", "brake_pct", "braked_pct",
+    "torque_may_be_there", "torque_runs", "zeros", "echoed", "steer_deg", "whole",
+)  # fmt: skip
+_plain_of, _times_of = attrgetter(*_PLAIN), attrgetter(*_EDGES)
+_put_plain = [getattr(Seen, name).__set__ for name in _PLAIN]
+_put_times = [getattr(Seen, name).__set__ for name in _EDGES]
+
+Saved = tuple[tuple[object, ...], tuple[int, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,61 +299,58 @@ class WireReport:
 
 @dataclass(slots=True)
 class _Cycle:
-    """The five frames of one cycle as they came."""
+    """The frames of one cycle as they came."""
 
     ids: list[int] = field(default_factory=list)
     selected: bool = False
     torque: bool = False
     brake: bool = False
-
-    @property
-    def complete(self) -> bool:
-        return tuple(self.ids) == AI_IDS
+    motor_rpm: int = 0
 
 
-class _Path(Enum):
-    """How far the AI computer's process has seen the car come on AS_OFF, AS_READY, AS_DRIVING."""
-
-    GONE = auto()
-    OFF = auto()
-    READY = auto()
-    DRIVING = auto()
-
-    @staticmethod
-    def at_first_sight(state: AsState) -> _Path:
-        """Where a log begins its beginning is not known: in favour of the sender."""
-        return {AsState.AS_READY: _Path.OFF, AsState.AS_DRIVING: _Path.READY}.get(state, _Path.GONE)
-
-    def then(self, state: AsState) -> _Path:
-        if state in (AsState.AS_INIT, AsState.AS_OFF):
-            return _Path.OFF
-        if state is AsState.AS_READY and self in (_Path.OFF, _Path.READY):
-            return _Path.READY
-        if state is AsState.AS_DRIVING and self in (_Path.READY, _Path.DRIVING):
-            return _Path.DRIVING
-        return _Path.GONE
+def marks_of(status: VcuStatus) -> frozenset[str]:
+    """What of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
+    cause = status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN
+    return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause)
 
 
-def turned(before: VcuStatus, now: VcuStatus) -> list[str]:
-    """What of 0x520 ends a drive by turning in AS_DRIVING, though FAULT_STATUS stays 0."""
-    found = []
-    if before.as_switch and not now.as_switch:
-        found.append("AS_SWITCH_STATUS falls")
-    if before.ts_switch and not now.ts_switch:
-        found.append("TS_SWITCH_STATUS falls")
-    if now.shutdown_request and not before.shutdown_request:
-        found.append("SHUTDOWN_REQUEST rises")
-    names = [bit.name for bit in fields(Faults)]
-    risen = [name for name in names if getattr(now.faults, name) and not getattr(before.faults, name)]
-    if risen:
-        found.append(f"fault bits rise: {', '.join(risen)}")
-    if before.shutdown_cause is ShutdownCause.NO_SHUTDOWN and now.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:
-        found.append("SHUTDOWN_CAUSE rises")
-    return found
+@lru_cache
+def _marks(as_switch: bool, ts_switch: bool, shutdown: bool, faults: Faults, cause: bool) -> frozenset[str]:
+    shown = {
+        "AS_SWITCH_STATUS falls": not as_switch,
+        "TS_SWITCH_STATUS falls": not ts_switch,
+        "SHUTDOWN_REQUEST rises": shutdown,
+        "SHUTDOWN_CAUSE rises": cause,
+        **{f"fault bit {name} rises": getattr(faults, name) for name in Faults.__dataclass_fields__},
+    }
+    return frozenset(mark for mark, there in shown.items() if there)
+
+
+Check = Callable[["WireChecker", Any], Iterator[str]]
+_CHECKS: Final[dict[str, list[tuple[str, Check]]]] = {
+    kind: [] for kind in ("0x510", "drive", "torque", "0x513", "0x514")
+}
+
+
+def _rule(name: str, *kinds: str) -> Callable[[Check], Check]:
+    """The function holds rule `name` against each frame of these kinds; what it yields is wrong.
+
+    "drive" is 0x511 and 0x512, "torque" those of them that ask for some.
+    """
+
+    def registered(check: Check) -> Check:
+        for kind in kinds:
+            _CHECKS[kind].append((name, check))
+        return check
+
+    return registered
+
+
+_DIGITS: Final = re.compile(r"[\d.,]+")
 
 
 class WireChecker:
-    """Feed it with `on_frame`; read `violations` at any time and `report()` at the end.
+    """Feed it with `on_frame`; read `violations` at any time and `report()` at the end. Times are ns.
 
     `handshake_in_flight_ns` is how young a 0x520 may be and not yet be echoed; `clock_slack_ns` covers the difference
     between a sender's clock reading and the time stamp on the bus. All three at 0 is the view of the sender itself.
@@ -224,6 +359,10 @@ class WireChecker:
     is the first that the sending process could hear, and `restarted` says when another takes its place; without it
     what was before the log is not judged. `motor_brakes`: the car on which torque against a motor speed limit of zero
     is the brake, which rule 2 does not mean. `short_sequence`: the car whose VCU does not keep to the 5 s in AS_READY.
+
+    With a `process` the caller tells what the process is told, by the methods `on_…` and round each cycle by
+    `before_cycle`, `on_mode_shown` and `cycle_over`. An intruder on the AI computer's own ids cannot be told apart on
+    a log; whoever knows it keeps his frames from `on_frame`, or uses `received` and `sent`.
     """
 
     def __init__(
@@ -235,14 +374,18 @@ class WireChecker:
         clock_slack_ns: int = MS // 2,
         car: VehicleParameters | None = None,
         limits: OperationalLimits = UNLIMITED,
+        steer_rate_degps: float | None = None,
         from_start: bool = False,
         motor_brakes: bool = False,
         short_sequence: bool = False,
+        process: Process | None = None,
     ) -> None:
-        self.violations: list[str] = []
+        self.found: list[tuple[int, Violation]] = []
         self.violation_count = 0
+        self.responses = ResponseTimes()
         self._codec = codec
-        self._known_ids = frozenset(message.frame_id for message in codec.database.messages)
+        self._process = process
+        self._all_told = process is not None and process.nothing_hidden
         self._slack_ns = clock_slack_ns
         self._handshake_in_flight_ns = handshake_in_flight_ns
         self._in_flight_ns = in_flight_ns
@@ -252,103 +395,172 @@ class WireChecker:
         self._pulses_per_rev = max(one.wheel_pulses_per_rev for one in ((car,) if car else CARS.values()))
         self._driven = (True, True) if car is None else (car.driven_front, car.driven_rear)
         self._steer_rate_degps = math.inf if car is None else math.degrees(car.steer_rate_radps)
+        if steer_rate_degps is not None:
+            self._steer_rate_degps = steer_rate_degps
         self._steer_limit_deg = min(codec.revision.steer_limit_deg, limits.max_steer_deg)
+        self._command_limit_deg = codec.revision.steer_limit_deg
         self._torque_limit_nm = min(MOST_TORQUE_NM, limits.max_axle_torque_nm)
         self._motor_limit_rpm = MOST_MOTOR_RPM
+        self._rpm_per_mps = math.inf
         if car is not None:
             self._torque_limit_nm = min(self._torque_limit_nm, car.axle_torque_max_nm)
-            wheel_rpm = car.wheel_rpm_of_speed(min(limits.max_speed_mps, 1000.0))
-            self._motor_limit_rpm = min(MOST_MOTOR_RPM, wheel_rpm * car.gear_ratio)
+            self._rpm_per_mps = car.wheel_rpm_of_speed(1.0) * car.gear_ratio
+            self._motor_limit_rpm = min(MOST_MOTOR_RPM, min(limits.max_speed_mps, 1000.0) * self._rpm_per_mps)
 
         self._start_ns: int | None = None
         self._now_ns = 0
         self._frames = 0
         self._error_frames = 0
         self._problems: Counter[str] = Counter()
-        self._broken: set[str] = set()
+        self._broken: dict[str, set[str]] = {}
         self._strange_ids: set[int] = set()
-
+        self._well_formed: set[tuple[int, bytes]] = set()
         self._as_states: list[tuple[int, AsState]] = []
-        self.responses = ResponseTimes()
-        self._know_nothing()
-
-        self._ai: AiStatus | None = None
-        # Front and rear, as the VCU has last seen them; None: not known. A process that starts cannot know either, but
-        # has not asked for anything yet.
-        self._torque: list[float | None] = [0.0, 0.0] if from_start else [None, None]
-        self._brakes: tuple[float, float] | None = (0.0, 0.0) if from_start else None
-        self._steered: tuple[int, float] | None = None
-        self._cycle = _Cycle()
         self._cycles = 0
         self._incomplete = 0
-        self._cycle_start_ns: int | None = None
         self._shortest_ns: int | None = None
-        self._quiet_cycles = 0  # complete cycles without torque and brake since the brake was last asked for
-        self._quiet_since_ns = 0  # when the first of them began
-        self._torqueless_cycles = 0  # complete cycles without torque since torque was last asked for
+        self._know_nothing()
 
     def _know_nothing(self) -> None:
         """Nothing has been heard yet, by the process that sends."""
-        self._status: _Recent[VcuStatus] = _Recent(self._in_flight_ns)
-        self._known: _Recent[bool] = _Recent(self._in_flight_ns)  # of each 0x520: whether it is one
-        self._newest_status: VcuStatus | None = None
-        self._mission = Ami.NOT_SELECTED
-        self._acknowledged = not self._from_start  # SELECTED was sent for the mission; a log may begin after it
-        self._ready_ns: int | None = None  # since when it has been AS_READY
-        self._ready_seen_ns = 0  # until Go was last seen off
-        self.turned: tuple[int, str] | None = None  # what ended the drive by turning, and when
-        self._front: _Recent[VcuDriveFront] = _Recent(self._in_flight_ns)
-        self._rear: _Recent[VcuDriveRear] = _Recent(self._in_flight_ns)
-        self._steer: _Recent[VcuSteer] = _Recent(self._in_flight_ns)
-        self._brake_echo: _Recent[VcuBrake] = _Recent(self._in_flight_ns)
-        self._speeds: _Recent[WheelSpeeds] = _Recent(self._in_flight_ns)
-        self._as_state: AsState | None = None
-        self._heard_ns: int | None = None  # the last 0x520, whatever was in it
-        self._driving_since_ns: int | None = None  # None: not driving, or since before the log began
-        self._came_by = _Path.GONE
-        self._silent = False
-        self._car_was_off = False
-        self._off_meanwhile = False  # AS_INIT or AS_OFF was the state at some time since the last 0x510
+        known = self._from_start  # what a log does not show is taken in favour of the sender
+        self.seen = Seen(restarted=known, acknowledged=not known, torque_may_be_there=known, torque_runs=not known)
         self.wheels = Wheels(self._pulses_per_rev, self._in_flight_ns, self._slack_ns)
-        self._bits: deque[tuple[int, bool]] = deque(maxlen=16)
+        self._late: dict[str, deque[tuple[int, Any]]] = {}
         self._toggle: tuple[int, bool] | None = None
-
-    # ------------------------------------------------------------ input
-
-    @property
-    def came_the_whole_way(self) -> bool:
-        """Whether AS_OFF, AS_READY and AS_DRIVING were seen in turn by the process that sends (safety rule 10)."""
-        return self._came_by is _Path.DRIVING
-
-    @property
-    def acknowledged(self) -> bool:
-        """Whether there is a mission, and SELECTED was sent for it (safety rule 2)."""
-        return self._mission is not Ami.NOT_SELECTED and self._acknowledged
-
-    def unknown(self, t_ns: int) -> bool:
-        """Whether the last 0x520 that was received is none that anybody knows."""
-        known = self._known.at(t_ns)
-        return bool(known) and not any(known)
-
-    def restarted(self) -> None:
-        """Another process takes the sender's place: it knows nothing, the VCU keeps what it saw last."""
-        self.cycle_over()
-        self._cycle_start_ns = None
-        self._ai = None
-        self._steered = None
-        self._quiet_cycles = 0
-        self._know_nothing()
-
-    def cycle_over(self) -> None:
-        """No more frames of this cycle come; else the next cycle's first frame says so."""
-        if self._cycle.ids:
-            self._end_cycle()
+        self._ai_silent = False
+        self._was_off = False  # AS_INIT or AS_OFF was the state at some time since the last 0x510
+        self._ai = AiStatus()
         self._cycle = _Cycle()
+        self._cycle_ns: int | None = None
+        self._interval_ns: int | None = None
+        self._zero_echo_ns: int | None = None
+        self._states: tuple[AsState, ...] = ()
+        # of the cycle in hand
+        self._told: Order | None = None  # the command that may be obeyed
+        self._over = False  # the stop was latched in an earlier cycle
+        self._may_turn_manual = self._must_turn_manual = False
+        # only where stops may be hidden
+        self._whole_in_a_row = 0
+        self._asked_deg: tuple[float, int] = (0.0, 0)  # steering, and since when it has been the same
 
-    def on_bus_lost(self) -> None:
-        """The sender has lost the bus: whatever follows, its drive needs the whole way anew."""
-        self._came_by = _Path.GONE
-        self._heard_ns = None  # what it cannot hear is no silence of the car's
+    # ------------------------------------------------------------ what was found
+
+    @property
+    def violations(self) -> list[str]:
+        """What broke a rule, with its time in the log."""
+        start_ns = self._start_ns or 0
+        return [
+            f"{(t_ns - start_ns) / S:.3f} s: {'rule ' if one.rule.isdigit() else ''}{one.rule}: {one.words}"
+            for t_ns, one in self.found
+        ]
+
+    def report(self) -> WireReport:
+        """What has been seen so far."""
+        start = self._start_ns or 0
+        return WireReport(
+            frames=self._frames,
+            duration_s=(self._now_ns - start) / S,
+            cycles=self._cycles,
+            incomplete_cycles=self._incomplete,
+            shortest_cycle_ms=None if self._shortest_ns is None else self._shortest_ns / MS,
+            responses=len(self.responses),
+            response_p50_ms=self.responses.quantile_ms(0.5),
+            response_p99_ms=self.responses.quantile_ms(0.99),
+            response_p999_ms=self.responses.quantile_ms(0.999),
+            response_max_ms=self.responses.quantile_ms(1.0),
+            error_frames=self._error_frames,
+            as_states=tuple(((t_ns - start) / S, state.label) for t_ns, state in self._as_states),
+            problems=dict(self._problems),
+            violation_count=self.violation_count,
+            violations=tuple(self.violations),
+        )
+
+    def taken(self) -> tuple[Violation, ...]:
+        """What has been found since the last time, which is forgotten."""
+        found, self._broken = tuple(one for _, one in self.found), {}
+        self.found = []
+        return found
+
+    def _wrong(self, rule: str, words: str) -> None:
+        self.violation_count += 1
+        if len(self.found) < _KEPT:
+            self.found.append((self._now_ns, Violation(rule, words)))
+
+    def _judge(self, kind: str, image: Any, frame: str) -> None:
+        """Hold a frame against its rules: said is the moment at which something turns wrong, not how long it stays."""
+        wrong: set[str] = set()
+        before = self._broken.get(frame, ())
+        for rule, check in _CHECKS[kind]:
+            for words in check(self, image):
+                key = rule + _DIGITS.sub("", words)
+                if key not in wrong and key not in before:
+                    self._wrong(rule, words)
+                wrong.add(key)
+        if wrong or before:
+            self._broken[frame] = wrong
+
+    # ------------------------------------------------------------ as a value
+
+    def saved(self, now_ns: int, *, data_may_be_lost: bool) -> Saved:
+        """What has been seen without the times, and the ages of the times in ns, below 0: never.
+
+        What no rule looks at any more is forgotten. For who tells everything, between two cycles.
+        `data_may_be_lost`: a command may come that is lost as it comes, for its data is too old.
+        """
+        self._forget(now_ns, data_may_be_lost)
+        rpm, wheel_ages = self.wheels.saved(now_ns)
+        ages = [_NEVER if t_ns is None else now_ns - t_ns for t_ns in _times_of(self.seen)]
+        return (rpm, *_plain_of(self.seen)), (*ages, *wheel_ages)
+
+    def load(self, saved: Saved, now_ns: int) -> None:
+        """Put back what was saved."""
+        (rpm, *plain), ages = saved
+        seen = self.seen
+        for put, value in zip(_put_plain, plain, strict=True):
+            put(seen, value)
+        for put, age in zip(_put_times, ages, strict=False):
+            put(seen, None if age < 0 else now_ns - age)
+        seen.turned, self._was_off, self._cycle_ns, self._toggle = None, False, None, None
+        self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
+
+    def _forget(self, now_ns: int, data_may_be_lost: bool) -> None:
+        s = self.seen
+        driving = s.as_state is AsState.AS_DRIVING
+        age_ns = _NEVER if s.command_ns is None else now_ns - s.command_ns
+        if not driving or s.latched or not s.autonomous or (s.stopped and age_ns >= COMMAND_FRESH_NS):
+            s.order = s.command_ns = None  # no command counts any more
+        elif age_ns >= COMMAND_FRESH_NS:
+            s.order = None
+        elif s.stopped and s.order is not None:  # only its steering counts
+            s.order = s.order._replace(throttle=0.0, brake=0.0, finished=False, estop=False)
+        if s.stopped or s.order is None:
+            s.pedals_ns = None
+        if s.stopped:
+            s.stopped, s.pedals_ns = "a stop is due", None
+        if s.alarm is not None:
+            s.alarm = None if s.latched else "an emergency is due"
+        if not driving:
+            s.go = s.fault = False
+            s.braked_pct, s.back_ns = 0.0, None
+        if not driving or s.stopped:
+            s.front_ns = s.front_ns and now_ns
+            s.rear_ns = s.rear_ns and now_ns
+        if not driving or (s.stopped and s.latched):
+            s.steer_ns = s.steer_ns and now_ns
+            s.complete_ns = s.complete_ns and now_ns
+            s.steer_odd_ns = s.wheel_odd_ns = None
+        if s.command_ns is not None and s.driving_ns is not None and not data_may_be_lost and age_ns < CYCLE_NS:
+            s.driving_ns = max(s.driving_ns, now_ns - LAUNCH_NS)  # how long it has waited for commands is no matter
+        if s.back_ns is not None and not s.reopening:
+            times = s.status_ns, s.steer_ns, self.wheels.may_count_ns
+            if s.latched or all(t_ns is not None and t_ns >= s.back_ns for t_ns in times):
+                s.back_ns = None  # everything has been heard since
+        s.echoed = s.echoed and s.zeros == 1
+        s.torque_nm = (float(s.torque_nm[0] > 0.0), float(s.torque_nm[1] > 0.0))
+        s.brake_pct = (float(s.brake_pct[0] > 0.0), float(s.brake_pct[1] > 0.0))
+
+    # ------------------------------------------------------------ what is on the bus
 
     def on_frame(self, frame: Frame) -> Image | None:
         """One frame of the bus, at `frame.t_ns`. Returns what it says, None for nothing that may be believed."""
@@ -359,179 +571,663 @@ class WireChecker:
         if frame.error:
             self._error_frames += 1
             return None
-        if frame.extended or frame.remote or frame.can_id not in self._known_ids:
+        if frame.extended or frame.remote or not self._codec.knows(frame.can_id):
             self._strange(frame)
             return None
-        if frame.can_id == STATUS_ID:
-            self._on_any_status(frame.t_ns)
-        decoded = self._codec.decode(frame)
+        return self.on_decoded(frame.can_id, self._codec.decode(frame), frame.t_ns)
+
+    def on_decoded(self, can_id: int, decoded: Decoded, t_ns: int) -> Image | None:
+        """The same, decoded already."""
+        self._now_ns = t_ns
+        image = decoded.image
         for problem in decoded.problems:
             self._problems[problem] += 1
-        if frame.can_id == STATUS_ID:
-            self._known.add(frame.t_ns, decoded.image is not None)
-        if decoded.handshake is not None:
-            self._on_handshake(frame.t_ns, decoded.handshake)
-        image = decoded.image
-        if frame.can_id in AI_IDS:
+        if can_id == STATUS_ID:
+            self._on_any_status(decoded, t_ns)
+        if can_id in AI_IDS:
             if image is None:
-                self._break("rule 7", f"0x{frame.can_id:03X} cannot be believed: {'; '.join(decoded.problems)}")
-            elif isinstance(image, AiStatus):
-                self._on_ai_status(frame.t_ns, image)
-            elif isinstance(image, AiDriveFront):
-                self._on_torque(frame, 0, image.torque_nm, image.motor_speed_max_rpm)
-            elif isinstance(image, AiDriveRear):
-                self._on_torque(frame, 1, image.torque_nm, image.motor_speed_max_rpm)
-            elif isinstance(image, AiSteer):
-                self._on_steer(frame, image.steer_deg)
-            elif isinstance(image, AiBrake):
-                self._on_brake(frame, image)
-        elif isinstance(image, VcuStatus):
-            self._on_status(frame.t_ns, image)
+                self._wrong("7", f"0x{can_id:03X} cannot be believed: {'; '.join(decoded.problems)}")
+            else:
+                self.on_ai(can_id, image, t_ns)  # type: ignore[arg-type]
+            return image
+        s = self.seen
+        if isinstance(image, VcuStatus):
+            self._on_status(image, t_ns)
         elif isinstance(image, VcuDriveFront):
-            self._front.add(frame.t_ns, image)
+            s.front_max_nm, s.front_ns = image.torque_max_nm, t_ns
+            self._note("front", t_ns, image.torque_max_nm)
         elif isinstance(image, VcuDriveRear):
-            self._rear.add(frame.t_ns, image)
+            s.rear_max_nm, s.rear_ns = image.torque_max_nm, t_ns
+            self._note("rear", t_ns, image.torque_max_nm)
         elif isinstance(image, VcuSteer):
-            self._steer.add(frame.t_ns, image)
+            s.angle_deg, s.angle_max_deg, s.steer_ns = image.angle_deg, max(0.0, image.angle_max_deg), t_ns
+            self._note("angle", t_ns, s.angle_max_deg)
         elif isinstance(image, VcuBrake):
-            self._brake_echo.add(frame.t_ns, image)
+            zero = image.front_request_pct == image.rear_request_pct == 0.0
+            s.echoed = (zero or (s.echoed and self._in_flight_ns > 0)) and s.zeros > 0
+            self._zero_echo_ns = t_ns if zero else self._zero_echo_ns
         elif isinstance(image, WheelSpeeds):
-            if self.wheels.on_speeds(image.all_rpm, frame.t_ns) is not Belief.NO:
-                self._speeds.add(frame.t_ns, image)
+            if self.wheels.on_speeds(image.all_rpm, t_ns) is not Belief.NO:
+                self._note("rpm", t_ns, image.all_rpm)
         elif isinstance(image, WheelCounts):
-            self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), frame.t_ns)
+            self.wheels.on_counts((image.fl, image.fr, image.rl, image.rr), t_ns)
         return image
 
-    def report(self) -> WireReport:
-        """What has been seen so far."""
-        start = self._start_ns or 0
-        return WireReport(
-            frames=self._frames,
-            duration_s=(self._now_ns - start) / SECOND,
-            cycles=self._cycles,
-            incomplete_cycles=self._incomplete,
-            shortest_cycle_ms=None if self._shortest_ns is None else self._shortest_ns / MS,
-            responses=len(self.responses),
-            response_p50_ms=self.responses.quantile_ms(0.5),
-            response_p99_ms=self.responses.quantile_ms(0.99),
-            response_p999_ms=self.responses.quantile_ms(0.999),
-            response_max_ms=self.responses.quantile_ms(1.0),
-            error_frames=self._error_frames,
-            as_states=tuple(((t_ns - start) / SECOND, state.label) for t_ns, state in self._as_states),
-            problems=dict(self._problems),
-            violation_count=self.violation_count,
-            violations=tuple(self.violations),
-        )
+    def _note(self, name: str, t_ns: int, value: Any, in_flight_ns: int | None = None) -> None:
+        """Keep a value and those before it that a sender may have seen last instead."""
+        in_flight_ns = self._in_flight_ns if in_flight_ns is None else in_flight_ns
+        if not in_flight_ns:
+            return
+        values = self._late.setdefault(name, deque())
+        values.append((t_ns, value))
+        while len(values) > 1 and t_ns - values[1][0] >= in_flight_ns:
+            values.popleft()
+
+    def _possible(self, name: str, newest: Any, in_flight_ns: int | None = None) -> list[Any]:
+        """What a sender can have seen last by now."""
+        in_flight_ns = self._in_flight_ns if in_flight_ns is None else in_flight_ns
+        values = self._late.get(name)
+        if not in_flight_ns or not values:
+            return [] if newest is None else [newest]
+        while len(values) > 1 and self._now_ns - values[1][0] >= in_flight_ns:
+            values.popleft()
+        return [value for _, value in values]
+
+    def _strange(self, frame: Frame) -> None:
+        """Safety rule 8: a log does not name senders, so: what nobody on this bus should send."""
+        kind = "extended " if frame.extended else "remote " if frame.remote else ""
+        if frame.can_id in self._strange_ids:
+            self.violation_count += 1
+            return
+        self._strange_ids.add(frame.can_id)
+        self._wrong("8", f"{kind}identifier 0x{frame.can_id:03X}, which nobody on this bus should send")
 
     # ------------------------------------------------------------ what the car says
 
-    def _on_handshake(self, t_ns: int, bit: bool) -> None:
-        if not self._bits or self._bits[-1][1] != bit:
-            alive = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns < 100 * MS
+    def _on_any_status(self, decoded: Decoded, t_ns: int) -> None:
+        s = self.seen
+        if s.heard_ns is not None and t_ns - s.heard_ns >= POWER_CYCLE_NS + self._in_flight_ns:
+            s.silent = True
+        s.heard_ns, s.unknown = t_ns, decoded.image is None
+        self._note("known", t_ns, decoded.image is not None)
+        bit = decoded.handshake
+        if bit is None:
+            return
+        if s.handshake is not bit:
+            alive = self._cycle_ns is not None and t_ns - self._cycle_ns < 100 * MS
             self._toggle = (t_ns, bit) if alive else None
-        self._bits.append((t_ns, bit))
+        s.handshake = bit
+        if self._handshake_in_flight_ns:
+            if "bit" not in self._late:
+                self._note("bit", t_ns - self._handshake_in_flight_ns, False, self._handshake_in_flight_ns)
+                self._late["bit"][0] = (t_ns - CAR_PATIENCE_NS, False)  # before it there was nothing to echo
+            self._note("bit", t_ns, bit, self._handshake_in_flight_ns)
 
-    def _on_any_status(self, t_ns: int) -> None:
-        if self._heard_ns is not None and t_ns - self._heard_ns >= POWER_CYCLE_NS + self._in_flight_ns:
-            self._car_was_off = True
-        self._heard_ns = t_ns
-
-    def _on_status(self, t_ns: int, status: VcuStatus) -> None:
-        self._status.add(t_ns, status)
-        state = status.as_state
-        self._off_meanwhile = self._off_meanwhile or state in OFF
-        entered_off = state in OFF and self._as_state is not None and (self._as_state not in OFF or self._car_was_off)
-        chosen = status.ami is not self._mission and (state in IDLE or self._as_state is None)
-        if entered_off or chosen:
-            first = self._as_state is None and not self._from_start
-            self._mission, self._acknowledged = status.ami, first
-        silent = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
-        if (silent and not self._silent and not self._from_start) or self._car_was_off:
-            self._came_by = _Path.GONE  # safety rule 10: whoever speaks next must see the whole way anew
-        elif self._as_state is None and not self._from_start:
-            self._came_by = _Path.at_first_sight(state)
-        self._silent = silent
-        self._came_by = self._came_by.then(state)
-        anew = self._car_was_off or state is not self._as_state
-        self._car_was_off = False
-        self._follow_ready(t_ns, status, anew)
-        self._follow_turns(t_ns, status, anew)
-        if not anew:
-            return
-        if self._from_start:
-            self._driving_since_ns = t_ns if state is AsState.AS_DRIVING else None
-            self._as_state = state
-            self._as_states.append((t_ns, state))
-            return
-        self._driving_since_ns = t_ns if state is AsState.AS_DRIVING and self._as_state is not None else None
-        self._as_state = state
-        self._as_states.append((t_ns, state))
-
-    def _follow_ready(self, t_ns: int, status: VcuStatus, anew: bool) -> None:
-        """AS_READY lasts 5 s before Go, which is off until then; what a log does not show is not judged."""
-        if status.as_state is AsState.AS_READY:
-            if anew:
-                self._ready_ns = t_ns if self._as_state is not None or self._from_start else None
-                self._ready_seen_ns = t_ns
-            if not status.go_signal:
-                self._ready_seen_ns = t_ns
-        elif status.as_state is AsState.AS_DRIVING and anew and self._ready_ns is not None:
-            waited_ns = self._ready_seen_ns - self._ready_ns + self._in_flight_ns
-            if waited_ns < READY_SEEN_NS and not self._short_sequence:
-                self._came_by = _Path.GONE
-        if status.as_state is not AsState.AS_READY:
-            self._ready_ns = None
-
-    def _follow_turns(self, t_ns: int, status: VcuStatus, anew: bool) -> None:
-        before, self._newest_status = self._newest_status, status
+    def _on_status(self, status: VcuStatus, t_ns: int) -> None:
+        s, state, first = self.seen, status.as_state, self.seen.as_state is None
+        unjudged = first and not self._from_start  # what was before a log is not known
+        self._note("state", t_ns, state)
+        self._note("go", t_ns, status.go_signal)
+        self._was_off = self._was_off or state in OFF
+        entered_off = state in OFF and not first and (s.as_state not in OFF or s.silent)
+        if entered_off or (status.ami is not s.mission and (state in IDLE or first)):
+            s.mission, s.confirmed, s.acknowledged = status.ami, _NOBODY, unjudged
+            s.order, s.command_ns = None, None  # of the run before
+        anew = s.silent or state is not s.as_state
+        self._follow_path(status, anew, unjudged, t_ns)
+        s.as_state, s.go, s.fault, s.status_ns = state, status.go_signal, status.fault, t_ns
+        marks = marks_of(status)
         if anew:
-            self.turned = None
-        if status.as_state is AsState.AS_DRIVING and before is not None and self.turned is None:
-            what = turned(before, status)
-            if what:
-                self.turned = t_ns, "; ".join(what)
+            self._as_states.append((t_ns, state))
+            s.pedals_ns = None
+            if state is AsState.AS_DRIVING:
+                s.driving_ns = None if unjudged else t_ns
+                s.turned, s.stopped, s.alarm = None, None, None
+        if state is not AsState.AS_DRIVING:
+            if s.alarm is not None and (s.bus_gone or s.reopening):
+                s.latched = True  # what a lost bus did not carry is asked for when it is back
+            s.driving_ns, s.turned, s.stopped, s.alarm = None, None, None, None
+        elif s.marks is not None and not marks <= s.marks:
+            words = "; ".join(sorted(marks - s.marks))
+            if self._process is not None:
+                self._stop(f"in AS_DRIVING {words}")
+            else:
+                s.turned = s.turned or (t_ns, words)
+        s.marks = marks
+        s.reopening = False
+
+    def _follow_path(self, status: VcuStatus, anew: bool, unjudged: bool, t_ns: int) -> None:
+        """AS_OFF, AS_READY, AS_DRIVING in turn, and 5 s of AS_READY with Go off."""
+        s, state = self.seen, status.as_state
+        silent = self._cycle_ns is not None and t_ns - self._cycle_ns >= RESTART_GAP_NS
+        if silent and not self._ai_silent and not self._from_start:
+            s.path, s.restarted = 0, True  # whoever speaks next must see the whole way anew
+        self._ai_silent = silent
+        if s.silent:
+            s.path, s.power_up = 0, True
+            if state in OFF and self._process is not None:
+                s.latched = False
+        if anew and status.ami is not s.mission:
+            s.path = 0  # the car enters a state for a mission that nobody has acknowledged
+        s.silent = False
+        if unjudged:
+            s.path = {AsState.AS_READY: _OFF_SEEN, AsState.AS_DRIVING: _READY_SEEN}.get(state, 0)
+            s.waited = True
+        if state is AsState.AS_READY:
+            if anew and not unjudged:
+                s.ready_ns, s.waited = t_ns, False
+            if not status.go_signal and s.ready_ns is not None:
+                s.waited = t_ns - s.ready_ns + self._in_flight_ns >= READY_SEEN_NS
+        else:
+            s.ready_ns = None
+            s.waited = s.waited and state is AsState.AS_DRIVING
+        if state in OFF:
+            s.path, s.restarted = _OFF_SEEN, False
+        elif state is AsState.AS_READY:
+            s.path = _READY_SEEN if s.path in (_OFF_SEEN, _READY_SEEN) else 0
+        elif state is AsState.AS_DRIVING:
+            s.path = _WHOLE if s.path in (_READY_SEEN, _WHOLE) else 0
+        else:
+            s.path = 0
 
     # ------------------------------------------------------------ what the AI computer says
 
-    def _on_ai_status(self, t_ns: int, ai: AiStatus) -> None:
-        restarted = self._cycle_start_ns is not None and t_ns - self._cycle_start_ns >= RESTART_GAP_NS
-        self._begin_cycle(t_ns)
-        self._cycle.selected = ai.mission_status is MissionStatus.SELECTED
-        self._check_echo(t_ns, ai.handshake)
-        states = self._states(t_ns)
-        self._check_latch(ai, states, restarted)
-        if states and all(state is AsState.AS_DRIVING for state in states):
-            for name, said in (
-                ("NEUTRAL", ai.direction is Direction.NEUTRAL),
-                ("FINISHED", ai.mission_status is MissionStatus.FINISHED),
-            ):
-                self._rule("rule 3", name, said and not self._standing(t_ns), f"{name} in AS_DRIVING before standstill")
-        if states:
-            self._check_table(t_ns, ai, states)
-        if all(state in IDLE for state in states) and (states or self._from_start):
-            where = states[-1].label if states else "no AS state yet"
-            self._rule(
-                "rule 5",
-                "direction",
-                ai.direction is not Direction.NEUTRAL,
-                f"direction {ai.direction.label} in {where}",
-            )
-            self._rule(
-                "rule 5",
-                "mission status",
-                ai.mission_status not in (MissionStatus.NOT_SELECTED, MissionStatus.SELECTED),
-                f"MISSION_STATUS {ai.mission_status.label} in {where}",
-            )
-        self._ai = ai
-        self._off_meanwhile = bool(states) and states[-1] in OFF
-
-    def _check_table(self, t_ns: int, ai: AiStatus, states: list[AsState]) -> None:
-        """The output table's rows of AS_DRIVING, AS_FINISHED and EMERGENCY_BRAKE; rule 5 is about the others."""
-        if any(state is not states[-1] for state in states):
+    def on_ai(self, can_id: int, image: AiImage, t_ns: int) -> None:
+        """A frame of the AI computer, which says `image`."""
+        self._now_ns, s = t_ns, self.seen
+        if self._in_flight_ns:
+            self._states = tuple(self._possible("state", None))
+        else:
+            self._states = () if s.as_state is None else (s.as_state,)
+        cycle = self._cycle
+        if isinstance(image, AiStatus):
+            self._begin_cycle(t_ns)
+            self._ai = image
+            self._cycle.selected = image.mission_status is MissionStatus.SELECTED
+            if s.ended is not None:
+                s.ended += 1
+            self._judge("0x510", image, "0x510")
+            self._answered(image.handshake, t_ns)
+            s.latched = image.estop_request or (s.latched and self._process is not None)
+            self._was_off = bool(self._states) and self._states[-1] in OFF
             return
-        state = states[-1]
-        mission, direction = ai.mission_status, ai.direction
-        right_status, right_direction = True, True
+        cycle.ids.append(can_id)
+        if isinstance(image, AiDriveFront | AiDriveRear):
+            front = isinstance(image, AiDriveFront)
+            s.torque_nm = (image.torque_nm, s.torque_nm[1]) if front else (s.torque_nm[0], image.torque_nm)
+            cycle.motor_rpm = max(cycle.motor_rpm, image.motor_speed_max_rpm)
+            self._judge("drive", image, f"0x{can_id:03X}")
+            if image.torque_nm > 0.0:
+                self._judge("torque", image, f"torque of 0x{can_id:03X}")
+                cycle.torque = s.torque_runs = s.torque_may_be_there = True
+                s.zeros, s.echoed = 0, False
+            else:
+                self._broken.pop(f"torque of 0x{can_id:03X}", None)
+        elif isinstance(image, AiSteer):
+            self._judge("0x513", image, "0x513")
+            if image.steer_deg != self._asked_deg[0]:
+                self._asked_deg = image.steer_deg, t_ns
+            s.steer_deg, s.steered_ns = image.steer_deg, t_ns
+        elif isinstance(image, AiBrake):
+            s.brake_pct = image.front_pct, image.rear_pct
+            self._judge("0x514", image, "0x514")
+            s.braked_pct = max(s.brake_pct)
+            if any(s.brake_pct):
+                cycle.brake = True
+                s.zeros, s.echoed = 0, False
+
+    def _begin_cycle(self, t_ns: int) -> None:
+        if self._cycle.ids:
+            self.cycle_over(t_ns)
+        self._interval_ns = None if self._cycle_ns is None else t_ns - self._cycle_ns
+        if self._interval_ns is not None:
+            shortest = self._interval_ns if self._shortest_ns is None else self._shortest_ns
+            self._shortest_ns = min(self._interval_ns, shortest)
+            if self._interval_ns >= RESTART_GAP_NS and not self._from_start:
+                self.seen.latched = False  # another process
+        self._cycle_ns = t_ns
+        self._cycles += 1
+        self._cycle.ids.append(AI_IDS[0])
+
+    def cycle_over(self, now_ns: int, made: bool = True) -> None:
+        """No more frames of this cycle come; else the next one's first says so. `made`: it was to be sent at all."""
+        s, cycle = self.seen, self._cycle
+        complete = tuple(cycle.ids) == AI_IDS
+        drives = AI_IDS[1] in cycle.ids or AI_IDS[2] in cycle.ids
+        if cycle.ids and not complete:
+            self._incomplete += 1
+        if complete:
+            s.acknowledged = s.acknowledged or cycle.selected
+            if not cycle.torque:
+                s.torque_may_be_there = False
+                if not cycle.brake:
+                    s.zeros = min(2, s.zeros + 1)
+                    began_ns = (self._cycle_ns or now_ns) - self._in_flight_ns
+                    s.echoed = s.echoed or (self._zero_echo_ns is not None and self._zero_echo_ns > began_ns)
+        if drives:
+            s.torque_runs = cycle.torque
+        self._whole_in_a_row = self._whole_in_a_row + 1 if complete else 0
+        if self._process is not None and made:
+            s.whole = complete
+            if complete or s.complete_ns is None:
+                s.complete_ns = now_ns
+            elif now_ns - s.complete_ns >= SEND_LOST_NS and s.as_state is AsState.AS_DRIVING:
+                self._lose("no cycle went out whole for 50 ms")
+                s.complete_ns = now_ns
+        self._cycle = _Cycle()
+
+    def _answered(self, bit: bool, t_ns: int) -> None:
+        """How long the car waited for its echo."""
+        if self._toggle is not None and bit == self._toggle[1]:
+            self.responses.add(t_ns - self._toggle[0])
+            self._toggle = None
+
+    # ------------------------------------------------------------ what happens to the process
+
+    def received(self, frame: Frame) -> None:
+        """A frame that reached the process, of whoever's."""
+        if frame.error:
+            return
+        if frame.can_id in AI_IDS and not frame.extended:
+            self.on_intruder(f"0x{frame.can_id:03X} of somebody else was received")
+        elif not frame.extended and not frame.remote and self._codec.knows(frame.can_id):
+            self.on_frame(frame)
+
+    def sent(self, frame: Frame) -> AiImage | None:
+        """A frame of the process went out. Returns what it says, None for what should never have been sent."""
+        self._now_ns = frame.t_ns
+        self.on_sending()
+        if not self.well_formed(frame):
+            return None
+        image = self.on_frame(frame)
+        return image if isinstance(image, AiStatus | AiDriveFront | AiDriveRear | AiSteer | AiBrake) else None
+
+    def on_sending(self) -> None:
+        """Safety rule 8, and the 200 ms of listening: whether the process may send at all."""
+        s, process = self.seen, self._process
+        assert process is not None
+        if process.listen_only:
+            self._wrong("8", "a process that only listens sends")
+        if s.bus_gone:
+            self._wrong("8", "frames are sent on a lost bus")
+        if s.began_ns is None or self._now_ns - s.began_ns < LISTEN_FIRST_NS:
+            self._wrong("8", "frames are sent before the process has listened for 200 ms")
+
+    def well_formed(self, frame: Frame) -> bool:
+        """Safety rules 7 and 8: one of the five ids, its length, and values that cantools takes and gives back."""
+        key = (frame.can_id, frame.data)
+        if key in self._well_formed:
+            return True
+        if frame.extended or frame.remote or frame.error or frame.can_id not in AI_IDS:
+            self._wrong("8", f"0x{frame.can_id:X} was sent")
+            return False
+        if len(frame.data) != BY_ID[frame.can_id].dlc:
+            self._wrong("8", f"0x{frame.can_id:03X} was sent with {len(frame.data)} bytes")
+            return False
+        message = self._codec.database.get_message_by_frame_id(frame.can_id)
+        values = message.decode(frame.data, decode_choices=False, allow_truncated=False)
+        assert isinstance(values, dict)
+        for signal in message.signals:
+            value = values[signal.name]
+            low, high = signal.minimum, signal.maximum
+            assert isinstance(value, int | float)
+            if (low is not None and value < low) or (high is not None and value > high):
+                self._wrong("7", f"{signal.name} is {value} on the wire, outside {low} … {high}")
+                return False
+        if bytes(message.encode(values, strict=True)) != frame.data:
+            self._wrong("7", f"0x{frame.can_id:03X} carries bits of no signal: {frame.data.hex(' ')}")
+            return False
+        if len(self._well_formed) < 200_000:
+            self._well_formed.add(key)
+        return True
+
+    def on_command(self, command: VehicleCommand, refused: bool, now_ns: int, *, current: bool) -> None:
+        """Safety rule 7: a command was handed in, of the run in hand (`current`) or of another."""
+        s = self.seen
+        self._now_ns = now_ns
+        fit = (
+            all(map(math.isfinite, (command.steering_rad, command.throttle, command.brake, command.speed_limit_mps)))
+            and abs(command.steering_rad) <= math.radians(self._command_limit_deg) + 1e-9
+            and 0.0 <= command.throttle <= 1.0
+            and 0.0 <= command.brake <= 1.0
+            and command.speed_limit_mps >= 0.0
+            and command.t_sensor_ns - now_ns <= FUTURE_NS
+        )
+        takes = fit and current and not s.bus_gone
+        if not refused and not (fit and current):
+            self._wrong("7", f"taken, though out of order or of another run: {command}")
+        if refused and takes:
+            self._wrong("7", f"refused, though in order: {command}")
+        if takes:
+            steer_deg = math.degrees(command.steering_rad)
+            wishes = command.mission_finished, command.estop_request
+            s.order = Order(steer_deg, command.throttle, command.brake, command.speed_limit_mps, *wishes)
+            s.command_ns = min(now_ns, command.t_sensor_ns + DATA_FRESH_NS - COMMAND_FRESH_NS)
+
+    def on_mode(self, mode: str, answer: tuple[bool, str], now_ns: int) -> None:
+        """Somebody asked for a mode."""
+        (done, words), s, process = answer, self.seen, self._process
+        assert process is not None
+        self._now_ns = now_ns
+        if mode == "manual":
+            if not done:
+                self._wrong("modes", f"manual was refused: {words}")
+            s.autonomous = s.power_up = False
+            self._stop("manual was asked for")
+        elif mode == "autonomous":
+            known = s.status_ns is not None and now_ns - s.status_ns < STATUS_LOST_NS
+            if done and (not known or s.as_state not in IDLE or process.listen_only):
+                self._wrong("modes", f"autonomous was accepted in {self._where}")
+            s.autonomous = s.autonomous or done
+            s.power_up = s.power_up and not done
+        elif done or "manual" not in words or "autonomous" not in words:
+            self._wrong("modes", f"mode {mode!r} was answered with {done}, {words!r}")
+
+    def on_emergency(self, granted: bool) -> None:
+        """The operator asked for the emergency brake."""
+        self.seen.latched = self.seen.latched or granted
+
+    def on_reset(self, granted: bool, now_ns: int) -> None:
+        """Safety rule 6: a reset is granted in AS_INIT and AS_OFF only."""
+        s = self.seen
+        self._now_ns = now_ns
+        known = s.status_ns is not None and now_ns - s.status_ns < STATUS_LOST_NS
+        if granted and (s.as_state not in OFF or not known):
+            self._wrong("6", f"a reset was granted in {self._where}")
+        s.latched = s.latched and not granted
+
+    def on_confirmed(self, role: str) -> None:
+        """Planner or controller says that it has reset itself for the run in hand."""
+        s = self.seen
+        if role in s.confirmed:
+            self._stop(f"the {role} was restarted")
+        s.confirmed = s.confirmed | (ROLES & {role})
+
+    def on_intruder(self, words: str) -> None:
+        if self._process is not None and not self._process.listen_only:
+            self._alarm(words)
+
+    def on_loop_fault(self) -> None:
+        self._alarm("the loop missed its deadline")
+
+    def on_implausible(self, steering_ns: int | None, wheel_ns: int | None) -> None:
+        """Since when the process takes steering and wheels for implausible, where nothing is hidden."""
+        self.seen.steer_odd_ns, self.seen.wheel_odd_ns = steering_ns, wheel_ns
+
+    def on_bus_lost(self, now_ns: int | None = None) -> None:
+        """The sender has lost the bus: whatever follows, its drive needs the whole way anew."""
+        s = self.seen
+        if self._process is None or now_ns is None:
+            s.path, s.heard_ns = 0, None  # what it cannot hear is no silence of the car's
+            return
+        if s.bus_gone:
+            return
+        if s.heard_ns is not None and now_ns - s.heard_ns >= POWER_CYCLE_NS:
+            s.silent = True
+        s.bus_gone = True
+        self._lose("the bus was lost")
+
+    def on_bus_back(self, now_ns: int) -> None:
+        s = self.seen
+        if s.bus_gone:
+            s.bus_gone, s.reopening, s.back_ns, s.complete_ns = False, True, now_ns, None
+            s.heard_ns = None if s.heard_ns is None else now_ns
+            s.stopped_ns = now_ns
+            self._whole_in_a_row = 0
+
+    def on_end(self) -> None:
+        """The software is told to stop in order."""
+        if self.seen.ended is None:
+            self.seen.ended = 0
+
+    def restarted(self) -> None:
+        """Another process takes the sender's place: it knows nothing, the VCU keeps what it saw last."""
+        self.cycle_over(self._now_ns, made=False)
+        before = self.seen
+        self._know_nothing()
+        self.seen.torque_nm, self.seen.brake_pct = before.torque_nm, before.brake_pct
+
+    def _lose(self, why: str) -> None:
+        """Commands are dropped, and a drive needs the whole sequence anew."""
+        s = self.seen
+        self._stop(why)
+        s.path, s.order, s.command_ns = 0, None, None
+
+    def _stop(self, why: str) -> None:
+        s = self.seen
+        if s.stopped is None and s.as_state is AsState.AS_DRIVING:
+            s.stopped, s.stopped_ns = why, self._now_ns
+
+    def _alarm(self, why: str) -> None:
+        if self.seen.as_state is AsState.AS_DRIVING:
+            self.seen.alarm = self.seen.alarm or why
+
+    # ------------------------------------------------------------ what is due
+
+    def before_cycle(self, now_ns: int) -> None:
+        """The process decides what to send: what is due by now is due in these frames."""
+        s, process = self.seen, self._process
+        assert process is not None
+        self._now_ns = now_ns
+        self._may_turn_manual = self._must_turn_manual = False
+        self._told = None
+        waits = s.reopening and s.back_ns is not None and now_ns - s.back_ns < STATUS_LOST_NS
+        if s.bus_gone or waits or (s.ended is not None and s.ended >= process.stop_cycles):
+            return
+        if s.began_ns is None:
+            s.began_ns = now_ns
+        self._over = s.stopped is not None
+        age_ns = None if s.command_ns is None else now_ns - s.command_ns
+        self._told = s.order if age_ns is not None and age_ns < COMMAND_FRESH_NS else None
+        if s.as_state is AsState.AS_DRIVING and s.driving_ns is not None:
+            self._look_at_the_run(age_ns, now_ns)
+        elif (
+            process.autonomous_at_power_up
+            and not process.listen_only
+            and s.power_up
+            and s.as_state in OFF
+            and self.wheels.may_stand(now_ns)
+        ):
+            s.autonomous, s.power_up = True, False
+
+    def _look_at_the_run(self, age_ns: int | None, now_ns: int) -> None:
+        """What stops a run in AS_DRIVING by now, and what asks for the emergency brake (graded reactions)."""
+        s, process = self.seen, self._process
+        assert process is not None and s.driving_ns is not None
+        for why, holds in (
+            ("AS_OFF, AS_READY and AS_DRIVING were not seen in turn", s.path != _WHOLE),
+            ("AS_READY did not last 5 s before Go", not s.waited and not self._short_sequence),
+            ("no mission was acknowledged", s.mission is Ami.NOT_SELECTED or not s.acknowledged),
+            ("not both resets are confirmed", len(s.confirmed) < len(ROLES)),
+            ("Go is off", not s.go),
+            ("FAULT_STATUS is 1", s.fault),
+            ("the software was stopped", s.ended is not None),
+        ):
+            if holds:
+                self._stop(why)
+        if self._unheard_ns(s.status_ns) >= STATUS_LOST_NS:
+            self._alarm("0x520 is lost for 100 ms")
+        if s.ended is not None and not self.wheels.may_stand(now_ns):
+            self._alarm("the software ends, and the car is not known to stand")
+        supervised_ns = now_ns - s.driving_ns - LAUNCH_NS
+        lost = False
+        if supervised_ns >= 0:
+            lost = s.autonomous and min(supervised_ns, supervised_ns if age_ns is None else age_ns) >= COMMAND_LOST_NS
+            self._look_at_feedback(now_ns)
+            runs = not self._over and not s.latched
+            if not self._all_told:  # no stop or emergency has begun for another reason: there would be a brake
+                unbraked = self._whole_in_a_row > 2 and s.braked_pct == 0.0 and not self._motor_brakes
+                runs = unbraked and s.stopped is None and not s.latched and s.alarm is None
+            self._must_turn_manual = lost and runs
+            if lost:
+                self._stop("no valid command for 300 ms")
+            self._look_at_wishes(s.driving_ns + LAUNCH_NS, now_ns)
+        self._may_turn_manual = lost or s.latched  # once an emergency is latched nobody asks what becomes of commands
+        if not s.autonomous:
+            self._stop("the mode is manual")
+        if not self._all_told and s.stopped is not None:
+            wheels = self.wheels
+            slow = (
+                wheels.rpm is not None
+                and (max(wheels.rpm) < STILL_RPM or wheels.open)
+                and wheels.may_count_ns is not None
+                and now_ns - wheels.may_count_ns < FEEDBACK_STALE_NS
+            )
+            # A stop began no later than it is known here, but what began it may have been seen a cycle before.
+            if now_ns - s.stopped_ns >= process.stop_timeout_ns + 100 * MS and not slow:
+                self._alarm("the car still moves long after the stop began")
+
+    def _unheard_ns(self, t_ns: int | None) -> int:
+        """For how long something has not been heard that could have been."""
+        if t_ns is None:
+            return S
+        return self._now_ns - (t_ns if self.seen.back_ns is None else max(t_ns, self.seen.back_ns))
+
+    def _look_at_feedback(self, now_ns: int) -> None:
+        """Wheel speeds and steering feedback that are stale, missing or implausible."""
+        s = self.seen
+        for name, t_ns in (("wheel speeds", self.wheels.may_count_ns), ("steering feedback", s.steer_ns)):
+            if self._unheard_ns(t_ns) >= FEEDBACK_STALE_NS:
+                self._stop(f"{name} missing for 100 ms")
+            if self._unheard_ns(t_ns) >= FEEDBACK_LOST_NS:
+                self._alarm(f"{name} missing for 300 ms")
+        if not self._all_told:
+            s.steer_odd_ns = (s.steer_odd_ns or now_ns) if self._steering_is_odd(now_ns) else None
+            s.wheel_odd_ns = (s.wheel_odd_ns or now_ns) if self._wheel_is_odd(now_ns) else None
+        for name, t_ns in (("the steering", s.steer_odd_ns), ("a wheel", s.wheel_odd_ns)):
+            if t_ns is not None and now_ns - t_ns >= ODD_NS:
+                self._stop(f"{name} implausible for 300 ms")
+            if t_ns is not None and now_ns - t_ns >= ODD_LOST_NS:
+                self._alarm(f"{name} implausible for 600 ms")
+
+    def _steering_is_odd(self, now_ns: int) -> bool:
+        """The angle is far from a request that has not changed for two seconds: no delay explains that."""
+        s, (asked_deg, since_ns) = self.seen, self._asked_deg
+        assert s.driving_ns is not None
+        since_ns = max(since_ns, s.driving_ns + LAUNCH_NS, 0 if s.back_ns is None else s.back_ns + LAUNCH_NS)
+        fresh = s.steer_ns is not None and now_ns - s.steer_ns < FEEDBACK_STALE_NS
+        settled = now_ns - since_ns >= ODD_STEER_SETTLED_NS and s.whole
+        return fresh and settled and abs(s.angle_deg - asked_deg) > ODD_STEER_DEG
+
+    def _wheel_is_odd(self, now_ns: int) -> bool:
+        """One wheel without a motor spins while the three others nearly stand: no slip explains that."""
+        rpm, believed_ns = self.wheels.rpm, self.wheels.believed_ns
+        if rpm is None or believed_ns is None or now_ns - believed_ns >= FEEDBACK_STALE_NS or self._driven[0]:
+            return False
+        if self.seen.mission in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B):
+            return False
+        return any(rpm[one] > ODD_WHEEL_RPM and max(rpm[:one] + rpm[one + 1 :]) < STILL_RPM for one in (0, 1))
+
+    def _look_at_wishes(self, launched_ns: int, now_ns: int) -> None:
+        """What the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
+        s, told = self.seen, self._told
+        both = told is not None and told.throttle > 0.0 and told.brake > 0.0
+        if both and told is not None and not self._all_told:
+            # The planner still brakes, not a stop for a reason that cannot be seen here.
+            said = s.braked_pct == 0.0 or abs(s.braked_pct - 100.0 * told.brake) <= BRAKE_STEP_PCT / 2
+            both = said and s.stopped is None and not self._motor_brakes
+        if not both or s.command_ns is None:
+            s.pedals_ns = None  # for as long as no command counts, none asks for both
+        elif s.pedals_ns is None:
+            s.pedals_ns = max(s.command_ns, launched_ns) if self._all_told else now_ns
+        listens = not self._over if self._all_told else s.stopped is None
+        if told is not None and s.autonomous and listens and not s.latched:
+            if s.pedals_ns is not None and now_ns - s.pedals_ns >= PEDALS_NS:
+                self._alarm("throttle and brake together for 100 ms")
+            if told.estop:
+                self._alarm("the mission asks for the emergency brake")
+            if told.finished:
+                self._stop("the mission is done")
+
+    def on_mode_shown(self, mode: str) -> None:
+        """What the process says of its mode once it has decided what to send."""
+        s = self.seen
+        if mode == "autonomous":
+            if s.autonomous and self._must_turn_manual:
+                self._wrong("modes", "the mode is autonomous after 300 ms without a command")
+            elif not s.autonomous:
+                self._wrong("modes", f"the mode is autonomous in {self._where}, and nobody chose that")
+        elif s.autonomous and not self._may_turn_manual and self._all_told:
+            self._wrong("modes", "the mode has become manual, and nothing asked for that")
+        if self._must_turn_manual or (mode != "autonomous" and (self._may_turn_manual or not self._all_told)):
+            s.autonomous = False
+            self._stop("the mode is manual")
+
+    @property
+    def _where(self) -> str:
+        return "no AS state yet" if self.seen.as_state is None else self.seen.as_state.label
+
+    # ------------------------------------------------------------ the rules: 0x510
+
+    @_rule("interval", "0x510")
+    def _apart(self, ai: AiStatus) -> Iterator[str]:
+        """Two sends are never closer than 8 ms."""
+        if self._interval_ns is not None and self._interval_ns < CYCLE_GAP_NS - self._slack_ns:
+            yield f"two cycles only {self._interval_ns / MS:.2f} ms apart"
+
+    @_rule("8", "0x510")
+    def _ends(self, ai: AiStatus) -> Iterator[str]:
+        """On stop: five cycles, then silence."""
+        ended, process = self.seen.ended, self._process
+        if ended is not None and process is not None and ended > process.stop_cycles:
+            yield "frames are sent after the orderly end"
+
+    @_rule("9", "0x510")
+    def _echoes(self, ai: AiStatus) -> Iterator[str]:
+        """The handshake echo equals the last received handshake bit."""
+        if self.seen.handshake is None:
+            if self._from_start and ai.handshake:
+                yield "handshake 1 where nothing was received"
+        elif ai.handshake not in self._possible("bit", self.seen.handshake, self._handshake_in_flight_ns):
+            yield f"handshake {int(ai.handshake)} where {int(not ai.handshake)} was received"
+
+    @_rule("6", "0x510")
+    def _latches(self, ai: AiStatus) -> Iterator[str]:
+        """ESTOP_REQUEST stays 1 until it is cleared by a reset in AS_INIT or AS_OFF, or by the car's power cycle."""
+        if not self.seen.latched or ai.estop_request:
+            return
+        if self._process is not None:
+            yield "ESTOP_REQUEST is 0 though it was asked for, and nobody cleared it"
+        elif not self._was_off and not any(state in OFF for state in self._states):
+            yield f"ESTOP_REQUEST released in {self._states[-1].label if self._states else 'no state'}"
+
+    @_rule("3", "0x510")
+    def _stands(self, ai: AiStatus) -> Iterator[str]:
+        """NEUTRAL or FINISHED is never sent in AS_DRIVING unless all wheels have been under 10 rpm for 0.5 s."""
+        if self._driving and not self.wheels.may_stand(self._now_ns):
+            if ai.direction is Direction.NEUTRAL:
+                yield "NEUTRAL in AS_DRIVING before standstill"
+            if ai.mission_status is MissionStatus.FINISHED:
+                yield "FINISHED in AS_DRIVING before standstill"
+
+    @_rule("5", "0x510")
+    def _waits(self, ai: AiStatus) -> Iterator[str]:
+        """In AS_INIT, AS_OFF and AS_READY: NEUTRAL, MISSION_STATUS at most SELECTED, as the output table says."""
+        if not self._idle:
+            return
+        s = self.seen
+        where = self._states[-1].label if self._states else "no AS state yet"
+        if ai.direction is not Direction.NEUTRAL:
+            yield f"direction {ai.direction.label} in {where}"
+        if ai.mission_status not in (MissionStatus.NOT_SELECTED, MissionStatus.SELECTED):
+            yield f"MISSION_STATUS {ai.mission_status.label} in {where}"
+        if ai.mission_status is MissionStatus.SELECTED and self._process is not None:
+            if s.mission is Ami.NOT_SELECTED:
+                yield "SELECTED without a mission on the AMI"
+            if len(s.confirmed) < len(ROLES):
+                yield "SELECTED before planner and controller have confirmed their reset"
+            if s.as_state is not AsState.AS_READY and not s.autonomous:
+                yield "SELECTED though autonomous was not chosen"
+            if s.as_state is not AsState.AS_READY and s.latched:
+                yield "SELECTED with an emergency latched"
+
+    @_rule("output table", "0x510")
+    def _says(self, ai: AiStatus) -> Iterator[str]:
+        """MISSION_STATUS and direction of each AS state: what is wrong whatever the reason for a stop."""
+        if not self._states or any(state is not self._states[-1] for state in self._states):
+            return
+        state, mission, direction = self._states[-1], ai.mission_status, ai.direction
+        right_status = right_direction = True
         if state is AsState.AS_DRIVING:
             right_status = mission in (MissionStatus.RUNNING, MissionStatus.FINISHED)
             right_direction = direction is not Direction.REVERSE
@@ -540,300 +1236,355 @@ class WireChecker:
             right_direction = direction is Direction.NEUTRAL
         elif state is AsState.EMERGENCY_BRAKE:
             right_status = mission is MissionStatus.RUNNING
-            right_direction = direction is Direction.FORWARD or (
-                direction is Direction.NEUTRAL and (self._standing(t_ns) or self._stood_before(t_ns))
-            )
-        where = state.label
-        self._rule("output table", "status", not right_status, f"MISSION_STATUS {mission.label} in {where}")
-        self._rule("output table", "direction", not right_direction, f"direction {direction.label} in {where}")
+            if direction is Direction.FORWARD:
+                right_direction = self._in_flight_ns > 0 or not self.wheels.surely_stand(self._now_ns)
+            else:
+                right_direction = direction is Direction.NEUTRAL and (
+                    self.wheels.may_stand(self._now_ns) or self._stood_before
+                )
+        if not right_status:
+            yield f"MISSION_STATUS {mission.label} in {state.label}"
+        if not right_direction:
+            yield f"direction {direction.label} in {state.label}"
 
-    def _begin_cycle(self, t_ns: int) -> None:
-        self.cycle_over()
-        if self._cycle_start_ns is not None:
-            interval_ns = t_ns - self._cycle_start_ns
-            self._shortest_ns = interval_ns if self._shortest_ns is None else min(self._shortest_ns, interval_ns)
-            self._rule(
-                "interval",
-                "",
-                interval_ns < CYCLE_GAP_NS - self._slack_ns,
-                f"two cycles only {interval_ns / MS:.2f} ms apart",
-            )
-        self._cycle_start_ns = t_ns
-        self._cycles += 1
-        self._cycle = _Cycle([AI_IDS[0]])
-
-    def _end_cycle(self) -> None:
-        if not self._cycle.complete:
-            self._incomplete += 1
+    @_rule("output table", "0x510")
+    def _says_exactly(self, ai: AiStatus) -> Iterator[str]:
+        """MISSION_STATUS and direction as what is due has them, where every reason for a stop is told."""
+        if not self._all_told:
             return
-        self._acknowledged = self._acknowledged or self._cycle.selected
-        if not self._cycle.torque:
-            self._torqueless_cycles += 1
-            if not self._cycle.brake:
-                if self._quiet_cycles == 0:
-                    self._quiet_since_ns = self._cycle_start_ns or 0
-                self._quiet_cycles += 1
-
-    def _check_echo(self, t_ns: int, bit: bool) -> None:
-        if not self._bits:
-            self._rule("rule 9", "", self._from_start and bit, "handshake 1 where nothing was received")
+        s = self.seen
+        if ai.mission_status is MissionStatus.NOT_SELECTED and self._idle:
+            chosen = s.mission is not Ami.NOT_SELECTED and len(s.confirmed) == len(ROLES) and s.ended is None
+            if chosen and (s.as_state is AsState.AS_READY or (s.autonomous and not s.latched)):
+                yield "NOT_SELECTED, and a mission is chosen and confirmed"
+        if s.as_state is not AsState.AS_DRIVING:
             return
-        possible = {self._bits[-1][1]}
-        for index in range(len(self._bits) - 1, 0, -1):
-            if t_ns - self._bits[index][0] >= self._handshake_in_flight_ns:
-                break
-            possible.add(self._bits[index - 1][1])
-        if t_ns - self._bits[0][0] < self._handshake_in_flight_ns:
-            possible.add(False)  # not even the first 0x520 need have been received: there was nothing to echo
-        self._rule("rule 9", "", bit not in possible, f"handshake {int(bit)} where {int(not bit)} was received")
-        if self._toggle is not None and bit == self._toggle[1] and bit == self._bits[-1][1]:
-            self.responses.add(t_ns - self._toggle[0])
-            self._toggle = None
+        rest = self.wheels.may_stand(self._now_ns)
+        runs = ai.mission_status is MissionStatus.RUNNING and ai.direction is Direction.FORWARD
+        finished = ai.mission_status is MissionStatus.FINISHED and ai.direction is Direction.NEUTRAL
+        if s.latched or ai.estop_request:
+            if not runs and not (rest and finished):
+                yield "an emergency is asked for, and it is not RUNNING and FORWARD"
+        elif s.stopped is not None and rest:
+            if not finished:
+                yield "a stop is due, the car stands, and it is not FINISHED and NEUTRAL"
+        elif not runs:
+            yield "not RUNNING and FORWARD in AS_DRIVING, and no stop is over"
 
-    def _check_latch(self, ai: AiStatus, states: list[AsState], restarted: bool) -> None:
-        if self._ai is None or (restarted and not self._from_start):
+    @_rule("reactions", "0x510")
+    def _asks_for_the_emergency(self, ai: AiStatus) -> Iterator[str]:
+        """Graded reactions: ESTOP_REQUEST when it is due; and not otherwise, where every reason for it is told."""
+        s = self.seen
+        if self._process is None:
             return
-        released = self._ai.estop_request and not ai.estop_request
-        allowed = self._off_meanwhile or any(state in OFF for state in states)
-        if released and not allowed:
-            where = states[-1].label if states else "no state"
-            self._break("rule 6", f"ESTOP_REQUEST released in {where}")
+        if not ai.estop_request and s.as_state is AsState.AS_DRIVING:
+            if s.alarm is not None and ai.direction is not Direction.NEUTRAL:
+                yield f"no ESTOP_REQUEST: {s.alarm}"
+            elif s.ended is not None and ai.direction is not Direction.NEUTRAL:
+                yield "the software ends in AS_DRIVING, neither at rest nor with ESTOP_REQUEST"
+        # A stop that goes on may turn out to be without effect, which is not judged here, nor what did not go out.
+        asked = s.latched or s.alarm is not None or self._over or not s.whole
+        asked = asked or (self._told is not None and self._told.estop)
+        if self._all_told and ai.estop_request and not asked:
+            yield "ESTOP_REQUEST, and nothing that happened asks for it"
 
-    def _on_torque(self, frame: Frame, axle: int, torque_nm: float, motor_rpm: int) -> None:
-        t_ns = frame.t_ns
-        name = ("front", "rear")[axle]
-        had_none = self._torque == [0.0, 0.0]  # a log may begin in the middle of a drive: what was before is not judged
-        self._torque[axle] = torque_nm
-        self._cycle.ids.append(frame.can_id)
-        self._check_both()
-        self._rule("rule 4", f"{name} torque", *self._over_torque(t_ns, axle, torque_nm))
-        limits = self._front.at(t_ns) if axle == 0 else self._rear.at(t_ns)
-        limit_age_ns = t_ns - limits[-1].t_rx_ns if limits else 0
-        self._rule(
-            "rule 4",
-            f"{name} limit age",
-            torque_nm > 0 and limit_age_ns >= FEEDBACK_STALE_NS + self._in_flight_ns,
-            f"{name} torque {torque_nm:.1f} Nm by a live limit {limit_age_ns / MS:.0f} ms old",
-        )
-        self._rule(
-            "rule 4",
-            f"{name} speed",
-            motor_rpm > self._motor_limit_rpm + RESOLUTION,
-            f"{name} motor speed limit {motor_rpm} rpm above {self._motor_limit_rpm:.0f} rpm",
-        )
-        if torque_nm <= 0:
-            self._broken -= {f"rule 2 {name} {key}" for key in _TORQUE_KEYS}
-            self._broken -= {f"rule 10 {name}", f"reactions {name}"}
-            return
-        if had_none:
-            self._check_torque_may_rise(t_ns)
-        self._cycle.torque = True
-        self._torqueless_cycles = 0
-        self._check_torque_allowed(t_ns, name, brakes=self._motor_brakes and motor_rpm == 0)
+    # ------------------------------------------------------------ the rules: 0x511 and 0x512
 
-    def _check_torque_may_rise(self, t_ns: int) -> None:
-        """Safety rule 1: after a complete quiet cycle, and the car's echo of it or a second one."""
-        since_ns = self._quiet_since_ns - self._in_flight_ns
-        echoed = any(
-            echo.front_request_pct == 0 and echo.rear_request_pct == 0 and echo.t_rx_ns > since_ns
-            for echo in self._brake_echo.at(t_ns)
-        )
-        if self._quiet_cycles < (1 if echoed else 2):
-            self._break("rule 1", f"torque rose after {self._quiet_cycles} complete cycles without torque and brake")
+    @_rule("1", "torque", "0x514")
+    def _meet(self, image: Any) -> Iterator[str]:
+        """Axle torque above 0 and brake above 0 never meet at the VCU, which sees the frames one after another."""
+        if max(self.seen.torque_nm) > 0.0 and max(self.seen.brake_pct) > 0.0:
+            torque_nm, brake_pct = max(self.seen.torque_nm), max(self.seen.brake_pct)
+            yield f"torque {torque_nm:.1f} Nm and brake {brake_pct:.1f} % together"
 
-    def _check_torque_allowed(self, t_ns: int, name: str, *, brakes: bool) -> None:
-        statuses = self._status.at(t_ns)
-        if not statuses:
-            if (
-                self._from_start or t_ns - (self._start_ns or 0) >= STATUS_FRESH_NS
-            ):  # a log may begin in the middle of a drive
-                self._rule("rule 2", f"{name} state", True, f"{name} torque before any 0x520")
-            return
-        newest = statuses[-1]
-        driving = [status for status in statuses if status.as_state is AsState.AS_DRIVING]
-        self._rule("rule 2", f"{name} state", not driving, f"{name} torque in {newest.as_state.label}")
-        self._rule(
-            "rule 2",
-            f"{name} go",
-            not brakes and not any(status.go_signal for status in statuses),
-            f"{name} torque without the Go signal",
-        )
-        self._rule(
-            "rule 2",
-            f"{name} known",
-            self.unknown(t_ns),
-            f"{name} torque after a 0x520 whose AS_STATE no table knows",
-        )
-        self._rule(
-            "rule 2",
-            f"{name} mission",
-            newest.as_state is AsState.AS_DRIVING and not self.acknowledged and not brakes,
-            f"{name} torque without a mission that was acknowledged",
-        )
-        turned_by = self.turned
-        self._rule(
-            "reactions",
-            name,
-            turned_by is not None and t_ns - turned_by[0] >= self._in_flight_ns and not brakes,
-            f"{name} torque in a run that is over: {'' if turned_by is None else turned_by[1]}",
-        )
-        age_ns = t_ns - newest.t_rx_ns
-        self._rule(
-            "rule 2",
-            f"{name} age",
-            age_ns >= STATUS_FRESH_NS + self._in_flight_ns,  # stale after 50 ms is stale at 50 ms
-            f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old",
-        )
-        self._rule(
-            "rule 10",
-            name,
-            newest.as_state is AsState.AS_DRIVING and self._came_by is _Path.GONE and not brakes,
-            f"{name} torque though this process has not seen AS_OFF, 5 s of AS_READY before Go, and AS_DRIVING in turn",
-        )
-        if self._driving_since_ns is not None:
-            waited_ns = t_ns - self._driving_since_ns
-            self._rule(
-                "rule 2",
-                f"{name} wait",
-                waited_ns < LAUNCH_NS - self._slack_ns and not brakes,
-                f"{name} torque {waited_ns / SECOND:.3f} s after AS_DRIVING began",
-            )
-        ai = self._ai
-        if ai is not None:
-            self._rule(
-                "rule 2",
-                f"{name} direction",
-                ai.direction is not Direction.FORWARD,
-                f"{name} torque with direction {ai.direction.label}",
-            )
-            self._rule("rule 2", f"{name} emergency", ai.estop_request, f"{name} torque with ESTOP_REQUEST")
+    @_rule("1", "torque")
+    def _rises(self, axle: Any) -> Iterator[str]:
+        """Torque rises only after a whole cycle with both at zero and a 0x524 that echoes it, or two such cycles."""
+        if not self.seen.torque_runs and not self._may_rise:
+            yield f"torque rose after {self.seen.zeros} complete cycles without torque and brake"
 
-    def _over_torque(self, t_ns: int, axle: int, torque_nm: float) -> tuple[bool, str]:
-        limits: list[float] = [self._torque_limit_nm if self._driven[axle] else 0.0]
-        echoes = self._front.at(t_ns) if axle == 0 else self._rear.at(t_ns)
-        if echoes:
-            limits.append(max(echo.torque_max_nm for echo in echoes))
-        elif self._from_start:
-            limits.append(0.0)  # the car has not said yet what it takes
-        speeds = self._speeds.at(t_ns)
-        if speeds and not self.wheels.open:
-            fastest = min(max(one.all_rpm[2 * axle : 2 * axle + 2]) for one in speeds)
-            limits.append(constant_power_nm(fastest))
-        limit = min(limits)
-        name = ("front", "rear")[axle]
-        return torque_nm > limit + RESOLUTION, f"{name} torque {torque_nm:.1f} Nm above its limit {limit:.1f}"
+    @property
+    def _may_rise(self) -> bool:
+        return self.seen.zeros >= 2 or (self.seen.zeros == 1 and self.seen.echoed)
 
-    def _on_steer(self, frame: Frame, steer_deg: float) -> None:
-        self._cycle.ids.append(frame.can_id)
-        states = self._states(frame.t_ns)
-        if states:
-            where = states[-1].label
-            out_of_place = steer_deg != 0 and AsState.AS_DRIVING not in states
-            rule = "rule 5" if states[-1] in IDLE else "rule 4"
-            self._rule(rule, "steering", out_of_place, f"steering {steer_deg:.1f} deg in {where}")
-        limit = lowest = self._steer_limit_deg
-        live = self._steer.at(frame.t_ns)
-        if live:
-            limit = min(limit, max(0.0, *(one.angle_max_deg for one in live)))
-            lowest = min(limit, *(one.angle_max_deg for one in live))  # a limit that was lowered may have been seen
-        elif self._from_start:
-            limit = lowest = 0.0
-        self._check_steering_rate(frame.t_ns, steer_deg, lowest, states)
-        self._rule(
-            "rule 4",
-            "steering limit",
-            abs(steer_deg) > limit + RESOLUTION,
-            f"steering {steer_deg:.1f} deg beyond its limit {limit:.1f}",
-        )
+    @_rule("2", "torque")
+    def _may_drive(self, axle: AiDriveFront | AiDriveRear) -> Iterator[str]:
+        """Torque only with AS_DRIVING in a 0x520 not older than 50 ms, FORWARD, and no emergency; and it must drive.
 
-    def _check_steering_rate(self, t_ns: int, steer_deg: float, limit_deg: float, states: list[AsState]) -> None:
-        """Safety rule 4; a limit that the car lowers is obeyed at once, and outside AS_DRIVING it is zero at once.
-
-        So it is at the orderly end of the software, where a car at rest is sent zeros and NEUTRAL.
+        Against a motor speed limit of zero it may be a brake: that needs no Go, no 3 s and no command.
         """
-        before, self._steered = self._steered, (t_ns, steer_deg)
-        if before is None or not all(state is AsState.AS_DRIVING for state in states):
+        s, t_ns, name = self.seen, self._now_ns, _name(axle)
+        if not self._states:
+            if self._from_start or t_ns - (self._start_ns or 0) >= STATUS_FRESH_NS:
+                yield f"{name} torque before any 0x520"
             return
-        if steer_deg == 0.0 and self._ai is not None and self._ai.direction is Direction.NEUTRAL:
+        if AsState.AS_DRIVING not in self._states:
+            yield f"{name} torque in {self._states[-1].label}"
+        if not any(self._possible("known", not s.unknown)):
+            yield f"{name} torque after a 0x520 whose AS_STATE no table knows"
+        age_ns = t_ns - (s.status_ns or 0)
+        if age_ns >= STATUS_FRESH_NS + self._in_flight_ns:  # stale after 50 ms is stale at 50 ms
+            yield f"{name} torque with a 0x520 {age_ns / MS:.0f} ms old"
+        if self._ai.direction is not Direction.FORWARD and self._cycles:
+            yield f"{name} torque with direction {self._ai.direction.label}"
+        if self._ai.estop_request or s.latched:
+            yield f"{name} torque with an emergency asked for"
+        if not self._brakes_by(axle):
+            yield from self._may_move(name, t_ns)
+
+    def _may_move(self, name: str, t_ns: int) -> Iterator[str]:
+        """Go, the sequence and the mission behind it, 3 s in AS_DRIVING, the mode, and a command that asks for it."""
+        s, told = self.seen, self._told
+        if not any(self._possible("go", s.go)):
+            yield f"{name} torque without the Go signal"
+        if s.as_state is AsState.AS_DRIVING:
+            if s.path != _WHOLE:
+                yield f"{name} torque without AS_OFF, AS_READY and AS_DRIVING seen in turn by this process"
+            if not s.waited and not self._short_sequence:
+                yield f"{name} torque without 5 s in AS_READY before Go"
+            if s.mission is Ami.NOT_SELECTED or not s.acknowledged:
+                yield f"{name} torque without a mission that was acknowledged"
+            if s.driving_ns is not None and t_ns - s.driving_ns < LAUNCH_NS - self._slack_ns:
+                yield f"{name} torque {(t_ns - s.driving_ns) / S:.3f} s after AS_DRIVING began"
+        if self._process is None:
             return
-        if steer_deg == 0.0 and self._driving_since_ns is not None and before[0] < self._driving_since_ns:
-            return  # AS_DRIVING began between the two: before it, zero was due at once
-        step_ns = t_ns - before[0] + self._in_flight_ns
-        most_deg = self._steer_rate_degps * step_ns / SECOND + 0.1  # the signal's resolution
-        turned_deg = abs(steer_deg - before[1])
-        self._rule(
-            "rule 4",
-            "steering rate",
-            turned_deg > most_deg + RESOLUTION and abs(before[1]) <= limit_deg + RESOLUTION,
-            f"steering turned by {turned_deg:.1f} deg in {step_ns / MS:.1f} ms",
-        )
+        if not s.autonomous:
+            yield f"{name} torque though the mode is not autonomous"
+        if told is None:
+            yield f"{name} torque without a command younger than 100 ms, on data younger than 500 ms"
+        elif told.throttle <= 0.0 or told.brake > 0.0:
+            yield f"{name} torque though the command does not ask for it"
 
-    def _on_brake(self, frame: Frame, brake: AiBrake) -> None:
-        had_none = self._brakes == (0.0, 0.0)
-        self._brakes = (brake.front_pct, brake.rear_pct)
-        self._cycle.ids.append(frame.can_id)
-        self._check_both()
-        states = self._states(frame.t_ns)
-        unbraked = bool(states) and all(state in UNBRAKED for state in states)
-        self._rule(
-            "output table",
-            "brake",
-            unbraked and any(self._brakes),
-            f"brake {max(self._brakes):.1f} % in {states[-1].label if states else 'no AS state'}",
-        )
-        if not any(self._brakes):
+    @_rule("10", "torque")
+    def _resumes(self, axle: AiDriveFront | AiDriveRear) -> Iterator[str]:
+        """After a restart the car never resumes driving by itself: AS_OFF must be seen anew."""
+        if self.seen.restarted and not self._brakes_by(axle):
+            yield f"{_name(axle)} torque of a process that has not seen AS_OFF"
+
+    @_rule("reactions", "torque")
+    def _goes_on(self, axle: AiDriveFront | AiDriveRear) -> Iterator[str]:
+        """No torque in a run that is over: by a switch, a fault bit or what else stops it."""
+        s = self.seen
+        if self._brakes_by(axle):
             return
-        self._cycle.brake = True
-        self._quiet_cycles = 0
-        if had_none and self._torqueless_cycles < 1:
-            self._break("rule 1", "brake rose before a complete cycle without torque")
+        if s.stopped is not None:
+            yield f"{_name(axle)} torque in a run that is over: {s.stopped}"
+        elif s.turned is not None and self._now_ns - s.turned[0] >= self._in_flight_ns:
+            yield f"{_name(axle)} torque in a run that is over: {s.turned[1]}"
 
-    def _check_both(self) -> None:
-        torque_nm = max(one or 0.0 for one in self._torque)
-        brake_pct = max(self._brakes or (0.0,))
-        self._rule(
-            "rule 1",
-            "both",
-            torque_nm > 0 and brake_pct > 0,
-            f"torque {torque_nm:.1f} Nm and brake {brake_pct:.1f} % together",
-        )
+    @_rule("4", "torque")
+    def _within_torque(self, axle: AiDriveFront | AiDriveRear) -> Iterator[str]:
+        """Torque at most 195 Nm, a live TRQ_MAX, the constant-power schedule, the operational limit, and its share."""
+        s, front = self.seen, isinstance(axle, AiDriveFront)
+        most_nm = self._torque_limit_nm if self._driven[0 if front else 1] else 0.0
+        newest, max_ns = (s.front_max_nm, s.front_ns) if front else (s.rear_max_nm, s.rear_ns)
+        if newest is not None:
+            most_nm = min(most_nm, max(self._possible("front" if front else "rear", newest)))
+        elif self._from_start:
+            most_nm = 0.0  # the car has not said yet what it takes
+        speeds = self._possible("rpm", self.wheels.rpm)
+        if speeds and not self.wheels.open:
+            fastest = min(max(rpm[:2] if front else rpm[2:]) for rpm in speeds)
+            most_nm = min(most_nm, constant_power_nm(fastest))
+        elif self._from_start and not speeds:
+            most_nm = 0.0
+        if self._told is not None and not self._brakes_by(axle):
+            most_nm *= self._told.throttle
+        if axle.torque_nm > most_nm + TINY:
+            yield f"{_name(axle)} torque {axle.torque_nm:.1f} Nm above its limit {most_nm:.1f}"
+        age_ns = 0 if max_ns is None else self._now_ns - max_ns
+        if age_ns >= FEEDBACK_STALE_NS + self._in_flight_ns:
+            yield f"{_name(axle)} torque by a live limit {age_ns / MS:.0f} ms old"
 
-    # ------------------------------------------------------------ bookkeeping
+    @_rule("4", "drive")
+    def _within_speed(self, axle: AiDriveFront | AiDriveRear) -> Iterator[str]:
+        """Motor speed limit at most the operational speed limit, and what the command allows."""
+        most_rpm = self._motor_limit_rpm
+        if axle.torque_nm > 0.0 and self._told is not None:
+            most_rpm = min(most_rpm, self._told.speed_limit_mps * self._rpm_per_mps)
+        if axle.motor_speed_max_rpm > most_rpm + TINY:
+            yield f"{_name(axle)} motor speed limit {axle.motor_speed_max_rpm} rpm above {most_rpm:.0f} rpm"
 
-    def _states(self, t_ns: int) -> list[AsState]:
-        return [status.as_state for status in self._status.at(t_ns)]
+    def _brakes_by(self, axle: AiDriveFront | AiDriveRear) -> bool:
+        """The official simulator: torque against a motor speed limit of zero is a brake."""
+        return self._motor_brakes and axle.motor_speed_max_rpm == 0
 
-    def _standing(self, t_ns: int) -> bool:
-        """Safety rule 3: fresh wheel speeds, all under 10 rpm for half a second, and pulse counts that do not run."""
-        return self.wheels.may_stand(t_ns)
+    # ------------------------------------------------------------ the rules: 0x513
 
-    def _stood_before(self, t_ns: int) -> bool:
+    @_rule("5", "0x513")
+    def _steers_idle(self, steer: AiSteer) -> Iterator[str]:
+        """In AS_INIT, AS_OFF and AS_READY: zero steering."""
+        if steer.steer_deg != 0.0 and self._idle:
+            yield f"steering {steer.steer_deg:.1f} deg in {self._states[-1].label if self._states else 'no AS state'}"
+
+    @_rule("4", "0x513")
+    def _steers_outside(self, steer: AiSteer) -> Iterator[str]:
+        """Outside AS_DRIVING steering is zero at once."""
+        if steer.steer_deg != 0.0 and self._states and AsState.AS_DRIVING not in self._states and not self._idle:
+            yield f"steering {steer.steer_deg:.1f} deg in {self._states[-1].label}"
+
+    def _angles(self) -> tuple[float, float]:
+        """The most steering by the limits that the sender can have seen: the widest, and the narrowest."""
+        live = self._possible("angle", self.seen.angle_max_deg)
+        if not live:
+            return (0.0, 0.0) if self._from_start else (self._steer_limit_deg, self._steer_limit_deg)
+        return min(self._steer_limit_deg, max(live)), min(self._steer_limit_deg, min(live))
+
+    @_rule("4", "0x513")
+    def _within_angle(self, steer: AiSteer) -> Iterator[str]:
+        """Steering at most the revision's limit, the live ANGLE_MAX and the operational limit."""
+        most_deg, _ = self._angles()
+        if abs(steer.steer_deg) > most_deg + TINY:
+            yield f"steering {steer.steer_deg:.1f} deg beyond its limit {most_deg:.1f}"
+
+    @_rule("4", "0x513")
+    def _within_rate(self, steer: AiSteer) -> Iterator[str]:
+        """Steering turns no faster than the car; a limit that the car lowers is obeyed at once.
+
+        So is zero at the orderly end of a car at rest, and where AS_DRIVING begins.
+        """
+        s, deg = self.seen, steer.steer_deg
+        if s.steered_ns is None or not all(state is AsState.AS_DRIVING for state in self._states):
+            return
+        begins = s.driving_ns is not None and s.steered_ns < s.driving_ns
+        if (deg == 0.0 and (begins or self._ai.direction is Direction.NEUTRAL)) or not s.whole:
+            return
+        step_ns = self._now_ns - s.steered_ns
+        if self._process is not None:
+            step_ns = min(step_ns, LONGEST_TURN_NS)
+        step_ns += self._in_flight_ns
+        most_deg = self._steer_rate_degps * step_ns / S + STEER_STEP_DEG
+        turned_deg = abs(deg - s.steer_deg)
+        if turned_deg > most_deg + TINY and abs(s.steer_deg) <= self._angles()[1] + TINY:
+            yield f"steering turned by {turned_deg:.1f} deg in {step_ns / MS:.1f} ms"
+
+    @_rule("output table", "0x513")
+    def _steers(self, steer: AiSteer) -> Iterator[str]:
+        """In AS_DRIVING steering follows the command, or is held; it is zero in the first 3 s and at the end."""
+        s, deg, told = self.seen, steer.steer_deg, self._told
+        if self._process is None or s.as_state is not AsState.AS_DRIVING or s.driving_ns is None:
+            return
+        if s.ended is not None and self._ai.direction is Direction.NEUTRAL:
+            if deg != 0.0:
+                yield "the software ends at rest, and not with zeros"
+            return
+        stopping = s.stopped is not None or s.latched
+        if self._now_ns - s.driving_ns < LAUNCH_NS and not stopping:
+            if deg != 0.0:
+                yield f"steering {deg} deg in the first 3 s of AS_DRIVING"
+            return
+        begins = s.steered_ns is not None and s.steered_ns < s.driving_ns
+        if not s.whole or (begins and deg == 0.0):
+            return
+        _, most_deg = self._angles()
+        held_deg = max(-most_deg, min(most_deg, s.steer_deg))  # a limit that was lowered is obeyed at once
+        held = abs(deg - held_deg) <= STEER_STEP_DEG / 2
+        if told is None or not s.autonomous:
+            if abs(deg - held_deg) > (STEER_STEP_DEG / 2 if self._all_told else STEER_STEP_DEG + TINY):
+                yield f"steering from {s.steer_deg} to {deg} deg, and no command counts"
+            return
+        if not self._all_told:  # it may be held for a reason that cannot be seen: it never turns elsewhere
+            target_deg = max(-most_deg, min(most_deg, told.steer_deg))
+            low, high = min(held_deg, target_deg) - STEER_STEP_DEG, max(held_deg, target_deg) + STEER_STEP_DEG
+            if not low - TINY <= deg <= high + TINY:
+                yield f"steering from {s.steer_deg} to {deg} deg, and the command asks for {target_deg:.2f}"
+            return
+        step_ns = 0 if s.steered_ns is None else min(self._now_ns - s.steered_ns, LONGEST_TURN_NS)
+        most_turn_deg = self._steer_rate_degps * step_ns / S
+        turn_deg = max(-most_turn_deg, min(most_turn_deg, told.steer_deg - s.steer_deg))
+        wanted_deg = max(-most_deg, min(most_deg, s.steer_deg + turn_deg))
+        if abs(deg - wanted_deg) > STEER_STEP_DEG + TINY and not (held and (stopping or not self._status_counts)):
+            yield f"steering {deg} deg, and the command asks for {told.steer_deg:.2f}"
+
+    # ------------------------------------------------------------ the rules: 0x514
+
+    @_rule("1", "0x514")
+    def _brake_rises(self, brake: AiBrake) -> Iterator[str]:
+        """Brake rises only after a complete cycle with zero torque."""
+        if any(self.seen.brake_pct) and self.seen.braked_pct == 0.0 and self.seen.torque_may_be_there:
+            yield "brake rose before a complete cycle without torque"
+
+    @_rule("output table", "0x514")
+    def _brakes_where_the_car_does(self, brake: AiBrake) -> Iterator[str]:
+        """Front and rear alike; no brake in AS_INIT, AS_OFF and EMERGENCY_BRAKE, and none where the motors brake."""
+        if brake.front_pct != brake.rear_pct:
+            yield f"brake {brake.front_pct} % in front and {brake.rear_pct} % at the rear"
+        none = not self._states and self._from_start
+        if any(self.seen.brake_pct) and (none or (self._states and all(one in UNBRAKED for one in self._states))):
+            yield f"brake {max(self.seen.brake_pct):.1f} % in {'no AS state yet' if none else self._states[-1].label}"
+        if any(self.seen.brake_pct) and self._motor_brakes:
+            yield "a hydraulic brake on a car that brakes by its motors"
+
+    @_rule("output table", "0x514")
+    def _brakes(self, brake: AiBrake) -> Iterator[str]:
+        """The brake that the output table and the reactions ask for, as soon as rule 1 lets it rise."""
+        s, process, told, pct = self.seen, self._process, self._told, brake.front_pct
+        if process is None or self._motor_brakes or s.as_state is None or s.as_state in UNBRAKED:
+            return
+        if s.ended is not None and self._ai.direction is Direction.NEUTRAL:
+            if pct > 0.0:
+                yield "the software ends at rest, and not with zeros"
+            return
+        if s.torque_may_be_there or not s.whole:  # what did not go out may have asked for torque
+            return
+        rest = self.wheels.may_stand(self._now_ns)
+        if s.as_state is not AsState.AS_DRIVING:
+            if pct <= 0.0:
+                yield f"no holding brake in {s.as_state.label}"
+        elif s.latched or (s.stopped is not None and not rest):
+            if pct != process.service_brake_pct:
+                why = "an emergency is asked for" if s.latched else s.stopped
+                yield f"brake {pct} %, not the service brake: {why}"
+        elif s.stopped is not None or (s.driving_ns is not None and self._now_ns - s.driving_ns < LAUNCH_NS):
+            if pct <= 0.0:
+                yield f"no holding brake: {s.stopped or 'the first 3 s of AS_DRIVING'}"
+        elif told is None:
+            falls = pct < s.braked_pct
+            if falls and (self._all_told or (pct == 0.0 and self._whole_in_a_row > 0)):
+                yield f"the brake falls from {s.braked_pct} % to {pct} %, and no command counts"
+        elif self._all_told and self._status_counts and abs(pct - 100.0 * told.brake) > BRAKE_STEP_PCT / 2:
+            yield f"brake {pct} %, and the command asks for {100.0 * told.brake:g} %"
+
+    @_rule("output table", "0x514")
+    def _brakes_by_motors(self, brake: AiBrake) -> Iterator[str]:
+        """A car that must never be asked for a hydraulic brake stops by torque against a speed limit of zero."""
+        s, now_ns, wheels = self.seen, self._now_ns, self.wheels
+        if not (self._all_told and self._motor_brakes) or s.as_state is not AsState.AS_DRIVING:
+            return
+        times = wheels.believed_ns, s.front_ns, s.rear_ns
+        known = self._status_counts and all(t is not None and now_ns - t < FEEDBACK_STALE_NS for t in times)
+        due = s.stopped is not None and not s.latched and not wheels.may_stand(now_ns)
+        if (
+            due
+            and known
+            and (s.torque_runs or self._may_rise)
+            and not (self._cycle.torque and not self._cycle.motor_rpm)
+        ):
+            yield "the motors do not brake, and a stop is due"
+
+    # ------------------------------------------------------------ what several rules look at
+
+    @property
+    def _driving(self) -> bool:
+        return bool(self._states) and all(state is AsState.AS_DRIVING for state in self._states)
+
+    @property
+    def _idle(self) -> bool:
+        return all(state in IDLE for state in self._states) and (bool(self._states) or self._from_start)
+
+    @property
+    def _status_counts(self) -> bool:
+        s = self.seen
+        return not s.unknown and s.status_ns is not None and self._now_ns - s.status_ns < STATUS_FRESH_NS
+
+    @property
+    def _stood_before(self) -> bool:
         """Whether a log that began less than half a second ago may have begun with a standing car."""
-        return not self._from_start and not self.wheels.turned and t_ns - (self._start_ns or 0) < STILL_NS
+        return not self._from_start and not self.wheels.turned and self._now_ns - (self._start_ns or 0) < STILL_NS
 
-    def _strange(self, frame: Frame) -> None:
-        """Safety rule 8: a log does not name senders, so: what nobody on this bus should send."""
-        if frame.can_id in self._strange_ids:
-            self.violation_count += 1
-            return
-        self._strange_ids.add(frame.can_id)
-        kind = "extended " if frame.extended else "remote " if frame.remote else ""
-        self._break("rule 8", f"{kind}identifier 0x{frame.can_id:03X}, which nobody on this bus should send")
 
-    def _rule(self, rule: str, key: str, broken: bool, text: str) -> None:
-        """Record the moment at which a condition turns bad, not every frame for which it stays so."""
-        name = f"{rule} {key}"
-        if not broken:
-            self._broken.discard(name)
-        elif name not in self._broken:
-            self._broken.add(name)
-            self._break(rule, text)
-
-    def _break(self, rule: str, text: str) -> None:
-        self.violation_count += 1
-        if len(self.violations) < _KEPT:
-            t_s = (self._now_ns - (self._start_ns or 0)) / SECOND
-            self.violations.append(f"{t_s:.3f} s: {rule}: {text}")
+def _name(axle: AiDriveFront | AiDriveRear) -> str:
+    return "front" if isinstance(axle, AiDriveFront) else "rear"
 
 
 # ---------------------------------------------------------------- logs
@@ -864,7 +1615,7 @@ def _open(path: Path) -> IO[str]:
 def _parse(line: str) -> Frame:
     stamp, _channel, text, *_direction = line.split()
     seconds, _, fraction = stamp.strip("()").partition(".")
-    t_ns = int(seconds) * SECOND + int(fraction.ljust(9, "0")[:9])
+    t_ns = int(seconds) * S + int(fraction.ljust(9, "0")[:9])
     identifier, sharp, payload = text.partition("#")
     if not sharp:
         raise ValueError(text)

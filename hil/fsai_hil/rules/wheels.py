@@ -69,7 +69,7 @@ class _Stillness:
 
 
 class Wheels:
-    """Feed it with 0x525 and 0x526 in the order of time. `in_flight_ns`, `slack_ns`: see `wire.WireChecker`."""
+    """Feed it with 0x525 and 0x526 in the order of time. `in_flight_ns`, `slack_ns`: see `checker.WireChecker`."""
 
     def __init__(self, pulses_per_rev: int, in_flight_ns: int = 0, slack_ns: int = 0) -> None:
         self.rpm: Rpm | None = None  # the last that surely counts
@@ -77,12 +77,14 @@ class Wheels:
         self.may_count_ns: int | None = None  # the last that may count
         self.open = False  # the last that may count is left open
         self.turned = False  # a wheel has turned, by its speed
+        self.turning_ns: int | None = None  # of the last two pulses of a wheel the older
         self._pulses_per_rev = pulses_per_rev
         self._in_flight_ns, self._slack_ns = in_flight_ns, slack_ns
         self._surely, self._perhaps = _Stillness(), _Stillness()
         self._counts: Rpm | None = None
         self._counts_ns = 0
-        self._pulses: deque[tuple[int, Rpm]] = deque()
+        self._pulse_ns: list[int | None] = [None] * 4  # each wheel's last
+        self._turnings: deque[tuple[int, int]] = deque()  # `turning_ns`, and when it was seen
         self._has_counted = [False] * 4
         self._readings: list[Rpm] = []  # since the last 0x526, and the one before it
         self._reading_ns = 0
@@ -99,13 +101,10 @@ class Wheels:
         steps = tuple((now - then) % _COUNTS for now, then in zip(counts, before, strict=True))
         most = SPEED_MOST_RPM / 60.0 * self._pulses_per_rev * max(t_ns - before_ns, CYCLE_NS) / 1e9 + COUNT_SLACK
         anew = max(steps) > most
-        if not anew and any(steps):
-            self._pulses.append((t_ns, (steps[0], steps[1], steps[2], steps[3])))
-            while self._pulses and t_ns - self._pulses[0][0] >= COUNTED_NS + self._in_flight_ns:
-                self._pulses.popleft()
-            for wheel in range(4):
-                counted = sum(pulses[wheel] for _, pulses in self._pulses)
-                self._has_counted[wheel] = self._has_counted[wheel] or counted >= TURNING_PULSES
+        if not anew:
+            for wheel, step in enumerate(steps):
+                if step:
+                    self._on_pulses(wheel, step, t_ns)
         readings, self._readings = self._readings, self._readings[-1:]
         apart = t_ns - before_ns >= FEEDBACK_STALE_NS or t_ns - self._reading_ns >= FEEDBACK_STALE_NS
         if anew or apart or not readings:
@@ -115,6 +114,17 @@ class Wheels:
         for wheel in range(4):
             seen = [rpm[wheel] for rpm in readings]
             self._compare(wheel, steps[wheel], min(seen), max(seen), dt_s)
+
+    def _on_pulses(self, wheel: int, step: int, t_ns: int) -> None:
+        older_ns = t_ns if step >= TURNING_PULSES else self._pulse_ns[wheel]
+        self._pulse_ns[wheel] = t_ns
+        if older_ns is not None and t_ns - older_ns < COUNTED_NS + self._in_flight_ns:
+            self._has_counted[wheel] = True
+            if self.turning_ns is None or older_ns > self.turning_ns:
+                self.turning_ns = older_ns
+                self._turnings.append((t_ns, older_ns))
+                while len(self._turnings) > 1 and t_ns - self._turnings[1][0] >= self._in_flight_ns:
+                    self._turnings.popleft()
 
     def _compare(self, wheel: int, step: int, least_rpm: int, most_rpm: int, dt_s: float) -> None:
         ahead = self._ahead[wheel]
@@ -139,6 +149,8 @@ class Wheels:
     def on_speeds(self, rpm: Rpm, t_ns: int) -> Belief:
         belief = self._belief(rpm, t_ns)
         if max(rpm) <= SPEED_MOST_RPM:
+            if self._counts is None:
+                self._readings.clear()
             self._readings.append(rpm)
             self._reading_ns = t_ns
         if belief is Belief.NO:
@@ -176,10 +188,14 @@ class Wheels:
 
     def counting(self, now_ns: int) -> bool:
         """A count has advanced by two pulses or more within the last 0.5 s: its wheel turns."""
-        while self._pulses and now_ns - self._pulses[0][0] >= COUNTED_NS - self._slack_ns:
-            self._pulses.popleft()
-        seen = [pulses for t_ns, pulses in self._pulses if now_ns - t_ns >= self._in_flight_ns]
-        return any(sum(wheel) >= TURNING_PULSES for wheel in zip(*seen, strict=True))
+        turning_ns = self.turning_ns
+        if self._in_flight_ns and self._turnings:
+            while len(self._turnings) > 1 and now_ns - self._turnings[1][0] >= self._in_flight_ns:
+                self._turnings.popleft()
+            seen_ns, turning_ns = self._turnings[0]
+            if now_ns - seen_ns < self._in_flight_ns:
+                return False
+        return turning_ns is not None and now_ns - turning_ns < COUNTED_NS - self._slack_ns
 
     def may_stand(self, now_ns: int) -> bool:
         """Whether a careful reader may take the car to stand (safety rule 3)."""
@@ -188,3 +204,29 @@ class Wheels:
     def surely_stand(self, now_ns: int) -> bool:
         """Whether every reader knows that it does."""
         return self._surely.proven(now_ns, 0, 0) and not self.counting(now_ns)
+
+    # ------------------------------------------------------------ as a value
+
+    def saved(self, now_ns: int) -> tuple[Rpm | None, tuple[int, int, int, int]]:
+        """The last speeds, and in ns, below 0 for never: how old they are, the last that may count, for how long the
+        wheels stood until then, and since when none turned. Of the pulse counts that is all.
+        """
+        turning_ns = -1 if self.turning_ns is None else now_ns - self.turning_ns
+        if turning_ns >= COUNTED_NS:
+            turning_ns = -1
+        if self.believed_ns is None or self.may_count_ns is None:
+            return None, (-1, -1, -1, turning_ns)
+        since_ns, age_ns = self._surely.since_ns, now_ns - self.may_count_ns
+        still_ns = -1 if since_ns is None or age_ns >= SPEEDS_FRESH_NS else self.may_count_ns - since_ns
+        return self.rpm, (now_ns - self.believed_ns, age_ns, still_ns, turning_ns)
+
+    def load(self, rpm: Rpm | None, ages: tuple[int, int, int, int], now_ns: int) -> None:
+        """Put back what was saved."""
+        believed_ns, age_ns, still_ns, turning_ns = ages
+        self.rpm = rpm
+        self.believed_ns = None if believed_ns < 0 else now_ns - believed_ns
+        self.may_count_ns = None if age_ns < 0 else now_ns - age_ns
+        self.turning_ns = None if turning_ns < 0 else now_ns - turning_ns
+        for stillness in (self._surely, self._perhaps):
+            stillness.newest_ns = self.may_count_ns
+            stillness.since_ns = None if still_ns < 0 else now_ns - age_ns - still_ns
