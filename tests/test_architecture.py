@@ -46,7 +46,7 @@ ARROWS: dict[str, set[str]] = {
     "fsai_nodes.sensor_simulator": {"fsai_nodes", "fsai_hil.simulator"},
     "fsai_hil": set(),
     "fsai_hil.vcan": {"fsai_hil"},
-    "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.statistics"},
+    "fsai_hil.rules": {"fsai_vcu.core", "fsai_vcu.interface", f"{DIAGNOSTICS}.log", f"{DIAGNOSTICS}.statistics"},
     "fsai_hil.simulator": {"fsai_hil.rules", "fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime"},
     "fsai_hil.evidence": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_vcu"},
     "fsai_hil.rehearsal": {"fsai_hil", "fsai_hil.rules", "fsai_hil.simulator", "fsai_hil.vcan", "fsai_vcu"},

@@ -236,7 +236,7 @@ def test_a_lost_bus_ends_the_run_by_two_guards_of_which_either_is_enough() -> No
 
 
 def test_there_is_a_seed_for_every_rule_and_every_seed_names_a_scope_that_exists() -> None:
-    assert {seed.rule for seed in SEEDS} == set(RULES)
+    assert {seed.rule for seed in SEEDS} == set(RULES) - {"interval"}  # the times of sends are not searched
     assert {seed.scope for seed in SEEDS if seed.scope or not seed.shows_in_fuzz} <= {one.name for one in all_scopes()}
     assert len({seed.name for seed in SEEDS}) == len(SEEDS)
 

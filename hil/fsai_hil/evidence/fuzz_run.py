@@ -17,8 +17,9 @@ from functools import cache
 from typing import Any, Final
 
 from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, Setup
-from fsai_hil.rules.checker import Process, WireChecker
+from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
+from fsai_hil.rules.seen import Process
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand

@@ -31,7 +31,7 @@ from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.evidence.search import Move
-from fsai_hil.rules.checker import EDGES, Process, WireChecker
+from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import (
     BACKLOG_NS,
     CAR_PATIENCE_NS,
@@ -39,6 +39,7 @@ from fsai_hil.rules.numbers import (
     MS,
     S,
 )
+from fsai_hil.rules.seen import EDGES, Process
 from fsai_hil.rules.violation import Violation
 from fsai_hil.simulator.as_machine import Situation, Table, taken, transition_table
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile

@@ -14,22 +14,18 @@ it yields is what is wrong. The clauses are those of the safety rules, the numbe
 
 from __future__ import annotations
 
-import gzip
 import math
 import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
-from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import Any, Final
 
 from fsai_hil.rules.numbers import (
     CAR_PATIENCE_NS,
     COMMAND_FRESH_NS,
     COMMAND_LOST_NS,
-    COUNTED_NS,
     CYCLE_GAP_NS,
     CYCLE_NS,
     DATA_FRESH_NS,
@@ -50,26 +46,24 @@ from fsai_hil.rules.numbers import (
     POWER_CYCLE_NS,
     READY_SEEN_NS,
     SEND_LOST_NS,
-    SPEED_JUMP_NS,
-    SPEEDS_FRESH_NS,
     STATUS_FRESH_NS,
     STATUS_LOST_NS,
     STILL_NS,
     STILL_RPM,
-    STOP_CYCLES,
-    STOP_TIMEOUT_NS,
     S,
     constant_power_nm,
 )
 from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.rules.seen import NOBODY, Order, Process, Seen, marks_of, plain_of, put_plain, put_times, times_of
 from fsai_hil.rules.violation import Violation
 from fsai_hil.rules.wheels import Belief, Wheels
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.codec import Codec, Decoded
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import (
     AiBrake,
@@ -78,7 +72,6 @@ from fsai_vcu.interface.images import (
     AiImage,
     AiStatus,
     AiSteer,
-    Faults,
     Image,
     VcuBrake,
     VcuDriveFront,
@@ -112,146 +105,15 @@ ROLES: Final = frozenset(("planner", "controller"))
 OFF: Final = (AsState.AS_INIT, AsState.AS_OFF)
 IDLE: Final = (*OFF, AsState.AS_READY)
 UNBRAKED: Final = (*OFF, AsState.EMERGENCY_BRAKE)  # output table: the car holds or brakes itself there
+_OFF_SEEN, _READY_SEEN, _WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
 STATUS_ID: Final = 0x520
 RESTART_GAP_NS: Final = 150 * MS  # a process that starts listens for 200 ms before its first frame
 STEER_STEP_DEG: Final = 0.1  # interface specification v4.0: the signals' resolution
 BRAKE_STEP_PCT: Final = 0.5
 LONGEST_TURN_NS: Final = 2 * CYCLE_NS  # after a longer pause nobody turns by all that was missed
 TINY: Final = 1e-6  # of a float
-_OFF_SEEN, _READY_SEEN, _WHOLE = 1, 2, 3  # how far AS_OFF, AS_READY, AS_DRIVING were seen in turn
-_NOBODY: Final[frozenset[str]] = frozenset()
-_KEPT: Final = 1000  # violations kept as text; all are counted
-_NEVER: Final = -1
-
-
-class Order(NamedTuple):
-    """What a command in order asks for."""
-
-    steer_deg: float
-    throttle: float
-    brake: float
-    speed_limit_mps: float
-    finished: bool
-    estop: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Process:
-    """The process behind the frames, of which it is told what it is told: what the rules name of its configuration.
-
-    `nothing_hidden`: what a plausibility check finds is told as well, so that every stop has its reason.
-    """
-
-    listen_only: bool = False
-    autonomous_at_power_up: bool = False
-    service_brake_pct: float = 80.0  # what a stop is made with
-    stop_cycles: int = STOP_CYCLES
-    stop_timeout_ns: int = STOP_TIMEOUT_NS
-    nothing_hidden: bool = False
-
-
-@dataclass(slots=True)
-class Seen:
-    """What has been seen on the bus and heard from people, as a value: no part of it is ever changed in place.
-
-    Times are ns; None: never. What the wheels say is in `Wheels`.
-    """
-
-    # what the car said
-    as_state: AsState | None = None
-    go: bool = False
-    fault: bool = False
-    status_ns: int | None = None
-    heard_ns: int | None = None  # any 0x520, believed or not
-    unknown: bool = False  # the last 0x520 is none that anybody knows
-    silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
-    marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
-    handshake: bool | None = None
-    mission: Ami = Ami.NOT_SELECTED
-    ready_ns: int | None = None  # since when it has been AS_READY
-    waited: bool = False  # for 5 s before Go
-    path: int = 0
-    driving_ns: int | None = None  # None: not driving, or since before the log began
-    turned: tuple[int, str] | None = None  # what ended the drive by turning, and when
-    angle_deg: float = 0.0
-    angle_max_deg: float | None = None
-    steer_ns: int | None = None
-    front_max_nm: float | None = None
-    front_ns: int | None = None
-    rear_max_nm: float | None = None
-    rear_ns: int | None = None
-    # what people and the planner said
-    autonomous: bool = False
-    power_up: bool = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
-    confirmed: frozenset[str] = _NOBODY  # who has reset himself for this mission
-    acknowledged: bool = False  # SELECTED went out whole for it
-    latched: bool = False  # an emergency: granted, or seen on the wire
-    order: Order | None = None  # the newest command in order
-    command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
-    pedals_ns: int | None = None  # since when every command has asked for both
-    # what went wrong
-    alarm: str | None = None  # why an emergency is due in this run
-    stopped: str | None = None  # why torque is over in this run
-    stopped_ns: int = 0
-    steer_odd_ns: int | None = None
-    wheel_odd_ns: int | None = None
-    restarted: bool = True  # the process is new and has not seen AS_OFF yet
-    bus_gone: bool = False
-    reopening: bool = False  # the bus is back, and the car has not been heard on it
-    back_ns: int | None = None  # what could not be heard before then is not missing
-    ended: int | None = None  # cycles sent since the software was told to stop
-    # what went out
-    began_ns: int | None = None  # the first cycle, sent or not
-    complete_ns: int | None = None  # the last cycle that went out whole, or the first that was tried
-    torque_nm: tuple[float, float] = (0.0, 0.0)  # front and rear, as the VCU has last seen them
-    brake_pct: tuple[float, float] = (0.0, 0.0)
-    braked_pct: float = 0.0  # what this process asked for last
-    torque_may_be_there: bool = True
-    torque_runs: bool = False
-    zeros: int = 0  # complete cycles with both at zero; 2 means more
-    echoed: bool = False  # and the newest 0x524, after them, says so
-    steer_deg: float = 0.0
-    steered_ns: int | None = None
-    whole: bool = True  # the last cycle that was made went out whole
-
-
-# The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
-_EDGES: Final[Mapping[str, tuple[int, ...]]] = {
-    "status_ns": (STATUS_FRESH_NS, STATUS_LOST_NS),
-    "heard_ns": (POWER_CYCLE_NS - CYCLE_NS, POWER_CYCLE_NS),
-    "ready_ns": (READY_SEEN_NS,),
-    "driving_ns": (LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS),
-    "steer_ns": (FEEDBACK_STALE_NS, FEEDBACK_LOST_NS),
-    "front_ns": (FEEDBACK_STALE_NS,),
-    "rear_ns": (FEEDBACK_STALE_NS,),
-    "command_ns": (COMMAND_FRESH_NS, COMMAND_LOST_NS),
-    "pedals_ns": (PEDALS_NS,),
-    "steer_odd_ns": (ODD_NS, ODD_LOST_NS),
-    "wheel_odd_ns": (ODD_NS, ODD_LOST_NS),
-    "back_ns": (STATUS_LOST_NS, FEEDBACK_LOST_NS),
-    "began_ns": (LISTEN_FIRST_NS,),
-    "complete_ns": (SEND_LOST_NS,),
-    "steered_ns": (),
-}
-EDGES: Final = (
-    *_EDGES.values(),
-    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
-    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
-    (STILL_NS,),
-    (COUNTED_NS,),
-)
-"""The ages at which each clock of `WireChecker.saved` matters."""
-_PLAIN: Final = (
-    "as_state", "go", "fault", "unknown", "silent", "marks", "handshake", "mission", "waited", "path", "angle_max_deg",
-    "front_max_nm", "rear_max_nm", "autonomous", "power_up", "confirmed", "acknowledged", "latched", "order", "alarm",
-    "stopped", "restarted", "bus_gone", "reopening", "ended", "torque_nm", "brake_pct", "braked_pct",
-    "torque_may_be_there", "torque_runs", "zeros", "echoed", "steer_deg", "whole",
-)  # fmt: skip
-_plain_of, _times_of = attrgetter(*_PLAIN), attrgetter(*_EDGES)
-_put_plain = [getattr(Seen, name).__set__ for name in _PLAIN]
-_put_times = [getattr(Seen, name).__set__ for name in _EDGES]
-
 Saved = tuple[tuple[object, ...], tuple[int, ...]]
+_KEPT: Final = 1000  # violations kept as text; all are counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,24 +168,6 @@ class _Cycle:
     torque: bool = False
     brake: bool = False
     motor_rpm: int = 0
-
-
-def marks_of(status: VcuStatus) -> frozenset[str]:
-    """What of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
-    cause = status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN
-    return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause)
-
-
-@lru_cache
-def _marks(as_switch: bool, ts_switch: bool, shutdown: bool, faults: Faults, cause: bool) -> frozenset[str]:
-    shown = {
-        "AS_SWITCH_STATUS falls": not as_switch,
-        "TS_SWITCH_STATUS falls": not ts_switch,
-        "SHUTDOWN_REQUEST rises": shutdown,
-        "SHUTDOWN_CAUSE rises": cause,
-        **{f"fault bit {name} rises": getattr(faults, name) for name in Faults.__dataclass_fields__},
-    }
-    return frozenset(mark for mark, there in shown.items() if there)
 
 
 Check = Callable[["WireChecker", Any], Iterator[str]]
@@ -384,6 +228,7 @@ class WireChecker:
         self.violation_count = 0
         self.responses = ResponseTimes()
         self._codec = codec
+        self._known_ids = frozenset(message.frame_id for message in codec.database.messages)
         self._process = process
         self._all_told = process is not None and process.nothing_hidden
         self._slack_ns = clock_slack_ns
@@ -510,16 +355,16 @@ class WireChecker:
         """
         self._forget(now_ns, data_may_be_lost)
         rpm, wheel_ages = self.wheels.saved(now_ns)
-        ages = [_NEVER if t_ns is None else now_ns - t_ns for t_ns in _times_of(self.seen)]
-        return (rpm, *_plain_of(self.seen)), (*ages, *wheel_ages)
+        ages = [-1 if t_ns is None else now_ns - t_ns for t_ns in times_of(self.seen)]
+        return (rpm, *plain_of(self.seen)), (*ages, *wheel_ages)
 
     def load(self, saved: Saved, now_ns: int) -> None:
         """Put back what was saved."""
         (rpm, *plain), ages = saved
         seen = self.seen
-        for put, value in zip(_put_plain, plain, strict=True):
+        for put, value in zip(put_plain, plain, strict=True):
             put(seen, value)
-        for put, age in zip(_put_times, ages, strict=False):
+        for put, age in zip(put_times, ages, strict=False):
             put(seen, None if age < 0 else now_ns - age)
         seen.turned, self._was_off, self._cycle_ns, self._toggle = None, False, None, None
         self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
@@ -527,7 +372,7 @@ class WireChecker:
     def _forget(self, now_ns: int, data_may_be_lost: bool) -> None:
         s = self.seen
         driving = s.as_state is AsState.AS_DRIVING
-        age_ns = _NEVER if s.command_ns is None else now_ns - s.command_ns
+        age_ns = -1 if s.command_ns is None else now_ns - s.command_ns
         if not driving or s.latched or not s.autonomous or (s.stopped and age_ns >= COMMAND_FRESH_NS):
             s.order = s.command_ns = None  # no command counts any more
         elif age_ns >= COMMAND_FRESH_NS:
@@ -571,7 +416,7 @@ class WireChecker:
         if frame.error:
             self._error_frames += 1
             return None
-        if frame.extended or frame.remote or not self._codec.knows(frame.can_id):
+        if frame.extended or frame.remote or frame.can_id not in self._known_ids:
             self._strange(frame)
             return None
         return self.on_decoded(frame.can_id, self._codec.decode(frame), frame.t_ns)
@@ -659,8 +504,7 @@ class WireChecker:
         s.handshake = bit
         if self._handshake_in_flight_ns:
             if "bit" not in self._late:
-                self._note("bit", t_ns - self._handshake_in_flight_ns, False, self._handshake_in_flight_ns)
-                self._late["bit"][0] = (t_ns - CAR_PATIENCE_NS, False)  # before it there was nothing to echo
+                self._late["bit"] = deque([(t_ns, False)])  # before the first one there was nothing to echo
             self._note("bit", t_ns, bit, self._handshake_in_flight_ns)
 
     def _on_status(self, status: VcuStatus, t_ns: int) -> None:
@@ -671,7 +515,7 @@ class WireChecker:
         self._was_off = self._was_off or state in OFF
         entered_off = state in OFF and not first and (s.as_state not in OFF or s.silent)
         if entered_off or (status.ami is not s.mission and (state in IDLE or first)):
-            s.mission, s.confirmed, s.acknowledged = status.ami, _NOBODY, unjudged
+            s.mission, s.confirmed, s.acknowledged = status.ami, NOBODY, unjudged
             s.order, s.command_ns = None, None  # of the run before
         anew = s.silent or state is not s.as_state
         self._follow_path(status, anew, unjudged, t_ns)
@@ -1590,42 +1434,14 @@ def _name(axle: AiDriveFront | AiDriveRear) -> str:
 # ---------------------------------------------------------------- logs
 
 
-class LogError(ValueError):
-    """A line that is not of a candump log."""
-
-
 def read_candump(path: Path | str) -> Iterator[Frame]:
-    """The frames of a `candump -L` log (plain or .gz), with their times in nanoseconds. Raises LogError, OSError."""
-    path = Path(path)
-    with _open(path) as lines:
-        for number, line in enumerate(lines, start=1):
-            if line.strip():
-                try:
-                    yield _parse(line)
-                except (ValueError, IndexError):
-                    raise LogError(f"{path}:{number}: not a line of a candump log: {line.strip()[:80]}") from None
-
-
-def _open(path: Path) -> IO[str]:
-    if path.suffix == ".gz":
-        return gzip.open(path, "rt", errors="replace")
-    return path.open(errors="replace")
-
-
-def _parse(line: str) -> Frame:
-    stamp, _channel, text, *_direction = line.split()
-    seconds, _, fraction = stamp.strip("()").partition(".")
-    t_ns = int(seconds) * S + int(fraction.ljust(9, "0")[:9])
-    identifier, sharp, payload = text.partition("#")
-    if not sharp:
-        raise ValueError(text)
-    number = int(identifier, 16)
-    extended = len(identifier) > 3
-    if extended and number & 0x2000_0000:  # CAN_ERR_FLAG of SocketCAN
-        return Frame(number & 0x1FFF_FFFF, bytes.fromhex(payload), t_ns, error=True)
-    if payload.startswith("R"):
-        return Frame(number, b"", t_ns, extended=extended, remote=True)
-    return Frame(number, bytes.fromhex(payload), t_ns, extended=extended)
+    """The frames of a log, with their times in nanoseconds. Raises LogError, also for what cannot be read of it."""
+    with open_log(path) as log:
+        for one in log.frames():
+            flags = {"extended": one.extended, "remote": one.remote, "error": one.error}
+            yield Frame(one.can_id, one.data, one.t_ns, **flags)
+        if log.problems:
+            raise LogError(log.problems.summary())
 
 
 def check_candump(path: Path | str, codec: Codec, *, busy_machine: bool = False) -> WireReport:
