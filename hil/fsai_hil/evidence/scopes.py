@@ -347,10 +347,11 @@ def _plausibility() -> Scope:
 
 def _limits() -> Scope:
     steering = product(("drive", "drive right"), (30.0, 5.0))
-    speeds = [
-        ((300, 0, 0, 501), 195.0),
-        ((401, 0, 601, 0), 195.0),
-        ((0, 701, 0, 301), 195.0),
+    speeds = [  # no more than 300 rpm from one to the next: else they are not believed
+        ((450, 450, 450, 450), 195.0),
+        ((450, 300, 300, 501), 195.0),
+        ((401, 300, 601, 450), 195.0),
+        ((450, 701, 450, 401), 195.0),
         (MOVING, 40.0),
         (MOVING, 0.0),
     ]
