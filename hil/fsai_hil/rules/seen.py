@@ -1,0 +1,183 @@
+"""What the checker of the rules has seen on the bus and heard from people, as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from operator import attrgetter
+from typing import Final, NamedTuple
+
+from fsai_hil.rules.numbers import (
+    COMMAND_FRESH_NS,
+    COMMAND_LOST_NS,
+    COUNTED_NS,
+    CYCLE_NS,
+    FEEDBACK_LOST_NS,
+    FEEDBACK_STALE_NS,
+    LAUNCH_NS,
+    LISTEN_FIRST_NS,
+    ODD_LOST_NS,
+    ODD_NS,
+    PEDALS_NS,
+    POWER_CYCLE_NS,
+    READY_SEEN_NS,
+    SEND_LOST_NS,
+    SPEED_JUMP_NS,
+    SPEEDS_FRESH_NS,
+    STATUS_FRESH_NS,
+    STATUS_LOST_NS,
+    STILL_NS,
+    STOP_CYCLES,
+    STOP_TIMEOUT_NS,
+)
+from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
+from fsai_vcu.interface.images import Faults, VcuStatus
+
+NOBODY: Final[frozenset[str]] = frozenset()
+
+
+class Order(NamedTuple):
+    """What a command in order asks for."""
+
+    steer_deg: float
+    throttle: float
+    brake: float
+    speed_limit_mps: float
+    finished: bool
+    estop: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """The process behind the frames, of which it is told what it is told: what the rules name of its configuration.
+
+    `nothing_hidden`: what a plausibility check finds is told as well, so that every stop has its reason.
+    """
+
+    listen_only: bool = False
+    autonomous_at_power_up: bool = False
+    service_brake_pct: float = 80.0  # what a stop is made with
+    stop_cycles: int = STOP_CYCLES
+    stop_timeout_ns: int = STOP_TIMEOUT_NS
+    nothing_hidden: bool = False
+
+
+@dataclass(slots=True)
+class Seen:
+    """What has been seen on the bus and heard from people, as a value: no part of it is ever changed in place.
+
+    Times are ns; None: never. What the wheels say is in `Wheels`.
+    """
+
+    # what the car said
+    as_state: AsState | None = None
+    go: bool = False
+    fault: bool = False
+    status_ns: int | None = None
+    heard_ns: int | None = None  # any 0x520, believed or not
+    unknown: bool = False  # the last 0x520 is none that anybody knows
+    silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
+    marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
+    handshake: bool | None = None
+    mission: Ami = Ami.NOT_SELECTED
+    ready_ns: int | None = None  # since when it has been AS_READY
+    waited: bool = False  # for 5 s before Go
+    path: int = 0
+    driving_ns: int | None = None  # None: not driving, or since before the log began
+    turned: tuple[int, str] | None = None  # what ended the drive by turning, and when
+    angle_deg: float = 0.0
+    angle_max_deg: float | None = None
+    steer_ns: int | None = None
+    front_max_nm: float | None = None
+    front_ns: int | None = None
+    rear_max_nm: float | None = None
+    rear_ns: int | None = None
+    # what people and the planner said
+    autonomous: bool = False
+    power_up: bool = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
+    confirmed: frozenset[str] = NOBODY  # who has reset himself for this mission
+    acknowledged: bool = False  # SELECTED went out whole for it
+    latched: bool = False  # an emergency: granted, or seen on the wire
+    order: Order | None = None  # the newest command in order
+    command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
+    pedals_ns: int | None = None  # since when every command has asked for both
+    # what went wrong
+    alarm: str | None = None  # why an emergency is due in this run
+    stopped: str | None = None  # why torque is over in this run
+    stopped_ns: int = 0
+    steer_odd_ns: int | None = None
+    wheel_odd_ns: int | None = None
+    restarted: bool = True  # the process is new and has not seen AS_OFF yet
+    bus_gone: bool = False
+    reopening: bool = False  # the bus is back, and the car has not been heard on it
+    back_ns: int | None = None  # what could not be heard before then is not missing
+    ended: int | None = None  # cycles sent since the software was told to stop
+    # what went out
+    began_ns: int | None = None  # the first cycle, sent or not
+    complete_ns: int | None = None  # the last cycle that went out whole, or the first that was tried
+    torque_nm: tuple[float, float] = (0.0, 0.0)  # front and rear, as the VCU has last seen them
+    brake_pct: tuple[float, float] = (0.0, 0.0)
+    braked_pct: float = 0.0  # what this process asked for last
+    torque_may_be_there: bool = True
+    torque_runs: bool = False
+    zeros: int = 0  # complete cycles with both at zero; 2 means more
+    echoed: bool = False  # and the newest 0x524, after them, says so
+    steer_deg: float = 0.0
+    steered_ns: int | None = None
+    whole: bool = True  # the last cycle that was made went out whole
+
+
+# The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
+TIMES: Final[Mapping[str, tuple[int, ...]]] = {
+    "status_ns": (STATUS_FRESH_NS, STATUS_LOST_NS),
+    "heard_ns": (POWER_CYCLE_NS - CYCLE_NS, POWER_CYCLE_NS),
+    "ready_ns": (READY_SEEN_NS,),
+    "driving_ns": (LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS),
+    "steer_ns": (FEEDBACK_STALE_NS, FEEDBACK_LOST_NS),
+    "front_ns": (FEEDBACK_STALE_NS,),
+    "rear_ns": (FEEDBACK_STALE_NS,),
+    "command_ns": (COMMAND_FRESH_NS, COMMAND_LOST_NS),
+    "pedals_ns": (PEDALS_NS,),
+    "steer_odd_ns": (ODD_NS, ODD_LOST_NS),
+    "wheel_odd_ns": (ODD_NS, ODD_LOST_NS),
+    "back_ns": (STATUS_LOST_NS, FEEDBACK_LOST_NS),
+    "began_ns": (LISTEN_FIRST_NS,),
+    "complete_ns": (SEND_LOST_NS,),
+    "steered_ns": (),
+}
+EDGES: Final = (
+    *TIMES.values(),
+    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
+    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
+    (STILL_NS,),
+    (COUNTED_NS,),
+)
+"""The ages at which each clock of `WireChecker.saved` matters."""
+PLAIN: Final = (
+    "as_state", "go", "fault", "unknown", "silent", "marks", "handshake", "mission", "waited", "path", "angle_max_deg",
+    "front_max_nm", "rear_max_nm", "autonomous", "power_up", "confirmed", "acknowledged", "latched", "order", "alarm",
+    "stopped", "restarted", "bus_gone", "reopening", "ended", "torque_nm", "brake_pct", "braked_pct",
+    "torque_may_be_there", "torque_runs", "zeros", "echoed", "steer_deg", "whole",
+)  # fmt: skip
+plain_of, times_of = attrgetter(*PLAIN), attrgetter(*TIMES)
+put_plain = [getattr(Seen, name).__set__ for name in PLAIN]
+put_times = [getattr(Seen, name).__set__ for name in TIMES]
+
+
+def marks_of(status: VcuStatus) -> frozenset[str]:
+    """What of 0x520 ends a drive by turning up in AS_DRIVING, though FAULT_STATUS stays 0."""
+    cause = status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN
+    return _marks(status.as_switch, status.ts_switch, status.shutdown_request, status.faults, cause)
+
+
+@lru_cache
+def _marks(as_switch: bool, ts_switch: bool, shutdown: bool, faults: Faults, cause: bool) -> frozenset[str]:
+    shown = {
+        "AS_SWITCH_STATUS falls": not as_switch,
+        "TS_SWITCH_STATUS falls": not ts_switch,
+        "SHUTDOWN_REQUEST rises": shutdown,
+        "SHUTDOWN_CAUSE rises": cause,
+        **{f"fault bit {name} rises": getattr(faults, name) for name in Faults.__dataclass_fields__},
+    }
+    return frozenset(mark for mark, there in shown.items() if there)
