@@ -637,7 +637,7 @@ class WireChecker:
         """No more frames of this cycle come; else the next one's first says so. `made`: it was to be sent at all."""
         s, cycle = self.seen, self._cycle
         complete = tuple(cycle.ids) == AI_IDS
-        drives = AI_IDS[1] in cycle.ids or AI_IDS[2] in cycle.ids
+        drives = AI_IDS[1] in cycle.ids and AI_IDS[2] in cycle.ids
         if cycle.ids and not complete:
             self._incomplete += 1
         if complete:
