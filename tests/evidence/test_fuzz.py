@@ -239,7 +239,8 @@ def test_replay_tells_and_its_status_says_whether_a_rule_is_broken(
     assert "estop_request True" in capsys.readouterr().out
     with patched(gating, "constant_power_nm", lambda rpm: 195.0):
         path.write_text(
-            Case("2026", "moving", (event("wheels", rpm=[800] * 4), event("command", throttle=1.0),
+            Case("2026", "moving", (event("wheels", rpm=[290] * 4), event("run", cycles=2),  # as fast as a tyre follows
+                                    event("wheels", rpm=[580] * 4), event("command", throttle=1.0),
                                     event("run", cycles=5))).text()
         )  # fmt: skip
         assert command.main(["--replay", str(path)]) == 1
