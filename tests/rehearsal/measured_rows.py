@@ -30,6 +30,7 @@ def row(name: str = "idle", response_ns: Iterable[int] = range(MS, 3 * MS, 1000)
         "bus_load_pct": 25.0,
         "machine_stalls_ms": [],
         "ended_early": "",
+        "stood": "",
         "peer": {"response": slower, "wire": slower, "comms_losses": 0},
         **changes,
     }

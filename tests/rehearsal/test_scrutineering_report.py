@@ -50,12 +50,18 @@ def test_a_condition_that_could_not_be_measured_is_no_pass_and_spoils_no_other()
     assert "| idle | 2000 |" in markdown(whole)
 
 
-def test_a_car_braked_to_rest_is_measured_and_is_no_pass() -> None:
-    whole = measured(row("driving-busy", ended_early="the car went to AS_FINISHED (the command is stale)"))
+def test_a_condition_that_ended_early_is_no_pass() -> None:
+    whole = measured(row("driving-busy", ended_early="the car went to AS_OFF"))
     assert failures(whole) == []
     (left_out,) = not_measured(whole)
-    assert left_out == "driving-busy after 20 s (the car went to AS_FINISHED (the command is stale))"
+    assert left_out == "driving-busy after 20 s (the car went to AS_OFF)"
     assert verdict(whole).startswith("INCOMPLETE")
+
+
+def test_a_car_braked_to_rest_is_measured_on_and_it_is_said() -> None:
+    whole = measured(row("driving-busy", stood="drove 6 s, then stood: the command is stale"))
+    assert verdict(whole).startswith("PASS") and not_measured(whole) == []
+    assert "(drove 6 s, then stood: the command is stale)" in markdown(whole)
 
 
 @pytest.mark.parametrize(

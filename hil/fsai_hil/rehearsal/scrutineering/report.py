@@ -174,7 +174,7 @@ def _table(rows: Sequence[Mapping[str, Any]], key: str) -> str:
 
 def _legend(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = [
-        f"- **{row['name']}**: {row['words']}" + (f" ({row['ended_early']})" if row["ended_early"] else "")
+        f"- **{row['name']}**: {row['words']}" + (f" ({note})" if (note := row["ended_early"] or row["stood"]) else "")
         for row in rows
     ]
     notes = []
