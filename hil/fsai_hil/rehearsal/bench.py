@@ -60,7 +60,7 @@ TRACKDRIVE_LAPS = 1
 _FROM_THE_CAR = tuple(range(0x520, 0x527))
 NODE_START = "start bridge node"
 NODE_START_WALL = f"{NODE_START}, wall"
-NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/stated.py)
+NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/recovery_times.py)
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
 
 
