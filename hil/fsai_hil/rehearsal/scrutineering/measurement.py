@@ -347,9 +347,8 @@ class Measurement:
             "ended_early": ended,
             "stood": stood,
         }
-        self._say(
-            f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{f'; {ended or stood}' if ended or stood else ''}"
-        )
+        note = f"; {ended or stood}" if ended or stood else ""
+        self._say(f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{note}")
 
     def _start_log(self, stack: Stack) -> None:
         """One log for each power-up of the car, from before its first frame: the rules need what was before."""
