@@ -11,7 +11,7 @@ complete cycle with zero has gone out.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -22,7 +22,7 @@ from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of,
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VehicleState, WheelSpeeds
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.immutable import Immutable, replace
 from fsai_vcu.interface.revisions import Revision
 
 AXLE_TORQUE_MAX_NM = 195.0  # interface specification v4.0: AXLE_TRQ_REQUEST 0 to 195 Nm

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Final
 
-from fsai_hil.evidence.model import Composition, Scope, State, patched, swift_copies
+from fsai_hil.evidence.model import Composition, Scope, State, patched
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
@@ -115,10 +115,11 @@ def _go_on_counts(original: Callable[..., Any], config: Any, state: Any, status:
 
 def _cut_short_counts(original: Callable[..., Any], instance: Any, complete: bool, now_ns: int) -> None:
     original(instance, complete, now_ns)
-    if instance._asked.mission_status is MissionStatus.SELECTED:
-        run_id = instance._decision.run_id
-        instance._state = supervisor.on_selected_sent(instance._state, run_id)
-        instance._gate = replace(instance._gate, acknowledged_run_id=run_id)
+    state = instance.state
+    if state.asked.mission_status is MissionStatus.SELECTED:
+        run_id = state.decision.run_id
+        selected = supervisor.on_selected_sent(state.supervisor, run_id)
+        instance.state = replace(state, supervisor=selected, gate=replace(state.gate, acknowledged_run_id=run_id))
 
 
 def _gate_knows(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any, vehicle: Any,
@@ -184,7 +185,7 @@ def _sends_all_the_same(original: Callable[..., Any], instance: Any, now_ns: int
 
 def _loses_nothing(original: Callable[..., Any], instance: Any, why: str, now_ns: int) -> None:
     original(instance, why, now_ns)
-    instance._bus_lost = None
+    instance.state = replace(instance.state, bus_lost=None)
 
 
 def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, command: Any, t_ns: int = 0) -> Any:
@@ -585,7 +586,7 @@ def sown(seed: Seed) -> Iterator[Scope]:
 
 def search_seed(seed: Seed) -> tuple[Search[State], list[str]]:
     """Search the seed's scope for its rule alone: what was found, and its trace in words."""
-    with swift_copies(), sown(seed) as searched:
+    with sown(seed) as searched:
         model = Composition(searched, seed.rule)
         found = explore(model, bounds_ns=searched.bounds_ns)
         return found, model.told(found.trace)
