@@ -58,7 +58,7 @@ _OF_ITSELF: Final[Mapping[str, str]] = {
     "asked": "each cycle makes its own",
     "speeds_doubt": "words",
     "belief": "follows from the wheel speeds believed last: counts are not sent",
-    "vehicle": "what the bridge looks at of it: `_said`",
+    "vehicle": "what the bridge looks at of it: `_said`; the supervisor knows when 0x520 and 0x525 came",
     "steering": "since when it is implausible: the check is the environment's choice",
     "wheels": "since when one is implausible: the check is the environment's choice",
     "command": "what may still be obeyed of it: `_command`",
@@ -67,21 +67,13 @@ _STEERED_STOP, _HELD_STOP = Latch(Asked.MISSION_DONE, 0), Latch(Asked.MANUAL, 0)
 _EMERGENCY: Final = Latch(Asked.OPERATOR, 0)
 _SPENT: Final = (0.0, 0.0, 0.0, 0.0, False, False)  # a command that can only be lost
 _ZERO_NS, _ECHO_NS = 0, 1  # an echo that is newer than the first zero cycle, both long ago
-_INSIDE: Final = (
-    "stop",
-    "steering",
-    "wheels",
-    "status",
-    "speeds",
-    "steer",
-    "axles",
-)  # times within what is written out
+_INSIDE: Final = ("stop", "steering", "wheels", "steer", "axles")  # times that are written out
 
 
 def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
     """The ages at which each time matters. A gap that is seen when a frame comes has its edge a cycle earlier too."""
     vcu = (c.vcu_stale_ns, c.vcu_lost_ns)
-    speeds = (c.feedback_stale_ns - CYCLE_NS, c.feedback_stale_ns, c.feedback_lost_ns)
+    jump = (c.wheel_jump_ns - CYCLE_NS, c.wheel_jump_ns)
     implausible = (c.implausible_ns, c.implausible_lost_ns)
     return {
         "status_ns": vcu,
@@ -92,7 +84,7 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
             c.launch_wait_ns + c.command_stale_ns,
             c.launch_wait_ns + c.command_lost_ns,
         ),
-        "speeds_ns": speeds,
+        "speeds_ns": (c.feedback_stale_ns - CYCLE_NS, c.feedback_stale_ns, c.feedback_lost_ns, *jump),
         "still_since_ns": (c.standstill_ns,),
         "turning_ns": (c.standstill_ns,),
         "stop_window_ns": (c.stop_window_ns,),
@@ -105,8 +97,6 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
         "stop": (c.stop_timeout_ns,),
         "steering": implausible,
         "wheels": implausible,
-        "status": vcu,
-        "speeds": (*speeds, c.wheel_jump_ns - CYCLE_NS, c.wheel_jump_ns),
         "steer": (c.feedback_stale_ns, c.feedback_lost_ns),
         "axles": (c.feedback_stale_ns,),
     }
@@ -164,7 +154,7 @@ class Abstraction:
             command_ns=_NO_TIME if command_ns is None else command_ns,
             last_complete_ns=complete_ns,
         )
-        status, speeds, steer, axle = vehicle.status, vehicle.speeds, vehicle.steer, vehicle.drive_rear
+        steer, axle = vehicle.steer, vehicle.drive_rear
         times = (
             *_SUPERVISOR.times_of(supervising),
             *_GATE.times_of(state.gate),
@@ -172,8 +162,6 @@ class Abstraction:
             None if stop is None else now if over else stop.since_ns,
             None if over else state.steering.implausible_since_ns,
             None if over else state.wheels.implausible_since_ns,
-            None if status is None else status.t_rx_ns,
-            None if speeds is None else speeds.t_rx_ns,
             None if steer is None else steer.t_rx_ns if driving and not over else now,
             None if axle is None else axle.t_rx_ns if driving and stop is None else now,
         )
@@ -198,13 +186,14 @@ class Abstraction:
             s["stop"] = replace(s["stop"], since_ns=stop_ns)
         if s["still_since_ns"] is not None:
             s["still_since_ns"] += s["speeds_ns"] - NOW
+        said_ns = [s["status_ns"], s["speeds_ns"], *said_ns]
         vehicle = _vehicle(said, said_ns, handshake, known=not b["status_doubt"])
         return BridgeState(
             supervisor=SupervisorState(**s),
             gate=GateState(**g, pulses=NO_PULSES if s["turning_ns"] is None else Pulses(turning_ns=s["turning_ns"])),
             odometry=_AT_REST,
             vehicle=vehicle,
-            belief=WheelBelief(vehicle.speeds, said_ns[1]),
+            belief=WheelBelief(vehicle.speeds, s["speeds_ns"]),
             steering=_FITS[0] if steering_ns is None else SteeringCheck(implausible_since_ns=steering_ns),
             wheels=_FITS[1] if wheels_ns is None else WheelCheck(implausible_since_ns=wheels_ns),
             command=None if ordered is None else VehicleCommand(b["command_ns"], _RUN, *ordered),
