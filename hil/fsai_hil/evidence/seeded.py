@@ -34,7 +34,7 @@ from fsai_vcu.core.supervision.supervisor import (
 )
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
-from fsai_vcu.interface.images import Faults, VcuStatus, VcuSteer
+from fsai_vcu.interface.images import Faults, VcuStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +147,6 @@ def _believed_bit(original: Callable[..., Any], config: Any, state: Any, decisio
     return after, replace(asked, handshake=bit), reasons
 
 
-def _unlimited_steering(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any,
-                        vehicle: Any, now_ns: int) -> Any:  # fmt: skip
-    return original(config, state, decision, command, replace(vehicle, steer=_FULL_ANGLE), now_ns)
-
-
 def _forgets_the_live_limit(original: Callable[..., Any], config: Any, axle: Any, *rest: Any) -> Any:
     return original(config, None if axle is None else replace(axle, torque_max_nm=195.0), *rest)
 
@@ -195,7 +190,6 @@ def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, com
 
 _NOTHING_SHOWN: Final = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
 _REPORTED: Final = (Step(None, Consequence.REPORT),)
-_FULL_ANGLE: Final = VcuSteer(0.0, 30.0, 0.0)
 
 SEEDS: Final[tuple[Seed, ...]] = (
     # ---- torque and brake
@@ -314,7 +308,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         config={"wheel_change_max_rpm": 65535},
     ),
     Seed("a jump that stays is believed at once", "reactions", "wheel speeds", config={"wheel_jump_ns": 20 * MS}),
-    Seed("ANGLE_MAX is not looked at", "4", "limits", _wrapped(gating, "_steering", _unlimited_steering)),
+    Seed("ANGLE_MAX is not looked at", "4", "limits", _always(gating, "_live_limit_deg", 30.0)),
     Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
     Seed("TRQ_MAX is believed for ever", "4", "messages", _wrapped(gating, "_axle_limit_nm", _believes_old_limits)),
     Seed("no constant-power steps", "4", "limits", _always(gating, "constant_power_nm", 195.0)),
