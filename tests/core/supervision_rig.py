@@ -328,7 +328,7 @@ class Rig:
         asked = self.bridge.cycle(self.now_ns)
         self.asked = asked
         if asked is not None:
-            handshake = self.bridge.vehicle.handshake
+            handshake = self.bridge.state.vehicle.handshake
             self.witness.on_cycle(asked, handshake, self.now_ns)
             if self.complete:
                 frames = self.codec.encode_command(asked)

@@ -17,7 +17,7 @@ from fsai_hil.evidence.fuzz_drives import Drive
 from fsai_hil.evidence.fuzz_events import EVENTS, SETUPS, STATIONS, Case, CaseError, Event, event, read_case
 from fsai_hil.evidence.fuzz_run import Played, at_station, forget_stations, play
 from fsai_hil.evidence.fuzz_search import Failure, Tally, described, fuzz, minimised, unreached
-from fsai_hil.evidence.model import patched, swift_copies
+from fsai_hil.evidence.model import patched
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision import gate as gating
@@ -28,8 +28,7 @@ CASES = 80  # of the short form: each kind of happening once, and as many others
 
 @cache
 def short_form() -> Tally:
-    with swift_copies():
-        return fuzz("2026", cases=CASES)
+    return fuzz("2026", cases=CASES)
 
 
 def told(tally: Tally) -> str:
@@ -62,8 +61,7 @@ def test_the_short_form_goes_deep() -> None:
 
 
 def test_the_same_seed_is_the_same_run() -> None:
-    with swift_copies():
-        first, second = fuzz("twice", cases=6), fuzz("twice", cases=6)
+    first, second = fuzz("twice", cases=6), fuzz("twice", cases=6)
     assert first.reached == second.reached
     assert (first.cycles, first.frames, first.corpus) == (second.cycles, second.frames, second.corpus)
 

@@ -15,7 +15,7 @@ and `supervise` looks at the clock once a cycle and decides. Three tables hold t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum, auto
 from types import MappingProxyType
 
@@ -25,7 +25,7 @@ from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.immutable import Immutable, replace
 
 OFF_LIKE = frozenset((AsState.AS_INIT, AsState.AS_OFF))
 """AS_STATE 0 is treated like AS_OFF in both revisions."""
@@ -207,7 +207,7 @@ class Asked(Enum):
     SHUTDOWN = "this software was stopped"
 
 
-_STEERS_WHILE_STOPPING = frozenset(
+STEERS_WHILE_STOPPING = frozenset(
     (
         Asked.MISSION_DONE,
         Reason.GO_OFF,
@@ -769,7 +769,7 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
     if steer is Steer.HELD_OR_COMMAND:
         assert state.stop is not None  # this phase is a stop
         speaks = command is not None and state.mode is Mode.AUTONOMOUS and may_move(config, state, now_ns)
-        steer = Steer.COMMAND if speaks and state.stop.cause in _STEERS_WHILE_STOPPING else Steer.HELD
+        steer = Steer.COMMAND if speaks and state.stop.cause in STEERS_WHILE_STOPPING else Steer.HELD
     return state, Decision(
         phase,
         mission_status,

@@ -110,7 +110,7 @@ class Drive:
         try:
             while lockstep.now_ns < self._last_ns and not lockstep.world.done:
                 lockstep.step()
-                status = lockstep.bridge.vehicle.status
+                status = lockstep.bridge.state.vehicle.status
                 if not self._planned and status is not None and status.as_state is AsState.AS_DRIVING:
                     self._planned = True
                     self._plan(lockstep.now_ns)

@@ -176,7 +176,7 @@ class Played:
             self._turn()
 
     def _do_aim(self, ms: float, ns: int) -> None:
-        since_ns = self.bridge._state.driving_since_ns
+        since_ns = self.bridge.state.supervisor.driving_since_ns
         if since_ns is None:
             return
         cycles, rest_ns = divmod(since_ns + round(ms * MS) + ns - self.now_ns, self.period_ns)
@@ -495,7 +495,7 @@ class Played:
             self._lose(str(lost), back_ns)
             return
         self.oracle.after_cycle(self._made, now_ns)
-        self.oracle.on_mode_shown(self.bridge._state.mode.value)
+        self.oracle.on_mode_shown(self.bridge.state.supervisor.mode.value)
         if self.say is not None:
             self._tell()
         self.cycles += 1

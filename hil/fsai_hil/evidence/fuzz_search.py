@@ -37,8 +37,8 @@ def _cause(latch: Latch | None) -> str:
 
 def look(played: Played) -> None:
     """Note what a cycle has reached."""
-    bridge = played.bridge
-    state, decision, active = bridge._state, bridge._decision, bridge._active
+    bridge, active = played.bridge.state, played.bridge.tally.active
+    state, decision = bridge.supervisor, bridge.decision
     seen = (state.as_state, decision.phase, state.stop, state.emergency, active)
     before = played.seen
     if seen == before:
