@@ -330,7 +330,7 @@ ENDS = [
 
 
 @pytest.mark.parametrize("end", ENDS, ids=lambda end: end.name)
-def test_what_was_done_to_the_car_is_named_first_and_with_its_time(end: End) -> None:
+def test_the_action_on_the_car_is_named_first_with_its_time(end: End) -> None:
     log = branch(end.run(), end.act, end.seconds)
     story = tell(log.frames)
     incidents = [incident for incident in story.incidents if incident.kind is end.kind]

@@ -97,7 +97,7 @@ def test_conditions_wait_only_for_conditions_that_there_are() -> None:
         assert set(slugs) <= set(CAUSES)
 
 
-def test_every_reason_for_which_the_supervisor_brakes_is_told_in_its_own_words() -> None:
+def test_every_braking_reason_of_the_supervisor_has_its_words() -> None:
     graver = {reason for reason, steps in REACTIONS.items() if any(s.consequence >= Consequence.STOP for s in steps)}
     # what is decided inside the AI computer leaves no trace of its own on the bus
     inside = {Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED}

@@ -30,7 +30,7 @@ def silenced(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     return record(path, setup, silent_from_ns=19_500 * MS)
 
 
-def test_a_whole_mission_is_decided_in_the_same_way_to_the_last_byte(tmp_path: Path) -> None:
+def test_a_replayed_mission_is_decided_the_same_to_the_byte(tmp_path: Path) -> None:
     driven = record(tmp_path / "run.log", WorldSetup(missions=[Ami.ACCELERATION]))
     statuses = [frame.data[1] >> 4 & 0x3 for frame in driven.frames if frame.can_id == 0x510]
     assert statuses[-1] == 3, "FINISHED belongs to a whole mission"

@@ -41,7 +41,7 @@ SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--w
 ONE_CAR = [*SHORT, "--revisions", "2026"]
 
 
-def test_every_kind_of_fault_once_ends_as_the_safety_rules_demand(
+def test_every_kind_of_fault_ends_as_the_safety_rules_demand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The short form of the campaign; the long one is a command of its own."""
@@ -217,7 +217,7 @@ def test_the_campaign_reports_a_defect_put_in_on_purpose(name: str, snapshots: S
     assert broken["reasons"]
 
 
-def test_a_failing_campaign_says_so_with_the_line_that_replays_it(
+def test_a_failed_campaign_prints_the_line_that_replays_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with patched(supervisor, "ask_emergency", lambda state, *rest: state):
@@ -240,7 +240,7 @@ def _lines(path: Path) -> int:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_a_campaign_that_is_ended_in_the_middle_goes_on_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
+def test_an_interrupted_campaign_continues_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
     arguments = ["--runs", "12", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
@@ -308,7 +308,7 @@ def _told(runs: list[dict[str, Any]]) -> list[str]:
     return sorted(json.dumps(run) for run in kept)
 
 
-def test_without_dask_there_is_one_line_that_says_what_to_install(
+def test_without_dask_one_line_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)

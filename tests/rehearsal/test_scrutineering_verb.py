@@ -51,7 +51,7 @@ def test_it_leaves_a_report_for_people_and_one_for_programs(
     assert not (tmp_path / "measured.json").exists()
 
 
-def test_a_vcu_that_timed_out_fails_the_command_and_the_report_is_written_all_the_same(
+def test_a_vcu_timeout_fails_the_verb_and_the_report_is_written(
     place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place.result = measured(row(comms_losses=1))

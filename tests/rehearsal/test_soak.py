@@ -42,7 +42,7 @@ def test_a_run_that_stays_as_it_was_is_flat() -> None:
     assert verdict(run_of()).flat
 
 
-def test_memory_may_grow_by_the_noise_and_so_much_an_hour_and_no_more() -> None:
+def test_memory_may_grow_by_noise_and_an_hourly_rate_only() -> None:
     allowed_kib = NOISE_KIB + GROWTH_KIB_PER_HOUR * 80 / 60
 
     def grown(by_kib: float) -> list[Sample]:
@@ -70,12 +70,12 @@ def test_one_descriptor_or_thread_that_stays_is_growth(what: str, words: str) ->
 
 
 @pytest.mark.parametrize(("last_ms", "flat"), [(5.0, True), (5.1, False)])
-def test_the_handshake_may_be_answered_half_as_long_again_and_2_ms_later(last_ms: float, flat: bool) -> None:
+def test_the_response_may_slow_by_half_and_2_ms_and_no_more(last_ms: float, flat: bool) -> None:
     last = ResponseTimes([int(last_ms * MS)] * 100)
     assert verdict(run_of(), [*STEADY[:2], last]).flat is flat
 
 
-def test_without_handshakes_or_with_a_process_that_was_not_there_nothing_is_flat() -> None:
+def test_missing_handshakes_or_a_missing_process_are_not_flat() -> None:
     assert "too few handshakes" in verdict(run_of(), [*STEADY[:2], ResponseTimes()]).reasons[0]
     assert "not there all the time" in verdict(run_of()[:5]).reasons[0]
 
@@ -88,7 +88,7 @@ def test_what_is_only_shown_is_not_judged_and_says_so() -> None:
     assert str(flatness).splitlines()[-1] == "FLAT over 119.0 min after the warm-up"
 
 
-def test_a_process_is_seen_as_proc_shows_it_and_one_that_ended_is_none() -> None:
+def test_a_process_is_as_proc_shows_it_and_an_ended_one_is_none() -> None:
     before = look(os.getpid(), 0.0)
     with open(os.devnull):  # noqa: PTH123
         during = look(os.getpid(), 0.0)
@@ -97,7 +97,7 @@ def test_a_process_is_seen_as_proc_shows_it_and_one_that_ended_is_none() -> None
     assert look(1 << 30, 0.0) is None
 
 
-def test_the_sampler_looks_again_and_again_and_leaves_the_warm_up_out() -> None:
+def test_the_sampler_samples_repeatedly_but_not_the_warm_up() -> None:
     with Sampler({"own": os.getpid(), "gone": 1 << 30}, 0.01) as sampler:
         until = time.monotonic() + 10.0
         while len(sampler.samples["own"]) < 5 and time.monotonic() < until:
@@ -107,7 +107,7 @@ def test_the_sampler_looks_again_and_again_and_leaves_the_warm_up_out() -> None:
     assert sampler.since(seen[2].t_s)["own"] == seen[2:]
 
 
-def test_a_period_that_is_left_out_is_neither_in_the_samples_nor_in_the_answers(tmp_path: Path) -> None:
+def test_an_excluded_period_is_in_no_sample_and_no_response(tmp_path: Path) -> None:
     sampler = Sampler({"bridge": 1}, 1.0)
     sampler.samples["bridge"] = run_of()
     seen = sampler.since(600.0, [(1200.0, 1800.0), (3000.0, 3000.0)])["bridge"]

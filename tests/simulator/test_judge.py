@@ -158,7 +158,7 @@ def test_a_car_that_rolls_on_in_as_finished_fails() -> None:
 # ------------------------------------------------------------ how it ends
 
 
-def test_an_emergency_brake_fails_a_mission_that_ends_in_as_finished_and_names_the_cause() -> None:
+def test_an_emergency_brake_fails_a_run_and_the_cause_is_named() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
@@ -168,14 +168,14 @@ def test_an_emergency_brake_fails_a_mission_that_ends_in_as_finished_and_names_t
     assert verdict.shutdown_cause == "AI_COMMS_FAULT"
 
 
-def test_a_run_that_never_starts_ends_by_its_time_limit_with_the_reason() -> None:
+def test_a_run_that_never_starts_ends_by_its_time_limit() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION, start_timeout_s=20.0)
     car.look(20.1)
     assert car.judge.done
     assert "no AS_DRIVING within 20 s" in why(car.judge.verdict())
 
 
-def test_a_car_that_never_finishes_ends_by_its_time_limit_with_the_reason() -> None:
+def test_a_car_that_never_finishes_ends_by_its_time_limit() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION, drive_timeout_s=30.0)
     car.start()
     car.look(28.0)
@@ -189,7 +189,7 @@ def test_an_unfinished_run_is_no_pass() -> None:
     assert "the run is not over" in why(car.judge.verdict())
 
 
-def test_the_verdict_lists_the_as_states_with_their_times_for_json() -> None:
+def test_the_verdict_as_json_lists_the_as_states_with_times() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
@@ -206,7 +206,7 @@ def test_the_verdict_lists_the_as_states_with_their_times_for_json() -> None:
 # ------------------------------------------------------------ the track
 
 
-def test_a_car_beside_the_track_with_all_four_wheels_is_off_course_and_fails() -> None:
+def test_a_car_with_all_four_wheels_off_the_track_fails() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(20.0, 0.0, 0.0)
@@ -230,7 +230,7 @@ def test_two_wheels_on_the_track_are_enough() -> None:
     assert verdict.passed, why(verdict)
 
 
-def test_a_cone_is_hit_by_the_cars_side_counted_once_and_costs_2_s_but_no_pass() -> None:
+def test_a_cone_hit_counts_once_and_costs_2_s_but_no_pass() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(18.0, 0.0, 0.0)
@@ -303,7 +303,7 @@ def test_driving_back_and_forth_over_the_line_makes_no_lap() -> None:
     assert "0 of 1 laps" in why(car.finish())
 
 
-def test_a_short_cut_through_the_infield_makes_no_lap_and_is_off_course() -> None:
+def test_a_short_cut_through_the_infield_is_off_course_no_lap() -> None:
     car, line = circuit(1)
     car.start()
     car.along(line[:40])
@@ -342,7 +342,7 @@ def skidpad_run(sides: str, stop_at_m: float = 10.0) -> Verdict:
     return car.finish()
 
 
-def test_two_laps_right_and_two_left_and_a_stop_in_the_exit_lane_pass() -> None:
+def test_two_laps_right_two_left_and_a_stop_in_the_exit_pass() -> None:
     verdict = skidpad_run("RRLL")
     assert verdict.passed, why(verdict)
     assert verdict.laps == 4
@@ -380,7 +380,7 @@ def inspection_a(
     return car.finish()
 
 
-def test_inspection_a_passes_after_a_full_sweep_and_200_rpm_up_and_down_in_time() -> None:
+def test_inspection_a_passes_with_full_sweep_and_200_rpm_in_time() -> None:
     verdict = inspection_a()
     assert verdict.passed, why(verdict)
 
@@ -410,7 +410,7 @@ def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> Ver
     return car.finish(state, cause)
 
 
-def test_inspection_b_passes_with_50_rpm_and_the_ai_computers_emergency_brake() -> None:
+def test_inspection_b_passes_with_50_rpm_and_an_estop_request() -> None:
     verdict = inspection_b(50.0, AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMPUTER_REQUEST)
     assert verdict.passed, why(verdict)
 

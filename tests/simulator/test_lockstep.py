@@ -40,7 +40,7 @@ def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
 
 @pytest.mark.parametrize("revision", ["2021", "2026"])
 @pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
-def test_every_mission_passes_with_every_rule_kept_and_no_guard_acting(mission: Ami, revision: str) -> None:
+def test_every_mission_passes_by_the_rules_with_no_guard_acting(mission: Ami, revision: str) -> None:
     laps = 2 if mission is Ami.TRACKDRIVE else None
     track = load_track("small_oval") if mission in (Ami.TRACKDRIVE, Ami.AUTOCROSS) else None
     result = Lockstep(WorldSetup(missions=[mission], revision=revision, laps=laps, track=track)).run()
@@ -73,7 +73,7 @@ def test_the_same_seed_is_the_same_run_and_another_seed_another() -> None:
     assert runs[0] != runs[2]
 
 
-def test_manual_while_driving_brings_the_car_to_rest_and_ends_the_run_finished() -> None:
+def test_manual_while_driving_stops_the_car_in_as_finished() -> None:
     lockstep = Lockstep(oval())
     drive_until(lockstep, 3.0)
     assert lockstep.bridge.set_mode("manual", lockstep.now_ns)[0]
@@ -116,9 +116,7 @@ def test_absurd_commands_count_as_none_and_end_in_a_stop(field: str, value: floa
     ("switch", "value", "end"),
     [("remote_estop", True, "EMERGENCY_BRAKE"), ("go", False, "EMERGENCY_BRAKE"), ("asms", False, "EMERGENCY_BRAKE")],
 )
-def test_what_people_do_at_the_car_while_it_drives_stops_it_and_no_rule_is_broken(
-    switch: str, value: bool, end: str
-) -> None:
+def test_a_switch_while_driving_stops_the_car_by_the_rules(switch: str, value: bool, end: str) -> None:
     setup = oval(at=[At(after_ns=8 * S, switch=switch, value=value, since=Moment.DRIVING)])
     result = Lockstep(setup).run()
     assert end in states(result)

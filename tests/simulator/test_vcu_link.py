@@ -35,7 +35,7 @@ def test_the_handshake_waits_for_the_echo() -> None:
     assert link.next_bit(70 * MS) is True
 
 
-def test_the_response_time_is_measured_from_toggle_to_echo_once_per_toggle() -> None:
+def test_the_response_time_is_toggle_to_echo_once_per_toggle() -> None:
     link = AiLink(SPECIFICATION)
     link.next_bit(0)
     talk(link, 3 * MS, handshake=True)
@@ -46,7 +46,7 @@ def test_the_response_time_is_measured_from_toggle_to_echo_once_per_toggle() -> 
     assert link.response_times_ns == [3 * MS, 14 * MS]
 
 
-def test_an_echo_missing_for_100_ms_is_a_loss_and_one_nanosecond_less_is_none() -> None:
+def test_an_echo_missing_for_100_ms_but_not_1_ns_less_is_a_loss() -> None:
     link = AiLink(SPECIFICATION)
     for t_ns in range(0, 20 * CYCLE_NS, CYCLE_NS):
         link.next_bit(t_ns)
@@ -63,7 +63,7 @@ def test_an_echo_missing_for_100_ms_is_a_loss_and_one_nanosecond_less_is_none() 
 
 
 @pytest.mark.parametrize("message", AI_MESSAGES, ids=lambda message: message.__name__)
-def test_any_one_message_missing_ten_times_in_a_row_is_a_loss_and_a_nanosecond_less_is_none(message: type) -> None:
+def test_any_message_missing_ten_times_in_a_row_is_a_loss(message: type) -> None:
     link = AiLink(SPECIFICATION)
     link.next_bit(0)
     talk(link, 0, handshake=True)
@@ -76,7 +76,7 @@ def test_any_one_message_missing_ten_times_in_a_row_is_a_loss_and_a_nanosecond_l
     assert [m for m in AI_MESSAGES if link.missing(m, 100 * MS)] == [message]
 
 
-def test_a_message_that_never_came_is_missed_from_the_first_ai_data_on() -> None:
+def test_a_message_never_received_counts_from_the_first_ai_data() -> None:
     link = AiLink(SPECIFICATION)
     link.next_bit(0)
     for n in range(11):
@@ -95,7 +95,7 @@ def test_nothing_is_lost_before_ai_data_has_been_heard() -> None:
     assert not link.valid(100 * S)
 
 
-def test_the_echo_of_a_handshake_that_waited_for_the_first_ai_data_has_its_full_time() -> None:
+def test_a_handshake_from_before_ai_data_has_its_full_timeout() -> None:
     link = AiLink(SPECIFICATION)
     link.next_bit(0)
     talk(link, 5 * S, handshake=False)
@@ -108,7 +108,7 @@ def test_the_echo_of_a_handshake_that_waited_for_the_first_ai_data_has_its_full_
 # ---------------------------------------------------------------- on the VCU
 
 
-def test_the_response_times_of_a_prompt_ai_computer_are_one_per_cycle() -> None:
+def test_a_prompt_ai_computer_has_one_response_time_per_cycle() -> None:
     bench = Bench().power_up()
     bench.answer_ns = 2 * MS
     bench.run(20 * MS)
@@ -119,7 +119,7 @@ def test_the_response_times_of_a_prompt_ai_computer_are_one_per_cycle() -> None:
 
 
 @pytest.mark.parametrize("can_id", range(0x510, 0x515), ids=hex)
-def test_losing_one_of_the_five_messages_while_driving_stops_the_car_within_its_time(can_id: int) -> None:
+def test_losing_any_ai_message_while_driving_stops_the_car(can_id: int) -> None:
     bench = Bench().to_driving()
     bench.run(S)
     bench.silent_ids = {can_id}
@@ -130,7 +130,7 @@ def test_losing_one_of_the_five_messages_while_driving_stops_the_car_within_its_
     assert bench.status().faults.ai_comms_lost
 
 
-def test_a_wrong_echo_while_driving_stops_the_car_within_its_time() -> None:
+def test_a_wrong_echo_while_driving_stops_the_car_in_time() -> None:
     bench = Bench().to_driving()
     bench.run(S)
     bench.echoes = False
@@ -140,7 +140,7 @@ def test_a_wrong_echo_while_driving_stops_the_car_within_its_time() -> None:
 
 
 @pytest.mark.parametrize("way", ["to_ready", "to_finished"])
-def test_a_silent_ai_computer_is_an_emergency_in_as_ready_and_as_finished(way: str) -> None:
+def test_ai_silence_is_an_emergency_in_as_ready_and_as_finished(way: str) -> None:
     bench: Bench = getattr(Bench(), way)()
     bench.talks = False
     bench.run(150 * MS)
@@ -149,7 +149,7 @@ def test_a_silent_ai_computer_is_an_emergency_in_as_ready_and_as_finished(way: s
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])
-def test_in_as_off_a_lost_link_is_reported_and_mends_when_the_ai_computer_is_back(name: str) -> None:
+def test_in_as_off_a_lost_link_is_reported_and_recovers(name: str) -> None:
     bench = Bench(name).power_up()
     bench.talks = False
     bench.run(150 * MS)
@@ -162,7 +162,7 @@ def test_in_as_off_a_lost_link_is_reported_and_mends_when_the_ai_computer_is_bac
     assert not bench.status().faults.ai_comms_lost
 
 
-def test_what_was_said_before_the_link_was_lost_makes_no_car_ready() -> None:
+def test_frames_from_before_a_lost_link_make_no_car_ready() -> None:
     bench = Bench().power_up()
     bench.say(mission_status=MissionStatus.SELECTED)
     bench.run(50 * MS)

@@ -62,7 +62,7 @@ def history(name: str, simulator: bool, seed: int) -> list[object]:
 
 @pytest.mark.parametrize("simulator", [False, True], ids=["specification", "official-simulator"])
 @pytest.mark.parametrize("name", ["2021", "2026"])
-def test_what_a_vcu_does_not_look_at_again_would_have_changed_nothing(
+def test_what_a_vcu_does_not_evaluate_would_have_changed_nothing(
     name: str, simulator: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spared = [history(name, simulator, seed) for seed in SEEDS]
@@ -82,7 +82,7 @@ def test_a_timer_that_runs_out_is_seen_at_once_by_a_settled_vcu() -> None:
     assert 15 * S <= over.t_ns - begun.t_ns <= 15 * S + MS
 
 
-def test_a_settled_vcu_does_not_look_again_until_something_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_settled_vcu_does_not_evaluate_until_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[int] = []
     closely = SimulatedVcu._look_closely
 

@@ -38,7 +38,7 @@ def test_a_sound_wire_changes_nothing() -> None:
     assert wire.through(sent, S) == sent
 
 
-def test_a_fault_is_in_force_from_the_beginning_of_its_window_and_before_its_end() -> None:
+def test_a_fault_is_in_force_from_its_begin_and_before_its_end() -> None:
     wire = FaultyWire([Drop(Window(frozenset({0x520}), from_ns=10 * MS, until_ns=30 * MS))])
     arrived = wire.through(frames(0x520, 5), S)
     assert [frame.t_ns // MS for frame in arrived] == [0, 30, 40]
@@ -66,7 +66,7 @@ def test_a_frozen_message_repeats_what_it_said_first_and_thaws() -> None:
     assert [frame.t_ns for frame in arrived] == [n * 10 * MS for n in range(5)]
 
 
-def test_a_delayed_frame_arrives_later_and_no_frame_of_its_id_overtakes_it() -> None:
+def test_a_delayed_frame_is_not_overtaken_by_its_id() -> None:
     wire = FaultyWire([Delay(Window(until_ns=25 * MS), delay_ns=30 * MS)])
     first = wire.through(frames(0x520, 3), 20 * MS)
     assert first == []
@@ -160,7 +160,7 @@ def test_an_ai_computer_slowed_by_the_wire_answers_later() -> None:
     assert set(bench.vcu.response_times_ns) == {8 * MS}
 
 
-def test_a_frozen_status_leaves_the_handshake_standing_and_the_car_stops() -> None:
+def test_a_frozen_status_freezes_the_handshake_and_stops_the_car() -> None:
     bench = Bench().to_driving()
     bench.vcu.outgoing.add(Freeze(Window(frozenset({0x520}))))
     bench.run(S)

@@ -71,7 +71,7 @@ def demonstration() -> Style:
 # ------------------------------------------------------------ whole missions
 
 
-def test_an_acceleration_run_goes_from_power_up_to_finished_and_passes() -> None:
+def test_an_acceleration_run_passes_from_power_up_to_finished() -> None:
     world = driven(WorldSetup(missions=[Ami.ACCELERATION], gps=False), launch_and_stop)
     verdict = world.verdict()
     assert verdict.passed, verdict.reasons
@@ -116,7 +116,7 @@ def test_the_demonstration_passes() -> None:
 
 
 @pytest.mark.parametrize("revision", ["2021", "2026"])
-def test_a_second_mission_follows_without_a_restart_on_its_own_track(revision: str) -> None:
+def test_a_second_mission_follows_on_its_own_track(revision: str) -> None:
     setup = WorldSetup(missions=[Ami.ACCELERATION, Ami.AUTOCROSS], revision=revision, gps=False)
     world = World(setup)
     lap = follow(6.0)
@@ -157,14 +157,14 @@ def test_a_driver_who_does_not_wait_3_s_fails() -> None:
     assert any("must wait 3 s" in reason for reason in verdict.reasons)
 
 
-def test_a_world_without_an_ai_computer_powers_up_and_ends_with_a_reason() -> None:
+def test_a_world_without_an_ai_computer_ends_with_a_reason() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], gps=False))
     ScriptedDriver(world, follow(5.0), silent=True).run(130.0)
     assert world.done
     assert world.verdict().reasons == ("did not start: no AS_DRIVING within 120 s",)
 
 
-def test_an_ai_computer_that_falls_silent_while_driving_is_braked_to_rest_by_the_car() -> None:
+def test_ai_silence_while_driving_brakes_the_car_to_rest() -> None:
     world = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False))
     driver = ScriptedDriver(world, launch_and_stop)
     driver.run(60.0, until=lambda: world.car.speed_mps > 8.0)
@@ -201,7 +201,7 @@ def test_faults_of_the_wire_reach_the_bus() -> None:
 # ------------------------------------------------------------ as a part of something
 
 
-def test_the_same_setup_and_frames_give_the_same_run_to_the_last_bit() -> None:
+def test_the_same_setup_and_frames_give_the_same_run() -> None:
     setup = WorldSetup(missions=[Ami.ACCELERATION], seed=5)
     heard: list[list[Frame]] = []
     cones = []
@@ -272,7 +272,7 @@ def test_the_truth_says_what_a_sensor_simulator_must_know() -> None:
     assert truth.pose == world.car.pose
 
 
-def test_choosing_another_mission_on_the_display_moves_the_car_to_its_start() -> None:
+def test_another_mission_chosen_moves_the_car_to_its_start() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], auto=False))
     world.advance(SECOND_NS)
     world.vcu.switches.ami = Ami.SKIDPAD
