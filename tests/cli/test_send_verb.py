@@ -250,8 +250,9 @@ def beating(name: str, can_id: int, period_s: float, ended: threading.Event) -> 
     return thread
 
 
-@pytest.mark.parametrize("can_id", AI_IDS)
-@pytest.mark.parametrize("message", [["BenchLamp"], ["AI2VCU_Steer", "--as-ai"]])
+@pytest.mark.parametrize(
+    ("can_id", "message"), [*((can_id, ["BenchLamp"]) for can_id in AI_IDS), (0x510, ["AI2VCU_Steer", "--as-ai"])]
+)
 def test_a_bus_on_which_a_live_bridge_is_heard_is_refused(
     can_id: int, message: list[str], name: str, bus: CanBus, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

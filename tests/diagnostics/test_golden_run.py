@@ -63,6 +63,17 @@ def test_the_run_has_a_whole_mission_in_it(golden: Recorded) -> None:
 def test_a_bridge_that_decides_otherwise_is_noticed(golden: Recorded) -> None:
     differences = compare(golden.frames, golden.again(replace(BridgeConfig(), stop_brake_pct=41.0))).differences
     assert {difference.can_id for difference in differences} == {0x514}
+    assert "0x514: then " in str(differences[0])
+
+
+def test_what_the_car_says_is_what_decides(golden: Recorded) -> None:
+    without_go = [
+        replace(frame, data=bytes([frame.data[0], frame.data[1] & ~0x08, *frame.data[2:]]))
+        if frame.can_id == 0x520
+        else frame
+        for frame in golden.frames
+    ]
+    assert not compare(golden.frames, replace(golden, frames=without_go).again()).equal
 
 
 def make() -> None:

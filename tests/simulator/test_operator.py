@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from vcu_bench import Bench
@@ -145,13 +144,9 @@ def test_the_operator_copes_with_the_official_simulator() -> None:
 # ---------------------------------------------------------------- events
 
 
-@pytest.mark.parametrize(
-    ("switch", "value"),
-    [("remote_estop", True), ("car_estop", True), ("go", False), ("asms", False), ("remote_radio_ok", False)],
-)
-def test_a_switch_acts_at_its_time_and_the_operator_ends_the_run(switch: str, value: Any) -> None:
+def test_a_switch_acts_at_its_time_and_the_operator_ends_the_run() -> None:
     bench = Bench()
-    event = At(1500 * MS, switch, value, since=Moment.DRIVING)
+    event = At(1500 * MS, "remote_radio_ok", False, since=Moment.DRIVING)
     bench.operator = Operator.auto("2021", [Ami.TRACKDRIVE], at=[event])
     driver = Driver(bench)
     drive(bench, driver, lambda: bench.state is AsState.EMERGENCY_BRAKE)

@@ -74,14 +74,6 @@ def test_without_a_pcan_gps_none_of_its_frames_appear() -> None:
     assert all(BY_ID[frame.can_id].flow is Flow.FROM_VCU for frame in bench.run(S))
 
 
-def test_the_next_frame_is_due_when_it_says() -> None:
-    bench = Bench().power_up()
-    due_ns = bench.vcu.next_due_ns()
-    assert bench.now_ns < due_ns <= bench.now_ns + 10 * MS
-    assert bench.vcu.step(due_ns - 1, bench.car) == []
-    assert {frame.t_ns for frame in bench.vcu.step(due_ns, bench.car)} == {due_ns}
-
-
 def test_sensor_readings_are_sent_and_saturate_at_their_ranges() -> None:
     bench = Bench("2021").to_driving()
     bench.car = replace(

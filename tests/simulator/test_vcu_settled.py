@@ -8,13 +8,13 @@ from dataclasses import fields
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, S
+from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION
 from fsai_hil.simulator.switches import Switches
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 
 FLAGS = [one.name for one in fields(Switches) if isinstance(one.default, bool)]
-SEEDS = range(8)
+SEEDS = range(4)
 
 
 def something_happens(bench: Bench, chance: random.Random) -> None:
@@ -70,16 +70,6 @@ def test_what_a_vcu_does_not_evaluate_would_have_changed_nothing(
     for seed, once in zip(SEEDS, spared, strict=True):
         always = history(name, simulator, seed)
         assert once == always, f"seed {seed}: first difference at {_first_difference(once, always)}"
-
-
-def test_a_timer_that_runs_out_is_seen_at_once_by_a_settled_vcu() -> None:
-    bench = Bench().to_emergency()
-    bench.run(S)
-    bench.switches.asms = False
-    bench.run(15 * S)
-    begun, over = bench.vcu.transitions[-2:]
-    assert (begun.target, over.target) == (AsState.EMERGENCY_BRAKE, AsState.AS_OFF)
-    assert 15 * S <= over.t_ns - begun.t_ns <= 15 * S + MS
 
 
 def test_a_settled_vcu_does_not_evaluate_until_a_change(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from fsai_hil.simulator.faults import (
     WrongValues,
 )
 from fsai_hil.simulator.profiles import MS, S
-from fsai_vcu.interface.enums import AsState, ShutdownCause
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
 
@@ -135,14 +135,6 @@ def test_every_kind_has_a_name_for_scenarios() -> None:
 
 
 # ---------------------------------------------------------------- on the VCU
-
-
-def test_what_the_vcu_does_not_hear_is_missing() -> None:
-    bench = Bench().to_driving()
-    bench.vcu.incoming.add(Drop(Window(frozenset({0x512}), from_ns=bench.now_ns)))
-    bench.run(150 * MS)
-    assert bench.state is AsState.EMERGENCY_BRAKE
-    assert bench.vcu.shutdown_cause is ShutdownCause.AI_COMMS_FAULT
 
 
 def test_what_the_vcu_says_can_vanish() -> None:

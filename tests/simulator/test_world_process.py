@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from scripted_driver import ScriptedDriver, Wish
+from scripted_driver import ScriptedDriver
 
 from fsai_hil.simulator import plot, process
 from fsai_hil.simulator.ground_truth import TruthReceiver
@@ -226,7 +226,7 @@ def test_the_process_sends_frames_and_truth_and_ends_cleanly(tmp_path: Path) -> 
 def test_a_picture_of_a_run_is_a_png(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     world = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False))
-    ScriptedDriver(world, lambda world, since_s: Wish(torque_nm=195.0)).run(20.0)
+    ScriptedDriver(world).run(15.0)
     path = tmp_path / "run.png"
     save_plot(path, world.track, world.samples, world.verdict())
     assert path.read_bytes().startswith(b"\x89PNG")
