@@ -193,9 +193,9 @@ class Request(Immutable):
 
     mission_status: MissionStatus
     direction: Direction
-    brake: float = 0.0  # fraction of the most
-    torque: float = 0.0  # fraction of the most that is allowed
-    motor_speed_max_rpm: int = 0
+    brake: float  # fraction of the most
+    torque: float  # fraction of the most that is allowed
+    motor_speed_max_rpm: int
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
     front_nm: float = 0.0
     rear_nm: float = 0.0
@@ -356,10 +356,10 @@ def _permission(cycle: Cycle, request: Request) -> Request:
 def _motors_allowed(cycle: Cycle, request: Request) -> bool:
     """Whether the motors may be asked for torque, be it to drive or to brake."""
     status = cycle.vehicle.status
+    fresh = status is not None and cycle.now_ns - status.t_rx_ns < cycle.config.vcu_stale_ns
     return (
         cycle.driving
-        and status is not None
-        and cycle.now_ns - status.t_rx_ns < cycle.config.vcu_stale_ns
+        and fresh
         and cycle.vehicle.status_known
         and request.direction is Direction.FORWARD
         and not cycle.decision.estop
