@@ -22,7 +22,7 @@ from fsai_vcu.core.bridge_state import BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import Run
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
-from fsai_vcu.core.report import BridgeReport, Tally
+from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision import supervisor, wheel_speeds
 from fsai_vcu.core.supervision.changes import changes
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
@@ -38,6 +38,7 @@ from fsai_vcu.core.supervision.plausibility import (
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Inputs, SupervisorState
+from fsai_vcu.core.tally import Tally
 from fsai_vcu.core.vehicle.odometry import OdometryState, advance, begin_run, standing_start
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec

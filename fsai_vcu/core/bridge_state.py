@@ -18,7 +18,7 @@ from fsai_vcu.interface.immutable import Immutable
 class BridgeState(Immutable):
     """What decides what is sent next. Times are of the monotonic clock, None: never.
 
-    What the bridge only counts, for its report, is in `report.Tally`.
+    What the bridge only counts, for its report, is in `tally.Tally`.
     """
 
     supervisor: SupervisorState

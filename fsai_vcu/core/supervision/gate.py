@@ -35,7 +35,7 @@ from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of, pulses_per_s, turning
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VcuSteer, VehicleState
+from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VcuSteer, VehicleState, WheelCounts
 from fsai_vcu.interface.immutable import Immutable, replace
 from fsai_vcu.interface.revisions import Revision
 
@@ -180,12 +180,8 @@ class Cycle(Immutable):
     decision: Decision
     command: VehicleCommand | None
     vehicle: VehicleState
+    driving: bool  # the car has said AS_DRIVING last
     now_ns: int
-
-    @property
-    def driving(self) -> bool:
-        status = self.vehicle.status
-        return status is not None and status.as_state is AsState.AS_DRIVING
 
     def feedback_fresh(self, t_rx_ns: int) -> bool:
         return self.now_ns - t_rx_ns < self.config.feedback_stale_ns
@@ -197,9 +193,9 @@ class Request(Immutable):
 
     mission_status: MissionStatus
     direction: Direction
-    brake: float = 0.0  # fraction of the most
-    torque: float = 0.0  # fraction of the most that is allowed
-    motor_speed_max_rpm: int = 0
+    brake: float  # fraction of the most
+    torque: float  # fraction of the most that is allowed
+    motor_speed_max_rpm: int
     steer_deg: float = 0.0  # before rounding to the signal's 0.1 deg
     front_nm: float = 0.0
     rear_nm: float = 0.0
@@ -220,14 +216,16 @@ def gate(
     state = sent(state, False, now_ns)  # if nobody has said what became of the cycle before, it counts as broken
     if not _obeys(config, decision, command, now_ns):
         command = None
-    cycle = Cycle(config, state, decision, command, vehicle, now_ns)
-    cycle = replace(cycle, state=_look(cycle))
+    status = vehicle.status
+    driving = status is not None and status.as_state is AsState.AS_DRIVING
+    state = _log(_watch(config, state, vehicle.counts), decision, command if driving else None)
+    cycle = Cycle(config, state, decision, command, vehicle, driving, now_ns)
     request = _wish(cycle)
     for limiter in LIMITERS:
         request = limiter(cycle, request)
     torque = request.front_nm > 0.0 or request.rear_nm > 0.0
     after = replace(
-        cycle.state,
+        state,
         steer_deg=request.steer_deg,
         brake=request.brake,
         cycle_ns=now_ns,
@@ -250,24 +248,23 @@ def _obeys(config: GateConfig, decision: Decision, command: VehicleCommand | Non
     )
 
 
-def _look(cycle: Cycle) -> GateState:
-    """What the gate remembers of the car and of the run: the pulse counts, and the logging fields."""
-    state, command, counts = cycle.state, cycle.command, cycle.vehicle.counts
-    pulses = state.pulses
-    if counts is not None and counts is not pulses.counts:
-        pulses = pulses_of(cycle.config.pulses_per_s, pulses, counts)
-    logged = (state.laps, state.cones_actual, state.cones_all)
-    if command is not None and cycle.driving:
-        logged = (
-            _saturated(command.laps, LAPS_MAX),
-            _saturated(command.cones_count_actual, CONES_ACTUAL_MAX),
-            _saturated(command.cones_count_all, CONES_ALL_MAX),
-        )
-    elif cycle.decision.run_id != state.run_id:
-        logged = (0, 0, 0)
-    laps, actual, everywhere = logged
+def _watch(config: GateConfig, state: GateState, counts: WheelCounts | None) -> GateState:
+    """The pulse counts of the newest 0x526."""
+    if counts is None or counts is state.pulses.counts:
+        return state
+    return replace(state, pulses=pulses_of(config.pulses_per_s, state.pulses, counts))
+
+
+def _log(state: GateState, decision: Decision, command: VehicleCommand | None) -> GateState:
+    """The logging fields: kept until the next run while no command in AS_DRIVING says them."""
+    if command is None and decision.run_id == state.run_id:
+        return state
     return replace(
-        state, pulses=pulses, run_id=cycle.decision.run_id, laps=laps, cones_actual=actual, cones_all=everywhere
+        state,
+        run_id=decision.run_id,
+        laps=0 if command is None else _saturated(command.laps, LAPS_MAX),
+        cones_actual=0 if command is None else _saturated(command.cones_count_actual, CONES_ACTUAL_MAX),
+        cones_all=0 if command is None else _saturated(command.cones_count_all, CONES_ALL_MAX),
     )
 
 
@@ -359,10 +356,10 @@ def _permission(cycle: Cycle, request: Request) -> Request:
 def _motors_allowed(cycle: Cycle, request: Request) -> bool:
     """Whether the motors may be asked for torque, be it to drive or to brake."""
     status = cycle.vehicle.status
+    fresh = status is not None and cycle.now_ns - status.t_rx_ns < cycle.config.vcu_stale_ns
     return (
         cycle.driving
-        and status is not None
-        and cycle.now_ns - status.t_rx_ns < cycle.config.vcu_stale_ns
+        and fresh
         and cycle.vehicle.status_known
         and request.direction is Direction.FORWARD
         and not cycle.decision.estop
@@ -371,13 +368,13 @@ def _motors_allowed(cycle: Cycle, request: Request) -> bool:
 
 def _actuators(cycle: Cycle, request: Request) -> Request:
     """Which actuator brakes."""
-    if not cycle.config.motor_brakes:
-        return replace(request, brake_pct=math.floor(request.brake * 200.0 + 0.5) / 2.0)  # the signal's 0.5 %
     if request.brake <= 0.0:
         return request
-    # No hydraulic request ever: torque against a motor speed limit of zero brakes (the exception to rule 2).
-    share = request.brake if _motors_allowed(cycle, request) else 0.0
-    return replace(request, torque=share, motor_speed_max_rpm=0)
+    if cycle.config.motor_brakes:
+        # No hydraulic request ever: torque against a motor speed limit of zero brakes (the exception to rule 2).
+        share = request.brake if _motors_allowed(cycle, request) else 0.0
+        return replace(request, torque=share, motor_speed_max_rpm=0)
+    return replace(request, brake_pct=math.floor(request.brake * 200.0 + 0.5) / 2.0)  # the signal's 0.5 %
 
 
 def _axle_torque(cycle: Cycle, request: Request) -> Request:

@@ -1,15 +1,25 @@
 """The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
 
-Pure. A state goes in with what happened, a state comes out: `heard` and `on_status` take frames of 0x520, `on_speeds`
-those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns what went
-out, the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`, `strike` takes what happens at one instant,
-and `supervise` looks at the clock once a cycle and decides. Three tables hold the rules:
+Pure: a `SupervisorState` goes in with what happened, a state comes out. `heard` and `on_status` take frames of 0x520,
+`on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns
+what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens at one
+instant. Once a cycle `supervise` looks at the clock and decides, in this order:
 
-- `OUTPUT`: phase of a run -> what is sent,
-- `REACTIONS`: what is wrong -> after how long -> what follows; the words are those of `Reason`,
-- `_NEXT`: which AS states this process saw follow one another.
+1. In AS_DRIVING, `_react`: what is wrong, and for how long (`_ages`); after how long what follows (`REACTIONS`). What
+   was asked for comes last: manual mode, then an emergency brake or the end of the mission by the command.
+2. `_phase`: where the run stands. The AS state decides first; in AS_DRIVING an emergency comes before a stop, a stop
+   before the 3 s of standing still, and those before holding the torque back.
+3. `OUTPUT`: the phase's row says mission status, direction, where steering and brake come from, whether torque may be.
 
-"Stale after T" means an age of T or more; an age of T - 1 ns is still in time.
+What latches: a stop until the AS state changes (the first cause stays); an emergency until `reset` in AS_INIT or
+AS_OFF, or a power cycle of the car (safety rule 6). A stop for a lost command also ends autonomous mode. Nothing else
+latches: torque that is held back returns by itself with what was missing.
+
+A drive needs what only the car's own life brings, in this order and seen by this process (safety rules 2 and 10):
+AS_OFF, 5 s of AS_READY without Go, Go, AS_DRIVING (`NEXT`); and a mission that was acknowledged, with planner and
+controller reset for it. Each entry into AS_OFF, and each change of the AMI, begins a run, which forgets the last one's.
+
+"Stale after T" means an age of T or more; an age of T - 1 ns is still in time. docs/supervision.md shows the tables.
 """
 
 from __future__ import annotations
@@ -55,7 +65,7 @@ class Sequence(IntEnum):
     COMPLETE = auto()
 
 
-_NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
+NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
     {
         (Sequence.OFF_SEEN, AsState.AS_READY): Sequence.READY_SEEN,
         (Sequence.READY_SEEN, AsState.AS_READY): Sequence.READY_SEEN,
@@ -343,7 +353,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
 
     # A power cycle breaks the sequence even if the state is the same before and after.
     seen = Sequence.NONE if power_cycle else state.sequence
-    sequence = _NEXT.get((seen, now), Sequence.NONE)
+    sequence = NEXT.get((seen, now), Sequence.NONE)
 
     run_id, mission, confirmed, selected_sent = state.run_id, state.mission, state.confirmed, state.selected_sent
     entered_off = off and before is not None and (before not in OFF_LIKE or power_cycle)

@@ -347,10 +347,10 @@ def _plausibility() -> Scope:
 
 def _limits() -> Scope:
     steering = product(("drive", "drive right"), (30.0, 5.0))
-    speeds = [
-        ((300, 0, 0, 501), 195.0),
-        ((401, 0, 601, 0), 195.0),
-        ((0, 701, 0, 301), 195.0),
+    speeds = [  # each 300 rpm or less from the one before: a tyre can follow
+        ((300, 0, 0, 401), 195.0),
+        ((501, 0, 0, 601), 195.0),
+        ((701, 0, 0, 301), 195.0),
         (MOVING, 40.0),
         (MOVING, 0.0),
     ]

@@ -67,7 +67,7 @@ def _output(phase: Phase, **changes: object) -> Callable[[], tuple[tuple[Any, st
 
 
 def _follows(before: Sequence, now: AsState, then: Sequence) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    return lambda: ((supervisor, "_NEXT", {**supervisor._NEXT, (before, now): then}),)
+    return lambda: ((supervisor, "NEXT", {**supervisor.NEXT, (before, now): then}),)
 
 
 def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:

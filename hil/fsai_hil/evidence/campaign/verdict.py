@@ -163,27 +163,35 @@ def _since(seen: Observation, fault_ns: int) -> _Seen:
 def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) -> End:
     """How the run ended; `over_ns`: when the controller said by itself that the mission is over."""
     last = seen.states[-1][1]
+    over = over_ns is not None
     idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
-    if _unsafe(seen, last, idle, over_ns):
-        return End.UNSAFE
-    if found.emergency_ns is not None:
-        by_us = found.estop_ns is not None and found.estop_ns <= found.emergency_ns
-        if by_us and over_ns is not None and found.estop_ns is not None and over_ns <= found.estop_ns:
-            return End.ON  # the mission ends so
-        return End.ESTOP if by_us else End.SELF
-    if found.finished_ns is not None:
-        return End.ON if over_ns is not None and over_ns <= found.finished_ns else End.STOP
-    if last is AsState.AS_DRIVING:
-        if over_ns is not None and found.finished_ns is None and found.estop_ns is None:
-            return End.ON  # it stands because the mission is done, and has yet to say FINISHED
-        drove = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
-        return End.HELD if drove and idle and found.rest_ns is not None else End.ON
-    if last in PARKED:
-        drove = any(state is AsState.AS_DRIVING for _, state in seen.states)
-        return End.OFF if drove else End.NOT_STARTED
-    if last is AsState.AS_FINISHED:
-        return End.ON if over_ns is not None else End.STOP
-    return End.ON if over_ns is not None else End.SELF  # in EMERGENCY_BRAKE since before the fault
+    emergency, finished = found.emergency_ns is not None, found.finished_ns is not None
+    by_us = emergency and _by(found.estop_ns, found.emergency_ns)
+    driving = last is AsState.AS_DRIVING
+    had_torque = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
+    had_driven = any(state is AsState.AS_DRIVING for _, state in seen.states)
+    ends = (
+        (_unsafe(seen, last, idle, over_ns), End.UNSAFE),
+        (by_us and _by(over_ns, found.estop_ns), End.ON),  # the mission ends so
+        (by_us, End.ESTOP),
+        (emergency, End.SELF),
+        (finished and _by(over_ns, found.finished_ns), End.ON),
+        (finished, End.STOP),
+        (driving and over and found.estop_ns is None, End.ON),  # it stands, the mission done, and has yet to say so
+        (driving and had_torque and idle and found.rest_ns is not None, End.HELD),
+        (driving, End.ON),
+        (last in PARKED and had_driven, End.OFF),
+        (last in PARKED, End.NOT_STARTED),
+        (over, End.ON),
+        (last is AsState.AS_FINISHED, End.STOP),
+    )
+    # Else it has been in EMERGENCY_BRAKE since before the fault.
+    return next((end for holds, end in ends if holds), End.SELF)
+
+
+def _by(t_ns: int | None, other_ns: int | None) -> bool:
+    """Whether both happened, the first no later than the other."""
+    return t_ns is not None and other_ns is not None and t_ns <= other_ns
 
 
 def _unsafe(seen: Observation, last: AsState, idle: bool, over_ns: int | None) -> bool:

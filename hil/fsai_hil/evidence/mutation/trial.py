@@ -46,7 +46,7 @@ MODULES: Final = (
 )
 """What is mutated."""
 
-COVERED: Final = ("supervision/*", "bridge.py", "limits.py")
+COVERED: Final = ("supervision/*", "bridge.py", "bridge_state.py", "tally.py", "limits.py")
 """What the killers must reach in every branch."""
 
 KILLERS: Final = (
