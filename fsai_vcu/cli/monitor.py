@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
+from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -23,9 +23,9 @@ EXAMPLE = "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-v
 ABOUT = """\
 Draws AS state, mission, what stands between now and driving, what is asked for
 and what the car gives, faults, handshake, and every message with its rate and
-age. It never sends. Ctrl-C or q ends it. A log is shown as it stood at its end,
-or at a moment, or played. Where the output is no terminal, and with --plain, a
-line a second is printed."""
+age. It never sends. Ctrl-C or q ends it, p holds the picture. A log is shown as
+it stood at its end, or at a moment, or played. Where the output is no terminal,
+and with --plain, a line a second is printed."""
 
 Clock = tuple[float, str]  # as a number for programs (s), and as words
 Shown = tuple["Picture", Clock]
@@ -38,7 +38,7 @@ _FAR_OFF_NS = 60 * _NS  # a stamp so far from now is of a device's own clock
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser)
     add_database_arguments(parser)
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so long (live; default: until Ctrl-C)")
@@ -208,10 +208,16 @@ def _shower(args: argparse.Namespace, drawn: bool, stack: ExitStack) -> Callable
     if drawn:
         screen = stack.enter_context(Screen())
         color = not os.environ.get("NO_COLOR")
+        held: Shown | None = None
 
         def draw(picture: Picture, clock: Clock) -> bool:
-            screen.draw(screen_lines(picture, *size(), clock[1], color=color))
-            return not screen.asked_to_quit()
+            nonlocal held
+            keys = screen.keys()
+            if "p" in keys:
+                held = None if held else (picture, (clock[0], f"paused at {clock[1]}"))
+            shown, at = held or (picture, clock)
+            screen.draw(screen_lines(shown, *size(), at[1], color=color))
+            return "q" not in keys
 
         return draw
     output = Output()

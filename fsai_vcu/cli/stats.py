@@ -9,12 +9,12 @@ import time
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
     Decoding,
     Output,
     Sources,
     add_database_arguments,
     add_seconds_argument,
+    add_source_argument,
     check_seconds,
 )
 
@@ -30,7 +30,7 @@ _PROGRESS_S = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser)
     add_database_arguments(parser)
     add_seconds_argument(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")

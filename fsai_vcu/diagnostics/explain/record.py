@@ -197,17 +197,10 @@ class Record:
 
     def fastest_wheel(self) -> Series:
         """The fastest of the four wheels, rpm."""
-        return self._over_wheels(np.maximum)
-
-    def slowest_wheel(self) -> Series:
-        """The slowest of the four wheels, rpm."""
-        return self._over_wheels(np.minimum)
-
-    def _over_wheels(self, choose: np.ufunc) -> Series:
-        key = Signal("VCU2AI_Speeds", choose.__name__)
+        key = Signal("VCU2AI_Speeds", "fastest")
         if key not in self._series:
             wheels = [self.series(Signal("VCU2AI_Speeds", f"{w}_WHEEL_SPEED")) for w in ("FL", "FR", "RL", "RR")]
-            values = choose.reduce([wheel.values for wheel in wheels])
+            values = np.maximum.reduce([wheel.values for wheel in wheels])
             self._series[key] = Series(wheels[0].t_ns, values)
         return self._series[key]
 
