@@ -173,14 +173,11 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     wire = rig.world.vcu.outgoing
     inverted = FlipBits(Window(frozenset({STATUS})), b"\x01")
 
-    class Wild:
+    class Wild(FrameFault):
         def frames(self, frame: Frame) -> Iterable[Frame]:
             if p["way"] == "random" and rng.random() < 0.5:
                 return (frame,)
             return inverted.frames(frame)
-
-        def uncalled(self, to_ns: int) -> Iterable[Frame]:
-            return ()
 
     made = Wild()
     wire.add(made)
@@ -193,7 +190,7 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     name = f"{p['wheel']}_rpm"
     seen = 0
 
-    class Spikes:
+    class Spikes(FrameFault):
         def frames(self, frame: Frame) -> Iterable[Frame]:
             nonlocal seen
             if frame.can_id != SPEEDS:
@@ -204,9 +201,6 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
                 return (frame,)
             spike = 1250 if getattr(image, name) < 600 else 0
             return (replace(frame, data=codec.encode(replace(image, **{name: spike})).data),)  # type: ignore[arg-type]
-
-        def uncalled(self, to_ns: int) -> Iterable[Frame]:
-            return ()
 
     made = Spikes()
     wire.add(made)
