@@ -117,7 +117,7 @@ def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool)
     from fsai_vcu.cli.main import UserError
     from fsai_vcu.core.vehicle.parameters import CARS
     from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelCheck
-    from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+    from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
     from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
 
     codec = _codec(configuration, as_wired=True)

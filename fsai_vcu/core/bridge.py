@@ -43,7 +43,7 @@ from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     GPS_FIELD_OF,
     VEHICLE_FIELD_OF,
     AiCommand,

@@ -18,7 +18,7 @@ from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Sc
 from fsai_vcu.diagnostics.doctor.wheels import Turn, WheelCheck
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.images import VcuStatus, WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.bus import open_bus

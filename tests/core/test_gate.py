@@ -19,7 +19,7 @@ from fsai_vcu.core.supervision.supervisor import OUTPUT, Brake, Decision, Phase,
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiCommand,
     VcuBrake,
     VcuDriveFront,

@@ -10,7 +10,7 @@ import pytest
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.odometry import MotionHistory, Odometry, OdometrySettings, motion_at
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     GpsImu,
     LogDynamics2,
     RotationB,

@@ -11,7 +11,7 @@ from supervision_rig import codec_of
 from fsai_vcu.core.supervision.changes import FAULT_NAMES, changes
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.enums import ShutdownCause
-from fsai_vcu.interface.images import Faults, VcuStatus
+from fsai_vcu.interface.messages import Faults, VcuStatus
 
 WELL = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
 

@@ -18,7 +18,7 @@ from fsai_vcu.core.supervision.plausibility import (
     wheel_factors,
 )
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
-from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
 
 CONFIG = BridgeConfig()
 CAR = ADS_DV_2026

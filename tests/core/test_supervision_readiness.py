@@ -24,7 +24,7 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
+from fsai_vcu.interface.messages import Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
 
 
 def said(rig: Rig, words: str) -> bool:

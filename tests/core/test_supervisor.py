@@ -29,7 +29,7 @@ from fsai_vcu.core.supervision.supervisor import (
     supervise,
 )
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 
 CONFIG = BridgeConfig()
 T0 = 1000 * S  # an arbitrary instant of the monotonic clock

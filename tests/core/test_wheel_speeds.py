@@ -18,7 +18,7 @@ from fsai_vcu.core.supervision.wheel_speeds import (
     turning,
 )
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, OFFICIAL_SIMULATOR, VehicleParameters
-from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
 
 CONFIG = BridgeConfig()
 CAR = ADS_DV_2026

@@ -23,7 +23,7 @@ from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsStatus, MissionStatus, ShutdownCause, SteeringStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,

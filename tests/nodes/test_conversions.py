@@ -23,7 +23,7 @@ from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     Faults,
     GpsAltitude,
@@ -39,7 +39,7 @@ from fsai_vcu.interface.images import (
     VcuSteer,
     WheelSpeeds,
 )
-from fsai_vcu.interface.images import VehicleState as VehicleImages
+from fsai_vcu.interface.messages import VehicleState as VehicleImages
 from fsai_vcu.interface.revisions import revision
 
 STAMP = Time(sec=12, nanosec=34)

@@ -14,7 +14,7 @@ from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, ShutdownCause
-from fsai_vcu.interface.images import VcuStatus, VehicleState
+from fsai_vcu.interface.messages import VcuStatus, VehicleState
 from fsai_vcu.interface.revisions import revision
 
 S = 1_000_000_000

@@ -28,7 +28,7 @@ from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 
 MS = 1_000_000
 WARN, ERROR = 30, 40  # rcl_interfaces/Log; its own constants are bytes

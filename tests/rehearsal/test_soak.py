@@ -21,7 +21,7 @@ from fsai_hil.rehearsal.soak import (
 )
 from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.images import AiCommand, VcuStatus
+from fsai_vcu.interface.messages import AiCommand, VcuStatus
 from fsai_vcu.interface.revisions import revision
 
 MS = 1_000_000

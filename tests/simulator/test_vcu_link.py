@@ -9,7 +9,7 @@ from fsai_hil.simulator.ai_link import AI_MESSAGES, AiLink
 from fsai_hil.simulator.profiles import MS, SPECIFICATION, S
 from fsai_vcu.interface.enums import AsState, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus
 
 CYCLE_NS = 10 * MS
 

@@ -11,7 +11,7 @@ from vcu_bench import Bench
 from fsai_hil.simulator.profiles import MS, S
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     GpsCourseSpeed,
     GpsDateTime,

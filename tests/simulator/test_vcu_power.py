@@ -22,7 +22,7 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import VcuBrake, VcuStatus, VcuSystemStatus
+from fsai_vcu.interface.messages import VcuBrake, VcuStatus, VcuSystemStatus
 from fsai_vcu.interface.revisions import Revision
 
 

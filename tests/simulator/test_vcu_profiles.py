@@ -9,7 +9,7 @@ from vcu_bench import Bench
 
 from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, S, profile
 from fsai_vcu.interface.enums import AsState, BrakeStatus, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuBrake, VcuStatus
+from fsai_vcu.interface.messages import VcuBrake, VcuStatus
 
 
 def bench_of(kind: Profile, name: str = "2021") -> Bench:

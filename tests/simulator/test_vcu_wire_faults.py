@@ -22,7 +22,7 @@ from fsai_hil.simulator.faults import (
 from fsai_hil.simulator.profiles import MS, S
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 
 SPEEDS = frozenset({0x525})
 

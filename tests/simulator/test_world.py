@@ -14,7 +14,7 @@ from fsai_hil.simulator.tracks import small_oval
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 
 SECOND_NS = 1_000_000_000
 

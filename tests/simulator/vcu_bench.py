@@ -16,7 +16,7 @@ from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiCommand, Image, VcuStatus
+from fsai_vcu.interface.messages import AiCommand, Image, VcuStatus
 from fsai_vcu.interface.revisions import revision
 
 CYCLE_NS = 10 * MS

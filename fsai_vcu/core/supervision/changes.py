@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.enums import ShutdownCause
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 
 FAULT_NAMES = (
     ("ai_estop_request", "AI_ESTOP_REQUEST"),

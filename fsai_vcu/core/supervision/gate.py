@@ -21,8 +21,8 @@ from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of, pulses_per_s, turning
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VehicleState, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import AiCommand, VcuDriveFront, VcuDriveRear, VehicleState, WheelSpeeds
 from fsai_vcu.interface.revisions import Revision
 
 AXLE_TORQUE_MAX_NM = 195.0  # interface specification v4.0: AXLE_TRQ_REQUEST 0 to 195 Nm

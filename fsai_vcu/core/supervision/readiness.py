@@ -27,8 +27,8 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import Faults, VcuStatus, VehicleState
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import Faults, VcuStatus, VehicleState
 
 READY_WAIT_NS = 5_000_000_000  # interface specification v4.0: at least 5 s in AS_READY
 READY_STEER_DEG = 5.0  # interface specification v4.0: measured steering under 5 deg

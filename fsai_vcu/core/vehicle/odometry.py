@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 
 NS_PER_S = 1_000_000_000
 

@@ -26,7 +26,7 @@ from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.log.live import LiveSource
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError
 

@@ -42,7 +42,7 @@ from fsai_vcu.diagnostics.explain.signals import (
 )
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
 
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle

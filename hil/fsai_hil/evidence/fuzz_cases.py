@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, event
 from fsai_vcu.interface.bus_table import BUS_TABLE
-from fsai_vcu.interface.images import Faults
+from fsai_vcu.interface.messages import Faults
 from fsai_vcu.interface.reserved import AI_IDS
 
 # Cycles of 10 ms about the times at which something runs out, and far from them.

@@ -71,7 +71,7 @@ Condition = Callable[[Situation], bool]
 class Fault(Immutable):
     """A fault bit of 0x520: what raises it, and the SHUTDOWN_CAUSE of the stop that it brings."""
 
-    name: str  # a field of fsai_vcu.interface.images.Faults
+    name: str  # a field of fsai_vcu.interface.messages.Faults
     cause: ShutdownCause
     when: Condition
     why: str

@@ -12,7 +12,7 @@ from typing import Final
 
 from fsai_hil.simulator.car_signals import CarFeedback
 from fsai_hil.simulator.profiles import MS, S
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     DeviceClock,
     DeviceIo,

@@ -57,7 +57,8 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -78,10 +79,8 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
-from fsai_vcu.interface.signals import rows
 
 TORQUE_LIMIT_NM: Final = 195.0  # interface specification v4.0: axle torque request 0-195 Nm
 WHEEL_RPM_MOST: Final = 1250.0  # signal database: range of the wheel speeds
@@ -576,10 +575,9 @@ class SimulatedVcu:
         decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
         if gps:
             decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
-        declared = {row.image: BY_NAME[row.message] for row in rows(self.codec.mapping)}
         messages: list[_Message] = []
         for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
-            message = declared[kind]
+            message = BY_NAME[kind.dbc_name]
             if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
                 continue
             phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0

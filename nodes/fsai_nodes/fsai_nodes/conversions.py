@@ -27,7 +27,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.images import Faults, GpsImu
+from fsai_vcu.interface.messages import Faults, GpsImu
 
 BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
 ODOM_FRAME = "odom"  # REP-105: where the run began

@@ -18,7 +18,7 @@ from fsai_hil.evidence.campaign.demands import ANY, CAR_STOPS, MAY_STOP_ITSELF, 
 from fsai_hil.evidence.campaign.injections import Injection, Params
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, ShutdownCause
-from fsai_vcu.interface.images import Faults
+from fsai_vcu.interface.messages import Faults
 from fsai_vcu.interface.reserved import AI_IDS
 
 PATH_MISSIONS: Final = frozenset({Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE})

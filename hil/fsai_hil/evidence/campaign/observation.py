@@ -13,7 +13,7 @@ from typing import Final
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,

@@ -13,7 +13,7 @@ from fsai_hil.simulator.as_machine import STANDING_RPM
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 

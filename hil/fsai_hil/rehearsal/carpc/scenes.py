@@ -51,7 +51,7 @@ from fsai_hil.rehearsal.carpc.recovery_times import (
 )
 from fsai_hil.rehearsal.stall_monitor import RUNS, Outcome, StallMonitor, Watcher, describe, judge_run
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import AiStatus
+from fsai_vcu.interface.messages import AiStatus
 from fsai_vcu.runtime.lock import holder_pid
 
 RESULTS = Path("/results")
