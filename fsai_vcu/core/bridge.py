@@ -35,7 +35,7 @@ from fsai_vcu.core.supervision.plausibility import (
     forget_steering,
     forget_wheels,
 )
-from fsai_vcu.core.supervision.readiness import READY_WAIT_NS, Circumstances, why_not_driving
+from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Decision, Inputs, SupervisorState
 from fsai_vcu.core.vehicle.odometry import Odometry
@@ -53,12 +53,12 @@ from fsai_vcu.interface.messages import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
 from fsai_vcu.interface.revisions import TELLING_IDS, Revision, told_by_frame
+from fsai_vcu.interface.specification import READY_WAIT_NS
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "official_simulator"]
 
-STATUS_ID = 0x520  # VCU2AI_Status
 _BELIEVED_FROM = 10  # frames in a row: interface specification v4.0 counts a loss in tens as well
 
 _AGES = ("status", "drive_front", "drive_rear", "steer", "brake", "speeds", "counts", "log_dynamics", "log_status")

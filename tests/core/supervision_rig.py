@@ -40,9 +40,8 @@ from fsai_vcu.interface.messages import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
-MS = 1_000_000
-S = 1_000_000_000
 CYCLE = 10 * MS
 
 

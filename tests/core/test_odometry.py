@@ -20,8 +20,8 @@ from fsai_vcu.interface.messages import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CAR = ADS_DV_2026
 
 

@@ -24,8 +24,8 @@ from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
 from fsai_vcu.diagnostics.recorder.segments import Bounds, NoRoomError, Place, PlaceError
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 BEGAN_NS = 1_700_000_000 * S
 LINE_BYTES = len("(1700000000.000000) can0 523#640064006400\n")
 

@@ -22,8 +22,8 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 DECODER = Decoder(load_databases())
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, BY_NAME, MS, BusMessage, Flow
+from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, BY_NAME, BusMessage, Flow
 from fsai_vcu.interface.database import dbc_dir, load_database
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS, may_send
 from fsai_vcu.interface.revisions import REVISIONS, Revision, revision
+from fsai_vcu.interface.units import MS
 
 OTHER_SPELLINGS = {"PCAN": "PCAN_GPS"}  # the 2021 database's name of the same device
 

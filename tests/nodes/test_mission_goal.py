@@ -6,8 +6,8 @@ import pytest
 
 from fsai_nodes.mission_goal import GOALS, GoalError, Outcome, Waiting
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 OFF, READY, DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 FINISHED, EMERGENCY, INIT = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, AsState.AS_INIT
 

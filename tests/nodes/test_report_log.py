@@ -16,8 +16,8 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, ShutdownCause
 from fsai_vcu.interface.messages import VcuStatus, VehicleState
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 REPORT = Bridge(Codec(revision("2026")), revision("2026"), CARS["2026"], now_ns=0).report(0)
 
 

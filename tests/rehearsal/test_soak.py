@@ -23,8 +23,8 @@ from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.messages import AiCommand, VcuStatus
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CODEC = Codec(revision("2026"))
 STEADY = [ResponseTimes([2 * MS] * 100)] * 3
 

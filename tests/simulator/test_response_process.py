@@ -5,7 +5,7 @@ from __future__ import annotations
 from test_world_process import FakeBus, made
 
 from fsai_hil.simulator.process import result_of
-from fsai_hil.simulator.profiles import MS
+from fsai_vcu.interface.units import MS
 
 
 def test_what_is_measured_is_what_happened_between_one_mark_and_the_next() -> None:

@@ -23,8 +23,7 @@ from fsai_vcu.interface.messages import (
     VcuStatus,
     WheelSpeeds,
 )
-
-MS = 1_000_000
+from fsai_vcu.interface.units import MS
 
 
 class Remembers:

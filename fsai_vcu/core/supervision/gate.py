@@ -24,15 +24,8 @@ from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import AiCommand, VcuDriveFront, VcuDriveRear, VehicleState, WheelSpeeds
 from fsai_vcu.interface.revisions import Revision
-
-AXLE_TORQUE_MAX_NM = 195.0  # interface specification v4.0: AXLE_TRQ_REQUEST 0 to 195 Nm
-MOTOR_SPEED_MAX_RPM = 4000  # interface specification v4.0: MOTOR_SPEED_MAX 0 to 4000 rpm
-
-CONSTANT_POWER_RPM_NM = ((700, 50.0), (600, 85.0), (500, 100.0), (400, 120.0), (300, 150.0))
-"""Interface specification v4.0, protection against an over-current trip: above this wheel speed at most this torque.
-
-Taken as steps, as it is written. The fastest wheel of the axle decides.
-"""
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_RPM_NM, MOTOR_SPEED_MAX_RPM
+from fsai_vcu.interface.units import KMH_PER_MPS
 
 LAPS_MAX, CONES_ACTUAL_MAX, CONES_ALL_MAX, SPEED_KMH_MAX = 15, 255, 65535, 255  # widths of the fields of 0x510
 
@@ -314,8 +307,10 @@ def gate(
         laps,
         cones_actual,
         cones_all,
-        _saturated(speed_mps * 3.6, SPEED_KMH_MAX),
-        _saturated(command.speed_limit_mps * 3.6, SPEED_KMH_MAX) if command is not None and decision.torque else 0,
+        _saturated(speed_mps * KMH_PER_MPS, SPEED_KMH_MAX),
+        _saturated(command.speed_limit_mps * KMH_PER_MPS, SPEED_KMH_MAX)
+        if command is not None and decision.torque
+        else 0,
     )
     return (
         GateState(

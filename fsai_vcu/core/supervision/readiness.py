@@ -6,17 +6,9 @@ from dataclasses import dataclass
 
 from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.supervisor import (
-    OFF_LIKE,
-    ROLES,
-    Mode,
-    Phase,
-    Sequence,
-    SupervisorState,
-    acknowledged,
-    vcu_lost,
-)
+from fsai_vcu.core.supervision.supervisor import ROLES, Mode, Phase, Sequence, SupervisorState, acknowledged, vcu_lost
 from fsai_vcu.interface.enums import (
+    OFF_LIKE,
     Ami,
     AsState,
     BrakeStatus,
@@ -29,9 +21,7 @@ from fsai_vcu.interface.enums import (
 )
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import Faults, VcuStatus, VehicleState
-
-READY_WAIT_NS = 5_000_000_000  # interface specification v4.0: at least 5 s in AS_READY
-READY_STEER_DEG = 5.0  # interface specification v4.0: measured steering under 5 deg
+from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,11 +23,10 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 
-OFF_LIKE = frozenset((AsState.AS_INIT, AsState.AS_OFF))
 """AS_STATE 0 is treated like AS_OFF in both revisions."""
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}

@@ -31,25 +31,23 @@ from fsai_vcu.diagnostics.explain.signals import (
     FINISHED,
     GO,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     RADIO_STRENGTH,
     REMOTE_ESTOP,
     SHUTDOWN_CAUSE,
-    STANDING_RPM,
     STATUS,
     STATUS_EBS,
     TORQUE_F,
     TORQUE_R,
     TS_SWITCH,
-    S,
     first_on,
     label,
     like_official_simulator,
 )
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of state belongs to it
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs

@@ -26,23 +26,22 @@ from fsai_vcu.diagnostics.explain.signals import (
     FAULT_STATUS,
     FAULTS,
     GO,
-    MS,
     SHUTDOWN_CAUSE,
     SHUTDOWN_REQUEST,
     SPEED_MAX_F,
     SPEED_MAX_R,
-    STANDING_RPM,
     STEER,
     TORQUE_F,
     TORQUE_R,
     TS_SWITCH,
-    S,
     label,
     like_official_simulator,
 )
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle

@@ -10,8 +10,6 @@ from typing import Any
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
 from fsai_vcu.interface.bus_table import BY_ID
 
-NS_PER_S = 1e9
-
 
 class Weight(IntEnum):
     """How much an event matters to a reader."""

@@ -9,12 +9,13 @@ import numpy as np
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.explain.incident import Candidate, Step, Sureness, candidate
 from fsai_vcu.diagnostics.explain.record import Gap, Record
-from fsai_vcu.diagnostics.explain.signals import ESTOP, HANDSHAKE_TIMEOUT, MS, TIMEOUTS, S, is_on
+from fsai_vcu.diagnostics.explain.signals import ESTOP, HANDSHAKE_TIMEOUT, TIMEOUTS, is_on
 from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import MS, S
 
-LOSS_NS: Final = 100 * MS  # interface specification v4.0: ten messages of 10 ms missing in a row
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # five messages that stop within this time stop together
 LOOK_BACK_NS: Final = 2 * S
@@ -62,7 +63,7 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
     found = dead_bus(record, t_ns, said)
     if found:
         return found
-    gaps = {can_id: gap for can_id in AI_IDS if (gap := gap_at(record, can_id, t_ns, LOSS_NS)) is not None}
+    gaps = {can_id: gap for can_id in AI_IDS if (gap := gap_at(record, can_id, t_ns, COMMS_LOST_NS)) is not None}
     errors = record.error_ns[(record.error_ns >= t_ns - LOOK_BACK_NS) & (record.error_ns <= t_ns)]
     if len(gaps) == len(AI_IDS) and _together(gaps):
         first = min(gap.begin_ns for gap in gaps.values())
@@ -109,8 +110,8 @@ def _error_step(record: Record, t_ns: int, count: int) -> Step:
 def _handshake(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
     for answer in record.answers:
         over_ns = record.end_ns if answer.echo_ns is None else answer.echo_ns
-        due_ns = answer.toggle_ns + LOSS_NS - EARLY_NS
-        if answer.waited_ns >= LOSS_NS - EARLY_NS and due_ns <= t_ns and over_ns >= t_ns - AT_ONCE_NS:
+        due_ns = answer.toggle_ns + COMMS_LOST_NS - EARLY_NS
+        if answer.waited_ns >= COMMS_LOST_NS - EARLY_NS and due_ns <= t_ns and over_ns >= t_ns - AT_ONCE_NS:
             words = (
                 f"HANDSHAKE becomes {answer.bit}, and 0x510 keeps saying {1 - answer.bit} for {ms(answer.waited_ns)}"
             )

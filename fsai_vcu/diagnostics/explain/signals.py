@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from fsai_vcu.core.supervision.changes import FAULT_NAMES
-from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal
-from fsai_vcu.interface import bus_table
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -23,11 +21,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 
-MS: Final = bus_table.MS
-S: Final = 1000 * MS
-STANDING_RPM: Final = BridgeConfig().standstill_rpm
 DRIVING: Final = float(AsState.AS_DRIVING)
-OFF_LIKE: Final = (float(AsState.AS_INIT), float(AsState.AS_OFF))
 READY: Final = float(AsState.AS_READY)
 EMERGENCY: Final = float(AsState.EMERGENCY_BRAKE)
 FINISHED: Final = float(AsState.AS_FINISHED)

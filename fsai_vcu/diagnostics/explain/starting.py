@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from fsai_vcu.core.supervision.readiness import READY_STEER_DEG, READY_WAIT_NS
 from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Kind, Step, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
@@ -29,8 +28,6 @@ from fsai_vcu.diagnostics.explain.signals import (
     FINISHED,
     GO,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     READY,
     SHUTDOWN_REQUEST,
     STATUS,
@@ -42,12 +39,13 @@ from fsai_vcu.diagnostics.explain.signals import (
     TORQUE_R,
     TS_STATE,
     TS_SWITCH,
-    S,
     label,
     like_official_simulator,
 )
-from fsai_vcu.interface.enums import BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
+from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
+from fsai_vcu.interface.units import MS, S
 
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S

@@ -21,13 +21,13 @@ from fsai_vcu.diagnostics.explain.signals import (
     DRIVING,
     EMERGENCY,
     ESTOP,
-    MS,
     SPEED_MAX_R,
     STEER,
     TORQUE_F,
     TORQUE_R,
 )
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.units import MS
 
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake

@@ -27,15 +27,12 @@ from fsai_vcu.diagnostics.explain.signals import (
     GO,
     HANDSHAKE_TIMEOUT,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     OP_STATE,
     READY,
     REMOTE_ESTOP,
     SHUTDOWN_CAUSE,
     SHUTDOWN_REQUEST,
     SM_SYS,
-    STANDING_RPM,
     STATUS,
     STATUS_BRK,
     STATUS_EBS,
@@ -48,18 +45,18 @@ from fsai_vcu.diagnostics.explain.signals import (
     TS_SWITCH,
     WARNING_STATUS,
     WARNINGS,
-    S,
     label,
 )
 from fsai_vcu.interface.bus_table import BY_ID, Flow
-from fsai_vcu.interface.enums import EbsState, EbsStatus, MissionStatus, TsState
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
 GONE_NS: Final = 1 * S
 MANY: Final = 12  # gaps of one message told singly
 AT_ONCE_NS: Final = 30 * MS
-VCU_IDS: Final = tuple(range(0x520, 0x527))
 # What one instant brings is told with causes before effects.
 ORDER: Final = (
     "bus", "link", "intruder", "switches", "Go", "mission", "fault", "AS state", "AI", "mode", "gate", "power", "EBS",

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-from fsai_vcu.diagnostics.explain.signals import MS, STANDING_RPM, STATUS, S
+from fsai_vcu.diagnostics.explain.signals import STATUS
 from fsai_vcu.diagnostics.log.frames import (
     ERROR,
     EXTENDED,
@@ -26,10 +26,11 @@ from fsai_vcu.diagnostics.log.frames import (
     frames_of,
     joined,
 )
+from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 WINDOW_NS: Final = 3 * S  # enough for a rate
 LONG_NS: Final = 30 * S  # as far as the rules look back that find the cause of an emergency brake
-PAUSE_NS: Final = 100 * MS  # interface specification v4.0: so long without a message of 10 ms is a loss
 HEARTBEAT_NS: Final = 500 * MS  # under the second without 0x520 that means a car switched off
 MOST_STATES: Final = 200_000  # rows: a day of heartbeats of four messages
 
@@ -118,7 +119,7 @@ class Memory:
             new = np.empty(len(rows), np.bool_)
             new[1:] = (np.diff(states) != 0) | (np.diff(beats) != 0)
             new[0] = int(states[0]) != state or int(beats[0]) != beat
-            pauses = np.diff(frames.t_ns[rows], prepend=before.t_ns if before else frames.t_ns[rows[0]]) > PAUSE_NS
+            pauses = np.diff(frames.t_ns[rows], prepend=before.t_ns if before else frames.t_ns[rows[0]]) > COMMS_LOST_NS
             kept[rows[new | pauses]] = True
             ends = np.flatnonzero(pauses[1:])
             kept[rows[ends]] = True

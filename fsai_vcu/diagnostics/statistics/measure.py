@@ -20,11 +20,12 @@ from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
-from fsai_vcu.interface.bus_table import BY_ID, MS, BusMessage, Flow
+from fsai_vcu.interface.bus_table import BY_ID, BusMessage, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
+from fsai_vcu.interface.units import MS, S
 
 BITRATE: Final = 500_000  # interface specification v4.0: 500 kbit/s
-SECOND: Final = 1_000_000_000
 LOAD_WINDOW_NS: Final = 100 * MS
 
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
@@ -33,10 +34,8 @@ _ENOUGH_INTERVALS = 20
 # Three frames within so many periods are of two senders: one alone keeps 8 ms between the AI computer's cycles.
 _CLOSE_PERIODS = 1.5
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
-_AI_PATIENCE_NS = 100 * MS  # interface specification v4.0: an echo later than this raises AI_COMMS_LOST
-_SLOW_ECHO_NS = 10 * MS  # one cycle of the VCU
 _HIGH_LOAD = 0.7
-_FROZEN_COUNTS_NS = SECOND
+_FROZEN_COUNTS_NS = S
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
 
@@ -250,7 +249,7 @@ def _measure_channel(
     return BusStatistics(
         channel=channel,
         frames=len(frames),
-        duration_s=duration_ns / SECOND,
+        duration_s=duration_ns / S,
         timed=duration_ns > 0,
         messages=tuple(messages),
         missing=missing,
@@ -301,8 +300,8 @@ def _measure_message(
         extended=bool(frames.flags[rows[0]] & EXTENDED),
         name=layout.name if layout else None,
         count=len(rows),
-        first_s=int(t_ns[0]) / SECOND,
-        last_s=int(t_ns[-1]) / SECOND,
+        first_s=int(t_ns[0]) / S,
+        last_s=int(t_ns[-1]) / S,
         expected_length=layout.length if layout else None,
         wrong_lengths=wrong,
         remote=int(remote.sum()),
@@ -313,7 +312,7 @@ def _measure_message(
         jitter=Spread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
         gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
-        longest_gap_at_s=None if longest is None else int(t_ns[longest]) / SECOND,
+        longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=len(np.unique(word)),
         close=close,
@@ -338,7 +337,7 @@ def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
 
 
 def _share(bits: int, duration_ns: int, bitrate: int) -> float:
-    return bits / (bitrate * duration_ns / SECOND) if duration_ns > 0 else 0.0
+    return bits / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
 def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
@@ -347,7 +346,7 @@ def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
         return 0.0
     windows = (t_ns - t_ns.min()) // LOAD_WINDOW_NS
     _, where = np.unique(windows, return_inverse=True)
-    return float(np.bincount(where, weights=bits).max()) / (bitrate * LOAD_WINDOW_NS / SECOND)
+    return float(np.bincount(where, weights=bits).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
 def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
@@ -362,7 +361,7 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     next_ns = np.append(asked_ns[toggles[1:]], np.iinfo(np.int64).max)
     stood_ns = int(np.diff(np.append(asked_ns[toggles], asked_ns[-1])).max())
     before = np.searchsorted(answer_ns, asked_ns[toggles], side="right") - 1
-    alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < _AI_PATIENCE_NS)
+    alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < COMMS_LOST_NS)
     toggles, next_ns = toggles[alive], next_ns[alive]
     toggle_ns, toggle_bits = asked_ns[toggles], asked_bits[toggles]
     first_ns = np.full(len(toggles), np.iinfo(np.int64).max)
@@ -373,10 +372,10 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     in_time = first_ns < next_ns
     waited = (first_ns - toggle_ns)[in_time]
     unanswered = ~in_time
-    if len(toggles) and asked_ns[-1] - toggle_ns[-1] < _AI_PATIENCE_NS:
+    if len(toggles) and asked_ns[-1] - toggle_ns[-1] < COMMS_LOST_NS:
         unanswered[-1] = False  # the log ended before it had to be
     return Handshake(
-        len(waited), int(unanswered.sum()), stood_ns / MS, Spread.of(waited), int((waited >= _AI_PATIENCE_NS).sum())
+        len(waited), int(unanswered.sum()), stood_ns / MS, Spread.of(waited), int((waited >= COMMS_LOST_NS).sum())
     )
 
 
@@ -410,7 +409,7 @@ def _frozen_counts(frames: Frames, decoder: Decoder) -> Iterator[tuple[str, floa
             count.t_ns, count.values, np.where(turning, -1, np.arange(len(turning), dtype=np.int64))
         )
         if lasted_ns >= _FROZEN_COUNTS_NS:
-            yield count.name, since_ns / SECOND, lasted_ns / SECOND
+            yield count.name, since_ns / S, lasted_ns / S
 
 
 # ---------------------------------------------------------------- judging
@@ -464,14 +463,14 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
                 problem,
                 "handshake",
                 f"{handshake.unanswered} handshakes without an answer and {handshake.above_patience} answered after"
-                f" {_AI_PATIENCE_NS // MS} ms or more: the VCU takes that for AI_COMMS_LOST",
+                f" {COMMS_LOST_NS // MS} ms or more: the VCU takes that for AI_COMMS_LOST",
                 0x510,
             )
-        elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > _SLOW_ECHO_NS:
+        elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > PERIOD_NS:
             yield Finding(
                 note, "handshake", f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow", 0x510
             )
-        if handshake.stood_ms * MS >= _AI_PATIENCE_NS:
+        if handshake.stood_ms * MS >= COMMS_LOST_NS:
             yield Finding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
     for signal, since_s, for_s in bus.frozen_counts:
         yield Finding(

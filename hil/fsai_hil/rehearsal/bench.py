@@ -47,17 +47,16 @@ from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.fields import fields_of
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import MESSAGES, AiCommand, VcuStatus
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.engine import Engine
 from fsai_vcu.runtime.lock import holder_pid
 
 REVISION = "2026"
-CYCLE_NS = 10_000_000
 MISSIONS = ("acceleration", "skidpad", "autocross", "trackdrive")
 TRACKDRIVE_LAPS = 1
-_FROM_THE_CAR = tuple(range(0x520, 0x527))
 NODE_START = "start bridge node"
 NODE_START_WALL = f"{NODE_START}, wall"
 NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/stated.py)
@@ -162,7 +161,7 @@ def car_frames(codec: Codec, database: Any, count: int = 20, seed: int = 1) -> l
     """Frames of the VCU with varying content that both decoders take."""
     chance = random.Random(seed)
     frames: list[Frame] = []
-    for can_id in _FROM_THE_CAR:
+    for can_id in VCU_IDS:
         message = database.get_message_by_frame_id(can_id)
         while sum(frame.can_id == can_id for frame in frames) < count:
             values = {signal.name: _some_value(signal, chance) for signal in message.signals}
@@ -275,7 +274,7 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Result:
 
         def ours() -> None:
             nonlocal now_ns, turn
-            now_ns += CYCLE_NS
+            now_ns += PERIOD_NS
             turn += 1
             status = statuses[turn & 1]
             engine.on_frame(Frame(status.can_id, status.data, now_ns))

@@ -23,12 +23,12 @@ from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import S
 
 STEP_NS = 1_000_000  # the bus is looked at every millisecond
 CONE_PERIOD_NS = 50_000_000  # 20 Hz, as a camera or lidar pipeline
 CONFIDENCE_THRESHOLD = 0.5  # the detector's default
 PROGRESS_PERIOD_NS = 500_000_000
-NS_PER_S = 1e9
 RUNS_OF_A_PROCESS = 1_000_000
 
 
@@ -202,7 +202,7 @@ class Lockstep:
                 if progress is not None:
                     progress(self.world, self.computer.report())
             if realtime:
-                ahead_s = (self._now_ns - start_ns) / NS_PER_S - (time.monotonic() - began)
+                ahead_s = (self._now_ns - start_ns) / S - (time.monotonic() - began)
                 if ahead_s > 0:
                     time.sleep(ahead_s)
         report = self.computer.report()
@@ -210,7 +210,7 @@ class Lockstep:
             self.world.verdict(),
             self.wire.report(),
             report,
-            (self._now_ns - start_ns) / NS_PER_S,
+            (self._now_ns - start_ns) / S,
             time.monotonic() - began,
             self.world.setup.seed,
             self.world.faults(),

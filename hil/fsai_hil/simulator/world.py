@@ -24,7 +24,7 @@ from fsai_hil.simulator.tracks import MISSION_TRACK, Track, load_track
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -32,7 +32,6 @@ from fsai_vcu.interface.revisions import revision as revision_named
 STEP_NS: Final = 2_000_000  # the grid on which the VCU looks and the car moves on
 LOOK_NS: Final = 10_000_000  # judge and operator
 SAMPLE_NS: Final = 50_000_000  # what is kept for the plot
-STANDSTILL_STATES: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF})
 STATIC_INSPECTIONS: Final = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B})
 
 
@@ -184,7 +183,7 @@ class World:
     def _follow_display(self, state: AsState) -> None:
         """People bring the car to its start when it is off: for a mission newly chosen on the display, and after a run
         (the same mission may be driven twice)."""
-        if state not in STANDSTILL_STATES or not self.car.standing:
+        if state not in OFF_LIKE or not self.car.standing:
             return
         run, ami = self._run, self.vcu.switches.ami
         over = run.judge.done and not (self.setup.auto and self.done)

@@ -28,6 +28,7 @@ from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import Faults, GpsImu
+from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
 
 BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
 ODOM_FRAME = "odom"  # REP-105: where the run began
@@ -35,7 +36,6 @@ ODOM_FRAME = "odom"  # REP-105: where the run began
 UNKNOWN = 255
 NEVER = math.nan
 _UINT32_MAX = 2**32 - 1
-_GRAVITY_MPS2 = 9.80665
 
 
 def _count(value: int) -> int:
@@ -329,9 +329,9 @@ def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> I
         gps.dynamics,
     )
     if acceleration is not None:
-        message.linear_acceleration.x = acceleration.x_mg * 1e-3 * _GRAVITY_MPS2
-        message.linear_acceleration.y = acceleration.y_mg * 1e-3 * _GRAVITY_MPS2
-        message.linear_acceleration.z = acceleration.z_mg * 1e-3 * _GRAVITY_MPS2
+        message.linear_acceleration.x = acceleration.x_mg * 1e-3 * STANDARD_GRAVITY_MPS2
+        message.linear_acceleration.y = acceleration.y_mg * 1e-3 * STANDARD_GRAVITY_MPS2
+        message.linear_acceleration.z = acceleration.z_mg * 1e-3 * STANDARD_GRAVITY_MPS2
         if rotation_a is not None:
             message.angular_velocity.x = math.radians(rotation_a.x_degps)
             message.angular_velocity.y = math.radians(rotation_a.y_degps)

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 
-_OFF = frozenset({AsState.AS_INIT, AsState.AS_OFF})
 _FINISHED = frozenset({AsState.AS_FINISHED})
 _EMERGENCY = frozenset({AsState.EMERGENCY_BRAKE})
 _NONE: frozenset[AsState] = frozenset()
@@ -32,7 +31,7 @@ GOALS: Mapping[str, Goal] = MappingProxyType(
         "driving": Goal(frozenset({AsState.AS_DRIVING}), _EMERGENCY | _FINISHED, False),
         "finished": Goal(_FINISHED, _EMERGENCY, True),
         "emergency": Goal(_EMERGENCY, _FINISHED, True),
-        "off": Goal(_OFF, _NONE, False),
+        "off": Goal(OFF_LIKE, _NONE, False),
         "end": Goal(_FINISHED | _EMERGENCY, _NONE, True),
     }
 )
@@ -89,7 +88,7 @@ class Waiting:
                 return Outcome(True, "reached", f"{as_state.label} reached")
             if changed and as_state in goal.missed:
                 return Outcome(False, "missed", f"{as_state.label} instead of {self.until}")
-            if goal.lost_by_off and self._drove and as_state in _OFF:
+            if goal.lost_by_off and self._drove and as_state in OFF_LIKE:
                 return Outcome(False, "missed", f"{as_state.label} after AS_DRIVING, instead of {self.until}")
         if self._timeout_ns and now_ns - self._began_ns >= self._timeout_ns:
             state = "nothing heard from the car" if as_state is None else f"the car is in {as_state.label}"

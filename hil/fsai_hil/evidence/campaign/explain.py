@@ -9,8 +9,7 @@ from fsai_hil.evidence.campaign.scenario import Scenario
 from fsai_hil.evidence.campaign.verdict import Verdict
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.reasons import words_of
-
-MS = 1_000_000
+from fsai_vcu.interface.units import MS
 
 
 @dataclass(slots=True)

@@ -16,8 +16,8 @@ from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS
 
-MS: Final = 1_000_000
 WINDOW_MS: Final = 10_000  # how long a run from a snapshot lasts
 AFTERMATH_MS: Final = 4_200  # so long after a fault begins, or ends, all that the rules demand has happened
 DRIVING_MS: Final = 1_500  # a car that has torque so long after a fault is over drives on

@@ -12,8 +12,8 @@ from fsai_hil.evidence.campaign.implausibility import Streak, count_streaks, ste
 from fsai_hil.evidence.campaign.observation import Observation
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.units import MS
 
-MS: Final = 1_000_000
 SUPERVISED_MS: Final = 3000  # safety rules: supervision starts 3 s into AS_DRIVING
 PARKED: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY})
 
