@@ -145,6 +145,15 @@ class Faults(Immutable):
     bms: bool | None = signal("BMS_FAULT", None, absent=_NO_FAULT)
     brake_plausibility: bool | None = signal("BRAKE_PLAUSIBILITY_FAULT", None, absent=_NO_FAULT)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The bits that are set, as the databases call them."""
+        return tuple(name for field, name in FAULT_NAMES.items() if getattr(self, field))
+
+
+FAULT_NAMES: Final[Mapping[str, str]] = {one.name: one.signal for one in fields_of(Faults)}
+"""For each field of Faults the databases' name, which is also the one for people."""
+
 
 @dataclass(frozen=True, slots=True)
 class VcuStatus(Message, name="VCU2AI_Status", required=True):

@@ -177,7 +177,7 @@ def test_an_ai_computer_that_falls_silent_while_driving_is_braked_to_rest_by_the
     assert world.car.standing
     assert verdict.shutdown_cause == "AI_COMMS_FAULT"
     assert not verdict.passed
-    assert "ai_comms_lost" in world.faults()
+    assert "AI_COMMS_LOST" in world.faults()
 
 
 def test_the_remote_estop_pressed_while_driving_ends_the_run() -> None:

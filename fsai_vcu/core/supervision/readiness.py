@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.supervisor import ROLES, Mode, Phase, Sequence, SupervisorState, acknowledged, vcu_lost
 from fsai_vcu.interface.enums import (
@@ -20,7 +19,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.immutable import Immutable
-from fsai_vcu.interface.messages import Faults, VcuStatus, VehicleState
+from fsai_vcu.interface.messages import VcuStatus, VehicleState
 from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
 
 
@@ -112,8 +111,7 @@ def _car_side(config: BridgeConfig, state: SupervisorState, vehicle: VehicleStat
 
 
 def _named_faults(status: VcuStatus) -> str:
-    faults: Faults = status.faults
-    names = [name for attribute, name in FAULT_NAMES if getattr(faults, attribute)]
+    names = list(status.faults.names)
     if status.shutdown_cause is not None and status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:
         names.append(f"SHUTDOWN_CAUSE {status.shutdown_cause.label}")
     return f": {', '.join(names)}" if names else ""

@@ -7,7 +7,7 @@ process on a bus. Deterministic: the same setup and the same frames at the same 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -282,8 +282,7 @@ class World:
 
     def faults(self) -> tuple[str, ...]:
         """The fault bits that the car shows now, by name."""
-        faults = self.vcu.faults
-        return tuple(bit.name for bit in fields(faults) if getattr(faults, bit.name))
+        return self.vcu.faults.names
 
 
 def _a_mission(mission: Ami) -> Ami:
