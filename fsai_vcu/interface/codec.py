@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache, lru_cache
 from numbers import Real
-from operator import attrgetter, call, itemgetter
+from operator import attrgetter, call, itemgetter, truediv
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -374,6 +374,9 @@ class _Layout:
         unpack = bitstruct.compile(_from_the_end([self.slots[name] for name in wide], self.message.length)).unpack
         converters = tuple(_converter(self.slots[name]) for name in wide)
         as_read = all(converter in (int, float) for converter in converters)
+        # Where every number is divided alone, no converter need be called.
+        divisors = tuple(_divisor(self.slots[name]) for name in wide)
+        divided = None not in divisors and not as_read
         any_float = any(slot.is_float for slot in self.slots.values())
         kind, careful, is_status = self.kind, self.careful_decode, self.kind is VcuStatus
 
@@ -391,7 +394,9 @@ class _Layout:
             values: tuple[Any, ...] = ()
             if wide:
                 values = unpack(data[::-1])
-                if not as_read:
+                if divided:
+                    values = tuple(map(truediv, values, divisors))
+                elif not as_read:
                     values = tuple(map(call, converters, values))
                 if any_float and not math.isfinite(sum(values)):
                     return careful(data, t_ns)
@@ -453,6 +458,10 @@ def _converter(slot: _Slot) -> Callable[[Any], float]:
     if scale == 1:
         return holds
     return scale.__mul__ if per_unit is None else per_unit.__rtruediv__
+
+
+def _divisor(slot: _Slot) -> int | None:
+    return None if slot.field.holds is int or slot.signal.offset else slot.per_unit
 
 
 def _writer(slot: _Slot) -> Callable[[Any], int]:
