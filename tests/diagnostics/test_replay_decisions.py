@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from recorded_runs import MS, Recorded, record
+from recorded_runs import Recorded, record
 from rerun import compare
 
 from fsai_hil.simulator.tracks import load_track
@@ -20,6 +20,7 @@ from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.units import MS
 
 
 @pytest.fixture(scope="module")

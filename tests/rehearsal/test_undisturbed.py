@@ -18,7 +18,7 @@ from fsai_hil.rehearsal.stall_monitor import (
     RUNS,
     SPELL,
     STOOD_STILL_NS,
-    Outcome,
+    RunValidity,
     SlowSpell,
     Stall,
     StallMonitor,
@@ -197,9 +197,9 @@ def test_what_a_failed_test_left_in_a_shared_fixture_does_not_reach_the_next(pyt
 
 @pytest.mark.parametrize("number", range(1, RUNS + 1))
 def test_without_a_stall_or_without_a_failure_every_run_counts(number: int) -> None:
-    assert judge_run(True, [], number) is Outcome.COUNTS
-    assert judge_run(False, [STALL], number) is Outcome.COUNTS
-    assert judge_run(True, [STALL], number) is (Outcome.AGAIN if number < RUNS else Outcome.NEVER_UNDISTURBED)
+    assert judge_run(True, [], number) is RunValidity.COUNTS
+    assert judge_run(False, [STALL], number) is RunValidity.COUNTS
+    assert judge_run(True, [STALL], number) is (RunValidity.AGAIN if number < RUNS else RunValidity.NEVER_UNDISTURBED)
 
 
 def noted(tmp_path: Path, *stalls: Stall) -> StallMonitor:

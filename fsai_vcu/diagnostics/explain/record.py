@@ -132,7 +132,7 @@ class Intrusion:
 
 
 @dataclass(frozen=True)
-class Answer:
+class HandshakeToggle:
     """A toggle of the VCU's handshake and the AI computer's echo. `echo_ns` None: it never came."""
 
     toggle_ns: int
@@ -245,7 +245,7 @@ class Record:
         return None
 
     @cached_property
-    def answers(self) -> Sequence[Answer]:
+    def answers(self) -> Sequence[HandshakeToggle]:
         """Every toggle of the VCU's handshake while the AI computer speaks, and its echo."""
         asked = self.series(Signal("VCU2AI_Status", "HANDSHAKE"))
         echo = self.series(Signal("AI2VCU_Status", "HANDSHAKE"))
@@ -261,7 +261,7 @@ class Record:
             first = int(np.searchsorted(times, span.begin_ns))
             echo_ns = int(times[first]) if first < len(times) else None
             waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
-            found.append(Answer(span.begin_ns, bit, echo_ns, waited_ns))
+            found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
         return tuple(found)
 
     @cached_property

@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, Final
 
-from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, Setup
+from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, FuzzCase, FuzzEvent, Setup
 from fsai_hil.rules.numbers import DEADLINE_MISS_NS, FUTURE_NS, MS, STOP_TIMEOUT_NS
 from fsai_hil.rules.violation import Violation
 from fsai_hil.rules.wire_rules import Terms, WireOracle
@@ -152,7 +152,7 @@ class Played:
 
     # ------------------------------------------------------------ events
 
-    def play(self, events: Iterable[Event]) -> list[Violation]:
+    def play(self, events: Iterable[FuzzEvent]) -> list[Violation]:
         """Let `events` happen until a rule is broken. What was found; an exception of the process is a problem too."""
         for one in events:
             if self.say is not None:
@@ -602,7 +602,7 @@ def forget_stations() -> None:
     _stations.clear()
 
 
-def play(case: Case, watch: Callable[[Played], None] | None = None) -> tuple[Played, list[Violation]]:
+def play(case: FuzzCase, watch: Callable[[Played], None] | None = None) -> tuple[Played, list[Violation]]:
     """Play a case; the process as it is at the end, and what was found."""
     played = at_station(case.setup, case.station)
     played.watch = watch

@@ -21,7 +21,7 @@ from fsai_hil.simulator.tracks import (
     CONE_RADIUS_M,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
-    Line,
+    TimingLine,
     Track,
     TrackKind,
 )
@@ -84,7 +84,7 @@ LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict(Immutable):
+class JudgeVerdict(Immutable):
     """What the judge says at the end, or would say if the run ended now. Times in s since the world began."""
 
     mission: str
@@ -133,7 +133,7 @@ class Verdict(Immutable):
 class _Crossing:
     """Notices when a point crosses a line forward, and when exactly."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: TimingLine) -> None:
         self.line = line
         self._ahead_m: float | None = None
         self._t_ns = 0
@@ -767,14 +767,14 @@ class Judge:
             found.append(f"off course {'once' if times == 1 else f'{times} times'}")
         return found
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> JudgeVerdict:
         reasons = self._reasons_now()
         if not self.done:
             reasons.append("the run is not over")
         moving_s = (self._still_ns - self._moved_ns) / S if self._still_ns and self._moved_ns else 0.0
         driving_end = self._over_ns or self._last_ns
         hit = len(self._surroundings.hit)
-        return Verdict(
+        return JudgeVerdict(
             mission=self.mission.name.lower(),
             result="fail" if reasons else "pass",
             reasons=tuple(reasons),

@@ -9,7 +9,7 @@ from typing import Any
 
 from fsai_hil.rules.checker import WireChecker, WireReport
 from fsai_hil.simulator.ai_computer import OnboardComputer
-from fsai_hil.simulator.judge import Verdict
+from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.control.controller import Controller
@@ -36,7 +36,7 @@ RUNS_OF_A_PROCESS = 1_000_000
 class LockstepResult:
     """A run in lockstep: what the judge saw, what the wire showed, what the bridge reported at the end."""
 
-    verdict: Verdict
+    verdict: JudgeVerdict
     wire: WireReport
     report: BridgeReport
     sim_time_s: float

@@ -93,7 +93,7 @@ class Transition(Immutable):
 
 
 @dataclass(frozen=True, slots=True)
-class _Message(Immutable):
+class _CyclicMessage(Immutable):
     """One cyclic message. `build` makes its image as it is at a time; None: the PCAN-GPS does."""
 
     kind: type[Image]
@@ -560,22 +560,22 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ what it says
 
-    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_Message, ...]:
+    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_CyclicMessage, ...]:
         """Everything that is sent in this revision, 0x520 first."""
         decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
         if gps:
             decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
-        messages: list[_Message] = []
+        messages: list[_CyclicMessage] = []
         for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
             message = BY_NAME[kind.dbc_name]
             if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
                 continue
             phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0
             period_ns = message.period_ns[self.revision.name] * decimation.get(kind, 1)
-            messages.append(_Message(kind, period_ns, phase_ns, BUILDERS.get(kind)))
+            messages.append(_CyclicMessage(kind, period_ns, phase_ns, BUILDERS.get(kind)))
         return tuple(messages)
 
-    def _frame(self, message: _Message, t_ns: int) -> Frame:
+    def _frame(self, message: _CyclicMessage, t_ns: int) -> Frame:
         if message.build is not None:
             return self.codec.encode(message.build(self, t_ns))
         # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.

@@ -16,7 +16,7 @@ from fsai_hil.simulator.car import Car, car_model
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import FrameFault
 from fsai_hil.simulator.ground_truth import Truth
-from fsai_hil.simulator.judge import Judge, JudgeSettings, Verdict, check_track
+from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict, check_track
 from fsai_hil.simulator.operator import At, Operator
 from fsai_hil.simulator.profiles import profile as profile_named
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
@@ -64,7 +64,7 @@ class WorldSetup:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample(Immutable):
+class PathSample(Immutable):
     """One point of the driven path."""
 
     t_s: float
@@ -83,7 +83,7 @@ class _Run:
     track: Track
     judge: Judge
     sensor: ConeSensor
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[PathSample] = field(default_factory=list)
 
 
 class World:
@@ -118,7 +118,7 @@ class World:
         self._now_ns = setup.start_ns
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
-        self.verdicts: list[Verdict] = []  # of the runs that are over
+        self.verdicts: list[JudgeVerdict] = []  # of the runs that are over
         self.runs: list[_Run] = []
         self._spoken_to = False
         # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
@@ -177,7 +177,7 @@ class World:
     def _sample(self, now: int, state: AsState) -> None:
         pose = self.car.pose
         t_s = (now - self.setup.start_ns) / 1e9
-        point = Sample(t_s, pose.x_m, pose.y_m, self.car.speed_mps, self.car.truth().steer_deg, int(state))
+        point = PathSample(t_s, pose.x_m, pose.y_m, self.car.speed_mps, self.car.truth().steer_deg, int(state))
         self._run.samples.append(point)
 
     def _follow_display(self, state: AsState) -> None:
@@ -234,7 +234,7 @@ class World:
         return self._run.judge
 
     @property
-    def samples(self) -> Sequence[Sample]:
+    def samples(self) -> Sequence[PathSample]:
         """The path driven in the present run."""
         return self._run.samples
 
@@ -261,7 +261,7 @@ class World:
         """Every mission that was asked for has been judged."""
         return len(self.verdicts) >= len(self.setup.missions)
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> JudgeVerdict:
         """The latest run's verdict: of the run in hand, or of the last one while none has begun anew."""
         if not self._run.judge.done and self._run.judge.waiting and self.verdicts:
             return self.verdicts[-1]

@@ -102,7 +102,7 @@ class BusWatch:
         self._reading.close()
 
 
-class Car:
+class CarService:
     """The simulated car as a service whose switches are typed."""
 
     def __init__(self, unit: str, fifo: Path) -> None:
