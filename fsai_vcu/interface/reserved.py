@@ -37,8 +37,3 @@ RESERVED_IDS: frozenset[int] = frozenset(
     can_id for first, last in _RESERVED_RANGES for can_id in range(first, last + 1)
 )
 """Identifiers that an AI computer must never transmit."""
-
-
-def may_send(can_id: int, *, without_pcan_gps: bool = False) -> bool:
-    """Whether the AI computer may transmit `can_id` (safety rule 8)."""
-    return can_id in AI_IDS or (without_pcan_gps and can_id == OPTIONAL_AI_ID)

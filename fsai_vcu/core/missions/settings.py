@@ -42,10 +42,8 @@ class MissionSettings(Immutable):
     inspection_a_rpm: float = 200.0
     inspection_a_spin_up_s: float = 10.0
     inspection_a_hold_s: float = 1.0
-    inspection_a_rest_s: float = 5.0
     inspection_b_rpm: float = 50.0
     inspection_b_hold_s: float = 0.5
-    rest_rpm: float = 10.0  # under it a wheel stands: interface specification v4.0, AS_FINISHED
 
     # Autonomous demo
     demo_speed_mps: float = 15.0 / KMH_PER_MPS
