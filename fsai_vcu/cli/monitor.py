@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument
+from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -32,8 +33,7 @@ Shown = tuple["Picture", Clock]
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
-_NS = 1_000_000_000
-_FAR_OFF_NS = 60 * _NS  # a stamp so far from now is of a device's own clock
+_FAR_OFF_NS = 60 * S  # a stamp so far from now is of a device's own clock
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -123,7 +123,7 @@ def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
 
 def _played(sources: Sources, view: View, args: argparse.Namespace, every_s: float) -> Iterator[Shown]:
     """Pictures of a log, as often as it was asked for in the time of the one who looks."""
-    step_ns = max(1, round(every_s * (args.rate or 1.0) * _NS))
+    step_ns = max(1, round(every_s * (args.rate or 1.0) * S))
     begin_ns = due_ns = None
     due_s = time.monotonic()
     for frames in sources.chunks():
@@ -162,7 +162,7 @@ def _still(args: argparse.Namespace, sources: Sources, view: View, drawn: bool) 
             continue
         if begin_ns is None:
             begin_ns = int(frames.t_ns[0])
-            at_ns = None if args.at is None else begin_ns + round(args.at * _NS)
+            at_ns = None if args.at is None else begin_ns + round(args.at * S)
         if at_ns is not None:
             frames = frames.only(frames.t_ns <= at_ns)
         view.update(frames)
@@ -194,7 +194,7 @@ def _print_whole(picture: Picture, clock: Clock, *, on_terminal: bool) -> None:
 def _moment(view: View, begin_ns: int, at_ns: int) -> Shown:
     """The picture at `at_ns` or at the newest frame, whichever is later."""
     now_ns = max(at_ns, view.memory.newest_ns or 0)
-    return view.picture(now_ns), (now_ns / _NS, f"{(now_ns - begin_ns) / _NS:.1f} s into the log")
+    return view.picture(now_ns), (now_ns / S, f"{(now_ns - begin_ns) / S:.1f} s into the log")
 
 
 # ---------------------------------------------------------------- showing

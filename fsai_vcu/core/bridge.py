@@ -44,7 +44,8 @@ from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.immutable import replace
+from fsai_vcu.interface.messages import (
     GPS_FIELD_OF,
     VEHICLE_FIELD_OF,
     AiCommand,
@@ -53,13 +54,11 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.interface.immutable import replace
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
 from fsai_vcu.interface.revisions import TELLING_IDS, Revision, told_by_frame
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "BridgeState", "official_simulator"]
 
-STATUS_ID = 0x520  # VCU2AI_Status
 
 _AGES = ("status", "drive_front", "drive_rear", "steer", "brake", "speeds", "counts", "log_dynamics", "log_status")
 

@@ -10,8 +10,8 @@ from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
 from fsai_vcu.core.supervision.supervisor import Decision, SupervisorState
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief
 from fsai_vcu.core.vehicle.odometry import OdometryState
-from fsai_vcu.interface.images import AiCommand, GpsImu, VehicleState
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
 
 
 @dataclass(frozen=True, slots=True)

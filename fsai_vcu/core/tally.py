@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from fsai_vcu.core.supervision.readiness import READY_WAIT_NS
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Decision
+from fsai_vcu.interface.specification import READY_WAIT_NS
 
 _OTHER_REVISION_FROM = 10  # frames in a row: interface specification v4.0 counts a loss in tens as well
 _PROBLEMS_KEPT = 100  # distinct texts: a fuzzed bus must not fill the memory

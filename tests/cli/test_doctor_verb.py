@@ -15,10 +15,10 @@ import pytest
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.doctor.checks import Finding, examine
 from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Scheduling, Wanted
-from fsai_vcu.diagnostics.doctor.wheels import Turn, WheelCheck
+from fsai_vcu.diagnostics.doctor.wheels import Turn, WheelWiringCheck
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.images import VcuStatus, WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.bus import open_bus
@@ -239,7 +239,7 @@ STEP_NS = 10_000_000
 Four = tuple[int, int, int, int]
 
 
-def turned(check: WheelCheck, signal: int, pulses: int, t_ns: int, counts: list[int]) -> Turn | None:
+def turned(check: WheelWiringCheck, signal: int, pulses: int, t_ns: int, counts: list[int]) -> Turn | None:
     """One wheel is turned by hand: its signal counts `pulses`, then all is still for two seconds."""
     found = None
     for step in range(pulses + 200):
@@ -252,7 +252,7 @@ def turned(check: WheelCheck, signal: int, pulses: int, t_ns: int, counts: list[
 
 
 def test_wheels_turned_in_turn_tell_the_wiring_across_a_wrap() -> None:
-    check, counts = WheelCheck(), [65530, 5, 5, 5]
+    check, counts = WheelWiringCheck(), [65530, 5, 5, 5]
     asked = []
     for position, signal in enumerate((1, 0, 2, 3)):
         asked.append(check.asked)
@@ -277,7 +277,7 @@ def test_what_is_wrong_with_a_wheel_is_told(pulses: Four, speeds: Four, words: s
 
 
 def test_a_nudged_wheel_is_no_turn_two_on_one_signal_no_wiring() -> None:
-    check, counts = WheelCheck(), [0, 0, 0, 0]
+    check, counts = WheelWiringCheck(), [0, 0, 0, 0]
     check.on_counts((0, 0, 0, 0), 0)
     assert turned(check, 0, 3, 0, counts) is None and check.asked == "fl"
     for start in range(1, 5):
@@ -353,14 +353,14 @@ def test_each_wheel_is_asked_for_and_a_wrong_wiring_is_reported(
     ended = threading.Event()
     signal_of = {"fl": 0, "fr": 1, "rl": 2, "rr": 3}
     hand = threading.Thread(target=lambda: turn_what_is_asked(car[0], signal_of, ended), daemon=True)
-    seen: list[WheelCheck] = []
-    original: Callable[[WheelCheck], None] = WheelCheck.__init__
+    seen: list[WheelWiringCheck] = []
+    original: Callable[[WheelWiringCheck], None] = WheelWiringCheck.__init__
 
-    def noted(self: WheelCheck) -> None:
+    def noted(self: WheelWiringCheck) -> None:
         original(self)
         seen.append(self)
 
-    monkeypatch.setattr(WheelCheck, "__init__", noted)
+    monkeypatch.setattr(WheelWiringCheck, "__init__", noted)
 
     def turn_what_is_asked(speaking: SpeakingCar, signals: dict[str, int], done: threading.Event) -> None:
         before: str | None = None

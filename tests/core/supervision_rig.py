@@ -28,7 +28,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiCommand,
     Image,
     VcuBrake,
@@ -40,9 +40,8 @@ from fsai_vcu.interface.images import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
-MS = 1_000_000
-S = 1_000_000_000
 CYCLE = 10 * MS
 
 

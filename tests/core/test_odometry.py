@@ -17,7 +17,7 @@ from fsai_vcu.core.vehicle.odometry import (
     standing_start,
 )
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     GpsImu,
     LogDynamics2,
     RotationB,
@@ -27,8 +27,8 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CAR = ADS_DV_2026
 
 

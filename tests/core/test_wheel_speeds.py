@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from fsai_vcu.core.supervision.config import MS, BridgeConfig, S
+from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.wheel_speeds import (
     NO_PULSES,
     Pulses,
@@ -18,7 +18,8 @@ from fsai_vcu.core.supervision.wheel_speeds import (
     turning,
 )
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, OFFICIAL_SIMULATOR, VehicleParameters
-from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.units import MS, S
 
 CONFIG = BridgeConfig()
 CAR = ADS_DV_2026

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from story_runs import MS, Run, S, after, branch, cut, driving, hand_made, log_of, ready, setup
+from story_runs import Run, after, branch, cut, driving, hand_made, log_of, ready, setup
 
 from fsai_hil.simulator.faults import Drop, Window, WrongValues
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
-from fsai_vcu.diagnostics.explain import Kind, tell
+from fsai_vcu.diagnostics.explain import IncidentKind, tell
 from fsai_vcu.diagnostics.explain.incident import Sureness
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsStatus, MissionStatus, ShutdownCause, SteeringStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -37,6 +37,7 @@ from fsai_vcu.interface.images import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
 
 def written(frames: Frames, path: Path) -> Path:
@@ -123,7 +124,7 @@ def test_running_in_as_off_explains_why_the_car_waits() -> None:
     log.cycles(700, car(), AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD))
     story = tell(log.frames())
     assert story.heading["revision"] == "2021"
-    assert [i.kind for i in story.incidents] == [Kind.REFUSAL]
+    assert [i.kind for i in story.incidents] == [IncidentKind.REFUSAL]
     assert story.incidents[0].candidates[0].slug == "status_running"
 
 
@@ -165,14 +166,14 @@ def test_every_fault_bit_is_enough_where_the_cause_is_not_sent(bit: str) -> None
 def test_a_log_of_the_cars_frames_only_says_so_without_a_guess(stopped: Frames) -> None:
     story = tell(stopped.only((stopped.can_id < 0x510) | (stopped.can_id > 0x514)))
     assert any("no frame of the AI computer" in problem for problem in story.problems)
-    emergency = [i for i in story.incidents if i.kind is Kind.EMERGENCY]
+    emergency = [i for i in story.incidents if i.kind is IncidentKind.EMERGENCY]
     assert emergency[0].candidates[0].slug == "sdc_open"
 
 
 def test_a_lost_link_without_logged_ai_frames_blames_no_message() -> None:
     run = branch(driving(), lambda run: run.spoil(Drop(Window(frozenset({0x513})))), 0.3).frames
     story = tell(run.only((run.can_id < 0x510) | (run.can_id > 0x514)))
-    first = next(i for i in story.incidents if i.kind is Kind.EMERGENCY).candidates[0]
+    first = next(i for i in story.incidents if i.kind is IncidentKind.EMERGENCY).candidates[0]
     assert first.slug == "ai_comms_lost"
     assert "only one direction" in first.steps[0].words
 
@@ -254,7 +255,7 @@ def test_no_piece_of_a_drive_is_told_a_wrong_emergency(stopped: Frames, share: f
     length = int(stopped.t_ns[-1] - stopped.t_ns[0])
     begin = int(stopped.t_ns[0]) + int(share * length)
     story = tell(cut(after(stopped, begin), begin + length // 20))
-    assert [i for i in story.incidents if i.kind is not Kind.EMERGENCY] == []
+    assert [i for i in story.incidents if i.kind is not IncidentKind.EMERGENCY] == []
 
 
 def test_a_log_whose_clock_is_set_back_keeps_its_order(stopped: Frames) -> None:
@@ -272,7 +273,7 @@ def test_a_log_whose_clock_is_set_back_keeps_its_order(stopped: Frames) -> None:
 def test_a_mission_meant_to_end_in_emergency_brake_is_planned(nominal: Frames) -> None:
     story = tell(nominal)
     assert [(i.kind, i.planned, i.candidates[0].slug) for i in story.incidents] == [
-        (Kind.EMERGENCY, True, "planned_end")
+        (IncidentKind.EMERGENCY, True, "planned_end")
     ]
     assert story.clean
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from fsai_hil.simulator.as_machine import ROWS, Row
-from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
 from fsai_vcu.diagnostics.explain.signals import FAULTS
 from fsai_vcu.diagnostics.explain.starting import TO_DRIVING, TO_READY
 from fsai_vcu.interface.enums import AsState, ShutdownCause
+from fsai_vcu.interface.messages import FAULT_NAMES
 
 # What brings a simulated car from one state to another, and the causes that name it. A row of its state machine that is
 # not here is a condition that explain knows nothing of.
@@ -65,7 +65,7 @@ def test_every_shutdown_cause_has_a_row() -> None:
 
 
 def test_every_fault_bit_has_a_row() -> None:
-    assert set(FAULT_BITS) == {name for _, name in FAULT_NAMES} == {signal.name for signal in FAULTS}
+    assert set(FAULT_BITS) == set(FAULT_NAMES.values()) == {signal.name for signal in FAULTS}
     assert set(FAULT_BITS.values()) <= set(CAUSES)
 
 

@@ -16,7 +16,7 @@ from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
-from recorded_runs import MS, Recorded, read_frames, record
+from recorded_runs import Recorded, read_frames, record
 from rerun import compare
 
 from fsai_hil.simulator.tracks import load_track
@@ -25,6 +25,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.units import MS
 
 LOG = Path(__file__).parent / "golden" / "bends.log.gz"
 COMMANDS = LOG.with_name("bends.commands.gz")

@@ -22,10 +22,10 @@ from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.recorder.durable import DurableFile
 from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import Bounds, NoRoomError, Place, PlaceError
+from fsai_vcu.diagnostics.recorder.segments import Bounds, NoRoomError, PlaceError, SegmentFolder
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 BEGAN_NS = 1_700_000_000 * S
 LINE_BYTES = len("(1700000000.000000) can0 523#640064006400\n")
 
@@ -65,7 +65,7 @@ class Rig:
         self.now_ns = 0
         self.path = folder
         decoder = Decoder(load_databases()) if mcap else None
-        self.place = Place(folder, "can0", bounds or Bounds())
+        self.place = SegmentFolder(folder, "can0", bounds or Bounds())
         self.recording = Recording(
             self.place,
             "can0",
@@ -168,18 +168,18 @@ def test_a_restart_begins_a_new_segment_and_overwrites_nothing(tmp_path: Path) -
 def test_a_second_recorder_of_the_same_bus_is_refused(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "run")
     with pytest.raises(PlaceError, match=r"somebody records 'can0' in .*run already"):
-        Place(tmp_path / "run", "can0", Bounds())
-    other = Place(tmp_path / "run", "can1", Bounds())
+        SegmentFolder(tmp_path / "run", "can0", Bounds())
+    other = SegmentFolder(tmp_path / "run", "can1", Bounds())
     assert other.number == 0
     rig.recording.close(0)
-    Place(tmp_path / "run", "can0", Bounds()).close()
+    SegmentFolder(tmp_path / "run", "can0", Bounds()).close()
 
 
 def test_a_file_is_never_written_over(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     path.write_text("precious")
     with pytest.raises(PlaceError, match="is there already"):
-        Place(path, "can0", Bounds())
+        SegmentFolder(path, "can0", Bounds())
     assert path.read_text() == "precious"
 
 
@@ -287,7 +287,7 @@ def test_a_failed_write_leaves_the_file_as_it_was_before(tmp_path: Path, monkeyp
 
 
 def test_no_room_is_an_error_of_its_own(tmp_path: Path) -> None:
-    place = Place(tmp_path / "run.log", "can0", Bounds(keep_free_bytes=1 << 62))
+    place = SegmentFolder(tmp_path / "run.log", "can0", Bounds(keep_free_bytes=1 << 62))
     with pytest.raises(NoRoomError, match="stay free"):
         place.make_room(1)
 

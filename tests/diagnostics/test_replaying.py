@@ -13,8 +13,8 @@ from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, ReplayError, between, choose, is_physical
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 WALL_NS = 1_700_000_000_000_000_000
 
 

@@ -15,15 +15,15 @@ from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.log.reader import read_log
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure, verdict
+from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, judge, measure, verdict
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 DECODER = Decoder(load_databases())
 
 
@@ -55,11 +55,11 @@ def measured(frames: Sequence[LogFrame]) -> BusStatistics:
     return bus
 
 
-def problems(frames: Sequence[LogFrame]) -> list[Finding]:
+def problems(frames: Sequence[LogFrame]) -> list[BusFinding]:
     return [finding for finding in judge(measured(frames)) if finding.severity.value == "problem"]
 
 
-def only(frames: Sequence[LogFrame], kind: str) -> Finding:
+def only(frames: Sequence[LogFrame], kind: str) -> BusFinding:
     """The one problem there is, of this kind."""
     found = problems(frames)
     assert [finding.kind for finding in found] == [kind], found

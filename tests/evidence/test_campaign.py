@@ -22,7 +22,7 @@ from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.cluster import ClusterError, on_cluster
 from fsai_hil.evidence.campaign.record import read
-from fsai_hil.evidence.campaign.runner import Plan, batches, drive_batch
+from fsai_hil.evidence.campaign.runner import CampaignPlan, batches, drive_batch
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.campaign.sources import digest
 from fsai_hil.evidence.model import patched
@@ -318,7 +318,7 @@ def test_without_dask_one_line_says_what_to_install(
 
 
 def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = Plan(1, 1)
+    plan = CampaignPlan(1, 1)
     monkeypatch.setattr(runner, "digest", lambda: "other")
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
         next(on_cluster(cluster, plan, batches(plan, plan.tasks())))
@@ -326,7 +326,7 @@ def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest
 
 def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsai_hil.evidence.campaign.cluster.CONNECT_TIMEOUT_S", 0.5)
-    plan = Plan(1, 1)
+    plan = CampaignPlan(1, 1)
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         next(on_cluster("tcp://127.0.0.1:9", plan, batches(plan, plan.tasks())))
 
@@ -359,5 +359,5 @@ def test_a_batch_of_a_plan_can_be_driven_anywhere() -> None:
     """What a cluster's worker is sent is picklable, and small."""
     import pickle
 
-    plan = Plan(1, 10_000, 300)
+    plan = CampaignPlan(1, 10_000, 300)
     assert len(pickle.dumps((drive_batch, plan, [(False, 7)]))) < 2000

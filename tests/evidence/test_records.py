@@ -11,12 +11,12 @@ import pytest
 
 from fsai_hil.evidence.campaign.cases import Selection
 from fsai_hil.evidence.campaign.record import RecordError, Writer, of_other_sources, put_aside, read
-from fsai_hil.evidence.campaign.runner import Plan, batches
+from fsai_hil.evidence.campaign.runner import CampaignPlan, batches
 from fsai_hil.evidence.campaign.sources import digest, digest_of, files
 
 
-def plan(seed: int = 1) -> Plan:
-    return Plan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
+def plan(seed: int = 1) -> CampaignPlan:
+    return CampaignPlan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
 
 
 def line(index: int, full: bool = False) -> dict[str, object]:

@@ -11,8 +11,8 @@ from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.observation import Cycle, Observation
 from fsai_hil.evidence.campaign.verdict import judge
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 FAULT_NS = 5_000 * MS
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 import inspect
 import pickle
-from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
+from dataclasses import FrozenInstanceError, dataclass, field, fields, is_dataclass, replace
 
 import pytest
 
-from fsai_vcu.interface import images
+from fsai_vcu.interface import messages
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.immutable import replace as quick_replace
@@ -17,8 +17,8 @@ from fsai_vcu.interface.immutable import replace as quick_replace
 IMAGES = sorted(
     (
         one
-        for one in vars(images).values()
-        if isinstance(one, type) and issubclass(one, Immutable) and one is not Immutable
+        for one in vars(messages).values()
+        if isinstance(one, type) and issubclass(one, Immutable) and is_dataclass(one)
     ),
     key=lambda one: one.__name__,
 )

@@ -23,7 +23,7 @@ from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     Faults,
     GpsAltitude,
@@ -39,7 +39,7 @@ from fsai_vcu.interface.images import (
     VcuSteer,
     WheelSpeeds,
 )
-from fsai_vcu.interface.images import VehicleState as VehicleImages
+from fsai_vcu.interface.messages import VehicleState as VehicleImages
 from fsai_vcu.interface.revisions import revision
 
 STAMP = Time(sec=12, nanosec=34)
@@ -185,7 +185,7 @@ def test_the_vehicle_state_is_in_si_units_and_in_the_cars_words() -> None:
     )
     assert (message.as_state, message.as_state_label) == (VehicleState.EMERGENCY_BRAKE, "EMERGENCY_BRAKE")
     assert message.mission_label == "TRACKDRIVE"
-    assert message.faults == ["ai_comms_lost"] and message.shutdown_cause_label == "AI_COMMS_FAULT"
+    assert message.faults == ["AI_COMMS_LOST"] and message.shutdown_cause_label == "AI_COMMS_FAULT"
     assert message.steering_rad == pytest.approx(math.radians(-10.0))
     assert message.steering_max_rad == pytest.approx(math.radians(21.0))
     assert (message.front_brake, message.rear_brake) == (0.5, 0.25)

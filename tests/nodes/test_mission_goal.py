@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_nodes.mission_goal import GOALS, GoalError, Outcome, Waiting
+from fsai_nodes.mission_goal import GOALS, GoalError, GoalResult, Waiting
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 OFF, READY, DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 FINISHED, EMERGENCY, INIT = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, AsState.AS_INIT
 
 
-def outcome_of(waiting: Waiting, states: list[AsState | None], mission: Ami = Ami.TRACKDRIVE) -> Outcome | None:
+def outcome_of(waiting: Waiting, states: list[AsState | None], mission: Ami = Ami.TRACKDRIVE) -> GoalResult | None:
     """The first outcome over one state after another, a second apart."""
     for index, state in enumerate(states):
         outcome = waiting.step(state, mission, index * S)

@@ -7,7 +7,7 @@ from measured_rows import measured, row, told
 
 from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary, verdict
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.simulator.profiles import MS
+from fsai_vcu.interface.units import MS
 
 
 def test_echoes_within_the_vcus_limit_pass_however_slow_they_are() -> None:

@@ -13,7 +13,7 @@ from fsai_hil.rehearsal.soak import (
     GROWTH_KIB_PER_HOUR,
     NOISE_KIB,
     Flatness,
-    Sample,
+    ProcessSample,
     Sampler,
     judge,
     look,
@@ -21,20 +21,22 @@ from fsai_hil.rehearsal.soak import (
 )
 from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.images import AiCommand, VcuStatus
+from fsai_vcu.interface.messages import AiCommand, VcuStatus
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CODEC = Codec(revision("2026"))
 STEADY = [ResponseTimes([2 * MS] * 100)] * 3
 
 
-def run_of(rss_kib: Callable[[float], float] = lambda hour: 50_000, fds: int = 20, threads: int = 9) -> list[Sample]:
+def run_of(
+    rss_kib: Callable[[float], float] = lambda hour: 50_000, fds: int = 20, threads: int = 9
+) -> list[ProcessSample]:
     """Two hours of a process, sampled each minute. Medians of first and last third lie 80 minutes apart."""
-    return [Sample(60.0 * minute, int(rss_kib(minute / 60.0)), fds, threads) for minute in range(120)]
+    return [ProcessSample(60.0 * minute, int(rss_kib(minute / 60.0)), fds, threads) for minute in range(120)]
 
 
-def verdict(samples: list[Sample], responses: list[ResponseTimes] = STEADY) -> Flatness:
+def verdict(samples: list[ProcessSample], responses: list[ResponseTimes] = STEADY) -> Flatness:
     return judge({"bridge": samples}, responses)
 
 
@@ -45,7 +47,7 @@ def test_a_run_that_stays_as_it_was_is_flat() -> None:
 def test_memory_may_grow_by_noise_and_an_hourly_rate_only() -> None:
     allowed_kib = NOISE_KIB + GROWTH_KIB_PER_HOUR * 80 / 60
 
-    def grown(by_kib: float) -> list[Sample]:
+    def grown(by_kib: float) -> list[ProcessSample]:
         return run_of(lambda hour: 50_000 + (by_kib if hour > 1 else 0))
 
     assert verdict(grown(allowed_kib - 1)).flat

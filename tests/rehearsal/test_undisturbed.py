@@ -18,7 +18,7 @@ from fsai_hil.rehearsal.stall_monitor import (
     RUNS,
     SPELL,
     STOOD_STILL_NS,
-    Outcome,
+    RunValidity,
     SlowSpell,
     Stall,
     StallMonitor,
@@ -179,9 +179,9 @@ def test_a_shared_fixture_is_made_anew_after_a_failed_test(pytester: pytest.Pyte
 
 @pytest.mark.parametrize("number", range(1, RUNS + 1))
 def test_without_a_stall_or_without_a_failure_every_run_counts(number: int) -> None:
-    assert judge_run(True, [], number) is Outcome.COUNTS
-    assert judge_run(False, [STALL], number) is Outcome.COUNTS
-    assert judge_run(True, [STALL], number) is (Outcome.AGAIN if number < RUNS else Outcome.NEVER_UNDISTURBED)
+    assert judge_run(True, [], number) is RunValidity.COUNTS
+    assert judge_run(False, [STALL], number) is RunValidity.COUNTS
+    assert judge_run(True, [STALL], number) is (RunValidity.AGAIN if number < RUNS else RunValidity.NEVER_UNDISTURBED)
 
 
 def noted(tmp_path: Path, *stalls: Stall) -> StallMonitor:

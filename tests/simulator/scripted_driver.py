@@ -7,7 +7,7 @@ from collections.abc import Callable
 from fsai_hil.simulator.world import World
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiCommand, VcuStatus
+from fsai_vcu.interface.messages import AiCommand, VcuStatus
 
 STEP_NS = 2_000_000
 SECOND_NS = 1_000_000_000

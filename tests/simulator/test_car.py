@@ -9,8 +9,8 @@ import pytest
 
 from fsai_hil.simulator.car import Car, Pose, car_model
 from fsai_hil.simulator.vcu import Actuation
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 FULL = Actuation(rear_torque_nm=195.0, rear_motor_speed_max_rpm=4000, tractive_system_live=True)
 COAST = Actuation(tractive_system_live=True)
 

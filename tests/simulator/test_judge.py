@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fsai_hil.simulator.car import CarTruth, Pose, car_model
-from fsai_hil.simulator.judge import Judge, JudgeSettings, Verdict
+from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict
 from fsai_hil.simulator.tracks import Track, acceleration_track, load_track, skidpad_track, small_oval
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 
@@ -70,7 +70,7 @@ class Puppet:
             x, y = line[i, 0] - offset_m * math.sin(yaw), line[i, 1] + offset_m * math.cos(yaw)
             self.go(float(x), float(y), yaw, speed_mps)
 
-    def finish(self, state: AsState = AsState.AS_FINISHED, cause: ShutdownCause | None = None) -> Verdict:
+    def finish(self, state: AsState = AsState.AS_FINISHED, cause: ShutdownCause | None = None) -> JudgeVerdict:
         self.speed_mps = 0.0
         self.look(0.6)
         self.state, self.cause = state, cause
@@ -84,7 +84,7 @@ def puppet(track: Track, mission: Ami, **settings: object) -> Puppet:
     return Puppet(judge, track.staging(mission, MODEL.nose_m), air=mission.name.startswith("STATIC"))
 
 
-def why(verdict: Verdict) -> str:
+def why(verdict: JudgeVerdict) -> str:
     return "; ".join(verdict.reasons)
 
 
@@ -329,7 +329,7 @@ def test_a_circuit_driven_beside_its_middle_reports_how_far() -> None:
 # ------------------------------------------------------------ skidpad
 
 
-def skidpad_run(sides: str, stop_at_m: float = 10.0) -> Verdict:
+def skidpad_run(sides: str, stop_at_m: float = 10.0) -> JudgeVerdict:
     car = puppet(skidpad_track(), Ami.SKIDPAD)
     car.start()
     car.go(0.0, 0.0, 0.0)
@@ -364,7 +364,7 @@ def test_the_skidpad_must_be_stopped_on_within_25_m() -> None:
 
 def inspection_a(
     sweep_deg: float = 29.1, rpm: float = 200.0, up_s: float = 6.0, down_s: float = 3.0, end_deg: float = 0.0
-) -> Verdict:
+) -> JudgeVerdict:
     car = puppet(load_track("static"), Ami.STATIC_INSPECTION_A)
     car.start()
     for steer in (sweep_deg, -sweep_deg, end_deg):
@@ -399,7 +399,7 @@ def test_inspection_a_fails_where_it_falls_short(changes: dict[str, float], word
     assert words in why(inspection_a(**changes))
 
 
-def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> Verdict:
+def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> JudgeVerdict:
     car = puppet(load_track("static"), Ami.STATIC_INSPECTION_B)
     car.start()
     car.rpm = rpm
@@ -427,7 +427,7 @@ def test_inspection_b_fails_too_slow_or_ended_by_anything_else() -> None:
 # ------------------------------------------------------------ demonstration
 
 
-def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, second_mps: float = 4.5) -> Verdict:
+def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, second_mps: float = 4.5) -> JudgeVerdict:
     car = puppet(load_track("static"), Ami.AUTONOMOUS_DEMO)
     car.start()
     for steer in (sweep_deg, -sweep_deg, 0.0):

@@ -14,8 +14,8 @@ from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 MISSIONS = [ami for ami in Ami if ami is not Ami.NOT_SELECTED]
 
 

@@ -8,9 +8,10 @@ import pytest
 from vcu_bench import Bench
 
 from fsai_hil.simulator.operator import At, Await, Do, Moment, Operator, Script
-from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, S
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_hil.simulator.switches import Switches
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.units import MS, S
 
 
 class Driver:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from test_world_process import FakeBus, made
 
 from fsai_hil.simulator.process import result_of
-from fsai_hil.simulator.profiles import MS
+from fsai_vcu.interface.units import MS
 
 
 def test_a_measurement_covers_one_mark_to_the_next() -> None:

@@ -12,8 +12,8 @@ from fsai_hil.simulator.tracks import load_track
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 MISSIONS = [ami for ami in Ami if ami is not Ami.NOT_SELECTED]
 INTO_DRIVING_NS = 6 * S
 GOES_ON_NS = 3 * S

@@ -6,10 +6,11 @@ import pytest
 from vcu_bench import Bench
 
 from fsai_hil.simulator.ai_link import AI_MESSAGES, AiLink
-from fsai_hil.simulator.profiles import MS, SPECIFICATION, S
+from fsai_hil.simulator.profiles import SPECIFICATION
 from fsai_vcu.interface.enums import AsState, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, AiSteer, VcuSystemStatus
+from fsai_vcu.interface.units import MS, S
 
 CYCLE_NS = 10 * MS
 

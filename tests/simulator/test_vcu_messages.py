@@ -8,10 +8,9 @@ from dataclasses import replace
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import MS, S
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     GpsCourseSpeed,
     GpsDateTime,
@@ -29,6 +28,7 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.units import MS, S
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])

@@ -9,7 +9,6 @@ from vcu_bench import Bench, codec
 
 from fsai_hil.simulator.indicators import Assi, Siren, Tsal
 from fsai_hil.simulator.power import SystemState
-from fsai_hil.simulator.profiles import MS, S
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import (
     AsState,
@@ -22,8 +21,9 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import VcuBrake, VcuStatus, VcuSystemStatus
+from fsai_vcu.interface.messages import VcuBrake, VcuStatus, VcuSystemStatus
 from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.units import MS, S
 
 
 def distinct(values: list[Any]) -> list[Any]:

@@ -7,9 +7,10 @@ from dataclasses import fields, replace
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, S, profile
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, profile
 from fsai_vcu.interface.enums import AsState, BrakeStatus, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuBrake, VcuStatus
+from fsai_vcu.interface.messages import VcuBrake, VcuStatus
+from fsai_vcu.interface.units import MS, S
 
 
 def bench_of(kind: Profile, name: str = "2021") -> Bench:

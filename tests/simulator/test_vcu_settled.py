@@ -8,10 +8,11 @@ from dataclasses import fields
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, SPECIFICATION
 from fsai_hil.simulator.switches import Switches
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.units import MS
 
 FLAGS = [one.name for one in fields(Switches) if isinstance(one.default, bool)]
 SEEDS = range(4)

@@ -9,9 +9,10 @@ import pytest
 from vcu_bench import Bench
 
 from fsai_hil.simulator.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Fault, Row, Situation, taken, transition_table
-from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, SPECIFICATION, Profile, S
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, SPECIFICATION, Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
-from fsai_vcu.interface.images import Faults
+from fsai_vcu.interface.messages import Faults
+from fsai_vcu.interface.units import MS, S
 
 TABLE = transition_table(SPECIFICATION)
 

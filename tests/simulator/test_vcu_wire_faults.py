@@ -19,10 +19,10 @@ from fsai_hil.simulator.faults import (
     WrongLength,
     WrongValues,
 )
-from fsai_hil.simulator.profiles import MS, S
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.units import MS, S
 
 SPEEDS = frozenset({0x525})
 

@@ -39,7 +39,7 @@ def test_ai_silence_while_driving_brakes_the_car_to_rest() -> None:
     assert world.car.standing
     assert verdict.shutdown_cause == "AI_COMMS_FAULT"
     assert not verdict.passed
-    assert "ai_comms_lost" in world.faults()
+    assert "AI_COMMS_LOST" in world.faults()
 
 
 def test_faults_of_the_wire_reach_the_bus() -> None:

@@ -13,7 +13,7 @@ from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Said, car_was_deaf, longes
 from fsai_hil.rehearsal.stall_monitor import RUNS, Stall
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -23,8 +23,7 @@ from fsai_vcu.interface.images import (
     VcuStatus,
     WheelSpeeds,
 )
-
-MS = 1_000_000
+from fsai_vcu.interface.units import MS
 
 
 class Remembers:

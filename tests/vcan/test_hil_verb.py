@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fsai_hil.vcan import Place, VcanError
+from fsai_hil.vcan import VcanError, VcanHost
 from fsai_vcu.cli.main import main
 
 CHECKOUT = Path(__file__).parents[2]
@@ -37,7 +37,7 @@ def place(monkeypatch: pytest.MonkeyPatch) -> FakePlace:
     fake = FakePlace(status=0)
     monkeypatch.setattr(
         "fsai_hil.vcan.choose_place",
-        lambda wanted: Place("uml", f"wanted {wanted}", lambda *words, **options: fake.run(*words, **options)),
+        lambda wanted: VcanHost("uml", f"wanted {wanted}", lambda *words, **options: fake.run(*words, **options)),
     )
     monkeypatch.setattr("compileall.compile_dir", lambda *_, **__: True)
     return fake
@@ -99,7 +99,7 @@ def test_sigterm_ends_it_as_ctrl_c_does(place: FakePlace, tmp_path: Path, monkey
         handlers.append(signal.getsignal(signal.SIGTERM))
         return run(argv, **options)
 
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", "", noting))
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("uml", "", noting))
     assert main(["hil", "--results", str(tmp_path)]) == 0
     assert handlers == [signal.default_int_handler]
     assert signal.getsignal(signal.SIGTERM) is before
@@ -151,7 +151,7 @@ def test_after_a_failure_or_with_nothing_put_off_no_second_run(place: FakePlace,
 def test_this_kernels_own_vcan_goes_by_this_machines_clock(
     place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("native", "", place.run))
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("native", "", place.run))
     monkeypatch.setenv("FSAI_HIL_PUT_OFF", "a list that nobody reads")
     assert main(["hil", "--results", str(tmp_path)]) == 0
     assert "pace" not in place.options and not place.options["env"]["FSAI_HIL_PUT_OFF"]
@@ -170,7 +170,7 @@ def test_secrets_of_the_callers_environment_stay_outside(
 def test_where_no_vcan_can_be_had_it_fails_with_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def no_place(wanted: str) -> Place:
+    def no_place(wanted: str) -> VcanHost:
         raise VcanError("no vcan here; as root: install it")
 
     monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)

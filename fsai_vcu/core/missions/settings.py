@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.units import KMH_PER_MPS
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class MissionSettings(Immutable):
     inspection_b_hold_s: float = 0.5
 
     # Autonomous demo
-    demo_speed_mps: float = 15.0 / 3.6
+    demo_speed_mps: float = 15.0 / KMH_PER_MPS
     demo_margin_mps: float = 0.6  # faster than asked by this, for the difference between our speed and the judge's
     demo_length_m: float = 10.0  # to accelerate in, and to stop in
     demo_pause_s: float = 1.0  # at rest before accelerating again

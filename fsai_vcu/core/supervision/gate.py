@@ -35,18 +35,18 @@ from fsai_vcu.core.supervision.supervisor import Brake, Decision, Steer
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, pulses_of, pulses_per_s, turning
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import AiCommand, VcuDriveFront, VcuDriveRear, VcuSteer, VehicleState, WheelCounts
 from fsai_vcu.interface.immutable import Immutable, replace
+from fsai_vcu.interface.messages import (
+    AiCommand,
+    VcuDriveFront,
+    VcuDriveRear,
+    VcuSteer,
+    VehicleState,
+    WheelCounts,
+)
 from fsai_vcu.interface.revisions import Revision
-
-AXLE_TORQUE_MAX_NM = 195.0  # interface specification v4.0: AXLE_TRQ_REQUEST 0 to 195 Nm
-MOTOR_SPEED_MAX_RPM = 4000  # interface specification v4.0: MOTOR_SPEED_MAX 0 to 4000 rpm
-
-CONSTANT_POWER_RPM_NM = ((700, 50.0), (600, 85.0), (500, 100.0), (400, 120.0), (300, 150.0))
-"""Interface specification v4.0, protection against an over-current trip: above this wheel speed at most this torque.
-
-Taken as steps, as it is written. The fastest wheel of the axle decides.
-"""
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_RPM_NM, MOTOR_SPEED_MAX_RPM
+from fsai_vcu.interface.units import KMH_PER_MPS
 
 LAPS_MAX, CONES_ACTUAL_MAX, CONES_ALL_MAX, SPEED_KMH_MAX = 15, 255, 65535, 255  # widths of the fields of 0x510
 
@@ -471,8 +471,8 @@ def _on_the_wire(cycle: Cycle, request: Request, speed_mps: float) -> AiCommand:
         lap_counter=state.laps,
         cones_count_actual=state.cones_actual,
         cones_count_all=state.cones_all,
-        speed_actual_kmh=_saturated(speed_mps * 3.6, SPEED_KMH_MAX),
-        speed_demand_kmh=_saturated(demand_mps * 3.6, SPEED_KMH_MAX),
+        speed_actual_kmh=_saturated(speed_mps * KMH_PER_MPS, SPEED_KMH_MAX),
+        speed_demand_kmh=_saturated(demand_mps * KMH_PER_MPS, SPEED_KMH_MAX),
     )
 
 

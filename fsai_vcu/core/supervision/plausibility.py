@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable, replace
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
 
 WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
 

@@ -33,12 +33,9 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.immutable import Immutable, replace
-
-OFF_LIKE = frozenset((AsState.AS_INIT, AsState.AS_OFF))
-"""AS_STATE 0 is treated like AS_OFF in both revisions."""
+from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
 """Where a mode may be chosen and the AMI is followed."""

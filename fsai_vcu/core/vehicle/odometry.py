@@ -18,10 +18,9 @@ from dataclasses import dataclass
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable, replace
-
-NS_PER_S = 1_000_000_000
+from fsai_vcu.interface.messages import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
+from fsai_vcu.interface.units import S
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +147,7 @@ def advance(
         return state
     t_ns = speeds.t_rx_ns
     step_ns = t_ns - before.t_ns
-    dt_s = min(step_ns, settings.longest_step_ns) / NS_PER_S
+    dt_s = min(step_ns, settings.longest_step_ns) / S
 
     curvature = state.curvature_1pm
     steer = vehicle.steer
@@ -190,7 +189,7 @@ def advance(
     way = 0.5 * (speed + before.speed_mps) * dt_s
     middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
     faster = max(speed, before.speed_mps)
-    missing_s = max(0, step_ns - settings.fresh_ns) / NS_PER_S if faster > 0.0 else 0.0
+    missing_s = max(0, step_ns - settings.fresh_ns) / S if faster > 0.0 else 0.0
     yaw_sd = math.sqrt(before.yaw_sd_rad**2 + settings.yaw_sd_radpsqrtm**2 * way)
     position_sd = math.sqrt(
         before.position_sd_m**2 + (settings.position_sd_share**2 + yaw_sd**2) * settings.error_length_m * way
@@ -225,7 +224,7 @@ CARRIED_NS = 300_000_000
 
 def motion_at(motion: Motion, t_ns: int) -> Motion:
     """`motion` carried to another instant with speed and yaw rate held, but by no more than `CARRIED_NS`."""
-    dt_s = min(max(t_ns - motion.t_ns, -CARRIED_NS), CARRIED_NS) / NS_PER_S
+    dt_s = min(max(t_ns - motion.t_ns, -CARRIED_NS), CARRIED_NS) / S
     if dt_s == 0.0:
         return motion
     way = motion.speed_mps * dt_s
@@ -243,7 +242,7 @@ def motion_at(motion: Motion, t_ns: int) -> Motion:
 class MotionHistory:
     """The motions of the last moments, to know where the car was when a sensor looked."""
 
-    def __init__(self, span_ns: int = 2 * NS_PER_S) -> None:
+    def __init__(self, span_ns: int = 2 * S) -> None:
         self._span_ns = span_ns
         self._motions: deque[Motion] = deque()
 

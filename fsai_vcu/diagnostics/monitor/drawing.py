@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
-from fsai_vcu.diagnostics.monitor.snapshot import KMH_PER_MPS, Actuator, Freshness, MessagePicture, Obstacle, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Obstacle, Picture
+from fsai_vcu.interface.units import KMH_PER_MPS
 
 _RESET: Final = "\x1b[0m"
 _STYLES: Final = {

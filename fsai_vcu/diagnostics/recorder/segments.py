@@ -33,7 +33,7 @@ class Bounds:
     keep_free_bytes: int = 0
 
 
-class Place:
+class SegmentFolder:
     """Names the files of each segment, and makes room for what comes."""
 
     def __init__(self, path: Path, prefix: str, bounds: Bounds) -> None:

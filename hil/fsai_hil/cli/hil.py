@@ -17,7 +17,7 @@ from fsai_hil import CHECKOUT
 from fsai_vcu.runtime.transport import loopback_environment
 
 if TYPE_CHECKING:
-    from fsai_hil.vcan import Place
+    from fsai_hil.vcan import VcanHost
 
 EXAMPLE = "fsai-vcu hil -k planner_killed"
 
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
-def prepared_place(args: argparse.Namespace) -> Place:
+def prepared_place(args: argparse.Namespace) -> VcanHost:
     """Where the arguments want the vcan0, with everything compiled. Raises VcanError."""
     from fsai_hil.vcan import choose_place
 

@@ -34,8 +34,8 @@ from fsai_vcu.core.supervision.supervisor import STEERS_WHILE_STOPPING, Asked, L
 from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, WheelBelief
 from fsai_vcu.core.vehicle.odometry import standing_start
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.images import VehicleState
 from fsai_vcu.interface.immutable import replace
+from fsai_vcu.interface.messages import VehicleState
 
 NOW: Final = 1_000 * S  # every state is looked at as if it were now
 NEVER: Final = -1

@@ -21,7 +21,7 @@ from typing import Any, Final
 from fsai_hil.evidence import fuzz_run
 from fsai_hil.evidence.fuzz_cases import make
 from fsai_hil.evidence.fuzz_drives import Drive
-from fsai_hil.evidence.fuzz_events import SETUPS, Case, CaseError, read_case
+from fsai_hil.evidence.fuzz_events import SETUPS, CaseError, FuzzCase, read_case
 from fsai_hil.evidence.fuzz_run import NotOrdinary, forget_stations
 from fsai_hil.evidence.fuzz_search import KINDS, Failure, Fuzzer, Tally, described, fuzz, minimised, story, unreached
 from fsai_hil.evidence.model import patched
@@ -220,7 +220,7 @@ def seek_all(names: Sequence[str], jobs: int) -> int:
 # ---------------------------------------------------------------- the command
 
 
-def replay(case: Case) -> int:
+def replay(case: FuzzCase) -> int:
     """Tell what happens in a case; 1 if it breaks a rule."""
     lines, problems = story(case)
     for line in lines:

@@ -21,9 +21,8 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.units import MS, S
 
-S: Final = 1_000_000_000
-MS: Final = 1_000_000
 LONGEST_NS: Final = 45 * S  # of one drive
 AFTER_NS: Final = 6 * S  # what is watched after the last fault
 _MISSIONS: Final = (Ami.ACCELERATION, Ami.AUTONOMOUS_DEMO, Ami.STATIC_INSPECTION_A, Ami.SKIDPAD)

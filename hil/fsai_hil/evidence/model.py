@@ -76,8 +76,10 @@ from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiCommand
 from fsai_vcu.interface.immutable import replace
+from fsai_vcu.interface.messages import (
+    AiCommand,
+)
 from fsai_vcu.interface.revisions import revision
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"

@@ -34,7 +34,7 @@ from fsai_vcu.core.supervision.supervisor import (
 )
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
-from fsai_vcu.interface.images import Faults, VcuStatus
+from fsai_vcu.interface.messages import Faults, VcuStatus
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ from fsai_hil.rules.numbers import (
 )
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import AiCommand
+from fsai_vcu.interface.messages import AiCommand
 
 RULES: Final = {
     "1": "torque and brake never meet at the VCU",

@@ -34,9 +34,8 @@ from fsai_vcu.core.driving import ConeColor, ConeObservation, Plan
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.reserved import AI_IDS
-
-MS: Final = 1_000_000
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.units import MS
 
 Params = Mapping[str, Any]
 
@@ -57,10 +56,10 @@ Injection = Callable[[Lockstep, Params, int], Injected]
 
 # ---------------------------------------------------------------- the wire
 
-STATUS, DRIVE_F, DRIVE_R, STEER, BRAKE, SPEEDS, COUNTS = range(0x520, 0x527)
+STATUS, DRIVE_F, DRIVE_R, STEER, BRAKE, SPEEDS, COUNTS = VCU_IDS
 LOGS: Final = frozenset({0x120, 0x500, 0x502})
 GPS_IDS: Final = frozenset(range(0x600, 0x641))
-FROM_CAR: Final = frozenset({*LOGS, *range(0x520, 0x527)})
+FROM_CAR: Final = frozenset({*LOGS, *VCU_IDS})
 AI_STATUS, AI_DRIVE_F, AI_DRIVE_R, AI_STEER, AI_BRAKE = AI_IDS
 
 WireFault = Callable[[Window, Params], FrameFault]

@@ -12,14 +12,14 @@ from fsai_hil.evidence.campaign.implausibility import Streak, count_streaks, ste
 from fsai_hil.evidence.campaign.observation import Observation
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.units import MS
 
-MS: Final = 1_000_000
 SUPERVISED_MS: Final = 3000  # safety rules: supervision starts 3 s into AS_DRIVING
 PARKED: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY})
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class CaseVerdict:
     """`faults` is empty when the run is as the rules demand. Times in ms from the fault; None: there was none."""
 
     end: End
@@ -61,7 +61,7 @@ class _Seen:
 
 def judge(
     case: Case, seen: Observation, fault_ns: int | None, violations: Sequence[str], crashes: Sequence[str] = ()
-) -> Verdict:
+) -> CaseVerdict:
     """Judge a run in which the fault began at `fault_ns` (None: its moment never came).
 
     `crashes` are processes of ours that ended by an exception: no fault may do that to them, whatever the car makes of
@@ -74,7 +74,7 @@ def judge(
     if fault_ns is None:
         end = _end(seen, _since(seen, 0), 0, seen.mission_over_ns)
         wrong += [end.words] if end is End.UNSAFE else []
-        return Verdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
+        return CaseVerdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
     found = _since(seen, fault_ns)
     over_ns = seen.mission_over_ns
     if not demand.own_word and over_ns is not None and over_ns > fault_ns:
@@ -110,7 +110,7 @@ def judge(
         wrong.append(end.words)
     if applies and demand is NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
-    return Verdict(
+    return CaseVerdict(
         end,
         reaction,
         _ms(reaction_ns, onset_ns),
@@ -308,7 +308,7 @@ def _moved_too_early(seen: Observation) -> list[str]:
     return [] if early is None else [f"the car moved at {early / 1e9:.2f} s, before it may"]
 
 
-def as_record(case: Case, verdict: Verdict, extra: Mapping[str, Any]) -> dict[str, Any]:
+def as_record(case: Case, verdict: CaseVerdict, extra: Mapping[str, Any]) -> dict[str, Any]:
     """One line of the record."""
     return {
         "index": case.index,

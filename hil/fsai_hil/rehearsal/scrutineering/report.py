@@ -7,7 +7,8 @@ from typing import Any
 
 from fsai_hil.rehearsal.scrutineering.load import FILL_ID
 from fsai_hil.rehearsal.scrutineering.machine import scheduling_in_words
-from fsai_hil.simulator.profiles import MS, SPECIFICATION
+from fsai_hil.simulator.profiles import SPECIFICATION
+from fsai_vcu.interface.units import MS
 
 ECHO_LIMIT_MS = SPECIFICATION.echo_timeout_ns // MS
 MESSAGE_LIMIT_MS = SPECIFICATION.message_timeout_ns // MS
