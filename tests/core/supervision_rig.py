@@ -94,7 +94,7 @@ class Witness:
                 self.pulses += [(image.t_rx_ns, wheel)] * min(step, 2)
             self.counts = image
         elif isinstance(image, WheelSpeeds):
-            if self.speeds is not None and image.t_rx_ns - self.speeds.t_rx_ns < 150 * MS:
+            if self.speeds is not None and image.t_rx_ns - self.speeds.t_rx_ns < 350 * MS:
                 jumps = [abs(a - b) for a, b in zip(image.all_rpm, self.speeds.all_rpm, strict=True)]
                 if max(jumps) > 300:
                     return  # no tyre can follow
@@ -391,8 +391,9 @@ class Rig:
         self.launched()
         self.command = VehicleCommand(0, 0, throttle=throttle, speed_limit_mps=10.0)
         self.run_ms(3200)
-        self.rpm = (rpm, rpm, rpm, rpm)
-        self.step(5)  # a reading that jumps is believed a few frames later
+        for now_rpm in (*range(200, rpm, 200), rpm):  # as a tyre can follow
+            self.rpm = (now_rpm, now_rpm, now_rpm, now_rpm)
+            self.step(2)
         assert self.sent.torque_requested
         return self
 

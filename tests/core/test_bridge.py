@@ -553,8 +553,8 @@ def test_a_jump_that_stays_is_a_missing_speed_and_stops_the_car() -> None:
     rig = Rig().driving(rpm=200)
     since_ns = rig.now_ns
     rig.rpm = (200, 200, 900, 200)
-    rig.run_ms(200)
-    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS
+    rig.run_ms(400)
+    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS and rig.latency_ns(since_ns, estop) == 300 * MS
     assert set(rig.report.reason_counts) == {"wheels_stale"} and "rear left wheel" in (rig.report.stopping or "")
 
 

@@ -55,7 +55,7 @@ class BridgeConfig(Immutable):
     # Wheel speeds that are not believed
     wheel_max_rpm: int = WHEEL_SPEED_MAX_RPM
     wheel_change_max_rpm: int = 300  # no tyre speeds a wheel up, or slows it down, by more from one frame to the next
-    wheel_jump_ns: int = 150 * MS  # a jump is not believed for so long: what stays is reacted to as a missing speed
+    wheel_jump_ns: int = 350 * MS  # a jump is not believed for so long: what stays is reacted to as a missing speed
     wheel_doubt_turns: float = 0.5  # of a wheel: by so much speed and pulse count may contradict each other
 
     # Our own loop and bus

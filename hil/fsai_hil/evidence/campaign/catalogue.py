@@ -684,16 +684,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         what="all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there",
         begin=i.every_wheel(i.offset),
         draws=(between("size", (400, 800)),),
-        demanded="as if none came: 100 ms service-brake stop, where it cannot be shown to stand ESTOP_REQUEST",
-        demand=always(
-            ends(
-                End.STOP,
-                End.ESTOP,
-                no_torque_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
-                brake_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
-                safe_ms=d.FEEDBACK_STALE_MS + d.STOP_MS + d.SLACK_MS,
-            )
-        ),
+        demanded="as if none came: 100 ms service-brake stop, 300 ms ESTOP_REQUEST",
+        demand=always(d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS)),
     ),
     FaultKind(
         name="wheels_stuck",
