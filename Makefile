@@ -1,12 +1,7 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-LINTED := fsai_vcu hil nodes tests
-# Tests that live in real time get the machine to themselves; all others share its processors.
-REAL_TIME := tests/runtime tests/nodes tests/vcan tests/rehearsal $(wildcard tests/simulator/test_*_process.py) \
-  $(addprefix tests/cli/test_,send_verb.py replay_verb.py)
-
-.PHONY: help setup demo test verify mutation fuzz campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo test evidence verify mutation fuzz campaign soak scrutineering bench rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -22,11 +17,10 @@ setup-for-tests:
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.rehearsal.demo
 
-test: setup-for-tests lint  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
-	$(BIN)/pytest -q -n auto --dist worksteal --ignore=tests/hil $(REAL_TIME:%=--ignore=%)
-	$(BIN)/pytest -q $(REAL_TIME)
-	$(BIN)/fsai-vcu hil
-	$(BIN)/python -m fsai_hil.rehearsal.carpc --short
+test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
+	@scripts/test
+
+evidence: verify mutation campaign  ## all of the long evidence, into docs/evidence; goes on where it was stopped
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
@@ -66,13 +60,11 @@ deb:  ## a Debian package that needs no network where it is installed, in out/de
 	@scripts/install-car deb
 
 lint: setup  ## ruff and mypy
-	$(BIN)/ruff check $(LINTED)
-	$(BIN)/ruff format --check $(LINTED)
-	$(BIN)/mypy --strict fsai_vcu
+	@scripts/test lint types
 
 format: setup  ## put the code into ruff's format
-	$(BIN)/ruff format $(LINTED)
-	$(BIN)/ruff check --fix $(LINTED)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
 
 clean:  ## remove .venv and everything made by tests and runs
 	rm -rf .venv out .mypy_cache .ruff_cache .pytest_cache .hypothesis

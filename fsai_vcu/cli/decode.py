@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments, report_problems
+from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument, report_problems
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -18,7 +18,7 @@ _AT_ONCE = 60_000  # frames: many of one message are decoded together, and their
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("log", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser, "log")
     add_database_arguments(parser)
     parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")

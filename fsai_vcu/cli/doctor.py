@@ -116,13 +116,13 @@ def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool)
 
     from fsai_vcu.cli.main import UserError
     from fsai_vcu.core.vehicle.parameters import CARS
-    from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelCheck
-    from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+    from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
+    from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
     from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
 
     codec = _codec(configuration, as_wired=True)
     pulses_per_rev = CARS[configuration.car].wheel_pulses_per_rev
-    check = WheelCheck()
+    check = WheelWiringCheck()
     asked: str | None = None
     problems: list[str] = []
 

@@ -8,11 +8,11 @@ import os
 import sys
 
 from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
     Decoding,
     Sources,
     add_database_arguments,
     add_seconds_argument,
+    add_source_argument,
     check_seconds,
 )
 
@@ -26,7 +26,7 @@ with counts as none), 1 otherwise, or something could not be read, 2 wrong use."
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser)
     parser.add_argument("--from", dest="from_s", type=float, metavar="S", help="from so many seconds after its start")
     parser.add_argument("--to", dest="to_s", type=float, metavar="S", help="to so many seconds after its start")
     add_seconds_argument(parser)

@@ -172,4 +172,4 @@ def _print_help() -> None:
 
 if __name__ == "__main__":
     # Run as `python -m`, this file is another module than the one from which the verbs import UserError.
-    sys.exit(importlib.import_module(".main").main())
+    sys.exit(importlib.import_module("fsai_vcu.cli.main").main())

@@ -12,7 +12,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
+from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument
+from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -23,22 +24,21 @@ EXAMPLE = "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-v
 ABOUT = """\
 Draws AS state, mission, what stands between now and driving, what is asked for
 and what the car gives, faults, handshake, and every message with its rate and
-age. It never sends. Ctrl-C or q ends it. A log is shown as it stood at its end,
-or at a moment, or played. Where the output is no terminal, and with --plain, a
-line a second is printed."""
+age. It never sends. Ctrl-C or q ends it, p holds the picture. A log is shown as
+it stood at its end, or at a moment, or played. Where the output is no terminal,
+and with --plain, a line a second is printed."""
 
 Clock = tuple[float, str]  # as a number for programs (s), and as words
 Shown = tuple["Picture", Clock]
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
-_NS = 1_000_000_000
-_FAR_OFF_NS = 60 * _NS  # a stamp so far from now is of a device's own clock
+_FAR_OFF_NS = 60 * S  # a stamp so far from now is of a device's own clock
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser)
     add_database_arguments(parser)
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so long (live; default: until Ctrl-C)")
@@ -123,7 +123,7 @@ def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
 
 def _played(sources: Sources, view: View, args: argparse.Namespace, every_s: float) -> Iterator[Shown]:
     """Pictures of a log, as often as it was asked for in the time of the one who looks."""
-    step_ns = max(1, round(every_s * (args.rate or 1.0) * _NS))
+    step_ns = max(1, round(every_s * (args.rate or 1.0) * S))
     begin_ns = due_ns = None
     due_s = time.monotonic()
     for frames in sources.chunks():
@@ -162,7 +162,7 @@ def _still(args: argparse.Namespace, sources: Sources, view: View, drawn: bool) 
             continue
         if begin_ns is None:
             begin_ns = int(frames.t_ns[0])
-            at_ns = None if args.at is None else begin_ns + round(args.at * _NS)
+            at_ns = None if args.at is None else begin_ns + round(args.at * S)
         if at_ns is not None:
             frames = frames.only(frames.t_ns <= at_ns)
         view.update(frames)
@@ -194,7 +194,7 @@ def _print_whole(picture: Picture, clock: Clock, *, on_terminal: bool) -> None:
 def _moment(view: View, begin_ns: int, at_ns: int) -> Shown:
     """The picture at `at_ns` or at the newest frame, whichever is later."""
     now_ns = max(at_ns, view.memory.newest_ns or 0)
-    return view.picture(now_ns), (now_ns / _NS, f"{(now_ns - begin_ns) / _NS:.1f} s into the log")
+    return view.picture(now_ns), (now_ns / S, f"{(now_ns - begin_ns) / S:.1f} s into the log")
 
 
 # ---------------------------------------------------------------- showing
@@ -208,10 +208,16 @@ def _shower(args: argparse.Namespace, drawn: bool, stack: ExitStack) -> Callable
     if drawn:
         screen = stack.enter_context(Screen())
         color = not os.environ.get("NO_COLOR")
+        held: Shown | None = None
 
         def draw(picture: Picture, clock: Clock) -> bool:
-            screen.draw(screen_lines(picture, *size(), clock[1], color=color))
-            return not screen.asked_to_quit()
+            nonlocal held
+            keys = screen.keys()
+            if "p" in keys:
+                held = None if held else (picture, (clock[0], f"paused at {clock[1]}"))
+            shown, at = held or (picture, clock)
+            screen.draw(screen_lines(shown, *size(), at[1], color=color))
+            return "q" not in keys
 
         return draw
     output = Output()

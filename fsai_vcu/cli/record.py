@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.recorder.listening import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
-    from fsai_vcu.diagnostics.recorder.segments import Place, PlaceError
+    from fsai_vcu.diagnostics.recorder.segments import PlaceError, SegmentFolder
     from fsai_vcu.runtime.bus import BusError
 
     if args.seconds is not None and not 0.0 <= args.seconds < float("inf"):
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(str(error)) from error
     listener.start()
     try:
-        place = Place(args.output, bus, bounds)
+        place = SegmentFolder(args.output, bus, bounds)
         recording = Recording(
             place, bus, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
         )

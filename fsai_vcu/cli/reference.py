@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+from fsai_vcu.cli.completion import metavar_of, words_of
 
-    from fsai_vcu.cli.grammar import Option, Value, Verb
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 EXAMPLE = "fsai-vcu reference -o docs/reference.md\n  fsai-vcu reference --man | man -l -"
 
@@ -21,10 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.grammar import verbs
     from fsai_vcu.cli.main import UserError
 
-    text = manual(verbs()) if args.man else markdown(verbs())
+    text = manual() if args.man else markdown()
     if args.output is None:
         sys.stdout.write(text)
         return 0
@@ -48,8 +47,14 @@ _STATUSES = (
 )
 
 
-def markdown(verbs: Sequence[Verb]) -> str:
+def examples_of(parser: argparse.ArgumentParser) -> list[str]:
+    """The command lines in a parser's epilog."""
+    return [line.strip() for line in (parser.epilog or "").splitlines()[1:] if line.strip()]
+
+
+def markdown() -> str:
     """The page as Markdown."""
+    verbs = _verbs()
     lines = [
         "# fsai-vcu: reference",
         "",
@@ -63,20 +68,18 @@ def markdown(verbs: Sequence[Verb]) -> str:
         "",
         "| verb | what it does |",
         "|---|---|",
-        *(f"| [{v.words}](#fsai-vcu-{v.words.replace(' ', '-')}) | {_cell(v.summary)} |" for v in verbs),
+        *(f"| [{verb}](#fsai-vcu-{verb}) | {_cell(summary)} |" for verb, summary, _ in verbs),
     ]
-    for verb in verbs:
-        lines += ["", f"## fsai-vcu {verb.words}", "", *_paragraphs(verb.description), "", f"    {synopsis(verb)}"]
-        rows = list(_rows(verb))
-        if rows:
+    for verb, _, parser in verbs:
+        lines += ["", f"## fsai-vcu {verb}", "", *_paragraphs(parser), "", f"    {_synopsis(parser)}"]
+        if rows := list(_rows(parser)):
             lines += ["", "| argument | meaning |", "|---|---|"]
             lines += [f"| `{_cell(name)}` | {_cell(meaning)} |" for name, meaning in rows]
-        if verb.examples:
-            lines += ["", "Example:", "", *(f"    {line}" for line in verb.examples)]
+        lines += ["", "Example:", "", *(f"    {line}" for line in examples_of(parser))]
     return "\n".join(lines) + "\n"
 
 
-def manual(verbs: Sequence[Verb]) -> str:
+def manual() -> str:
     """The page as roff with the man macros, for man(1)."""
     lines = [
         '.TH FSAI-VCU 1 "" "fsai-vcu" "User Commands"',
@@ -89,57 +92,55 @@ def manual(verbs: Sequence[Verb]) -> str:
         _roff(_INTRODUCTION.replace("`", "")),
         ".SH VERBS",
     ]
-    for verb in verbs:
-        lines += [f".SS {_roff(verb.words)}", *(_roff(line) for line in _paragraphs(verb.description))]
-        lines += [".PP", f".B {_roff(synopsis(verb))}"]
-        for name, meaning in _rows(verb):
+    for verb, _, parser in _verbs():
+        lines += [f".SS {_roff(verb)}", *(_roff(line) for line in _paragraphs(parser))]
+        lines += [".PP", f".B {_roff(_synopsis(parser))}"]
+        for name, meaning in _rows(parser):
             lines += [".TP", f".B {_roff(name)}", _roff(meaning)]
-        if verb.examples:
-            lines += [".PP", ".nf", *(_roff(line) for line in verb.examples), ".fi"]
+        lines += [".PP", ".nf", *(_roff(line) for line in examples_of(parser)), ".fi"]
     lines.append(".SH EXIT STATUS")
     for status, meaning in _STATUSES:
         lines += [".TP", f".B {status}", _roff(meaning)]
     return "\n".join(line if line else ".PP" for line in lines) + "\n"
 
 
-def synopsis(verb: Verb) -> str:
+def _verbs() -> list[tuple[str, str, argparse.ArgumentParser]]:
+    """(verb, what it does, its parser), in the order of the help."""
+    from fsai_vcu.cli.main import all_verbs, parser_of
+
+    return [(verb, summary, parser_of(verb)) for verb, (_, summary) in all_verbs().items()]
+
+
+def _synopsis(parser: argparse.ArgumentParser) -> str:
     """How a verb is typed, in one line."""
-    words = [f"fsai-vcu {verb.words}"]
-    required = [option for option in verb.options if option.required and option.value is not None]
-    words += [f"{option.names[0]} {option.value.metavar}" for option in required if option.value is not None]
-    words.append("[options]")
-    if verb.subverbs:
-        words.append("{" + "|".join(verb.subverbs) + "}")
-    words += [_typed(positional.value) for positional in verb.positionals]
-    return " ".join(words)
+    options, positionals = parser._get_optional_actions(), parser._get_positional_actions()
+    required = [f"{option.option_strings[0]} {metavar_of(option)}" for option in options if option.required]
+    return " ".join([parser.prog, *required, "[options]", *map(_typed, positionals)])
 
 
-def _typed(value: Value) -> str:
-    name = "|".join(value.words) if value.words and len(value.words) < 6 else value.metavar
-    many = f"{name} …" if value.many else name
-    return many if value.required else f"[{many}]"
-
-
-def _rows(verb: Verb) -> Iterator[tuple[str, str]]:
-    """(what is typed, what it means) of each argument and option but --help."""
-    for positional in verb.positionals:
-        yield _typed(positional.value), positional.help
-    for option in verb.options:
-        if "--help" not in option.names:
-            yield _spelt(option), option.help
-
-
-def _spelt(option: Option) -> str:
-    names = ", ".join(option.names)
-    if option.value is None:
+def _typed(action: argparse.Action) -> str:
+    """How an argument is typed."""
+    names = ", ".join(action.option_strings)
+    if action.nargs == 0:
         return names
-    value = option.value
-    shown = "|".join(value.words) if value.words and len(value.words) < 6 else value.metavar
-    return f"{names} {shown}"
+    words = words_of(action) or ()
+    value = "|".join(words) if 0 < len(words) < 6 else metavar_of(action)
+    if names:
+        return f"{names} {value}"
+    value += " …" if action.nargs in ("+", "*") else ""
+    return f"[{value}]" if action.nargs in ("*", "?") else value
 
 
-def _paragraphs(text: str) -> list[str]:
-    return [line.rstrip() for line in text.strip().splitlines()]
+def _rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    """(what is typed, what it means) of each argument and option but --help."""
+    formatter = parser._get_formatter()
+    for action in [*parser._get_positional_actions(), *parser._get_optional_actions()]:
+        if "--help" not in action.option_strings:
+            yield _typed(action), " ".join(formatter._expand_help(action).split())
+
+
+def _paragraphs(parser: argparse.ArgumentParser) -> list[str]:
+    return [line.rstrip() for line in (parser.description or "").strip().splitlines()]
 
 
 def _cell(text: str) -> str:

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 
 from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
     Decoding,
     Sources,
     add_database_arguments,
     add_seconds_argument,
+    add_source_argument,
     check_seconds,
 )
 
@@ -23,7 +23,7 @@ something could not be read, or the page not be written, 2 wrong use."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser)
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.html", help="the page to write")
     add_seconds_argument(parser)
     add_database_arguments(parser)

@@ -24,6 +24,10 @@ _PROBLEMS_SHOWN = 5
 _FEW_BYTES = 1 << 16  # some two seconds of the car's bus
 
 
+def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
+    parser.add_argument(name, metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+
+
 def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None = None) -> None:
     """`revision`: the one that counts where none is named; None: the frames tell."""
     parser.add_argument(

@@ -9,17 +9,17 @@ import time
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import (
-    SOURCE_HELP,
     Decoding,
     Output,
     Sources,
     add_database_arguments,
     add_seconds_argument,
+    add_source_argument,
     check_seconds,
 )
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, MessageStatistics
+    from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, MessageStatistics
 
 EXAMPLE = "fsai-vcu stats can0 --seconds 10"
 ABOUT = """\
@@ -30,7 +30,7 @@ _PROGRESS_S = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    add_source_argument(parser)
     add_database_arguments(parser)
     add_seconds_argument(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
@@ -78,7 +78,7 @@ class _Progress:
             print(f"{frames} frames …", file=sys.stderr)
 
 
-def _verdict(well: bool, findings: list[Finding], *, as_json: bool, frames: int) -> str:
+def _verdict(well: bool, findings: list[BusFinding], *, as_json: bool, frames: int) -> str:
     problems = sum(finding.severity.value == "problem" for finding in findings)
     notes = len(findings) - problems
     if as_json:
@@ -90,7 +90,7 @@ def _verdict(well: bool, findings: list[Finding], *, as_json: bool, frames: int)
     return f"verdict: {'OK' if well else f'NOT OK: {problems} problem' + 's' * (problems > 1)}{end}\n"
 
 
-def _as_json(bus: BusStatistics, findings: list[Finding], *, table: bool) -> str:
+def _as_json(bus: BusStatistics, findings: list[BusFinding], *, table: bool) -> str:
     objects = [message.as_dict() | {"channel": bus.channel} for message in bus.messages] if table else []
     objects += [finding.as_dict() | {"channel": bus.channel} for finding in findings]
     objects.append(bus.as_dict())
@@ -100,7 +100,7 @@ def _as_json(bus: BusStatistics, findings: list[Finding], *, table: bool) -> str
 _HEAD = ("id", "message", "frames", "period", "p50", "jitter p50", "p99", "max", "gaps", "longest", "frozen", "load")
 
 
-def _for_people(bus: BusStatistics, findings: list[Finding], *, table: bool) -> str:
+def _for_people(bus: BusStatistics, findings: list[BusFinding], *, table: bool) -> str:
     lines = [
         f"{bus.channel}: {bus.frames} frames in {bus.duration_s:.3f} s,"
         f" load {bus.load:.1%} of {bus.bitrate // 1000} kbit/s ({bus.peak_load:.1%} in the busiest 100 ms)"

@@ -9,8 +9,8 @@ from types import MappingProxyType
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.supervision.reasons import words_of
-from fsai_vcu.interface.images import AiCommand, GpsImu, VehicleState
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
 
 NOTHING: Mapping[str, int] = MappingProxyType({})
 

@@ -1,26 +1,26 @@
 """What was, or is, on the bus: logs, decoding, statistics. It knows no ROS and takes no decisions.
 
 Frames
-    `frames.Frames` is a run of frames as columns (numpy), `frames.LogFrame` is one of them. Times are integer
+    `log.frames.Frames` is a run of frames as columns (numpy), `LogFrame` is one of them. Times are integer
     nanoseconds of the log's own clock (for a live bus: of the wall clock).
 
 Reading
-    with open_log(path) as log:                   # logs.py; '-' is standard input; the format is told by the content
+    with open_log(path) as log:                # log/reader.py; '-' is standard input; the content tells the format
         for frames in log.chunks(): ...           # columns, a few ten thousand frames at a time: any length of log
         for frame in log.frames(): ...            # or one by one
         log.problems                              # what could not be read, with its place; never an exception
     read_log(path) -> (Frames, Problems)          # all of it at once
-    guess_revision(frames)                        # revision.py: the interface revision they are of, and why
-    LiveSource(interfaces)                        # live.py: the same chunks(), from buses
+    guess_revision(frames)                        # decode/revision.py: the interface revision they are of, and why
+    LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses
 
-    candump's formats are read and written by candump.py; logs.py knows the binary ones, through python-can.
+    candump's formats are read and written by log/candump.py; log/reader.py knows the binary ones, through python-can.
 
 Choosing
-    FrameFilter.parse("520:7FF,#FFFFFFFF")        # filters.py: candump's filters, on columns
+    FrameFilter.parse("520:7FF,#FFFFFFFF")        # log/filters.py: candump's filters, on columns
 
 Decoding
-    databases = load_databases(["team.dbc"])      # databases.py; without files the car's own: revision="2026"
-    decoder = Decoder(databases)                  # decode.py
+    databases = load_databases(["team.dbc"])      # decode/databases.py; without files the car's own: revision="2026"
+    decoder = Decoder(databases)                  # decode/decoder.py
     decoder.tables(frames)                        # {message name: MessageTable}; a table has times, rows and series
     decoder.tables(frames)["VCU2AI_Steer"].series["ANGLE"].values
 
@@ -29,25 +29,25 @@ Decoding
     between two commands, because loading cantools and its files takes longer than to decode 100,000 frames.
 
 Printing
-    LineWriter(decoder, as_json=False).block(frames)      # lines.py: lines of bytes; tails(): the signals only
-    Printer(databases)(block)                             # printing.py: lines of a candump log, as they are in it
-    write_lines(path, printer, write, processes)          # sharing.py: all of a candump log, on all processors
-    error_words(can_id, data)                             # errors.py: an error frame of SocketCAN in words
+    LineWriter(decoder, as_json=False).block(frames)      # decode/lines.py: lines of bytes; tails(): the signals only
+    Printer(databases)(block)                            # decode/printing.py: lines of a candump log, as they are in it
+    write_lines(path, printer, write, processes)          # decode/sharing.py: all of a candump log, on all processors
+    error_words(can_id, data)                             # decode/error_frames.py: an error frame of SocketCAN in words
 
     `fsai-vcu decode` of a candump log loads neither numpy nor cantools while its lines are usual (quick_lines.py): to
     load numpy takes as long as to print 100,000 lines. lines.py says what is right, and a test compares them.
 
 Measuring
-    measure(frames, decoder, revision=…)          # statistics.py: a BusStatistics for each channel: periods, gaps,
-                                                  # load, handshake
+    measure(frames, decoder, revision=…)       # statistics/measure.py: a BusStatistics for each channel: periods,
+                                                  # gaps, load, handshake
     judge(bus), verdict(findings)                 # what is not as it should be; whether all is well
-    wire_bits(frames)                             # wire_bits.py: exact length on the wire, stuff bits included
-    quantile(ordered, share)                      # quantiles.py: one meaning of p50 and p99 for the whole project
-    bench.speed(log)                              # beside cantools' own command line, in the same run
+    wire_bits(frames)                           # statistics/wire_bits.py: exact length on the wire, stuff bits included
+    quantile(ordered, share)                 # statistics/quantiles.py: one meaning of p50 and p99 everywhere
+    decode.bench.speed(log)                              # beside cantools' own command line, in the same run
 
 Watching, sending
     view = View(); view.update(frames); view.picture(now_ns)      # monitor/: one moment of a bus, and its drawing
-    outgoing(databases, "BenchLamp", ["COLOUR=RED"])              # sending.py: a frame by its signals, or a refusal
+    outgoing(databases, "BenchLamp", ["COLOUR=RED"])         # transmit/sending.py: a frame by its signals, or a refusal
 
 On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
 with filters, problems and an exit status), `Decoding` (databases as the arguments ask for, or as the frames tell),

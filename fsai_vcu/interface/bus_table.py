@@ -10,8 +10,8 @@ from enum import Enum
 from types import MappingProxyType
 from typing import NamedTuple
 
-MS = 1_000_000
-"""Nanoseconds in a millisecond."""
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import MS
 
 
 class Flow(Enum):
@@ -46,9 +46,8 @@ def _each(**period_ms: int) -> Mapping[str, int]:
     return MappingProxyType({name.removeprefix("r"): period * MS for name, period in period_ms.items()})
 
 
-# Interface specification v4.0: ten messages of 10 ms missing in a row are a loss of communication; the AI side's own
-# supervision of 0x520, wheel speeds and steering uses the same 100 ms (safety: graded reactions).
-_LOSS = 100 * MS
+# The AI side's own supervision of 0x520, wheel speeds and steering takes the VCU's time (safety: graded reactions).
+_LOSS = COMMS_LOST_NS
 _GPS_LOSS = 1_000 * MS  # a GPS receiver settles new values about once a second
 
 BUS_TABLE: tuple[BusMessage, ...] = (

@@ -1,10 +1,10 @@
 """Between frames and images, both ways.
 
-The layout of every message comes from the loaded signal database and from nowhere else. At load each message is
-compiled into one function that shifts and masks (a bridge decodes 1500 frames a second and a simulation a hundred times
-as many). That function answers only for what is plainly in order; anything doubtful goes to the careful path, which
-finds out what is wrong and says it. Messages that shifting cannot do (big-endian, multiplexed) take the careful path
-always, with cantools doing the bits.
+The layout of every message comes from the loaded signal database and from nowhere else; whoever needs a position asks
+`Codec.mask` for it. At load each message gets a function that shifts and masks (a bridge decodes 1500 frames a second
+and a simulation a hundred times as many). That function answers only for what is plainly in order; anything doubtful
+goes to the careful path, which finds out what is wrong and says it. Messages that shifting cannot do (big-endian,
+multiplexed) take the careful path always, with cantools doing the bits.
 """
 
 from __future__ import annotations
@@ -13,26 +13,25 @@ import dataclasses
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from enum import IntEnum
+from functools import cache, lru_cache
 from numbers import Real
+from operator import attrgetter, call, itemgetter, truediv
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, NamedTuple, cast
 
+try:
+    import bitstruct.c as bitstruct
+except ImportError:  # a machine for which it is not compiled
+    import bitstruct
 from cantools.database.can import Database, Message, Signal
 
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.database import DatabaseError, dbc_dir, load_database
+from fsai_vcu.interface.fields import Field, Refuse, fields_of
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
-    AiCommand,
-    AiImage,
-    Faults,
-    Image,
-    VcuStatus,
-)
+from fsai_vcu.interface.messages import COMMAND_FIELDS, MESSAGES, AiCommand, AiImage, Image, VcuStatus
 from fsai_vcu.interface.revisions import Revision
-from fsai_vcu.interface.signals import COMMAND_FIELDS, Field, Kind, Refuse, Row, rows
 from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
 
 _UNIT_SUFFIXES = ("_Nm", "_rpm", "_deg", "_kmh", "_pct")
@@ -46,8 +45,7 @@ class EncodeError(ValueError):
     """A value that the wire cannot carry faithfully: out of range, not a number, unknown."""
 
 
-@dataclass(frozen=True, slots=True)
-class Decoded:
+class Decoded(NamedTuple):
     """What a frame said. `image` is None where it said nothing that may be believed.
 
     `problems` are sentences for people. `handshake` is the bit of a 0x520, set even where its image was not believed.
@@ -59,6 +57,7 @@ class Decoded:
 
 
 _NOTHING = Decoded(None)
+_new: Final = tuple.__new__  # a named tuple's own way takes thrice as long
 
 
 class Codec:
@@ -82,24 +81,25 @@ class Codec:
         self.database: Database = load_database(paths)
         self._decoders: dict[int, tuple[int, Callable[[bytes, int], Decoded]]] = {}
         self._encoders: dict[type, Callable[[Any, int], Frame]] = {}
-        command_encoders: dict[type, Callable[[Any, int], Frame]] = {}
+        self._layouts: dict[type, _Layout] = {}
         lacking: list[_Lack] = []
-        for row in rows(mapping):
-            message = _find_message(self.database, row)
+        for kind in MESSAGES:
+            message = _find_message(self.database, kind.dbc_name)
             if message is None:
-                if row.required:
-                    raise DatabaseError(f"{_files(paths)}: no message {row.message}, so this is not the car's database")
-                lacking.append((row.message, _NOT_READ))
+                if kind.required:
+                    raise DatabaseError(
+                        f"{_files(paths)}: no message {kind.dbc_name}, so this is not the car's database"
+                    )
+                lacking.append((kind.dbc_name, _NO_MESSAGE))
                 continue
-            _check_identity(row, message, paths)
-            layout = _Layout(row, message, paths)
+            _check_identity(kind.dbc_name, message, paths)
+            layout = _Layout(kind, message, mapping, paths)
             lacking += layout.lacking
+            self._layouts[kind] = layout
             self._decoders[message.frame_id] = (message.length, layout.decoder())
-            self._encoders[row.image] = layout.encoder(None)
-            if row.image in COMMAND_FIELDS:
-                command_encoders[row.image] = layout.encoder(COMMAND_FIELDS[row.image])
+            self._encoders[kind] = layout.encoder(None)
         self._latest: tuple[Frame, Decoded] = (Frame(0, error=True), _NOTHING)
-        self._command_encoders = tuple(command_encoders[image] for image in COMMAND_FIELDS)
+        self._command_encoders = tuple(self._layouts[kind].encoder(names) for kind, names in COMMAND_FIELDS.items())
         self._lacking = tuple(lacking)
         self.unknown = "" if dbc_paths is None else _lacking_line(paths, self._lacking, _lacking_by_nature(revision))
 
@@ -133,6 +133,12 @@ class Codec:
             steer(command, t_ns),
             brake(command, t_ns),
         )
+
+    def mask(self, message: type[Image], *names: str) -> int:
+        """Where the signals of these fields are in a payload as a little-endian number; 0 where there are none."""
+        layout = self._layouts.get(message)
+        slots = [] if layout is None else [layout.slots[name] for name in names if name in layout.slots]
+        return sum(slot.mask << slot.start for slot in slots)
 
     def decode(self, frame: Frame) -> Decoded:
         """What `frame` says. Never raises: what cannot be believed is in `problems`."""
@@ -180,25 +186,19 @@ def _spellings(name: str) -> tuple[str, ...]:
     return (name, name[:_DBC_NAME_LENGTH], bare, *(bare + suffix for suffix in _UNIT_SUFFIXES))
 
 
-def _find_message(database: Database, row: Row) -> Message | None:
+def _find_message(database: Database, dbc_name: str) -> Message | None:
     by_name = {message.name: message for message in database.messages}
-    for name in _spellings(row.message):
-        if name in by_name:
-            return by_name[name]
-    return None
+    return next((by_name[name] for name in _spellings(dbc_name) if name in by_name), None)
 
 
 def _find_signal(message: Message, name: str) -> Signal | None:
     by_name = {signal.name: signal for signal in message.signals}
-    for spelling in _spellings(name):
-        if spelling in by_name:
-            return by_name[spelling]
-    return None
+    return next((by_name[spelling] for spelling in _spellings(name) if spelling in by_name), None)
 
 
-def _check_identity(row: Row, message: Message, paths: Sequence[Path | str]) -> None:
+def _check_identity(dbc_name: str, message: Message, paths: Sequence[Path | str]) -> None:
     """Safety rule 8: a database cannot make the AI side send on an identifier that is not its own."""
-    expected = BY_NAME[row.message].can_id
+    expected = BY_NAME[dbc_name].can_id
     if message.frame_id != expected or message.is_extended_frame:
         raise DatabaseError(
             f"{_files(paths)}: {message.name} has identifier 0x{message.frame_id:03X}, not 0x{expected:03X}"
@@ -212,8 +212,7 @@ def _files(paths: Sequence[Path | str]) -> str:
 # ---------------------------------------------------------------- what a database lacks
 
 _Lack = tuple[str, str]  # the name of a signal or message, and what follows
-_NOT_READ = "these messages are not read"
-_NO_VALUE = "these values are not read"
+_NO_MESSAGE: Final = "these messages are not read"
 
 
 @cache
@@ -233,124 +232,109 @@ def _lacking_line(paths: Sequence[Path | str], lacking: Sequence[_Lack], by_natu
     return f"{_files(paths)}: lacks signals of the car's interface: {told}"
 
 
-# ---------------------------------------------------------------- one message, compiled
+# ---------------------------------------------------------------- one message
 
 
-@dataclass(frozen=True, slots=True)
 class _Slot:
     """A field together with its signal, found in the database."""
 
-    field: Field
-    signal: Signal
-    raw_min: int
-    raw_max: int
-    low: float  # physical limits on encoding
-    high: float
+    def __init__(self, field: Field, signal: Signal) -> None:
+        self.field = field
+        self.signal = signal
+        length, self.start, self.scale, self.offset = signal.length, signal.start, signal.scale, signal.offset
+        self.is_float = bool(signal.is_float)
+        self.mask = (1 << length) - 1  # as wide as the signal; where it is in the frame is `mask << start`
+        self.sign = 1 << length - 1 if signal.is_signed else 0
+        # Raw steps in one physical unit where that is a whole number: dividing by it rounds as decimals do.
+        steps = 1 / signal.scale
+        whole = steps >= 1 and math.isclose(steps, round(steps), rel_tol=1e-12)
+        self.per_unit = round(steps) if whole else None
+        # Physical limits on encoding, and how far beyond them a value may be by a float's rounding alone.
+        if self.is_float:
+            self.high = _FLOAT32_MAX if length == 32 else math.inf
+            self.low = -self.high
+        else:
+            ends = [raw * signal.scale + signal.offset for raw in (-self.sign, self.mask - self.sign)]
+            self.low, self.high = float(min(ends)), float(max(ends))
+        if signal.minimum is not None:
+            self.low = max(self.low, float(signal.minimum))
+        if signal.maximum is not None:
+            self.high = min(self.high, float(signal.maximum))
+        self.margin = 0.0 if self.is_float else _ROUNDING * max(1.0, abs(self.low), abs(self.high))
 
-    @property
-    def is_float(self) -> bool:
-        return bool(self.signal.is_float)
+    def number(self, raw: float) -> float:
+        """The field's value of a finite raw one."""
+        scaled = raw if self.scale == 1 else raw / self.per_unit if self.per_unit else raw * self.scale
+        value = scaled + self.offset if self.offset else scaled
+        return round(value) if self.field.holds is int else value
 
-    @property
-    def margin(self) -> float:
-        """How far beyond its limits a value may be by a float's rounding alone."""
-        return 0.0 if self.is_float else _ROUNDING * max(1.0, abs(self.low), abs(self.high))
-
-    @property
-    def says_nothing_as_none(self) -> bool:
-        """Whether None is a value of the field; its bits are then 0."""
-        return self.field.optional or self.field.unknown is None
-
-    @property
-    def mask(self) -> int:
-        return (1 << self.signal.length) - 1
-
-    @property
-    def per_unit(self) -> int | None:
-        """Raw steps in one physical unit where that is a whole number: dividing by it rounds as decimals do."""
-        steps = 1 / self.signal.scale
-        return round(steps) if steps >= 1 and math.isclose(steps, round(steps), rel_tol=1e-12) else None
-
-    def physical(self, raw: float) -> float:
-        per_unit = self.per_unit
-        scaled = raw if self.signal.scale == 1 else raw / per_unit if per_unit else raw * self.signal.scale
-        return scaled + self.signal.offset if self.signal.offset else scaled
-
-    def raw(self, value: float) -> int:
-        """The nearest raw step to a physical value within the limits."""
-        shifted = value - self.signal.offset
-        steps = shifted * self.per_unit if self.per_unit else shifted / self.signal.scale
-        return min(max(round(steps), self.raw_min), self.raw_max)
+    def steps(self, value: float) -> float:
+        """Where a physical value is on the raw scale."""
+        shifted = value - self.offset
+        return shifted * self.per_unit if self.per_unit else shifted / self.scale
 
 
-def _slot(field: Field, signal: Signal) -> _Slot:
-    length = signal.length
-    raw_min, raw_max = (-(1 << length - 1), (1 << length - 1) - 1) if signal.is_signed else (0, (1 << length) - 1)
-    if signal.is_float:
-        low, high = -_FLOAT32_MAX if length == 32 else -math.inf, _FLOAT32_MAX if length == 32 else math.inf
-    else:
-        ends = sorted((raw_min * signal.scale + signal.offset, raw_max * signal.scale + signal.offset))
-        low, high = float(ends[0]), float(ends[1])
-    if signal.minimum is not None:
-        low = max(low, float(signal.minimum))
-    if signal.maximum is not None:
-        high = min(high, float(signal.maximum))
-    return _Slot(field, signal, raw_min, raw_max, low, high)
+# Flags, choices and fields up to this wide take few values together: each combination that occurs is read once.
+_FEW_BITS: Final = 4
+_COMBINATIONS: Final = 1024
+_FLOAT: Final = struct.Struct("<f")
 
 
 class _Layout:
-    """One message of the loaded database with the image that it fills."""
+    """One message of the loaded database with the class that it fills."""
 
-    def __init__(self, row: Row, message: Message, paths: Sequence[Path | str]) -> None:
-        self.row = row
+    def __init__(self, kind: type[Image], message: Message, wheels: WheelMapping, paths: Sequence[Path | str]) -> None:
+        self.kind: Any = kind
         self.message = message
-        self.slots = self._find(row.fields, paths)
-        self.fault_slots = self._find(row.faults, paths)
-        self.defaults = {
-            field.name: field.default
-            for field in dataclasses.fields(row.image)
-            if field.default is not dataclasses.MISSING
+        self.slots: dict[str, _Slot] = {}
+        self.defaults: dict[str, Any] = {}
+        self.lacking: list[_Lack] = []
+        for field in fields_of(cast("Any", kind), wheels):
+            signal = _find_signal(message, field.signal)
+            self.defaults[field.name] = None if signal is None and field.nullable else field.default
+            if signal is not None:
+                self.slots[field.name] = _Slot(field, signal)
+            elif field.absent is not None:
+                self.lacking.append((field.signal, field.absent))
+            else:
+                raise DatabaseError(f"{_files(paths)}: {message.name} has no signal {field.signal}")
+        declared = [field for field in dataclasses.fields(kind) if field.name != "t_rx_ns"]
+        self.names = [field.name for field in declared]
+        self.groups: dict[str, Any] = {
+            field.name: field.default_factory for field in declared if field.default_factory is not dataclasses.MISSING
         }
-        found = {*self.slots, *self.fault_slots}
-        absent = [field for field in (*row.fields, *row.faults) if field.name not in found]
-        self.defaults.update({field.name: None for field in absent if field.none_if_absent})
-        self.lacking = [(field.signal, field.absent or _NO_VALUE) for field in absent]
         self.simple = not message.is_multiplexed() and all(
             slot.signal.byte_order == "little_endian"
-            and (not slot.is_float or (slot.signal.length == 32 and slot.signal.start % 8 == 0))
-            for slot in (*self.slots.values(), *self.fault_slots.values())
+            and (not slot.is_float or (slot.signal.length == 32 and slot.field.holds is float))
+            for slot in self.slots.values()
         )
 
-    def _find(self, fields: Sequence[Field], paths: Sequence[Path | str]) -> dict[str, _Slot]:
-        found = {}
-        for field in fields:
-            signal = _find_signal(self.message, field.signal)
-            if signal is not None:
-                found[field.name] = _slot(field, signal)
-            elif not field.optional:
-                raise DatabaseError(f"{_files(paths)}: {self.message.name} has no signal {field.signal}")
-        return found
+    def in_groups(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by the names of `fields_of` become values of the class's own fields."""
+        grouped = {name: values[name] for name in self.names if name not in self.groups}
+        for name, group in self.groups.items():
+            begin = f"{name}."
+            grouped[name] = group(**{k.removeprefix(begin): v for k, v in values.items() if k.startswith(begin)})
+        return grouped
 
-    # -------------------------------------------------------- raw values, the careful way
-
-    def raws(self, data: bytes) -> dict[str, Any]:
-        """Raw signal values by name. A multiplexed message yields only the signals that it carries."""
-        decoded = self.message.decode(data, decode_choices=False, scaling=False, allow_truncated=False)
-        return cast("dict[str, Any]", decoded)
+    # -------------------------------------------------------- the careful way
 
     def careful_decode(self, data: bytes, t_ns: int) -> Decoded:
         """Decode field by field and say what is wrong."""
         try:
-            raws = self.raws(data)
+            raws = cast(
+                "dict[str, Any]",
+                self.message.decode(data, decode_choices=False, scaling=False, allow_truncated=False),
+            )
         except Exception as error:  # decode never raises, whatever a strange database makes cantools do
             return Decoded(None, (f"{self.message.name}: cannot be decoded: {error}",))
         problems: list[str] = []
-        values: dict[str, Any] = {**self.defaults, "t_rx_ns": t_ns}
+        values = dict(self.defaults)
         believed = True
-        for slot in self.slots.values():
+        for name, slot in self.slots.items():
             raw = raws.get(slot.signal.name)
             if raw is None:  # a multiplexed signal that this frame does not carry
-                believed = believed and slot.field.optional
+                believed = believed and slot.field.absent is not None
                 continue
             value, problem = _read(slot, raw)
             if problem:
@@ -358,105 +342,75 @@ class _Layout:
             if isinstance(value, Refuse):
                 believed = False
             else:
-                values[slot.field.name] = value
-        if self.fault_slots:
-            bits = {name: raws.get(slot.signal.name) for name, slot in self.fault_slots.items()}
-            values["faults"] = Faults(**{name: None if bit is None else bool(bit) for name, bit in bits.items()})
-        handshake = values.get("handshake") if self.row.image is VcuStatus else None
-        image = self.row.image(**values) if believed else None
+                values[name] = value
+        handshake = values["handshake"] if self.kind is VcuStatus else None
+        image = self.kind(**self.in_groups(values), t_rx_ns=t_ns) if believed else None
         return Decoded(image, tuple(problems), handshake)
 
     def careful_encode(self, source: Any, names: Mapping[str, str] | None, t_ns: int) -> Frame:
         """Encode field by field and say what is refused."""
         raws: dict[str, Any] = {signal.name: 0 for signal in self.message.signals}
         for name, slot in self.slots.items():
-            value = getattr(source, name if names is None else names[name])
+            value = attrgetter(name if names is None else names[name])(source)
             raws[slot.signal.name] = _write(slot, value, self.message.name)
-        for name, slot in self.fault_slots.items():
-            raws[slot.signal.name] = _write(slot, getattr(source.faults, name), self.message.name)
-        if self.simple:
-            return Frame(self.message.frame_id, self._pack(raws), t_ns)
         try:
             data = self.message.encode(raws, scaling=False, padding=False, strict=False)
         except Exception as error:
             raise EncodeError(f"{self.message.name}: cannot be encoded: {error}") from error
         return Frame(self.message.frame_id, bytes(data), t_ns)
 
-    def _pack(self, raws: Mapping[str, Any]) -> bytes:
-        word = 0
-        for slot in (*self.slots.values(), *self.fault_slots.values()):
-            raw = raws[slot.signal.name]
-            bits = int.from_bytes(struct.pack("<f", raw), "little") if slot.is_float else raw & slot.mask
-            word |= bits << slot.signal.start
-        return word.to_bytes(self.message.length, "little")
-
-    # -------------------------------------------------------- compiled
+    # -------------------------------------------------------- the quick way
 
     def decoder(self) -> Callable[[bytes, int], Decoded]:
         """A function of a frame's data (of the right length) and time."""
         if not self.simple:
             return self.careful_decode
-        source = _Source(
-            {"Image": self.row.image, "Faults": Faults, "Decoded": Decoded, "careful": self.careful_decode}
-        )
-        source.line("def decode(data, t_ns):")
-        source.line("    word = from_bytes(data, 'little')")
-        doubts: list[str] = []
-        values = [self._decode_expression(source, field.name, doubts) for field in dataclasses.fields(self.row.image)]
-        if doubts:
-            source.line(f"    if {' or '.join(doubts)}:")
-            source.line("        return careful(data, t_ns)")
-        handshake = self._flag_expression("handshake") if self.row.image is VcuStatus else "None"
-        source.line(f"    return Decoded(Image({', '.join(values)}), (), {handshake})")
-        return cast("Callable[[bytes, int], Decoded]", source.function("decode"))
+        narrow = {name: slot for name, slot in self.slots.items() if _is_narrow(slot)}
+        wide = sorted(self.slots.keys() - narrow.keys(), key=lambda name: -self.slots[name].start)
+        others = [name for name in self.names if name not in wide]
+        found = [*others, *wide]
+        arrange = None if found == self.names else itemgetter(*(found.index(name) for name in self.names))
+        mask = sum(slot.mask << slot.start for slot in narrow.values())
+        unpack = bitstruct.compile(_from_the_end([self.slots[name] for name in wide], self.message.length)).unpack
+        converters = tuple(_converter(self.slots[name]) for name in wide)
+        as_read = all(converter in (int, float) for converter in converters)
+        # Where every number is divided alone, no converter need be called.
+        divisors = tuple(_divisor(self.slots[name]) for name in wide)
+        divided = None not in divisors and not as_read
+        any_float = any(slot.is_float for slot in self.slots.values())
+        kind, careful, is_status = self.kind, self.careful_decode, self.kind is VcuStatus
 
-    def _flag_expression(self, name: str) -> str:
-        return f"word & {1 << self.slots[name].signal.start} != 0"
+        @lru_cache(maxsize=_COMBINATIONS)
+        def read_narrow(word: int) -> tuple[Any, ...]:
+            values = dict(self.defaults)
+            for name, slot in narrow.items():
+                values[name], problem = _read(slot, ((word >> slot.start & slot.mask) ^ slot.sign) - slot.sign)
+                if problem:
+                    raise ValueError(problem)
+            grouped = self.in_groups(values)
+            return tuple(grouped[name] for name in others)
 
-    def _decode_expression(self, source: _Source, name: str, doubts: list[str]) -> str:
-        if name == "t_rx_ns":
-            return "t_ns"
-        if name == "faults":
-            mask = sum(1 << slot.signal.start for slot in self.fault_slots.values())
-            source.names["faults_of"] = self._fault_table()
-            return f"faults_of(word & {mask})"
-        slot = self.slots.get(name)
-        if slot is None:
-            source.names[f"default_{name}"] = self.defaults[name]
-            return f"default_{name}"
-        start, length = slot.signal.start, slot.signal.length
-        if slot.is_float:
-            source.line(f"    {name}, = unpack_float(data, {start // 8})")
-            doubts.append(f"not isfinite({name})")
-            return _physical_source(slot, name)
-        bits = f"word & {slot.mask}" if start == 0 else f"word >> {start} & {slot.mask}"
-        if slot.field.kind is Kind.FLAG:
-            return f"word & {slot.mask << start} != 0"
-        if slot.field.kind is Kind.CHOICE:
-            assert slot.field.choices is not None
-            table: dict[int, Any] = dict.fromkeys(slot.field.unremarkable, slot.field.unknown)
-            table.update({int(member): member for member in slot.field.choices})
-            source.names[f"table_{name}"] = table
-            source.line(f"    {name} = table_{name}.get({bits}, unknown)")
-            doubts.append(f"{name} is unknown")
-            return name
-        if slot.signal.is_signed:
-            sign = 1 << length - 1
-            bits = f"(({bits}) ^ {sign}) - {sign}"
-        return _physical_source(slot, f"({bits})")
+        def decode(data: bytes, t_ns: int) -> Decoded:
+            values: tuple[Any, ...] = ()
+            if wide:
+                values = unpack(data[::-1])
+                if divided:
+                    values = tuple(map(truediv, values, divisors))
+                elif not as_read:
+                    values = tuple(map(call, converters, values))
+                if any_float and not math.isfinite(sum(values)):
+                    return careful(data, t_ns)
+            if others:
+                try:
+                    values = read_narrow(int.from_bytes(data, "little") & mask) + values
+                except ValueError:
+                    return careful(data, t_ns)
+            if arrange is not None:
+                values = arrange(values)
+            image: Any = kind(*values, t_ns)
+            return _new(Decoded, (image, (), image.handshake if is_status else None))
 
-    def _fault_table(self) -> Callable[[int], Faults]:
-        """Faults by their bits. All combinations that occur are kept: they are few, and building one is slow."""
-        seen: dict[int, Faults] = {}
-        places = {name: 1 << slot.signal.start for name, slot in self.fault_slots.items()}
-
-        def faults_of(bits: int) -> Faults:
-            faults = seen.get(bits)
-            if faults is None:
-                faults = seen[bits] = Faults(**{name: bool(bits & place) for name, place in places.items()})
-            return faults
-
-        return faults_of
+        return decode
 
     def encoder(self, names: Mapping[str, str] | None) -> Callable[[Any, int], Frame]:
         """A function of an image (or, with `names`, of an object with those attributes) and a time."""
@@ -464,91 +418,92 @@ class _Layout:
         def careful(source: Any, t_ns: int) -> Frame:
             return self.careful_encode(source, names, t_ns)
 
-        if not self.simple:
+        if not self.simple or not self.slots:
             return careful
-        source = _Source({"Frame": Frame, "careful": careful})
-        source.line("def encode(source, t_ns):")
-        source.line("    try:")
-        terms: list[str] = []
-        doubts: list[str] = []
-        for name, slot in self.slots.items():
-            attribute = name if names is None else names[name]
-            source.line(f"        {name} = source.{attribute}")
-            terms.append(self._encode_expression(source, name, slot, doubts))
-        if self.fault_slots:
-            source.line("        faults = source.faults")
-            for name, slot in self.fault_slots.items():
-                source.line(f"        fault_{name} = faults.{name}")
-                terms.append(self._encode_expression(source, f"fault_{name}", slot, doubts))
-        if doubts:
-            source.line(f"        if {' or '.join(doubts)}:")
-            source.line("            return careful(source, t_ns)")
-        source.line(f"        word = {' | '.join(terms)}")
-        source.line(f"        data = word.to_bytes({self.message.length}, 'little')")
-        source.line("    except (TypeError, AttributeError, OverflowError):")
-        source.line("        return careful(source, t_ns)")
-        source.line(f"    return Frame({self.message.frame_id}, data, t_ns)")
-        return cast("Callable[[Any, int], Frame]", source.function("encode"))
+        attributes = [name if names is None else names[name] for name in self.slots]
+        # Of one name alone it would not make a tuple.
+        values_of = attrgetter(*attributes) if len(attributes) > 1 else attrgetter(*attributes, *attributes)
+        writers = tuple(_writer(slot) for slot in self.slots.values())
+        can_id, length = self.message.frame_id, self.message.length
 
-    def _encode_expression(self, source: _Source, name: str, slot: _Slot, doubts: list[str]) -> str:
-        start = slot.signal.start
-        if slot.field.kind in (Kind.FLAG, Kind.CHOICE):
-            members = slot.field.choices or (0, 1)
-            bits: dict[int | None, int] = {m: int(m) << start for m in members if slot.low <= m <= slot.high}
-            if slot.says_nothing_as_none:
-                bits[None] = 0
-            source.names[f"bits_{name}"] = bits
-            source.line(f"        {name} = bits_{name}.get({name})")
-            doubts.append(f"{name} is None")
-            return name
-        source.names[f"low_{name}"] = slot.low - slot.margin
-        source.names[f"high_{name}"] = slot.high + slot.margin
-        doubts.append(f"not low_{name} <= {name} <= high_{name}")
-        if slot.is_float:
-            value = name
-            if (slot.signal.scale, slot.signal.offset) != (1, 0):
-                value = f"({name} - {slot.signal.offset!r}) / {slot.signal.scale!r}"
-            return f"from_bytes(pack_float({value}), 'little') << {start}"
-        shifted = f"({name} - {slot.signal.offset!r})" if slot.signal.offset else name
-        per_unit = slot.per_unit
-        if per_unit is None:
-            steps = f"{shifted} / {slot.signal.scale!r}"
-        else:
-            steps = shifted if per_unit == 1 else f"{shifted} * {per_unit}"
-        return f"(round({steps}) & {slot.mask}) << {start}"
+        def encode(source: Any, t_ns: int) -> Frame:
+            try:
+                data = sum(map(call, writers, values_of(source))).to_bytes(length, "little")
+            except (KeyError, ValueError, TypeError, AttributeError, OverflowError):
+                return careful(source, t_ns)
+            return Frame(can_id, data, t_ns)
+
+        return encode
 
 
-def _physical_source(slot: _Slot, raw: str) -> str:
-    """Source text: the physical value of a raw expression, as `_Slot.physical` computes it."""
-    per_unit = slot.per_unit
-    scaled = raw
-    if slot.signal.scale != 1:
-        scaled = f"{raw} / {per_unit}" if per_unit else f"{raw} * {slot.signal.scale!r}"
-    if slot.signal.offset:
-        scaled = f"{scaled} + {slot.signal.offset!r}"
-    return f"round({scaled})" if slot.field.kind is Kind.WHOLE and scaled != raw else scaled
+def _is_narrow(slot: _Slot) -> bool:
+    return slot.field.holds not in (int, float) or (not slot.is_float and slot.signal.length <= _FEW_BITS)
 
 
-class _Source:
-    """Source text of a function and the names that it uses."""
+def _from_the_end(slots: Sequence[_Slot], length: int) -> str:
+    """The format of a payload read backwards, so that little-endian signals are whole; `slots` with the last first."""
+    formats, end = [], 8 * length
+    for slot in slots:
+        letter = "f" if slot.is_float else "s" if slot.sign else "u"
+        formats.append(f"p{end - slot.start - slot.signal.length}{letter}{slot.signal.length}")
+        end = slot.start
+    return "".join([*formats, f"p{end}"]).replace("p0", "")
 
-    def __init__(self, names: dict[str, Any]) -> None:
-        self.names: dict[str, Any] = {
-            "from_bytes": int.from_bytes,
-            "unpack_float": struct.Struct("<f").unpack_from,
-            "pack_float": struct.Struct("<f").pack,
-            "isfinite": math.isfinite,
-            "unknown": object(),
-            **names,
-        }
-        self._lines: list[str] = []
 
-    def line(self, text: str) -> None:
-        self._lines.append(text)
+def _converter(slot: _Slot) -> Callable[[Any], float]:
+    """The field's number of a finite raw one, as `_Slot.number` has it, without a call of Python's where that does."""
+    holds, scale, per_unit = slot.field.holds, slot.signal.scale, slot.per_unit
+    if slot.signal.offset or (holds is int and scale != 1):
+        return slot.number
+    if scale == 1:
+        return holds
+    return scale.__mul__ if per_unit is None else per_unit.__rtruediv__
 
-    def function(self, name: str) -> Any:
-        exec(compile("\n".join(self._lines), f"<{name} compiled from the signal database>", "exec"), self.names)
-        return self.names[name]
+
+def _divisor(slot: _Slot) -> int | None:
+    return None if slot.field.holds is int or slot.signal.offset else slot.per_unit
+
+
+def _writer(slot: _Slot) -> Callable[[Any], int]:
+    """The field's bits, in their place; any of several exceptions where it is not plainly in order."""
+    start, mask = slot.start, slot.mask
+    if slot.field.holds not in (int, float):
+        members: Any = (0, 1) if slot.field.holds is bool else slot.field.holds
+        bits: dict[int | None, int] = {m: int(m) << start for m in members if slot.low <= m <= slot.high}
+        if slot.field.nullable:
+            bits[None] = 0
+        return bits.__getitem__
+    low, high = slot.low - slot.margin, slot.high + slot.margin
+    per_unit, unscaled = slot.per_unit, slot.scale == 1 and not slot.offset
+    if slot.field.holds is int and unscaled and slot.signal.length <= 8:
+        # A number between two whole ones is left to the careful way.
+        return {raw: (raw & mask) << start for raw in range(math.ceil(slot.low), math.floor(slot.high) + 1)}.__getitem__
+
+    def write_whole(value: int) -> int:
+        if low <= value <= high:
+            return (value & mask) << start
+        raise ValueError(value)
+
+    def write_steps(value: float) -> int:
+        if low <= value <= high:
+            return (round(value * per_unit) & mask) << start  # type: ignore[operator]
+        raise ValueError(value)
+
+    def write_scaled(value: float) -> int:
+        if low <= value <= high:
+            return (round(slot.steps(value)) & mask) << start
+        raise ValueError(value)
+
+    def write_float(value: float) -> int:
+        if low <= value <= high:
+            return int.from_bytes(_FLOAT.pack(value if unscaled else slot.steps(value)), "little") << start
+        raise ValueError(value)
+
+    if slot.is_float:
+        return write_float
+    if slot.offset or per_unit is None:
+        return write_scaled
+    return write_whole if unscaled and slot.field.holds is int else write_steps
 
 
 # ---------------------------------------------------------------- one field, the careful way
@@ -557,12 +512,11 @@ class _Source:
 def _read(slot: _Slot, raw: Any) -> tuple[Any, str | None]:
     """The field's value, or Refuse, and what is wrong with it."""
     field = slot.field
-    if field.kind is Kind.FLAG:
+    if field.holds is bool:
         return bool(raw), None
-    if field.kind is Kind.CHOICE:
-        assert field.choices is not None
+    if issubclass(field.holds, IntEnum):
         try:
-            return field.choices(raw), None
+            return field.holds(raw), None
         except ValueError:
             reported = (
                 None if raw in field.unremarkable else f"{slot.signal.name} {raw} is not in the interface's table"
@@ -570,24 +524,22 @@ def _read(slot: _Slot, raw: Any) -> tuple[Any, str | None]:
             return field.unknown, reported
     if not math.isfinite(raw):
         return Refuse.FRAME, f"{slot.signal.name} is {raw}, not a finite number"
-    value = slot.physical(raw)
-    return (round(value) if field.kind is Kind.WHOLE else value), None
+    return slot.number(raw), None
 
 
 def _write(slot: _Slot, value: Any, message: str) -> int | float:
     """The raw value of a field. None is 0: the signal says nothing."""
     field = slot.field
     what = f"{message}: {slot.signal.name}"
-    if value is None and slot.says_nothing_as_none:
+    if value is None and field.nullable:
         return 0
-    if field.kind is Kind.FLAG:
+    if field.holds is bool:
         if value not in (False, True):
             raise EncodeError(f"{what} is {value!r}, not a flag")
         return int(value)
-    if field.kind is Kind.CHOICE:
-        assert field.choices is not None
+    if issubclass(field.holds, IntEnum):
         try:
-            member = field.choices(value)
+            member = field.holds(value)
         except ValueError:
             raise EncodeError(f"{what} {value!r} is not in the interface's table") from None
         if not (slot.low <= member <= slot.high):
@@ -602,6 +554,4 @@ def _write(slot: _Slot, value: Any, message: str) -> int | float:
         raise EncodeError(
             f"{what} {number:g} is out of range {slot.low:g} … {slot.high:g} {slot.signal.unit or ''}".strip()
         )
-    if slot.is_float:
-        return (number - slot.signal.offset) / slot.signal.scale
-    return slot.raw(number)
+    return slot.steps(number) if slot.is_float else round(slot.steps(number))

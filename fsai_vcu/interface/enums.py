@@ -6,6 +6,7 @@ Members are raw values on the wire; logic compares members, people read `.label`
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Final
 
 
 class CarEnum(IntEnum):
@@ -25,6 +26,10 @@ class AsState(CarEnum):
     AS_DRIVING = 3
     EMERGENCY_BRAKE = 4
     AS_FINISHED = 5
+
+
+OFF_LIKE: Final = frozenset((AsState.AS_INIT, AsState.AS_OFF))
+"""The AS states before a run, in which nothing may move and everything may be reset."""
 
 
 class Ami(CarEnum):

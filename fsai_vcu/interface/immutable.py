@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 
 class Immutable:
@@ -15,7 +16,7 @@ class Immutable:
 
     A frozen dataclass assigns each field through `object.__setattr__`, 90 ns a field; the messages, states and reports
     of a run in lockstep made that an eighth of all its time. The constructor here assigns them to an object that is not
-    frozen yet, which takes a fifth of that.
+    frozen yet, which takes a fifth of that, and so does the copy that `replace` makes.
     """
 
     __slots__ = ()
@@ -25,6 +26,10 @@ class Immutable:
         # dataclass makes the class a second time, with slots: that is the one that will be used.
         if is_dataclass(cls) and "__slots__" in cls.__dict__ and _is_simple(cls):
             setattr(cls, "__init__", _constructor(cls))  # noqa: B010 - mypy forbids the plain assignment
+            setattr(cls, "_with", _copier(cls))  # noqa: B010
+
+    def _with(self, changes: dict[str, Any]) -> Self:
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self
@@ -33,6 +38,15 @@ class Immutable:
         # Made again by its constructor: half the time of a dataclass's own way.
         frozen: type = type(self)
         return frozen, tuple([getattr(self, name) for name in _field_names(frozen)])
+
+
+if TYPE_CHECKING:
+    from dataclasses import replace as replace
+else:
+
+    def replace(value: Immutable, **changes: Any) -> Immutable:
+        """As `dataclasses.replace`, in a quarter of its time: the bridge copies its states several times a cycle."""
+        return value._with(changes)
 
 
 @cache
@@ -52,11 +66,24 @@ def _is_simple(frozen: type) -> bool:
     )
 
 
+def _liquid(frozen: type) -> type:
+    """A class of the same layout that is not frozen: an object is of this one while its fields are set."""
+    return type(f"_{frozen.__name__}InTheMaking", frozen.__bases__, {"__slots__": frozen.__dict__["__slots__"]})
+
+
+def _copier(frozen: type) -> Any:
+    """A method that copies an object and sets some of its fields; AttributeError for what is no field."""
+    lines = ["def _with(self, changes):", "copy = new(liquid)"]
+    lines += [f"copy.{name} = self.{name}" for name in _field_names(frozen)]
+    lines += ["for name in changes: setattr(copy, name, changes[name])", "copy.__class__ = frozen", "return copy"]
+    names = {"new": object.__new__, "liquid": _liquid(frozen), "frozen": frozen}
+    exec(compile("\n    ".join(lines), f"<copier of {frozen.__name__}>", "exec"), names)
+    return names["_with"]
+
+
 def _constructor(frozen: type) -> Any:
     """An __init__ with the dataclass's own signature."""
-    # An object may change between classes of the same layout: it is of this one while its fields are set.
-    liquid = type(f"_{frozen.__name__}InTheMaking", frozen.__bases__, {"__slots__": frozen.__dict__["__slots__"]})
-    names: dict[str, Any] = {"become": _become, "liquid": liquid, "frozen": frozen, "missing": MISSING}
+    names: dict[str, Any] = {"become": _become, "liquid": _liquid(frozen), "frozen": frozen, "missing": MISSING}
     parameters, lines = ["self"], ["become(self, liquid)"]
     for field in fields(frozen):
         name = value = field.name

@@ -5,6 +5,12 @@ from __future__ import annotations
 AI_IDS = (0x510, 0x511, 0x512, 0x513, 0x514)
 """The five messages of the AI computer, in the order in which they go out."""
 
+VCU_IDS = tuple(range(0x520, 0x527))
+"""The messages of the VCU to the AI computer, VCU2AI_Status first; each comes every 10 ms."""
+
+STATUS_ID = VCU_IDS[0]
+"""VCU2AI_Status, which carries the handshake and the AS state."""
+
 OPTIONAL_AI_ID = 0x501
 """AI2LOG_Dynamics2: the PCAN-GPS sends it; an AI computer only on a car that has none."""
 
@@ -31,8 +37,3 @@ RESERVED_IDS: frozenset[int] = frozenset(
     can_id for first, last in _RESERVED_RANGES for can_id in range(first, last + 1)
 )
 """Identifiers that an AI computer must never transmit."""
-
-
-def may_send(can_id: int, *, without_pcan_gps: bool = False) -> bool:
-    """Whether the AI computer may transmit `can_id` (safety rule 8)."""
-    return can_id in AI_IDS or (without_pcan_gps and can_id == OPTIONAL_AI_ID)

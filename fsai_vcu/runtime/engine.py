@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.reserved import STATUS_ID
 from fsai_vcu.runtime.pacing import Pacing
 
-_STATUS_ID = 0x520  # VCU2AI_Status, which carries the handshake
 DEADLINE_MISS_NS = 50_000_000  # safety: a deadline missed by 50 ms is a fault of the loop
 
 
@@ -53,7 +53,7 @@ class Engine:
     def on_frame(self, frame: Frame) -> None:
         """A frame of somebody else's, received at `frame.t_ns`."""
         self._bridge.on_frame(frame)
-        if frame.can_id == _STATUS_ID and not (frame.error or frame.extended or frame.remote):
+        if frame.can_id == STATUS_ID and not (frame.error or frame.extended or frame.remote):
             self._pacing.on_status(frame.t_ns)
 
     def due_ns(self) -> int:

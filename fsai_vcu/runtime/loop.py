@@ -121,7 +121,7 @@ class BridgeLoop:
             self._sleep((self._engine.due_ns() - time.monotonic_ns()) / 1e9)
             # Before anything is read: a deadline was missed in the state that the car was known to be in.
             missed = self._missed(self._engine.due_ns(), time.monotonic_ns())
-            self._update(self._bus.drain())
+            self._update(*self._read())
             sent = self._write(missed)
         except BusLost as lost:
             self._lose_bus(str(lost))
@@ -135,17 +135,30 @@ class BridgeLoop:
         if most_s > 0.0:
             select.select(self._inputs, [], [], min(most_s, self._longest_wait_s))
 
-    def _update(self, frames: list[Frame]) -> None:
-        """Everything that has come goes into the bridge: the car's frames, then the edge's words."""
-        self._engine.on_frames(frames, time.monotonic_ns())
-        self._hear_edge()
+    def _read(self) -> tuple[list[Frame], list[object] | None]:
+        """Everything that waits: the car's frames, and what the edge has said."""
+        assert self._bus is not None
+        return self._bus.drain(), self._read_edge()
 
-    def _hear_edge(self) -> None:
+    def _read_edge(self) -> list[object] | None:
+        """What the edge has said; None once it is gone."""
         if self._link.closed:
-            self._edge_is_gone(time.monotonic_ns())
-            return
+            return None
         messages = self._link.receive()
-        now_ns = time.monotonic_ns()  # not before: what was handed over meanwhile would be of the future
+        if self._link.closed:
+            self._wait_for(-1 if self._bus is None else self._bus.fileno())  # its end would wake every turn
+        return messages
+
+    def _update(self, frames: list[Frame], messages: list[object] | None) -> None:
+        """All of it goes into the bridge: the car's frames, then the edge's words."""
+        self._engine.on_frames(frames, time.monotonic_ns())
+        self._hear(messages)
+
+    def _hear(self, messages: list[object] | None) -> None:
+        now_ns = time.monotonic_ns()  # not before they were read: they would be of the future
+        if messages is None:
+            self._edge_is_gone(now_ns)
+            return
         command: VehicleCommand | None = None
         for message in messages:
             self._edge_ns = now_ns
@@ -165,8 +178,6 @@ class BridgeLoop:
                     logger.error("the edge says what nobody understands here: %r", message)
         if command is not None:
             self._bridge.on_command(command, now_ns)
-        if self._link.closed:
-            self._wait_for(-1 if self._bus is None else self._bus.fileno())  # its end would wake every turn
 
     def _answer(self, ask: Ask, now_ns: int) -> None:
         """What is not answered in time is not done later behind the asker's back, unless it is better late."""
@@ -292,7 +303,7 @@ class BridgeLoop:
         until_ns = time.monotonic_ns() + round(self._pause_s * 1e9)
         self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
         while (left_ns := until_ns - (now_ns := time.monotonic_ns())) > 0:
-            self._hear_edge()
+            self._hear(self._read_edge())
             self._tell_report(now_ns)
             if self._stopping:
                 logger.info("stopped while the bus was gone")

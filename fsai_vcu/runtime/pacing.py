@@ -5,9 +5,10 @@ Pure; times are integer monotonic nanoseconds.
 
 from __future__ import annotations
 
+from fsai_vcu.interface.specification import PERIOD_NS
+
 MIN_GAP_NS = 8_000_000  # two sends are never closer
 FALLBACK_AFTER_NS = 15_000_000  # nothing sent for so long: do not wait for 0x520 any more
-PERIOD_NS = 10_000_000  # interface specification v4.0: the five AI messages go out every 10 ms
 
 
 class Pacing:

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pty
+import re
 import select
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from fsai_vcu.cli import completing
-from fsai_vcu.cli.grammar import Verb, verbs
 from fsai_vcu.cli.main import all_verbs, main, parser_of
 from fsai_vcu.interface.enums import Ami
 
-MISSIONS = [ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED]
+MISSIONS = sorted(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
 WITHIN_S = 20.0
 
 
-@pytest.fixture(scope="module")
-def grammar() -> tuple[Verb, ...]:
-    return verbs()
-
-
-@pytest.fixture(scope="module")
-def script(tmp_path_factory: pytest.TempPathFactory, grammar: tuple[Verb, ...]) -> Path:
-    path = tmp_path_factory.mktemp("completion") / "fsai-vcu.bash"
-    path.write_text(completing.bash(grammar))
+def script(shell: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    assert main(["completion", shell]) == 0
+    path = folder / f"completion.{shell}"
+    path.write_text(capsys.readouterr().out)
     return path
 
 
@@ -43,157 +35,99 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-_ASK = """\
-source "$1"
-COMP_LINE="$2"; COMP_POINT=${#2}
-_fsai_vcu
-printf '%s\\n' "${COMPREPLY[@]}"
-"""
-
-
-def offered(script: Path, line: str, folder: Path = Path("/")) -> list[str]:
-    """What bash offers for a line with the cursor at its end."""
-    argv = ["bash", "--noprofile", "--norc", "-c", _ASK, "bash", str(script), line]
+def offered(script: Path, *lines: str, folder: Path = Path("/")) -> list[list[str]]:
+    """What bash offers for each line with the cursor at its end."""
+    asked = [f"source {script}", "compopt() { :; }"]
+    for line in lines:
+        words = re.findall(r"=|[^\s=]+", line) + ([""] if line.endswith(" ") else [])  # as readline breaks them
+        asked += [f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(words) - 1}; _fsai_vcu"]
+        asked += ["printf '%s\\n' \"${COMPREPLY[@]}\" =="]
+    argv = ["bash", "--noprofile", "--norc", "-c", "\n".join(asked)]
     done = subprocess.run(argv, capture_output=True, text=True, cwd=folder, check=True)
     assert done.stderr == ""
-    return sorted(filter(None, done.stdout.splitlines()))
+    return [sorted(filter(None, part.splitlines())) for part in done.stdout.split("==\n")[:-1]]
 
 
-def options_of(verb: str) -> list[str]:
-    return sorted(name for action in parser_of(verb)._actions for name in action.option_strings)
+def test_all_verbs_and_all_their_options_are_offered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    verbs = all_verbs()
+    found = offered(script("bash", tmp_path, capsys), "fsai-vcu ", *(f"fsai-vcu {verb} -" for verb in verbs))
+    options = [sorted(name for action in parser_of(verb)._actions for name in action.option_strings) for verb in verbs]
+    assert found == [sorted(verbs), *options]
 
 
-def test_behind_the_command_all_verbs_are_offered(script: Path) -> None:
-    assert offered(script, "fsai-vcu ") == sorted(all_verbs())
-    assert offered(script, "fsai-vcu d") == sorted(verb for verb in all_verbs() if verb.startswith("d"))
-    assert offered(script, "fsai-vcu --") == ["--help", "--version"]
-    assert offered(script, "fsai-vcu nonsense ") == []
+def test_values_are_offered_where_they_belong(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = ["run two.log", "run.log", "runs"]
+    expected = {
+        "--": ["--help", "--version"],
+        "drive --mission ": MISSIONS,
+        "drive --laps 2 --mission a": [mission for mission in MISSIONS if mission.startswith("a")],
+        "drive --mission=track": ["trackdrive"],
+        "drive --mission=": MISSIONS,
+        "drive --laps ": [],
+        "explain run.log --revision ": ["2021", "2026"],
+        "mode ": ["autonomous", "manual"],
+        "mode manual ": [],
+        "send --count 3 AI2VCU_B": ["AI2VCU_Brake"],
+        "explain ru": logs,
+        "explain run.log ": [],
+        "dump run.log run": logs,
+        "dump --dbc ol": ["old.dbc"],
+        "hil --results ru": ["runs"],
+        "vcu -i nosuch": [],
+    }
+    path = script("bash", folder.parent, capsys)
+    found = offered(path, *(f"fsai-vcu {line}" for line in expected), folder=folder)
+    assert dict(zip(expected, found, strict=True)) == expected
 
 
-@pytest.mark.parametrize("verb", all_verbs())
-def test_behind_a_verb_all_of_its_options_are_offered_and_no_others(verb: str, script: Path) -> None:
-    assert offered(script, f"fsai-vcu {verb} -") == options_of(verb)
-
-
-def test_choices_are_offered_as_values_however_the_option_is_written(script: Path) -> None:
-    assert offered(script, "fsai-vcu drive --mission ") == sorted(MISSIONS)
-    assert offered(script, "fsai-vcu drive --laps 2 --mission a") == [m for m in sorted(MISSIONS) if m.startswith("a")]
-    # Readline replaces only what stands behind the "=".
-    assert offered(script, "fsai-vcu drive --mission=track") == ["trackdrive"]
-    assert offered(script, "fsai-vcu dump -t ") == ["a", "d", "z"]
-    assert offered(script, "fsai-vcu vcu --profile s") == ["specification"]
-    assert offered(script, "fsai-vcu explain run.log --revision ") == ["2021", "2026"]
-    assert offered(script, "fsai-vcu mode ") == ["autonomous", "manual"]
-    assert offered(script, "fsai-vcu mode manual ") == []
-    assert offered(script, "fsai-vcu completion ") == ["bash", "fish", "zsh"]
-    assert "AI2VCU_Brake" in offered(script, "fsai-vcu send --count 3 AI2")
-
-
-def test_files_and_folders_are_offered_where_they_belong(script: Path, folder: Path) -> None:
-    everything = ["old.dbc", "run two.log", "run.log", "runs"]
-    assert offered(script, "fsai-vcu explain ", folder) == everything
-    assert offered(script, "fsai-vcu dump --dbc ol", folder) == ["old.dbc"]
-    assert offered(script, "fsai-vcu dump run.log run", folder) == ["run two.log", "run.log", "runs"]
-    assert offered(script, "fsai-vcu explain run.log ", folder) == []
-    assert offered(script, "fsai-vcu hil --results ", folder) == ["runs"]
-    assert offered(script, "fsai-vcu explain run\\ t", folder) == ["run two.log"]
-    assert offered(script, "fsai-vcu explain 'run t", folder) == ["run two.log"]
-    assert offered(script, "fsai-vcu explain 'run two.log' ", folder) == []
-    assert offered(script, "fsai-vcu explain -- ru", folder) == ["run two.log", "run.log", "runs"]
-
-
-def test_numbers_are_left_to_the_one_who_types(script: Path, folder: Path) -> None:
-    assert offered(script, "fsai-vcu drive --laps ", folder) == []
-    assert offered(script, "fsai-vcu drive --laps 2 ", folder) == []
-
-
-def test_sub_verbs_are_offered_with_their_own_options(tmp_path: Path) -> None:
-    nested = (
-        Verb("log", "look at logs", "", (), (), ("cut", "join"), ()),
-        Verb("log cut", "cut one", "", (), (), (), ()),
-        Verb("log join", "join them", "", (), (), (), ()),
-    )
-    path = tmp_path / "nested.bash"
-    path.write_text(completing.bash(nested))
-    assert offered(path, "fsai-vcu ") == ["log"]
-    assert offered(path, "fsai-vcu log ") == ["cut", "join"]
-    assert offered(path, "fsai-vcu log cut ") == []
-
-
-def test_a_tab_in_a_real_bash_completes(script: Path, folder: Path) -> None:
-    with interactive_bash(folder) as (type_, read):
-        type_(f"PS1='ready> '; source {script}\n")
-        read("ready> ")
-        type_("fsai-vcu emer\t")
-        read("fsai-vcu emergency-brake ")
-        type_("\x15fsai-vcu explain run\\ t\t")  # ^U: begin the line anew
-        read("fsai-vcu explain run\\ two.log ")
-        type_("\x15fsai-vcu drive --mission=track\t")
-        read("fsai-vcu drive --mission=trackdrive ")
-
-
-@contextlib.contextmanager
-def interactive_bash(folder: Path) -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
-    """(type something, read until something was shown)."""
+def test_a_tab_in_a_real_bash_completes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = script("bash", folder.parent, capsys)
     master, slave = pty.openpty()
+    environment = {**os.environ, "TERM": "dumb", "INPUTRC": "/dev/null", "HISTFILE": "", "PS1": "ready> "}
     argv = ["bash", "--noprofile", "--norc", "-i"]
-    environment = {**os.environ, "TERM": "dumb", "INPUTRC": "/dev/null", "HISTFILE": ""}
-    process = subprocess.Popen(
+    bash = subprocess.Popen(
         argv, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=environment, start_new_session=True
     )
     os.close(slave)
-    seen = ""
-
-    def type_(text: str) -> None:
-        os.write(master, text.encode())
-
-    def read(text: str) -> None:
-        nonlocal seen
-        until_s = time.monotonic() + WITHIN_S
-        while text not in seen:
-            assert time.monotonic() < until_s, f"{text!r} never came: {seen!r}"
-            if select.select([master], [], [], 0.1)[0]:
-                seen += os.read(master, 65536).decode()
-        seen = seen.partition(text)[2]
-
+    typed = (
+        (f"source {path}; echo rea''dy\n", "\nready"),
+        ("fsai-vcu emer\t", "fsai-vcu emergency-brake "),
+        ("\x15fsai-vcu explain run\\ t\t", "fsai-vcu explain run\\ two.log "),  # ^U: begin the line anew
+        ("\x15fsai-vcu drive --mission=track\t", "fsai-vcu drive --mission=trackdrive "),
+    )
     try:
-        yield type_, read
+        for text, shown in typed:
+            os.write(master, text.encode())
+            seen, until_s = "", time.monotonic() + WITHIN_S
+            while shown not in seen:
+                assert time.monotonic() < until_s, f"{shown!r} never came: {seen!r}"
+                if select.select([master], [], [], 0.1)[0]:
+                    seen += os.read(master, 65536).decode()
     finally:
-        process.kill()
-        process.wait()
+        bash.kill()
+        bash.wait()
         os.close(master)
 
 
-# ---------------------------------------------------------------- the other shells
-
-
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_the_other_shells_scripts_name_every_verb_and_option(
-    shell: str, grammar: tuple[Verb, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["completion", shell]) == 0
-    text = capsys.readouterr().out
-    for verb in grammar:
-        assert verb.words in text
-        for option in verb.options:
-            for name in option.names:
-                spelt = name if shell == "zsh" else f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}"
-                assert spelt in text, f"{verb.words} {name}"
+def test_other_shells_scripts_name_every_option(shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = script(shell, tmp_path, capsys).read_text()
+    for verb in all_verbs():
+        options = [name for action in parser_of(verb)._actions for name in action.option_strings]
+        assert all(name.strip("-") in text for name in [verb, *options])
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed here")
-def test_zsh_takes_its_script(tmp_path: Path, grammar: tuple[Verb, ...]) -> None:
-    (tmp_path / "_fsai-vcu").write_text(completing.zsh(grammar))
-    done = subprocess.run(["zsh", "-n", str(tmp_path / "_fsai-vcu")], capture_output=True, text=True)
+def test_zsh_takes_its_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = subprocess.run(["zsh", "-n", str(script("zsh", tmp_path, capsys))], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed here")
-def test_fish_offers_what_its_script_says(tmp_path: Path, grammar: tuple[Verb, ...]) -> None:
-    (tmp_path / "fsai-vcu.fish").write_text(completing.fish(grammar))
-    ask = f"source {tmp_path}/fsai-vcu.fish; complete -C 'fsai-vcu drive --mission '"
+def test_fish_offers_what_its_script_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ask = f"source {script('fish', tmp_path, capsys)}; complete -C 'fsai-vcu drive --mission '"
     done = subprocess.run(["fish", "-c", ask], capture_output=True, text=True, check=True)
-    assert sorted(line.split("\t")[0] for line in done.stdout.splitlines()) == sorted(MISSIONS)
+    assert sorted(line.split("\t")[0] for line in done.stdout.splitlines()) == MISSIONS
 
 
 def test_an_unknown_shell_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,17 +18,13 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_right_file_is_called_right_and_its_limits_are_confirmed(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_valid_file_is_confirmed_with_its_limits(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "check", str(file)]) == 0
     shown = capsys.readouterr().out.splitlines()
     assert shown[:2] == [f"{file}: right", "operational limits: max_speed_mps = 3.5"]
 
 
-def test_every_problem_of_a_wrong_file_is_one_line_with_its_place(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_problem_of_a_file_is_one_line_with_its_place(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file.write_text('[can]\nrevison = "2021"\n[ros]\ndomain_id = 400\n')
     assert main(["config", "check", str(file)]) == 1
     said = capsys.readouterr()
@@ -40,18 +36,14 @@ def test_every_problem_of_a_wrong_file_is_one_line_with_its_place(
         assert answer["right"] is False and len(answer["problems"]) == 2
 
 
-def test_what_it_comes_to_is_shown_with_the_defaults_and_the_nodes_parameters(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_effective_values_include_defaults_and_node_parameters(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "show", str(file)]) == 0
     shown = capsys.readouterr().out
     assert '[can] revision = "2021"' in shown and '[can] interface = "' in shown
     assert "parameters of vcu_bridge:" in shown and '  revision: "2021"' in shown
 
 
-def test_a_program_of_ones_own_gets_what_it_needs_to_hear_the_nodes_as_systemd_reads_it(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_ros_environment_is_printed_as_systemd_reads_it(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "environment", str(file)]) == 0
     lines = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
     assert lines["ROS_DOMAIN_ID"] == "7"

@@ -48,9 +48,7 @@ def test_filters_choose_frames_as_for_dump(log: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().out == LINE
 
 
-def test_the_other_revision_and_other_databases_are_used_when_named(
-    tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_named_revision_or_database_is_used(tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "team.dbc"
     other.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 1315 Ours: 6 AI\n SG_ A : 0|8@1+ (1,0) [0|0] "" AI\n')
     assert main(["decode", str(log), "--dbc", str(other)]) == 0
@@ -59,9 +57,7 @@ def test_the_other_revision_and_other_databases_are_used_when_named(
     assert "VCU2AI_Steer" in capsys.readouterr().out
 
 
-def test_a_broken_log_is_read_as_far_as_it_goes_and_ends_in_failure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_log_is_decoded_up_to_the_break_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.log"
     path.write_bytes(b"".join([GOOD.encode(), b"\xff\x00\xfe\n" * 7, GOOD.encode(), GOOD[:-3].encode()]))
     assert main(["decode", str(path)]) == 1
@@ -109,8 +105,9 @@ def test_a_full_disk_is_one_clear_line(log: Path) -> None:
     assert done.returncode == 1
 
 
-@pytest.mark.parametrize("verb", ["decode", "dump", "stats", "explain"])
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("verb", "unbuffered"), [("decode", ""), ("decode", "1"), ("dump", ""), ("stats", ""), ("explain", "")]
+)
 def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered: str, log: Path) -> None:
     log.write_text(GOOD * 20_000)
     with log.with_name("out.txt").open("w") as out:
@@ -126,7 +123,7 @@ def test_a_disk_that_takes_a_part_only_is_a_full_disk_too(verb: str, unbuffered:
     assert done.returncode == 1
 
 
-def test_from_a_pipe_each_line_is_shown_before_the_next_one_comes() -> None:
+def test_each_line_of_a_pipe_is_shown_before_the_next_one() -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "fsai_vcu.cli.main", "decode", "-"],
         stdin=subprocess.PIPE,

@@ -15,10 +15,10 @@ import pytest
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.doctor.checks import Finding, examine
 from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Scheduling, Wanted
-from fsai_vcu.diagnostics.doctor.wheels import Turn, WheelCheck
+from fsai_vcu.diagnostics.doctor.wheels import Turn, WheelWiringCheck
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.images import VcuStatus, WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.bus import open_bus
@@ -73,7 +73,7 @@ def wrong(machine: Machine) -> list[Finding]:
     return [finding for finding in examine(machine) if finding.level == "wrong"]
 
 
-def test_a_machine_that_is_well_has_nothing_wrong_and_every_topic_on_one_screen() -> None:
+def test_a_healthy_machine_has_no_finding_and_fits_one_screen() -> None:
     findings = examine(WELL)
     assert wrong(WELL) == []
     assert len(findings) <= 24, "one screen"
@@ -181,21 +181,21 @@ def test_a_bench_without_hardware_or_services_is_nothing_wrong() -> None:
         replace(WELL, starts_at_boot=False, wanted=None),
     ],
 )
-def test_whoever_is_to_take_another_bus_is_told_the_command_that_moves_the_services(machine: Machine) -> None:
+def test_advice_on_another_bus_names_the_command_to_move_to_it(machine: Machine) -> None:
     assert any("sudo /usr/lib/fsai/settle " in finding.todo for finding in wrong(machine))
 
 
-def test_a_configuration_for_a_stand_in_bus_says_nothing_of_which_bus_the_services_are_on() -> None:
+def test_a_configured_stand_in_bus_implies_no_bus_for_services() -> None:
     name = "loopback:rehearsal"
     assert wrong(replace(WELL, wanted=replace(WANTED, interface=name, configured_interface=name), link=None)) == []
 
 
-def test_another_bus_that_is_only_asked_about_is_none_that_the_services_should_be_on() -> None:
+def test_a_bus_given_with_i_is_not_expected_of_the_services() -> None:
     asked = replace(WELL, wanted=replace(WANTED, interface="can1"), link=replace(LINK, name="can1"))
     assert wrong(asked) == []
 
 
-def test_a_driver_that_never_restarts_is_not_believed_for_its_restart_ms_but_for_who_restarts_it() -> None:
+def test_gs_usb_is_restarted_by_its_service_not_by_restart_ms() -> None:
     (said,) = [f for f in examine(replace(WELL, link=replace(LINK, driver="gs_usb"))) if f.topic == "driver"]
     assert said.level == "right" and said.words == "gs_usb; after bus-off fsai-link@can0 starts it again"
 
@@ -220,7 +220,7 @@ def test_leftovers_of_killed_programs_are_named_with_a_remedy() -> None:
     assert said.todo == "sudo rm -f /dev/shm/fastrtps_0a /dev/shm/fastrtps_0a_el"
 
 
-def test_a_distribution_that_is_installed_and_not_used_is_mentioned() -> None:
+def test_an_installed_but_unused_ros_distribution_is_mentioned() -> None:
     wheels = replace(WELL, ros=Ros("/opt/fsai/lib/rclpy", "", True, True, unused="/opt/ros/jazzy"))
     assert wrong(wheels) == []
     said = [finding.words for finding in examine(wheels) if finding.topic == "ROS 2"]
@@ -239,7 +239,7 @@ STEP_NS = 10_000_000
 Four = tuple[int, int, int, int]
 
 
-def turned(check: WheelCheck, signal: int, pulses: int, t_ns: int, counts: list[int]) -> Turn | None:
+def turned(check: WheelWiringCheck, signal: int, pulses: int, t_ns: int, counts: list[int]) -> Turn | None:
     """One wheel is turned by hand: its signal counts `pulses`, then all is still for two seconds."""
     found = None
     for step in range(pulses + 200):
@@ -251,8 +251,8 @@ def turned(check: WheelCheck, signal: int, pulses: int, t_ns: int, counts: list[
     return found
 
 
-def test_the_wheels_turned_one_after_another_tell_the_wiring_across_a_counters_wrap() -> None:
-    check, counts = WheelCheck(), [65530, 5, 5, 5]
+def test_wheels_turned_in_turn_tell_the_wiring_across_a_wrap() -> None:
+    check, counts = WheelWiringCheck(), [65530, 5, 5, 5]
     asked = []
     for position, signal in enumerate((1, 0, 2, 3)):
         asked.append(check.asked)
@@ -276,8 +276,8 @@ def test_what_is_wrong_with_a_wheel_is_told(pulses: Four, speeds: Four, words: s
     assert words in str(Turn("fl", pulses, speeds).problem(20))
 
 
-def test_a_wheel_that_somebody_leans_on_is_no_turn_and_two_in_one_signal_are_no_wiring() -> None:
-    check, counts = WheelCheck(), [0, 0, 0, 0]
+def test_a_nudged_wheel_is_no_turn_two_on_one_signal_no_wiring() -> None:
+    check, counts = WheelWiringCheck(), [0, 0, 0, 0]
     check.on_counts((0, 0, 0, 0), 0)
     assert turned(check, 0, 3, 0, counts) is None and check.asked == "fl"
     for start in range(1, 5):
@@ -331,7 +331,7 @@ def car(tmp_path: Path) -> Iterator[tuple[SpeakingCar, Path]]:
     speaking.end()
 
 
-def test_the_verb_says_what_is_on_the_bus_and_its_exit_status_tells_whether_all_is_well(
+def test_the_bus_is_reported_and_the_exit_status_is_the_verdict(
     car: tuple[SpeakingCar, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     status = main(["doctor", "--config", str(car[1]), "--seconds", "0.3", "--json"])
@@ -344,7 +344,7 @@ def test_the_verb_says_what_is_on_the_bus_and_its_exit_status_tells_whether_all_
     assert said["wrong"] == sum(finding["level"] == "wrong" for finding in said["findings"])
 
 
-def test_the_verb_asks_for_each_wheel_and_tells_a_wiring_that_is_not_the_configured_one(
+def test_each_wheel_is_asked_for_and_a_wrong_wiring_is_reported(
     car: tuple[SpeakingCar, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from fsai_vcu.diagnostics.doctor import wheels
@@ -353,14 +353,14 @@ def test_the_verb_asks_for_each_wheel_and_tells_a_wiring_that_is_not_the_configu
     ended = threading.Event()
     signal_of = {"fl": 0, "fr": 1, "rl": 2, "rr": 3}
     hand = threading.Thread(target=lambda: turn_what_is_asked(car[0], signal_of, ended), daemon=True)
-    seen: list[WheelCheck] = []
-    original: Callable[[WheelCheck], None] = WheelCheck.__init__
+    seen: list[WheelWiringCheck] = []
+    original: Callable[[WheelWiringCheck], None] = WheelWiringCheck.__init__
 
-    def noted(self: WheelCheck) -> None:
+    def noted(self: WheelWiringCheck) -> None:
         original(self)
         seen.append(self)
 
-    monkeypatch.setattr(WheelCheck, "__init__", noted)
+    monkeypatch.setattr(WheelWiringCheck, "__init__", noted)
 
     def turn_what_is_asked(speaking: SpeakingCar, signals: dict[str, int], done: threading.Event) -> None:
         before: str | None = None
@@ -383,7 +383,7 @@ def test_the_verb_asks_for_each_wheel_and_tells_a_wiring_that_is_not_the_configu
     assert [turn["source"] for turn in said["turns"]] == ["fl", "fr", "rl", "rr"]
 
 
-def test_without_a_configuration_the_doctor_says_so_and_still_looks_at_the_rest(
+def test_a_missing_configuration_is_reported_the_rest_is_checked(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     before = time.monotonic()

@@ -57,9 +57,7 @@ def test_filters_leave_frames_out_and_other_databases_are_used(log: Path, tmp_pa
     assert [path.name for path in out.iterdir()] == ["Ours.csv"]
 
 
-def test_a_broken_log_is_exported_as_far_as_it_goes_and_ends_in_failure(
-    log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_log_is_exported_up_to_the_break_and_fails(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log.write_bytes(b"".join([GOOD.encode(), b"\xff\x00\xfe\n" * 7, GOOD.encode(), GOOD[:-3].encode()]))
     out = log.with_name("tables")
     assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 1
@@ -81,7 +79,7 @@ def test_a_broken_log_is_exported_as_far_as_it_goes_and_ends_in_failure(
         (["LOG,nonsense"], "no filter: 'nonsense'", 2),
     ],
 )
-def test_what_cannot_be_done_is_one_clear_line_and_writes_nothing(
+def test_an_impossible_export_is_one_line_and_writes_nothing(
     argv: list[str], words: str, status: int, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty = log.with_name("empty.log")

@@ -248,12 +248,20 @@ def test_however_it_ends_the_terminal_is_left_as_it_was(terminal: Terminal, how:
     assert termios.tcgetattr(terminal.master) == terminal.before
 
 
-def test_a_resized_terminal_is_drawn_anew_in_its_new_size(terminal: Terminal) -> None:
+def test_a_resized_terminal_is_drawn_in_its_new_size(terminal: Terminal) -> None:
     terminal.read("nothing is heard on this bus")
     terminal.resize(60, 10)
-    text = terminal.read(r"\x1b\[2J[^\x00]*\x1b\[10;1H")
-    rows = {int(row) for row in re.findall(r"\x1b\[(\d+);1H", text[text.rindex("\x1b[2J") :])}
-    assert max(rows) <= 10
+    pictures = terminal.read(r"\x1b\[H[^\n]{1,75}\r\n[^\x00]*\x1b\[J").split("\x1b[H")
+    assert pictures[-1].count("\n") < 10
+
+
+def test_p_holds_the_picture_until_it_is_pressed_again(terminal: Terminal) -> None:
+    terminal.read("nothing is heard on this bus")
+    os.write(terminal.master, b"p")
+    held = re.findall("paused at [0-9:]+", terminal.read("(paused at [^\x00]*){3}"))
+    assert len(set(held)) == 1
+    os.write(terminal.master, b"p")
+    terminal.read(r"listening only   \d")
 
 
 def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> None:

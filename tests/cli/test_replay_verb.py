@@ -104,7 +104,7 @@ def test_a_log_with_nothing_to_send_sends_nothing(log: str, capsys: pytest.Captu
     assert capsys.readouterr().err.endswith("fsai-vcu replay: nothing is left to send\n")
 
 
-def test_a_broken_log_is_sent_as_far_as_it_goes_and_ends_in_failure(
+def test_a_broken_log_is_sent_up_to_the_break_and_fails(
     log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = Path(log)

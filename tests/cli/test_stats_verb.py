@@ -55,9 +55,7 @@ def test_json_is_one_object_a_line_with_the_verdict_last(well: Path, capsys: pyt
     assert entries[-1] == {"type": "verdict", "verdict": "ok", "problems": 0, "notes": 0}
 
 
-def test_a_log_that_was_not_wholly_readable_fails_even_if_what_was_read_is_well(
-    well: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_partly_readable_log_fails_even_if_the_rest_is_well(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
     well.write_text(well.read_text() + "garbage\n")
     assert run("check", well) == 1
     said = capsys.readouterr()

@@ -24,7 +24,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiCommand,
     Image,
     VcuBrake,
@@ -37,9 +37,8 @@ from fsai_vcu.interface.images import (
 )
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
-MS = 1_000_000
-S = 1_000_000_000
 CYCLE = 10 * MS
 
 
@@ -241,8 +240,9 @@ class Rig:
         self.launched()
         self.command = VehicleCommand(0, 0, throttle=throttle, speed_limit_mps=10.0)
         self.run_ms(3200)
-        self.rpm = (rpm, rpm, rpm, rpm)
-        self.step(5)  # a reading that jumps is believed a few frames later
+        for now_rpm in (*range(200, rpm, 200), rpm):  # as a tyre can follow
+            self.rpm = (now_rpm, now_rpm, now_rpm, now_rpm)
+            self.step(2)
         assert self.sent.torque_requested
         return self
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import struct
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause, TsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiCommand,
     Faults,
     RotationB,
@@ -116,6 +117,21 @@ def test_planner_memory_and_odometry_begin_anew_with_each_run() -> None:
 
 
 # ---------------------------------------------------------------- start, listening, silence
+
+
+def test_a_bridge_that_is_given_a_state_goes_on_from_it() -> None:
+    one, other = Rig().driving(), Rig()
+    other.bridge.on_frame(Frame(0x525, bytes(8), 0))  # what it has received itself is forgotten
+    other.bridge.state = one.bridge.state
+    other, other.bridge = copy.deepcopy(one), other.bridge
+    for rig in (one, other):
+        rig.log.clear()
+        rig.run_ms(200)
+        rig.mute.add(VcuSteer)
+        rig.run_ms(500)
+    assert one.log == other.log
+    assert one.bridge.state == other.bridge.state
+    assert one.sent.estop_request
 
 
 def test_on_start_a_process_listens_for_200_ms_and_then_sends() -> None:
@@ -537,8 +553,8 @@ def test_a_jump_that_stays_is_a_missing_speed_and_stops_the_car() -> None:
     rig = Rig().driving(rpm=200)
     since_ns = rig.now_ns
     rig.rpm = (200, 200, 900, 200)
-    rig.run_ms(200)
-    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS
+    rig.run_ms(400)
+    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS and rig.latency_ns(since_ns, estop) == 300 * MS
     assert set(rig.report.reason_counts) == {"wheels_stale"} and "rear left wheel" in (rig.report.stopping or "")
 
 

@@ -17,8 +17,8 @@ from fsai_vcu.core.control.speed_profile import curvature_along, speed_demand
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CAR = ADS_DV_2026
 RUN = Run(3, Ami.AUTOCROSS, AsState.AS_DRIVING, may_move=True)
 STRAIGHT = np.column_stack((np.arange(0.0, 20.0, 0.5), np.zeros(40)))

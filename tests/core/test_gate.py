@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision.config import MS, BridgeConfig, S, official_simulator
+from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.supervision.gate import GateState, constant_power_nm, gate, gate_config, motor_rpm, sent
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import OUTPUT, Brake, Decision, Phase, Steer
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiCommand,
     VcuBrake,
     VcuDriveFront,
@@ -31,6 +31,7 @@ from fsai_vcu.interface.images import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
 NOW = 1000 * S
 CAR = gate_config(BridgeConfig(), revision("2026"), ADS_DV_2026)

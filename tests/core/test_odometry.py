@@ -8,9 +8,16 @@ from dataclasses import replace
 import pytest
 
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.vehicle.odometry import MotionHistory, Odometry, OdometrySettings, motion_at
+from fsai_vcu.core.vehicle.odometry import (
+    SETTINGS,
+    MotionHistory,
+    advance,
+    begin_run,
+    motion_at,
+    standing_start,
+)
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     GpsImu,
     LogDynamics2,
     RotationB,
@@ -20,9 +27,28 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CAR = ADS_DV_2026
+
+
+class Odometry:
+    """The states of one drive, one after the other."""
+
+    def __init__(self, car: VehicleParameters) -> None:
+        self._car = car
+        self._state = standing_start(0)
+
+    @property
+    def motion(self) -> Motion:
+        return self._state.motion
+
+    def reset(self, now_ns: int) -> None:
+        self._state = begin_run(self._state, now_ns)
+
+    def update(self, vehicle: VehicleState, gps: GpsImu) -> Motion:
+        self._state = advance(self._car, self._state, vehicle, gps)
+        return self.motion
 
 
 def wheels(car: VehicleParameters, speed_mps: float, steer_deg: float, t_ns: int) -> WheelSpeeds:
@@ -156,9 +182,6 @@ def test_a_silence_is_bridged_for_half_a_second(silence_ms: int, bridged_ms: int
     assert after.distance_m - before.distance_m == pytest.approx(5.0 * bridged_ms / 1e3, rel=0.01)
 
 
-SURE = OdometrySettings()
-
-
 def test_a_car_at_rest_is_as_sure_as_at_the_start() -> None:
     motion = drive(Odometry(CAR), 0.0, 0.0, 100.0)
     assert (motion.position_sd_m, motion.yaw_sd_rad, motion.speed_sd_mps, motion.yaw_rate_sd_radps) == (0, 0, 0, 0)
@@ -168,9 +191,9 @@ def test_position_and_heading_get_less_sure_with_the_way() -> None:
     near, far = drive(Odometry(CAR), 5.0, 0.0, 2.0), drive(Odometry(CAR), 5.0, 0.0, 20.0)
     for motion in (near, far):
         way_m = motion.distance_m
-        assert motion.yaw_sd_rad == pytest.approx(SURE.yaw_sd_radpsqrtm * math.sqrt(way_m))
-        heading = 0.5 * SURE.yaw_sd_radpsqrtm**2 * way_m**2
-        expected = math.sqrt(SURE.error_length_m * (SURE.position_sd_share**2 * way_m + heading))
+        assert motion.yaw_sd_rad == pytest.approx(SETTINGS.yaw_sd_radpsqrtm * math.sqrt(way_m))
+        heading = 0.5 * SETTINGS.yaw_sd_radpsqrtm**2 * way_m**2
+        expected = math.sqrt(SETTINGS.error_length_m * (SETTINGS.position_sd_share**2 * way_m + heading))
         assert motion.position_sd_m == pytest.approx(expected, rel=0.02)
 
 
@@ -179,23 +202,23 @@ def test_what_was_driven_unheard_is_added_whole() -> None:
     _, unheard = gap(1_100)
     assert heard.position_sd_m - before.position_sd_m < 0.1
     assert unheard.position_sd_m - before.position_sd_m > 5.0
-    assert unheard.yaw_sd_rad - before.yaw_sd_rad > SURE.missing_yaw_rate_radps
+    assert unheard.yaw_sd_rad - before.yaw_sd_rad > SETTINGS.missing_yaw_rate_radps
     _, stood = gap(87_000, speed_mps=0.0)
     assert (stood.position_sd_m, stood.yaw_sd_rad) == (0.0, 0.0)
 
 
 def test_speed_is_as_sure_as_resolution_and_radius() -> None:
     slow, fast = drive(Odometry(CAR), 0.5, 0.0, 1.0), drive(Odometry(CAR), 20.0, 0.0, 1.0)
-    assert slow.speed_sd_mps == pytest.approx(SURE.speed_sd_mps, rel=0.1)
-    assert fast.speed_sd_mps == pytest.approx(SURE.speed_sd_share * 20.0, rel=0.01)
+    assert slow.speed_sd_mps == pytest.approx(SETTINGS.speed_sd_mps, rel=0.1)
+    assert fast.speed_sd_mps == pytest.approx(SETTINGS.speed_sd_share * 20.0, rel=0.01)
 
 
 def test_a_yaw_rate_is_as_sure_as_what_it_is_taken_from() -> None:
     by_steering = drive(Odometry(CAR), 5.0, 10.0, 0.1)
-    assert by_steering.yaw_rate_sd_radps == pytest.approx(5.0 * SURE.curvature_sd_1pm, rel=0.01)
+    assert by_steering.yaw_rate_sd_radps == pytest.approx(5.0 * SETTINGS.curvature_sd_1pm, rel=0.01)
     now = 10 * MS
     sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
-    assert Odometry(CAR).update(state(5.0, 10.0, now), sensed).yaw_rate_sd_radps == SURE.yaw_rate_sd_radps
+    assert Odometry(CAR).update(state(5.0, 10.0, now), sensed).yaw_rate_sd_radps == SETTINGS.yaw_rate_sd_radps
 
 
 def test_a_reset_makes_the_pose_sure_again() -> None:
@@ -238,7 +261,7 @@ def test_a_yaw_rate_that_cannot_be_is_not_believed(value: float) -> None:
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_yaw_rate_far_from_what_steering_and_wheels_say_is_not_believed(side: float) -> None:
     """Beyond its margin and what rounded wheel speeds make of it."""
-    margin = OdometrySettings().yaw_rate_disagreement_radps
+    margin = SETTINGS.yaw_rate_disagreement_radps
     near, far = BY_STEERING + side * (margin - 0.03), BY_STEERING + side * (margin + 0.06)
     now = 10 * MS
     assert turning(state(5.0, 10.0, now), math.degrees(near), now) == pytest.approx(near)
@@ -274,7 +297,7 @@ def test_a_reading_is_learnt_from_once_however_often_it_is_looked_at() -> None:
         odometry.update(state(0.0, 0.0, step * MS), GpsImu(rotation_b=RotationB(2.0, 1)))
     now = 11 * MS
     motion = odometry.update(state(5.0, 0.0, now), GpsImu(rotation_b=RotationB(2.0, now)))
-    learnt = OdometrySettings().bias_gain * 2.0
+    learnt = SETTINGS.bias_gain * 2.0
     assert math.degrees(motion.yaw_rate_radps) == pytest.approx(2.0 - learnt, abs=1e-6)
 
 

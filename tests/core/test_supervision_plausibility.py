@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from fsai_vcu.core.supervision.config import MS, BridgeConfig
+from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import (
     SteeringCheck,
     WheelCheck,
@@ -18,7 +18,8 @@ from fsai_vcu.core.supervision.plausibility import (
     wheel_factors,
 )
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
-from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.units import MS
 
 CONFIG = BridgeConfig()
 CAR = ADS_DV_2026

@@ -10,7 +10,7 @@ import pytest
 from supervision_rig import Rig
 
 from fsai_vcu.core.bridge import BridgeConfig
-from fsai_vcu.core.supervision.config import MS, S, official_simulator
+from fsai_vcu.core.supervision.config import official_simulator
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.supervisor import ROLES, Asked, Latch, Mode, Phase, Sequence, SupervisorState
 from fsai_vcu.interface.enums import (
@@ -24,7 +24,8 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
+from fsai_vcu.interface.messages import Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
+from fsai_vcu.interface.units import MS, S
 
 
 def said(rig: Rig, words: str) -> bool:

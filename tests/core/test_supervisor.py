@@ -9,7 +9,7 @@ import pytest
 
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import supervisor
-from fsai_vcu.core.supervision.config import MS, BridgeConfig, S, official_simulator
+from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.supervision.reasons import Reason, words_of
 from fsai_vcu.core.supervision.supervisor import (
     OUTPUT,
@@ -29,7 +29,8 @@ from fsai_vcu.core.supervision.supervisor import (
     supervise,
 )
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
+from fsai_vcu.interface.units import MS, S
 
 CONFIG = BridgeConfig()
 T0 = 1000 * S  # an arbitrary instant of the monotonic clock

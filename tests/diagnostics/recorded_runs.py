@@ -20,8 +20,6 @@ from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.recording import CandumpWriter
 
-MS = 1_000_000
-
 
 @dataclass(frozen=True)
 class Recorded:

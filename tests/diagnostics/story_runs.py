@@ -20,8 +20,6 @@ from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 
-MS = 1_000_000
-S = 1000 * MS
 Act = Callable[["Run"], None]
 
 

@@ -84,7 +84,7 @@ def random_frames(databases: list[Database], count: int, seed: int) -> Frames:
 
 
 @pytest.mark.parametrize("revision", REVISIONS)
-def test_every_signal_of_the_cars_own_databases_is_what_cantools_says(revision: str) -> None:
+def test_every_signal_of_the_cars_databases_is_as_in_cantools(revision: str) -> None:
     decoder = Decoder(load_databases(revision=revision))
     raw = [cantools.database.load_file(dbc_dir() / name) for name in REVISIONS[revision].dbc_files]
     assert all(layout.plain for layout in decoder.databases.layouts.values())
@@ -189,7 +189,7 @@ BA_ "VFrameFormat" BO_ 258 14;
 """.replace("FORMATS", ",".join(f'"r{number}"' for number in range(2, 14)))
 
 
-def test_big_endian_multiplexed_extended_fd_and_huge_products_are_still_right() -> None:
+def test_unusual_layouts_are_decoded_right() -> None:
     database = cantools.database.load_string(UNUSUAL, "dbc")
     assert isinstance(database, Database)
     decoder = Decoder(databases_of([database]))
@@ -315,7 +315,7 @@ def test_each_line_of_json_is_one_object_with_cantools_values(wild_log: Path) ->
         }
 
 
-def test_json_stays_json_for_names_of_any_kind_and_floats_that_are_no_numbers() -> None:
+def test_json_stays_valid_for_any_name_and_for_nan_and_infinity() -> None:
     text = 'VERSION ""\n\nBU_: AI\n\nBO_ 1 F: 8 AI\n SG_ F : 0|32@1- (1,0) [0|0] "" AI\n'
     text += ' SG_ W : 32|8@1+ (1,0) [0|0] "" AI\n'
     text += "\nSIG_VALTYPE_ 1 F : 1;\n" + 'VAL_ 1 W 0 "back\\slash, °" ;\n'
@@ -344,7 +344,7 @@ def test_json_stays_json_for_names_of_any_kind_and_floats_that_are_no_numbers() 
     assert entries[7]["problem"] == "Wrong data size: 12 instead of 8 bytes"
 
 
-def test_a_frame_of_the_wrong_length_is_shown_as_far_as_it_goes_and_never_counted_as_whole() -> None:
+def test_a_frame_of_wrong_length_is_shown_but_never_counts_whole() -> None:
     decoder = Decoder(load_databases())
     frames = frames_of(
         [LogFrame(0, "c", 0x523, bytes.fromhex(data)) for data in ("640064006400", "6400", "6400640064000000")]
@@ -357,7 +357,7 @@ def test_a_frame_of_the_wrong_length_is_shown_as_far_as_it_goes_and_never_counte
     assert table.wrong_length.tolist() == [1, 2]
 
 
-def test_error_and_remote_frames_and_unknown_ids_are_named_for_what_they_are() -> None:
+def test_error_frames_remote_frames_and_unknown_ids_are_named() -> None:
     frames = frames_of(
         [
             LogFrame(0, "c", 0x040, bytes(8), error=True),
@@ -391,7 +391,7 @@ def test_of_several_files_the_first_one_counts_for_an_id(tmp_path: Path) -> None
     assert lines == [b" :: First(A: 5)\n", b" :: Other(C: 5)\n"]
 
 
-def test_an_official_file_is_read_with_its_flags_put_right_and_any_other_file_as_it_is(tmp_path: Path) -> None:
+def test_only_an_official_file_has_its_flags_corrected(tmp_path: Path) -> None:
     official, team = tmp_path / "official.dbc", tmp_path / "team.dbc"
     text = (dbc_dir() / "ads_dv_2026.dbc").read_text(encoding="cp1252")
     official.write_text(text.replace("SG_ GO_SIGNAL : 11|1@1+", "SG_ GO_SIGNAL : 11|1@1-"), encoding="cp1252")
@@ -423,7 +423,7 @@ def test_a_database_that_cannot_be_used_is_one_clear_line(
     assert "\n" not in str(refused.value)
 
 
-def test_remembered_layouts_are_those_of_the_file_and_are_not_used_for_a_changed_one(tmp_path: Path) -> None:
+def test_cached_layouts_are_not_used_for_a_changed_file(tmp_path: Path) -> None:
     path = tmp_path / "team.dbc"
     path.write_text(UNUSUAL)
     fresh, remembered = load_databases([path]), load_databases([path])

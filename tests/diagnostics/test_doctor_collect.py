@@ -47,9 +47,7 @@ def adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, details: str) -> No
     monkeypatch.setenv("PATH", f"{tool.parent}:{os.environ['PATH']}")
 
 
-def test_an_adapter_is_seen_with_bitrate_queue_driver_state_and_restart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_adapter_has_bitrate_queue_driver_state_and_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     adapter(tmp_path, monkeypatch, CAN0)
     link = link_of("can0")
     assert link is not None
@@ -58,9 +56,7 @@ def test_an_adapter_is_seen_with_bitrate_queue_driver_state_and_restart(
     assert link_of("can1") is None
 
 
-def test_an_ip_tool_that_says_nothing_usable_leaves_what_the_kernels_files_say(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_usable_ip_tool_the_kernels_files_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     adapter(tmp_path, monkeypatch, "Object can0 is unknown")
     link = link_of("can0")
     assert link is not None and link.kind == "can" and link.bitrate is None and link.queue_frames == 10
@@ -97,7 +93,7 @@ class Proc:
         ("udp6", "0000000000000000FFFF00000102A8C0:1F90", "07", ("192.168.2.1",)),
     ],
 )
-def test_a_node_that_takes_anything_from_a_network_is_seen_by_the_address(
+def test_a_node_that_listens_on_a_network_is_seen_by_the_address(
     tmp_path: Path, table: str, local: str, state: str, seen: tuple[str, ...]
 ) -> None:
     proc = Proc(tmp_path)
@@ -105,7 +101,7 @@ def test_a_node_that_takes_anything_from_a_network_is_seen_by_the_address(
     assert listening_on_networks(tmp_path) == seen
 
 
-def test_a_node_that_this_user_may_not_look_into_is_not_said_to_listen_nowhere(
+def test_a_node_without_read_permission_is_not_called_local_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     proc = Proc(tmp_path)
@@ -185,7 +181,7 @@ def test_whose_ros_it_is_is_told_by_where_it_is_imported_from(
     assert distribution_of(rclpy.format(ros=tmp_path), named, tmp_path) == (distribution, unused.format(ros=tmp_path))
 
 
-def test_each_service_has_the_state_that_systemd_says_of_it_in_its_order() -> None:
+def test_each_service_has_its_systemd_state_in_order() -> None:
     names = ["fsai-bridge@can0.service", "fsai-planner.service"]
     assert states_in("active\nfailed\n", names) == dict(zip(names, ("active", "failed"), strict=True))
     assert states_in("", names) == dict.fromkeys(names, "unknown")
@@ -204,7 +200,7 @@ def booted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return enabled
 
 
-def test_what_starts_at_boot_is_what_the_machines_own_target_wants(
+def test_what_starts_at_boot_is_what_the_default_target_wants(
     booted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert collect.starts_at_boot() is False
@@ -217,9 +213,7 @@ def test_what_starts_at_boot_is_what_the_machines_own_target_wants(
     assert collect.starts_at_boot() is None, "systemd does not run"
 
 
-def test_the_services_are_those_that_are_enabled_and_the_links_that_somebody_runs(
-    booted: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_services_are_the_enabled_ones_and_the_running_links(booted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     running = {"fsai-bridge@can0.service": "failed", "fsai-link@can1.service": "active"}
 
     def is_active(*words: str) -> str:
@@ -237,7 +231,7 @@ def test_the_services_are_those_that_are_enabled_and_the_links_that_somebody_run
 
 
 @pytest.mark.parametrize(("most_wrong_us", "kept"), [(0, True), (15_999_999, True), (16_000_000, False)])
-def test_a_clock_is_kept_right_where_the_kernel_says_that_its_error_is_bounded(
+def test_a_clock_is_synchronised_where_its_error_is_bounded(
     monkeypatch: pytest.MonkeyPatch, most_wrong_us: int, kept: bool
 ) -> None:
     class Kernel:
@@ -252,7 +246,7 @@ def test_a_clock_is_kept_right_where_the_kernel_says_that_its_error_is_bounded(
     assert collect._synchronised() is kept
 
 
-def test_this_machines_kernel_answers_whether_its_clock_is_kept_right() -> None:
+def test_the_kernel_answers_whether_the_clock_is_synchronised() -> None:
     assert collect._synchronised() in (True, False)
 
 
@@ -274,9 +268,7 @@ def own_group(monkeypatch: pytest.MonkeyPatch) -> int:
         (0o646, "may be changed by others than root"),
     ],
 )
-def test_a_configuration_that_the_services_cannot_read_or_could_change_is_named(
-    tmp_path: Path, mode: int, words: str
-) -> None:
+def test_a_configuration_with_wrong_permissions_is_named(tmp_path: Path, mode: int, words: str) -> None:
     file = tmp_path / "fsai.toml"
     file.touch()
     file.chmod(mode)
@@ -291,7 +283,7 @@ def test_where_nothing_is_installed_files_are_nobodys_business(tmp_path: Path, m
     assert file_problems([tmp_path / "fsai.toml"]) == ()
 
 
-def test_limits_that_were_written_after_the_bridge_had_started_are_not_the_ones_in_force(tmp_path: Path) -> None:
+def test_limits_written_after_the_bridges_start_are_not_in_force(tmp_path: Path) -> None:
     proc = Proc(tmp_path / "proc")
     ticks = os.sysconf("SC_CLK_TCK")
     (proc.folder / "stat").write_text("cpu 1 2 3\nbtime 1000000\n")
@@ -308,9 +300,7 @@ def test_limits_that_were_written_after_the_bridge_had_started_are_not_the_ones_
     assert not collect._newer(tmp_path / "absent", 1_000_050.0)
 
 
-def test_the_bridges_own_environment_goes_before_the_one_the_doctor_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_bridges_environment_goes_before_the_doctors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_of_the_shell")
     proc = Proc(tmp_path)
     (proc.process / "environ").write_bytes(b"RMW_IMPLEMENTATION=rmw_cyclonedds_cpp\0HOME=/tmp\0")

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import pytest
-from story_runs import MS, Act, Run, S, branch, driving, off, parked, ready
+from story_runs import Act, Run, branch, driving, off, parked, ready
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import Drop, Freeze, Window, WrongLength, WrongValues
-from fsai_vcu.diagnostics.explain import Kind, tell
+from fsai_vcu.diagnostics.explain import IncidentKind, tell
 from fsai_vcu.interface.enums import Ami, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS, S
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class End:
     run: Callable[[], Run]
     act: Act
     seconds: float
-    kind: Kind
+    kind: IncidentKind
     slug: str
     before_ns: int = 15 * MS
     after_ns: int = 15 * MS
@@ -146,7 +147,7 @@ def simulator() -> Run:
     return driving("2026", "official-simulator")
 
 
-E, A, R, P = Kind.EMERGENCY, Kind.ABORT, Kind.REFUSAL, Kind.STOP
+E, A, R, P = IncidentKind.EMERGENCY, IncidentKind.ABORT, IncidentKind.REFUSAL, IncidentKind.STOP
 EDGE = 60 * MS  # an AI computer's gate moves in cycles
 
 ENDS = [
@@ -330,7 +331,7 @@ ENDS = [
 
 
 @pytest.mark.parametrize("end", ENDS, ids=lambda end: end.name)
-def test_what_was_done_to_the_car_is_named_first_and_with_its_time(end: End) -> None:
+def test_the_action_on_the_car_is_named_first_with_its_time(end: End) -> None:
     log = branch(end.run(), end.act, end.seconds)
     story = tell(log.frames)
     incidents = [incident for incident in story.incidents if incident.kind is end.kind]
@@ -342,4 +343,4 @@ def test_what_was_done_to_the_car_is_named_first_and_with_its_time(end: End) -> 
         assert -end.before_ns / 1e6 <= apart_ms <= end.after_ns / 1e6, first.steps
     if end.also:
         assert end.also in [one.slug for one in incidents[-1].candidates]
-    assert story.clean == (end.kind is Kind.STOP)
+    assert story.clean == (end.kind is IncidentKind.STOP)

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from story_runs import MS, Run, S, after, branch, cut, driving, hand_made, log_of, ready, setup
+from story_runs import Run, after, branch, cut, driving, hand_made, log_of, ready, setup
 
 from fsai_hil.simulator.faults import Drop, Window, WrongValues
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
-from fsai_vcu.diagnostics.explain import Kind, tell
+from fsai_vcu.diagnostics.explain import IncidentKind, tell
 from fsai_vcu.diagnostics.explain.incident import Sureness
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsStatus, MissionStatus, ShutdownCause, SteeringStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -37,6 +37,7 @@ from fsai_vcu.interface.images import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
 
 def written(frames: Frames, path: Path) -> Path:
@@ -118,16 +119,16 @@ def car(**changes: object) -> VcuStatus:
 # ---------------------------------------------------------------- other stacks
 
 
-def test_a_stack_that_says_running_in_as_off_is_told_why_the_car_waits() -> None:
+def test_running_in_as_off_explains_why_the_car_waits() -> None:
     log = OtherStack()
     log.cycles(700, car(), AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD))
     story = tell(log.frames())
     assert story.heading["revision"] == "2021"
-    assert [i.kind for i in story.incidents] == [Kind.REFUSAL]
+    assert [i.kind for i in story.incidents] == [IncidentKind.REFUSAL]
     assert story.incidents[0].candidates[0].slug == "status_running"
 
 
-def test_a_stack_that_holds_torque_in_as_ready_is_told_why_go_does_nothing() -> None:
+def test_torque_in_as_ready_explains_why_go_does_nothing() -> None:
     log = OtherStack()
     selected = AiStatus(mission_status=MissionStatus.SELECTED)
     log.cycles(20, car(), selected)
@@ -139,7 +140,7 @@ def test_a_stack_that_holds_torque_in_as_ready_is_told_why_go_does_nothing() -> 
 
 
 @pytest.mark.parametrize("cause", [c for c in ShutdownCause if c])
-def test_every_shutdown_cause_on_the_wire_ends_in_its_row_or_in_what_led_to_it(cause: ShutdownCause) -> None:
+def test_every_shutdown_cause_has_its_row_or_what_led_to_it(cause: ShutdownCause) -> None:
     log = OtherStack()
     running = AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
     log.cycles(50, car(as_state=AsState.AS_DRIVING, go_signal=True), running, rpm=100)
@@ -151,7 +152,7 @@ def test_every_shutdown_cause_on_the_wire_ends_in_its_row_or_in_what_led_to_it(c
 
 
 @pytest.mark.parametrize("bit", Faults.__slots__)
-def test_every_fault_bit_on_the_wire_is_enough_where_the_cause_is_not_sent(bit: str) -> None:
+def test_every_fault_bit_is_enough_where_the_cause_is_not_sent(bit: str) -> None:
     log = OtherStack()
     running = AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
     log.cycles(50, car(as_state=AsState.AS_DRIVING, go_signal=True), running, rpm=100)
@@ -162,17 +163,17 @@ def test_every_fault_bit_on_the_wire_is_enough_where_the_cause_is_not_sent(bit: 
     assert first.slug not in ("sdc_open", "unknown")
 
 
-def test_a_log_of_the_cars_direction_alone_says_so_and_does_not_guess(stopped: Frames) -> None:
+def test_a_log_of_the_cars_frames_only_says_so_without_a_guess(stopped: Frames) -> None:
     story = tell(stopped.only((stopped.can_id < 0x510) | (stopped.can_id > 0x514)))
     assert any("no frame of the AI computer" in problem for problem in story.problems)
-    emergency = [i for i in story.incidents if i.kind is Kind.EMERGENCY]
+    emergency = [i for i in story.incidents if i.kind is IncidentKind.EMERGENCY]
     assert emergency[0].candidates[0].slug == "sdc_open"
 
 
-def test_a_link_lost_in_a_log_without_the_ai_side_is_not_blamed_on_a_message() -> None:
+def test_a_lost_link_without_logged_ai_frames_blames_no_message() -> None:
     run = branch(driving(), lambda run: run.spoil(Drop(Window(frozenset({0x513})))), 0.3).frames
     story = tell(run.only((run.can_id < 0x510) | (run.can_id > 0x514)))
-    first = next(i for i in story.incidents if i.kind is Kind.EMERGENCY).candidates[0]
+    first = next(i for i in story.incidents if i.kind is IncidentKind.EMERGENCY).candidates[0]
     assert first.slug == "ai_comms_lost"
     assert "only one direction" in first.steps[0].words
 
@@ -196,9 +197,7 @@ def test_a_stranger_is_known_by_who_sent_where_the_log_says_it(stopped: Frames) 
     assert "received, not sent" in told[0].text
 
 
-def test_a_database_without_fault_bits_and_cause_still_finds_what_the_frames_show(
-    faulty: Frames, tmp_path: Path
-) -> None:
+def test_without_fault_bits_and_cause_the_frames_are_explained(faulty: Frames, tmp_path: Path) -> None:
     """One official database has no fault bit but HVIL_OPEN_FAULT, and no SHUTDOWN_CAUSE."""
     text = (dbc_dir() / "ads_dv_2026.dbc").read_text(encoding="cp1252").splitlines(keepends=True)
     gone = ("SHUTDOWN_CAUSE", "MISSION_STATUS_FAULT")
@@ -209,7 +208,7 @@ def test_a_database_without_fault_bits_and_cause_still_finds_what_the_frames_sho
     assert (first.slug, first.sureness) == ("finished_while_moving", Sureness.SHOWN)
 
 
-def test_a_pause_of_everybody_is_blamed_on_the_bus_or_the_recording_and_on_no_message() -> None:
+def test_a_pause_of_all_senders_blames_the_bus_or_the_recording() -> None:
     log = OtherStack()
     running = AiStatus(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
     log.cycles(50, car(as_state=AsState.AS_DRIVING, go_signal=True), running, rpm=100)
@@ -225,19 +224,19 @@ def test_a_pause_of_everybody_is_blamed_on_the_bus_or_the_recording_and_on_no_me
 # ---------------------------------------------------------------- pieces of logs
 
 
-def test_a_log_that_begins_in_the_emergency_brake_says_that_it_began_before(stopped: Frames) -> None:
+def test_a_log_from_the_emergency_brake_on_says_it_began_before(stopped: Frames) -> None:
     begun = after(stopped, int(stopped.t_ns[-1]) - 500 * MS)
     incident = tell(begun).incidents[0]
     assert incident.candidates[0].slug == "before_the_log"
 
 
-def test_a_fault_that_is_still_shown_names_the_cause_of_what_was_before_the_log(faulty: Frames) -> None:
+def test_a_latched_fault_names_a_cause_from_before_the_log(faulty: Frames) -> None:
     begun = after(faulty, int(faulty.t_ns[-1]) - 500 * MS)
     candidates = [one.slug for one in tell(begun).incidents[0].candidates]
     assert candidates[0] == "finished_while_moving"
 
 
-def test_a_log_that_begins_in_mid_drive_finds_the_cause_all_the_same(stopped: Frames, faulty: Frames) -> None:
+def test_a_log_that_begins_in_mid_drive_still_finds_the_cause(stopped: Frames, faulty: Frames) -> None:
     for whole, slug in ((stopped, "sdc_open"), (faulty, "finished_while_moving")):
         story = tell(after(whole, int(whole.t_ns[-1]) - 2 * S))
         assert any("begins in AS_DRIVING" in problem for problem in story.problems)
@@ -256,7 +255,7 @@ def test_no_piece_of_a_drive_is_told_a_wrong_emergency(stopped: Frames, share: f
     length = int(stopped.t_ns[-1] - stopped.t_ns[0])
     begin = int(stopped.t_ns[0]) + int(share * length)
     story = tell(cut(after(stopped, begin), begin + length // 20))
-    assert [i for i in story.incidents if i.kind is not Kind.EMERGENCY] == []
+    assert [i for i in story.incidents if i.kind is not IncidentKind.EMERGENCY] == []
 
 
 def test_a_log_whose_clock_is_set_back_keeps_its_order(stopped: Frames) -> None:
@@ -271,10 +270,10 @@ def test_a_log_whose_clock_is_set_back_keeps_its_order(stopped: Frames) -> None:
 # ---------------------------------------------------------------- regular ends
 
 
-def test_a_mission_that_ends_with_the_emergency_brake_is_told_as_planned(nominal: Frames) -> None:
+def test_a_mission_meant_to_end_in_emergency_brake_is_planned(nominal: Frames) -> None:
     story = tell(nominal)
     assert [(i.kind, i.planned, i.candidates[0].slug) for i in story.incidents] == [
-        (Kind.EMERGENCY, True, "planned_end")
+        (IncidentKind.EMERGENCY, True, "planned_end")
     ]
     assert story.clean
 
@@ -287,7 +286,7 @@ def test_a_mission_that_ends_with_the_emergency_brake_is_told_as_planned(nominal
         (Ami.STATIC_INSPECTION_A, "official-simulator", "2026"),
     ],
 )
-def test_a_run_in_which_nothing_goes_wrong_has_no_incident_and_no_warning(mission: Ami, profile: str, rev: str) -> None:
+def test_a_good_run_has_no_incident_and_no_warning(mission: Ami, profile: str, rev: str) -> None:
     run = Run.of(setup(missions=[mission], profile=profile, revision=rev))
     run.until(lambda: run.lockstep.world.done, 120.0)
     run.go_on(1.0)
@@ -358,16 +357,14 @@ def explain(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str,
 Explain = Callable[..., tuple[int, str, str]]
 
 
-def test_the_exit_status_tells_whether_there_is_something_to_explain(
+def test_the_exit_status_says_whether_there_is_an_incident(
     explain: Explain, stopped: Frames, nominal: Frames, tmp_path: Path
 ) -> None:
     assert explain(written(stopped, tmp_path / "stopped.log"))[0] == 1
     assert explain(written(nominal, tmp_path / "nominal.log"))[0] == 0
 
 
-def test_the_answer_stands_at_the_end_with_cause_chain_and_remedy(
-    explain: Explain, faulty: Frames, tmp_path: Path
-) -> None:
+def test_the_answer_comes_last_with_cause_chain_and_remedy(explain: Explain, faulty: Frames, tmp_path: Path) -> None:
     status, out, err = explain(written(faulty, tmp_path / "run.log"))
     assert (status, err) == (1, "")
     story = out[out.index("EMERGENCY BRAKE at") :].splitlines()
@@ -419,9 +416,7 @@ def test_a_truncated_log_is_told_as_far_as_it_goes(explain: Explain, stopped: Fr
     assert err.count("\n") == 1 and "cut off" in err
 
 
-def test_what_cannot_be_read_makes_the_status_bad_even_if_the_rest_is_fine(
-    explain: Explain, nominal: Frames, tmp_path: Path
-) -> None:
+def test_an_unreadable_part_fails_even_if_the_rest_is_fine(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
     path = tmp_path / "half.log"
     path.write_bytes(b"\n".join([b"not a frame", *log_lines(nominal)]) + b"\n")
     status, out, err = explain(path)

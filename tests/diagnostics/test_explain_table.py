@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from fsai_hil.simulator.as_machine import ROWS, Row
-from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Consequence
 from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN, Cause
 from fsai_vcu.diagnostics.explain.signals import FAULTS
 from fsai_vcu.diagnostics.explain.starting import TO_DRIVING, TO_READY
 from fsai_vcu.interface.enums import AsState, ShutdownCause
+from fsai_vcu.interface.messages import FAULT_NAMES
 
 # What brings a simulated car from one state to another, and the causes that name it. A row of its state machine that is
 # not here is a condition that explain knows nothing of.
@@ -65,7 +65,7 @@ def test_every_shutdown_cause_has_a_row() -> None:
 
 
 def test_every_fault_bit_has_a_row() -> None:
-    assert set(FAULT_BITS) == {name for _, name in FAULT_NAMES} == {signal.name for signal in FAULTS}
+    assert set(FAULT_BITS) == set(FAULT_NAMES.values()) == {signal.name for signal in FAULTS}
     assert set(FAULT_BITS.values()) <= set(CAUSES)
 
 
@@ -97,7 +97,7 @@ def test_conditions_wait_only_for_conditions_that_there_are() -> None:
         assert set(slugs) <= set(CAUSES)
 
 
-def test_every_reason_for_which_the_supervisor_brakes_is_told_in_its_own_words() -> None:
+def test_every_braking_reason_of_the_supervisor_has_its_words() -> None:
     graver = {reason for reason, steps in REACTIONS.items() if any(s.consequence >= Consequence.STOP for s in steps)}
     # what is decided inside the AI computer leaves no trace of its own on the bus
     inside = {Reason.BOTH_PEDALS, Reason.NOT_CONFIRMED, Reason.STACK_RESTARTED}

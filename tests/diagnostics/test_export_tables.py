@@ -116,7 +116,7 @@ def of_csv(text: str) -> Any:
     return None if text == "" else float(text) if any(c in text for c in ".en") else int(text)
 
 
-def test_csv_has_a_file_per_message_with_decodes_values_and_units_in_the_names(
+def test_csv_is_a_file_per_message_with_units_in_the_names(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
     written = export(frames, decoder, "csv", tmp_path / "tables")
@@ -148,7 +148,7 @@ def test_words_stand_for_numbers_where_they_are_asked_for(tmp_path: Path, decode
     assert kinds == {"FIRST, ONE", "SECOND"}
 
 
-def test_parquet_has_the_same_values_with_units_and_words_in_its_metadata(
+def test_parquet_has_the_same_values_and_units_in_its_metadata(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
     import pyarrow.parquet as pq  # type: ignore[import-untyped]
@@ -233,7 +233,7 @@ def test_rosbags_opens_an_exported_mcap_as_a_ros_2_bag(tmp_path: Path, decoder: 
 # ---------------------------------------------------------------- wide
 
 
-def test_the_wide_table_holds_the_last_value_and_says_how_old_it_is(tmp_path: Path, decoder: Decoder) -> None:
+def test_the_wide_table_holds_the_last_value_and_its_age(tmp_path: Path, decoder: Decoder) -> None:
     frames = frames_of(
         [
             LogFrame(1_000_500_000, "can0", 0x523, bytes.fromhex("640000000000")),
@@ -275,7 +275,7 @@ def test_every_cell_of_the_wide_table_is_the_last_frames_value(
                     assert of_csv(text) == (None if newest < 0 else decoded[name][newest][signal])
 
 
-def test_a_long_silence_or_a_clock_that_jumps_makes_no_endless_table(tmp_path: Path, decoder: Decoder) -> None:
+def test_a_long_silence_or_a_clock_jump_makes_no_endless_table(tmp_path: Path, decoder: Decoder) -> None:
     steer = bytes(6)
     frames = frames_of(
         [
@@ -339,7 +339,7 @@ def test_several_buses_have_tables_of_their_own(tmp_path: Path, decoder: Decoder
     assert (last["can0.VCU2AI_Steer.ANGLE [deg]"], last["can1.VCU2AI_Steer.ANGLE [deg]"]) == ("0.0", "10.0")
 
 
-def test_mf4_has_a_group_per_message_where_asammdf_is_installed_and_else_one_line_says_how_to_install_it(
+def test_mf4_has_a_group_per_message_or_names_the_package(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
     from fsai_vcu.diagnostics.export.writing import ExportError

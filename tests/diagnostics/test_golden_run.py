@@ -16,7 +16,7 @@ from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
-from recorded_runs import MS, Recorded, read_frames, record
+from recorded_runs import Recorded, read_frames, record
 from rerun import compare
 
 from fsai_hil.simulator.tracks import load_track
@@ -25,6 +25,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import Ami, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.units import MS
 
 LOG = Path(__file__).parent / "golden" / "bends.log.gz"
 COMMANDS = LOG.with_name("bends.commands.gz")
@@ -63,6 +64,17 @@ def test_the_run_has_a_whole_mission_in_it(golden: Recorded) -> None:
 def test_a_bridge_that_decides_otherwise_is_noticed(golden: Recorded) -> None:
     differences = compare(golden.frames, golden.again(replace(BridgeConfig(), stop_brake_pct=41.0))).differences
     assert {difference.can_id for difference in differences} == {0x514}
+    assert "0x514: then " in str(differences[0])
+
+
+def test_what_the_car_says_is_what_decides(golden: Recorded) -> None:
+    without_go = [
+        replace(frame, data=bytes([frame.data[0], frame.data[1] & ~0x08, *frame.data[2:]]))
+        if frame.can_id == 0x520
+        else frame
+        for frame in golden.frames
+    ]
+    assert not compare(golden.frames, replace(golden, frames=without_go).again()).equal
 
 
 def make() -> None:

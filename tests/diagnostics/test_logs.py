@@ -68,9 +68,7 @@ def write_with_python_can(path: Path, frames: Sequence[LogFrame], **options: Any
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["unix", "windows"])
 @pytest.mark.parametrize("suffix", ["", " R", " T"])
-def test_a_log_of_candump_is_read_with_and_without_the_direction_that_python_can_adds(
-    tmp_path: Path, suffix: str, end: str
-) -> None:
+def test_a_candump_log_is_read_with_and_without_directions(tmp_path: Path, suffix: str, end: str) -> None:
     path = tmp_path / "run.log"
     path.write_bytes("".join(line.decode() + suffix + end for line in log_lines(frames_of(MIXED))).encode())
     found = read(path)
@@ -87,7 +85,7 @@ def test_a_log_written_by_python_can_is_read_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".asc"])
-def test_the_binary_and_vector_formats_of_python_can_are_read_to_the_microsecond(tmp_path: Path, suffix: str) -> None:
+def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
     write_with_python_can(path, MIXED)
     found = read(path)
@@ -97,7 +95,7 @@ def test_the_binary_and_vector_formats_of_python_can_are_read_to_the_microsecond
     assert plainly([replace(f, t_ns=f.t_ns + late_ns) for f in found]) == plainly(MIXED)
 
 
-def test_mf4_is_read_where_asammdf_is_installed_and_else_one_line_says_how_to_install_it(tmp_path: Path) -> None:
+def test_mf4_is_read_or_the_missing_package_is_named(tmp_path: Path) -> None:
     path = tmp_path / "run.mf4"
     try:
         import asammdf  # type: ignore[import-not-found]  # noqa: F401
@@ -190,7 +188,7 @@ def test_reading_many_lines_at_once_is_reading_each_line(
 
 @given(st.lists(st.sampled_from(list(" ()#.:0123456789ABCDEFabcdefgRTXcan\t\r\n\0\xff")), max_size=80).map("".join))
 @settings(max_examples=100, deadline=None)
-def test_whatever_stands_in_a_line_the_fast_reader_believes_no_more_than_the_careful_one(text: str) -> None:
+def test_the_fast_reader_accepts_no_more_than_the_careful_one(text: str) -> None:
     from fsai_vcu.diagnostics.log.candump import parse_block
 
     lines = (f"(1.000000) can0 520#01A5\n(1.000000) can0 {text}\n(1.000001) can0 520#{text}\n" + text + "\n").encode(
@@ -206,7 +204,7 @@ def test_whatever_stands_in_a_line_the_fast_reader_believes_no_more_than_the_car
     assert list(frames) == careful
 
 
-def test_lines_of_changing_length_of_time_and_channel_are_all_read(tmp_path: Path) -> None:
+def test_lines_are_read_whatever_the_length_of_time_and_channel(tmp_path: Path) -> None:
     frames = [
         frame(t_ns=t_s * 1_000_000_000 + 1000, channel=channel, can_id=can_id, extended=can_id > 0x7FF)
         for t_s in (0, 9, 10, 99_999_999, 100_000_000, 9_223_372_035)
@@ -218,7 +216,7 @@ def test_lines_of_changing_length_of_time_and_channel_are_all_read(tmp_path: Pat
     assert read(path) == frames
 
 
-def test_an_fd_payload_is_kept_whole_and_stays_with_its_frame_when_frames_are_chosen_and_joined() -> None:
+def test_an_fd_payload_stays_whole_and_with_its_frame() -> None:
     long = frame(0x510, bytes(range(12)), fd=True)
     columns = frames_of([frame(), long, frame(0x511)])
     assert list(columns) == [frame(), long, frame(0x511)]
@@ -251,7 +249,7 @@ GOOD = b"(1.000000) can0 520#01A5\n"
         (b"  can0  520   [8]  01 A5\n", "line 2: 2 data bytes where 8 are announced"),
     ],
 )
-def test_a_line_that_is_no_frame_is_named_and_all_others_are_read(tmp_path: Path, bad: bytes, words: str) -> None:
+def test_an_invalid_line_is_named_and_all_others_are_read(tmp_path: Path, bad: bytes, words: str) -> None:
     frames, problems = problems_of(tmp_path / "run.log", GOOD + bad + GOOD)
     assert len(frames) == 2
     assert len(problems) == 1
@@ -264,14 +262,14 @@ def test_empty_lines_are_no_problem(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", range(1, len(GOOD)))
-def test_a_frame_that_may_be_cut_off_at_the_end_of_a_log_is_left_out_and_said(tmp_path: Path, cut: int) -> None:
+def test_a_possibly_cut_last_frame_is_left_out_and_reported(tmp_path: Path, cut: int) -> None:
     frames, problems = problems_of(tmp_path / "run.log", GOOD + GOOD[:-cut])
     assert len(frames) == 1
     assert problems == [f"{tmp_path / 'run.log'}: line 2: cut off, without a line end; its frame is left out"]
 
 
 @pytest.mark.parametrize("last", [b"(1.000000) can0 520#0011223344556677", b"(1.000000) can0 520#01A5 R"])
-def test_a_last_line_without_a_line_end_counts_when_nothing_can_follow(tmp_path: Path, last: bytes) -> None:
+def test_a_last_line_without_line_end_counts_if_complete(tmp_path: Path, last: bytes) -> None:
     frames, problems = problems_of(tmp_path / "run.log", GOOD + last)
     assert (len(frames), problems) == (2, [])
 
@@ -282,7 +280,7 @@ def test_line_numbers_are_right_far_into_a_log_of_many_blocks(tmp_path: Path) ->
     assert [re.findall(r"line (\d+)", text) for text in problems] == [["50001"]]
 
 
-def test_of_a_gzip_file_that_is_cut_off_what_can_be_unpacked_is_read(tmp_path: Path) -> None:
+def test_a_cut_gzip_file_is_read_up_to_the_cut(tmp_path: Path) -> None:
     text = b"".join(
         b"(%d.%06d) can0 520#%016X\n" % (n // 100, n * 7919 % 1_000_000, n * 0x9E3779B97F4A7C15 % 2**64)
         for n in range(30_000)
@@ -294,7 +292,7 @@ def test_of_a_gzip_file_that_is_cut_off_what_can_be_unpacked_is_read(tmp_path: P
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".asc"])
-def test_of_a_broken_binary_log_the_frames_before_the_break_are_read(tmp_path: Path, suffix: str) -> None:
+def test_a_broken_binary_log_is_read_up_to_the_break(tmp_path: Path, suffix: str) -> None:
     whole, path = tmp_path / f"whole{suffix}", tmp_path / f"run{suffix}"
     many = [
         frame(t_ns=T0_NS + n * 1_000_000, data=(n * 0x9E3779B97F4A7C15 % 2**64).to_bytes(8, "big"))

@@ -16,9 +16,8 @@ from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.interface.units import MS, S
 
-MS = 1_000_000
-S = 1000 * MS
 CYCLE = 10 * MS
 SELECTED, FINISHED = "0010000000000000", "0030000000000000"
 STEER = bytes.fromhex("7B002C017B00")  # ANGLE 12.3, ANGLE_MAX 30, ANGLE_REQUEST 12.3

@@ -97,7 +97,7 @@ def written(databases: Databases, seed: int) -> bytes:
 
 @pytest.mark.parametrize("revision", ["2021", "2026"])
 @pytest.mark.parametrize("words", [True, False])
-def test_the_cars_messages_are_printed_alike_and_need_nobody_else(revision: str, words: bool) -> None:
+def test_quick_lines_of_all_car_messages_are_as_the_full_writers(revision: str, words: bool) -> None:
     databases = load_databases(revision=revision)
     block = written(databases, 3)
     assert quickly(databases, block, words=words) == slowly(databases, block, words=words)
@@ -136,9 +136,7 @@ def test_any_database_is_printed_alike(other: Databases, words: bool) -> None:
         (b"can0 002", b"can0\t002"),
     ],
 )
-def test_what_is_unusual_is_left_to_others_and_read_as_they_read_it(
-    ordinary: bytes, otherwise: bytes, other: Databases
-) -> None:
+def test_unusual_logs_are_left_to_the_general_reader(ordinary: bytes, otherwise: bytes, other: Databases) -> None:
     block = LINES.replace(ordinary, otherwise, 1)
     assert block != LINES
     assert quickly(other, LINES) == slowly(other, LINES)
@@ -171,7 +169,7 @@ def test_longer_times_and_names_of_buses_may_come_in_one_block(other: Databases)
 
 @given(st.lists(st.sampled_from(list(" ()#.:0123456789ABCDEFabcdefgRTXcan\t\r\n\0\xff")), max_size=60).map("".join))
 @settings(max_examples=100, deadline=None)
-def test_whatever_stands_in_a_line_is_printed_as_the_other_writer_does(text: str) -> None:
+def test_any_line_is_printed_as_by_the_full_writer(text: str) -> None:
     databases = load_databases()
     block = f"(1.000000) can0 520#01A5\n(1.000000) can0 {text}\n(1.000001) can0 520#{text}\n".encode("latin-1")
     assert Printer(databases)(block).text == slowly(databases, block)
@@ -184,7 +182,7 @@ def test_payloads_are_those_of_frames_with_11_bit_identifiers() -> None:
     }
 
 
-def test_a_usual_log_is_decoded_without_loading_what_takes_longer_than_that(tmp_path: Path) -> None:
+def test_a_usual_log_is_decoded_without_slow_imports(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_text("(1.000000) can0 523#640064006400\n(1.000000) can0 7FE#00\n")
     load_databases()  # and what is made of its files is remembered

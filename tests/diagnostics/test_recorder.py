@@ -22,10 +22,10 @@ from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.recorder.durable import DurableFile
 from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import Bounds, NoRoomError, Place, PlaceError
+from fsai_vcu.diagnostics.recorder.segments import Bounds, NoRoomError, PlaceError, SegmentFolder
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 BEGAN_NS = 1_700_000_000 * S
 LINE_BYTES = len("(1700000000.000000) can0 523#640064006400\n")
 
@@ -65,7 +65,7 @@ class Rig:
         self.now_ns = 0
         self.path = folder
         decoder = Decoder(load_databases()) if mcap else None
-        self.place = Place(folder, "can0", bounds or Bounds())
+        self.place = SegmentFolder(folder, "can0", bounds or Bounds())
         self.recording = Recording(
             self.place,
             "can0",
@@ -101,7 +101,7 @@ def test_after_each_turn_every_frame_is_on_the_disk(tmp_path: Path, synced: list
     assert [path.name for path in rig.logs()] == ["can0-000001.log"]
 
 
-def test_a_new_segment_begins_at_its_size_or_time_and_no_frame_is_lost_between(tmp_path: Path) -> None:
+def test_segments_turn_at_size_or_time_without_a_lost_frame(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "run", Bounds(segment_bytes=10 * LINE_BYTES, segment_ns=60 * S))
     for turn in range(5):
         rig.turn(heard(10, 10 * turn))
@@ -113,7 +113,7 @@ def test_a_new_segment_begins_at_its_size_or_time_and_no_frame_is_lost_between(t
     assert numbers(*rig.logs()) == list(range(52))
 
 
-def test_the_oldest_segments_give_way_and_all_together_never_exceed_their_bound(tmp_path: Path) -> None:
+def test_the_oldest_segments_are_deleted_to_keep_the_bound(tmp_path: Path) -> None:
     bounds = Bounds(segment_bytes=1 << 20, total_bytes=40_000)
     rig = Rig(tmp_path / "run", bounds, mcap=True)
     most = 0
@@ -154,7 +154,7 @@ def test_what_must_stay_free_on_the_disk_stays_free(tmp_path: Path, monkeypatch:
     assert numbers(rig.logs()[-1])[-1] == 119
 
 
-def test_a_restart_goes_on_in_a_new_segment_and_overwrites_nothing(tmp_path: Path) -> None:
+def test_a_restart_begins_a_new_segment_and_overwrites_nothing(tmp_path: Path) -> None:
     first = Rig(tmp_path / "run")
     first.turn(heard(10))
     first.recording.close(first.now_ns)
@@ -168,18 +168,18 @@ def test_a_restart_goes_on_in_a_new_segment_and_overwrites_nothing(tmp_path: Pat
 def test_a_second_recorder_of_the_same_bus_is_refused(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "run")
     with pytest.raises(PlaceError, match=r"somebody records 'can0' in .*run already"):
-        Place(tmp_path / "run", "can0", Bounds())
-    other = Place(tmp_path / "run", "can1", Bounds())
+        SegmentFolder(tmp_path / "run", "can0", Bounds())
+    other = SegmentFolder(tmp_path / "run", "can1", Bounds())
     assert other.number == 0
     rig.recording.close(0)
-    Place(tmp_path / "run", "can0", Bounds()).close()
+    SegmentFolder(tmp_path / "run", "can0", Bounds()).close()
 
 
 def test_a_file_is_never_written_over(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     path.write_text("precious")
     with pytest.raises(PlaceError, match="is there already"):
-        Place(path, "can0", Bounds())
+        SegmentFolder(path, "can0", Bounds())
     assert path.read_text() == "precious"
 
 
@@ -213,9 +213,7 @@ class Disk:
         raise OSError(self.error, os.strerror(self.error))
 
 
-def test_a_full_disk_is_said_once_and_recording_goes_on_without_a_hole_when_there_is_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_reported_once_and_leaves_no_hole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(tmp_path / "run", mcap=True)
     disk = Disk(monkeypatch)
     rig.turn(heard(10))
@@ -234,9 +232,7 @@ def test_a_full_disk_is_said_once_and_recording_goes_on_without_a_hole_when_ther
     assert rig.recording.lost == 0
 
 
-def test_frames_that_no_memory_holds_while_the_disk_is_full_are_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_lost_while_the_disk_is_full_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsai_vcu.diagnostics.recorder.recording._MOST_WAITING", 100)
     rig = Rig(tmp_path / "run")
     disk = Disk(monkeypatch)
@@ -252,9 +248,7 @@ def test_frames_that_no_memory_holds_while_the_disk_is_full_are_counted(
     assert rig.said[-1] == f"writing again in {rig.path}; {rig.recording.lost} frames were lost"
 
 
-def test_files_that_are_gone_for_good_are_followed_by_a_new_segment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_deleted_files_are_followed_by_a_new_segment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(tmp_path / "run")
     disk = Disk(monkeypatch)
     rig.turn(heard(10))
@@ -276,9 +270,7 @@ def test_a_segment_that_somebody_deletes_is_followed_by_another(tmp_path: Path) 
     assert numbers(*rig.logs()) == list(range(10, 20))
 
 
-def test_a_write_that_fails_leaves_the_file_as_the_last_good_one_did(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_file_as_it_was_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = DurableFile(tmp_path / "file")
     file.put(b"good\n")
     file.push()
@@ -295,7 +287,7 @@ def test_a_write_that_fails_leaves_the_file_as_the_last_good_one_did(
 
 
 def test_no_room_is_an_error_of_its_own(tmp_path: Path) -> None:
-    place = Place(tmp_path / "run.log", "can0", Bounds(keep_free_bytes=1 << 62))
+    place = SegmentFolder(tmp_path / "run.log", "can0", Bounds(keep_free_bytes=1 << 62))
     with pytest.raises(NoRoomError, match="stay free"):
         place.make_room(1)
 
@@ -348,13 +340,13 @@ def streamed(data: bytes) -> list[int]:
     return times
 
 
-def test_an_mcap_without_its_end_is_read_by_a_streaming_reader_up_to_the_last_turn(tmp_path: Path) -> None:
+def test_an_mcap_without_its_end_can_be_read_as_a_stream(tmp_path: Path) -> None:
     data = recorded_mcap(tmp_path / "run", ended=False)
     assert len(streamed(data)) == 105
     assert len(streamed(data[:-40])) >= 94, "more than the last turn is lost"
 
 
-def test_an_mcap_cut_off_anywhere_becomes_whole_and_loses_at_most_the_turn_that_was_cut(tmp_path: Path) -> None:
+def test_a_cut_mcap_is_repaired_and_loses_at_most_one_turn(tmp_path: Path) -> None:
     data = recorded_mcap(tmp_path / "run", ended=False)
     path = tmp_path / "cut.mcap"
     chance = random.Random(1)
@@ -408,7 +400,7 @@ def test_resuming_gives_an_mcap_its_end(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- the MCAP
 
 
-def test_the_mcap_is_a_ros_2_bag_with_every_signal_the_ros_messages_and_what_was_in_force(tmp_path: Path) -> None:
+def test_the_mcap_is_a_ros_2_bag_with_signals_and_configuration(tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
     rig = Rig(tmp_path / "run", mcap=True)
@@ -433,7 +425,7 @@ def test_the_mcap_is_a_ros_2_bag_with_every_signal_the_ros_messages_and_what_was
 
 
 @pytest.mark.parametrize("error", [True, False], ids=["error", "extended"])
-def test_frames_that_no_database_knows_are_in_the_log_and_not_in_the_mcap(tmp_path: Path, error: bool) -> None:
+def test_unknown_frames_are_in_the_log_and_not_in_the_mcap(tmp_path: Path, error: bool) -> None:
     rig = Rig(tmp_path / "run", mcap=True)
     frame = Frame(0x40, bytes(8), extended=not error, error=error)
     rig.turn([(frame, BEGAN_NS), *heard(1)])

@@ -13,8 +13,8 @@ from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, ReplayError, between, choose, is_physical
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 WALL_NS = 1_700_000_000_000_000_000
 
 
@@ -55,7 +55,7 @@ def play(clock: Clock, records: list[LogFrame], **how: Any) -> Player:
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.5, 4.0])
-def test_each_frame_leaves_when_it_is_due_and_lateness_never_adds_up(rate: float) -> None:
+def test_each_frame_leaves_when_due_and_lateness_never_adds_up(rate: float) -> None:
     clock = Clock()
     began_ns = clock.now_ns
     player = play(clock, every_10_ms(1000), rate=rate)
@@ -112,7 +112,7 @@ def test_remote_and_extended_frames_are_sent_as_what_they_are() -> None:
 # ---------------------------------------------------------------- what is sent at all
 
 
-def test_reserved_ids_are_never_sent_and_the_ais_own_only_if_told() -> None:
+def test_reserved_ids_are_never_sent_ai_ids_only_on_demand() -> None:
     ids = [*range(0x800)]
     frames = frames_of([LogFrame(WALL_NS + n, "can0", can_id) for n, can_id in enumerate(ids)])
     without = choose(frames, with_ai_ids=False)
@@ -141,7 +141,7 @@ def test_what_cannot_be_sent_is_left_out_and_said() -> None:
     assert len(chosen.frames) == 1
 
 
-def test_frames_are_sent_in_order_of_time_whatever_their_order_in_the_log() -> None:
+def test_frames_are_sent_in_order_of_time() -> None:
     frames = frames_of([LogFrame(t, "can0", 0x520) for t in (30, 10, 20)])
     assert np.array_equal(choose(frames, with_ai_ids=False).frames.t_ns, [10, 20, 30])
 
@@ -188,6 +188,6 @@ def test_a_bus_is_physical_unless_it_is_known_not_to_be(
     assert is_physical(spec) is physical
 
 
-def test_without_the_ip_command_every_socketcan_interface_counts_as_physical(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ip_every_socketcan_interface_counts_as_physical(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nonexistent")
     assert is_physical("vcan0")

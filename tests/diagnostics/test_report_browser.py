@@ -200,9 +200,7 @@ def test_dragging_zooms_and_a_double_click_shows_all(shown: Callable[..., Chrome
     WebDriverWait(browser, 10).until(lambda b: whole in b.find_element(By.ID, "range").text)
 
 
-def test_the_plots_can_be_read_with_the_keyboard_and_have_words_for_those_who_cannot_see_them(
-    shown: Callable[..., Chrome],
-) -> None:
+def test_plots_work_with_the_keyboard_and_have_text_alternatives(shown: Callable[..., Chrome]) -> None:
     browser = shown(1280)
     for canvas in canvases(browser):
         assert canvas.get_attribute("role") == "img"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from story_runs import MS, S, branch, driving, log_of
+from story_runs import branch, driving, log_of
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.explain import record_for
@@ -21,6 +21,7 @@ from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.report import page
 from fsai_vcu.diagnostics.report.curves import BUCKETS, Curve, lanes, packed, plots, thinned
+from fsai_vcu.interface.units import MS, S
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def unpacked(curve: dict[str, Any], digits: int) -> tuple[np.ndarray, np.ndarray
     return np.cumsum(curve["dt"]) / 1e4, np.array(values)
 
 
-def test_the_policy_allows_this_style_and_this_script_and_nothing_else(html: str) -> None:
+def test_the_policy_allows_only_the_pages_own_style_and_script(html: str) -> None:
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', html)
     assert policy is not None
     rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
@@ -106,7 +107,7 @@ def test_every_curve_begins_ends_and_peaks_as_the_log_does(html: str, frames: Fr
             assert abs(t_s[-1] - (real.t_ns[-1] - record.begin_ns) / 1e9) < 2e-4
 
 
-def test_thinning_keeps_a_spike_of_one_frame_in_an_hour_and_stays_small() -> None:
+def test_thinning_keeps_a_spike_of_one_frame_in_an_hour() -> None:
     t_ns = np.arange(360_000, dtype=np.int64) * 10 * MS
     values = np.sin(np.arange(360_000) / 50.0)
     values[123_456] = 9.0
@@ -134,7 +135,7 @@ def test_lanes_show_the_as_states_one_behind_the_other(frames: Frames) -> None:
         assert one[1] == following[0]
 
 
-def test_a_car_that_is_silent_for_a_while_leaves_a_hole_in_its_lanes() -> None:
+def test_a_silence_of_the_car_is_a_hole_in_its_lanes() -> None:
     def away(run: Any) -> None:
         run.switch(lvms=False)
         run.go_on(1.0)

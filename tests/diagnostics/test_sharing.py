@@ -51,7 +51,7 @@ def alone(path: Path) -> tuple[bytes, int, list[str]]:
 
 @pytest.mark.parametrize("processes", [1, 2, 3, 5])
 @pytest.mark.parametrize("piece_bytes", [40, 61, 500, 7919, 10**6])
-def test_wherever_the_log_is_cut_nothing_is_lost_doubled_or_moved(
+def test_a_log_cut_anywhere_loses_doubles_and_moves_nothing(
     log: Path, tmp_path: Path, processes: int, piece_bytes: int
 ) -> None:
     out = tmp_path / "out.txt"
@@ -64,13 +64,13 @@ def test_wherever_the_log_is_cut_nothing_is_lost_doubled_or_moved(
     assert problems.count == len(texts) > 4
 
 
-def test_a_disk_that_is_full_ends_all_processes_with_its_own_error(log: Path) -> None:
+def test_a_full_disk_ends_all_processes_with_its_error(log: Path) -> None:
     with Path("/dev/full").open("wb") as full, pytest.raises(OSError) as refused:
         write_lines(log, printed, partial(write_all, full.fileno()), 2, 500)
     assert refused.value.errno == errno.ENOSPC
 
 
-def test_a_reader_that_has_gone_ends_all_processes_as_a_broken_pipe(log: Path) -> None:
+def test_a_closed_pipe_ends_all_processes_as_a_broken_pipe(log: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:

@@ -15,15 +15,15 @@ from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.log.reader import read_log
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure, verdict
+from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, judge, measure, verdict
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 DECODER = Decoder(load_databases())
 
 
@@ -55,11 +55,11 @@ def measured(frames: Sequence[LogFrame]) -> BusStatistics:
     return bus
 
 
-def problems(frames: Sequence[LogFrame]) -> list[Finding]:
+def problems(frames: Sequence[LogFrame]) -> list[BusFinding]:
     return [finding for finding in judge(measured(frames)) if finding.severity.value == "problem"]
 
 
-def only(frames: Sequence[LogFrame], kind: str) -> Finding:
+def only(frames: Sequence[LogFrame], kind: str) -> BusFinding:
     """The one problem there is, of this kind."""
     found = problems(frames)
     assert [finding.kind for finding in found] == [kind], found
@@ -102,7 +102,7 @@ def test_there_is_no_quantile_of_nothing_and_none_beyond_all() -> None:
         quantile([1], 1.1)
 
 
-def test_a_silence_as_long_as_the_timeout_is_a_loss_and_a_shorter_one_a_note() -> None:
+def test_a_silence_of_the_timeout_is_a_loss_a_shorter_one_a_note() -> None:
     def without(for_ms: int) -> list[LogFrame]:
         return [f for f in NOMINAL if f.can_id != 0x523 or not 1000 * MS < f.t_ns < (1000 + for_ms) * MS]
 
@@ -132,7 +132,7 @@ def test_a_frame_of_the_wrong_length_is_a_problem_with_its_count() -> None:
 
 @pytest.mark.parametrize("can_id", AI_IDS)
 @pytest.mark.parametrize("after_ms", [1, 3, 5])
-def test_a_second_sender_of_an_ai_id_is_an_intruder_even_for_a_single_frame(can_id: int, after_ms: int) -> None:
+def test_a_single_frame_of_a_second_ai_sender_is_an_intruder(can_id: int, after_ms: int) -> None:
     own = next(f for f in NOMINAL if f.can_id == can_id and f.t_ns > 1000 * MS)
     intruder = replace(own, t_ns=own.t_ns + after_ms * MS)
     assert only(sorted([*NOMINAL, intruder], key=lambda f: f.t_ns), "intruder").can_id == can_id
@@ -146,7 +146,7 @@ def test_a_sender_that_keeps_its_distance_of_8_ms_is_no_intruder() -> None:
     assert problems(sorted(frames, key=lambda f: f.t_ns)) == []
 
 
-def test_where_the_log_tells_directions_a_received_ai_frame_beside_sent_ones_is_an_intruder() -> None:
+def test_a_received_ai_frame_beside_sent_ones_is_an_intruder() -> None:
     frames = [replace(f, sent=f.can_id in AI_IDS) for f in NOMINAL]
     assert problems(frames) == []
     index = next(i for i, f in enumerate(frames) if f.can_id == 0x513 and f.t_ns > 500 * MS)
@@ -159,7 +159,7 @@ def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
     assert "sent 1 times by this computer" in only(frames, "reserved").text
 
 
-def test_an_id_in_no_database_is_noted_and_does_not_spoil_the_verdict() -> None:
+def test_an_unknown_id_is_noted_and_does_not_change_the_verdict() -> None:
     frames = [*NOMINAL, LogFrame(NOMINAL[-1].t_ns, "can0", 0x7A1, b"\x01")]
     assert [f.text for f in judge(measured(frames)) if f.kind == "unknown"] == ["0x7A1 is in no database: 1 frames"]
     assert verdict(judge(measured(frames)))
@@ -170,7 +170,7 @@ def test_error_frames_are_a_problem_in_words() -> None:
     assert only([*NOMINAL, *errors], "error-frames").text == "3 error frames: bus-off"
 
 
-def test_a_pulse_counter_that_stands_while_its_wheel_turns_is_frozen() -> None:
+def test_a_standing_pulse_counter_of_a_turning_wheel_is_frozen() -> None:
     def stuck(f: LogFrame) -> LogFrame:
         return replace(f, data=f.data[:4] + b"\x07\x00" + f.data[6:]) if f.can_id == 0x526 and f.t_ns > 1000 * MS else f
 
@@ -180,7 +180,7 @@ def test_a_pulse_counter_that_stands_while_its_wheel_turns_is_frozen() -> None:
     assert problems(at_rest) == []
 
 
-def test_the_handshake_response_is_the_time_to_the_first_frame_with_the_new_bit() -> None:
+def test_the_response_ends_with_the_first_frame_of_the_new_bit() -> None:
     handshake = measured(NOMINAL).handshake
     assert handshake is not None
     assert (handshake.answered, handshake.unanswered) == (299, 0)
@@ -207,7 +207,7 @@ def test_an_echo_that_takes_100_ms_is_a_problem_and_99_is_not() -> None:
     assert "handshake" not in {finding.kind for finding in problems(late(99 * MS))}
 
 
-def test_the_load_is_the_share_of_the_bits_that_fit_into_the_time() -> None:
+def test_the_load_is_the_share_of_the_possible_bits() -> None:
     frames = [LogFrame(step * MS, "can0", 0x555, b"\x55" * 8) for step in range(1001)]
     bus = measured(frames)
     assert bus.bitrate == 500_000
@@ -236,9 +236,7 @@ def test_times_that_go_backwards_are_said() -> None:
     assert measured(frames).backwards == 1
 
 
-def test_a_drive_of_the_simulated_car_is_well_and_its_response_times_are_those_of_the_bus_checker(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_simulated_drive_is_well_with_the_checkers_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "drive.log"
     assert main(["drive", "--mission", "static_inspection_b", "--seed", "3", "--log", str(log), "--json"]) == 0
     frames, _ = read_log(log)

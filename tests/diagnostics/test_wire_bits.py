@@ -60,7 +60,7 @@ frames = st.builds(
 
 @settings(deadline=None)
 @given(st.lists(frames, min_size=1, max_size=20))
-def test_the_length_of_every_frame_is_that_of_its_bits_counted_singly(several: list[LogFrame]) -> None:
+def test_every_frame_is_as_long_as_its_bits_counted_singly(several: list[LogFrame]) -> None:
     assert wire_bits(frames_of(several)).tolist() == [counted(frame) for frame in several]
 
 
@@ -77,7 +77,7 @@ def test_the_bounds_that_textbooks_give_are_kept() -> None:
     assert 111 < max(lengths) <= 135
 
 
-def test_an_error_frame_has_no_length_and_an_fd_frame_about_that_of_its_bytes() -> None:
+def test_error_frames_have_no_length_fd_frames_their_bytes() -> None:
     error = LogFrame(0, "c", 0x40, bytes(8), error=True)
     long = LogFrame(0, "c", 0x123, bytes(64), fd=True)
     assert wire_bits(frames_of([error, long])).tolist()[0] == 0

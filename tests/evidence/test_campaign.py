@@ -22,7 +22,7 @@ from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.cluster import ClusterError, on_cluster
 from fsai_hil.evidence.campaign.record import read
-from fsai_hil.evidence.campaign.runner import Plan, batches, drive_batch
+from fsai_hil.evidence.campaign.runner import CampaignPlan, batches, drive_batch
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.campaign.sources import digest
 from fsai_hil.evidence.model import patched
@@ -41,7 +41,7 @@ SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--w
 ONE_CAR = [*SHORT, "--revisions", "2026"]
 
 
-def test_every_kind_of_fault_once_ends_as_the_safety_rules_demand(
+def test_every_kind_of_fault_ends_as_the_safety_rules_demand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The short form of the campaign; the long one is a command of its own."""
@@ -217,7 +217,7 @@ def test_the_campaign_reports_a_defect_put_in_on_purpose(name: str, snapshots: S
     assert broken["reasons"]
 
 
-def test_a_failing_campaign_says_so_with_the_line_that_replays_it(
+def test_a_failed_campaign_prints_the_line_that_replays_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with patched(supervisor, "ask_emergency", lambda state, *rest: state):
@@ -240,7 +240,7 @@ def _lines(path: Path) -> int:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_a_campaign_that_is_ended_in_the_middle_goes_on_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
+def test_an_interrupted_campaign_continues_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
     arguments = ["--runs", "12", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
@@ -308,7 +308,7 @@ def _told(runs: list[dict[str, Any]]) -> list[str]:
     return sorted(json.dumps(run) for run in kept)
 
 
-def test_without_dask_there_is_one_line_that_says_what_to_install(
+def test_without_dask_one_line_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
@@ -318,7 +318,7 @@ def test_without_dask_there_is_one_line_that_says_what_to_install(
 
 
 def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = Plan(1, 1)
+    plan = CampaignPlan(1, 1)
     monkeypatch.setattr(runner, "digest", lambda: "other")
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
         next(on_cluster(cluster, plan, batches(plan, plan.tasks())))
@@ -326,7 +326,7 @@ def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest
 
 def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsai_hil.evidence.campaign.cluster.CONNECT_TIMEOUT_S", 0.5)
-    plan = Plan(1, 1)
+    plan = CampaignPlan(1, 1)
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         next(on_cluster("tcp://127.0.0.1:9", plan, batches(plan, plan.tasks())))
 
@@ -359,5 +359,5 @@ def test_a_batch_of_a_plan_can_be_driven_anywhere() -> None:
     """What a cluster's worker is sent is picklable, and small."""
     import pickle
 
-    plan = Plan(1, 10_000, 300)
+    plan = CampaignPlan(1, 10_000, 300)
     assert len(pickle.dumps((drive_batch, plan, [(False, 7)]))) < 2000

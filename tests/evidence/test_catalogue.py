@@ -22,12 +22,12 @@ from fsai_vcu.interface.enums import Ami
 every_kind = pytest.mark.parametrize("kind", ROWS, ids=lambda kind: kind.name)
 
 
-def test_there_are_more_than_forty_kinds_each_with_a_name_of_its_own() -> None:
+def test_there_are_more_than_forty_kinds_with_unique_names() -> None:
     assert len(KINDS) == len(ROWS) > 40
 
 
 @every_kind
-def test_every_row_says_what_it_is_what_is_demanded_and_where_it_applies(kind: FaultKind) -> None:
+def test_every_row_has_its_fault_its_demand_and_its_range(kind: FaultKind) -> None:
     assert kind.what and kind.demanded and kind.missions and kind.revisions
     assert "|" not in kind.what + kind.demanded, "it would break the table"
 
@@ -103,7 +103,7 @@ def on_the_wire(kind: FaultKind) -> list[tuple[type, frozenset[int], bool]]:
 
 
 @pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x520, 0x527)], ids=hex)
-def test_every_message_is_lost_late_frozen_duplicated_corrupted_and_cut(can_id: int) -> None:
+def test_every_message_gets_every_kind_of_bus_fault(can_id: int) -> None:
     done = {
         how
         for kind in ROWS
@@ -114,16 +114,14 @@ def test_every_message_is_lost_late_frozen_duplicated_corrupted_and_cut(can_id: 
 
 
 @pytest.mark.parametrize(("prefix", "may_meet"), [("ai_status", False), ("ai_steer", False), ("ai_front", True)])
-def test_where_the_car_misses_our_frames_for_less_than_100_ms_the_words_are_the_demand(
-    prefix: str, may_meet: bool
-) -> None:
+def test_losses_shorter_than_100_ms_have_their_demand_in_words(prefix: str, may_meet: bool) -> None:
     for name in ("lost", "wrong_length"):
         kind = KINDS[f"{prefix}_{name}"]
         assert kind.demand({"duration": 50}) == (MAY_STOP_ITSELF if may_meet else NOTHING)
         assert kind.demanded.startswith("under 100 ms it drives on, or" if may_meet else "under 100 ms nothing")
 
 
-def test_numbers_out_of_range_of_either_sign_are_drawn_and_are_out_of_range_for_every_car() -> None:
+def test_drawn_out_of_range_values_are_so_for_every_car() -> None:
     kind = KINDS["controller_nan"]
     rng = random.Random(3)
     seen = {(values["field"], values["value"]) for values in (drawn(kind, rng) for _ in range(300))}
@@ -133,7 +131,7 @@ def test_numbers_out_of_range_of_either_sign_are_drawn_and_are_out_of_range_for_
         assert no_number(command, {"field": field, "value": value}, rng, 0).problems(math.radians(30.0)), (field, value)
 
 
-def test_each_step_of_the_clock_that_is_drawn_changes_stamps_of_data_that_is_50_ms_old() -> None:
+def test_each_drawn_clock_step_changes_the_age_of_50_ms_old_data() -> None:
     kind = KINDS["clock_stepped"]
     rng = random.Random(3)
     for _ in range(50):
@@ -168,7 +166,7 @@ def test_what_cannot_be_meant_is_refused_in_one_clear_line(spec: str, complaint:
         case_from_spec(spec, mission=None, revision="2026", seed=0, full=False)
 
 
-def test_a_fault_by_hand_draws_what_is_not_given_and_keeps_what_is() -> None:
+def test_a_fault_by_hand_keeps_what_is_given_and_draws_the_rest() -> None:
     case = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=4, full=False)
     same = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=4, full=False)
     other = case_from_spec("status_lost:duration=70", mission=None, revision="2026", seed=5, full=False)

@@ -6,8 +6,15 @@ import re
 from pathlib import Path
 
 from fsai_hil.evidence.campaign.catalogue import ROWS
+from fsai_hil.evidence.document import document
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "faults.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+DOCUMENT = DOCS / "evidence" / "faults.md"
+
+
+def test_the_supervision_page_is_made_of_the_tables_in_the_code() -> None:
+    made_by = "python -m fsai_hil.evidence.document > docs/supervision.md"
+    assert (DOCS / "supervision.md").read_text() == document(), f"write it anew with: {made_by}"
 
 
 def test_every_row_of_the_catalogue_is_in_the_documented_table() -> None:
@@ -21,7 +28,7 @@ def test_every_row_of_the_catalogue_is_in_the_documented_table() -> None:
         )
 
 
-def test_the_documented_campaign_says_how_it_was_made_and_found_nothing_worse_than_allowed() -> None:
+def test_the_documented_campaign_has_its_origin_and_no_finding() -> None:
     text = DOCUMENT.read_text()
     assert re.search(r"Made by `fsai-vcu campaign --runs \d+ --full \d+ --seed \d+", text)
     assert re.search(r"\*\*Worse than the rules allow: 0 of \d+ runs\.\*\*", text)

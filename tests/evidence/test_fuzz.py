@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from fsai_hil.evidence import fuzz as command
 from fsai_hil.evidence.fuzz_cases import changed, fresh, make, shortened, some_events
 from fsai_hil.evidence.fuzz_drives import Drive
-from fsai_hil.evidence.fuzz_events import EVENTS, SETUPS, STATIONS, Case, CaseError, Event, event, read_case
+from fsai_hil.evidence.fuzz_events import EVENTS, SETUPS, STATIONS, CaseError, FuzzCase, FuzzEvent, event, read_case
 from fsai_hil.evidence.fuzz_run import Played, at_station, forget_stations, play
 from fsai_hil.evidence.fuzz_search import Failure, Tally, described, fuzz, minimised, unreached
-from fsai_hil.evidence.model import patched, swift_copies
+from fsai_hil.evidence.model import patched
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision import gate as gating
@@ -28,8 +28,7 @@ CASES = 80  # of the short form: each kind of happening once, and as many others
 
 @cache
 def short_form() -> Tally:
-    with swift_copies():
-        return fuzz("2026", cases=CASES)
+    return fuzz("2026", cases=CASES)
 
 
 def told(tally: Tally) -> str:
@@ -62,8 +61,7 @@ def test_the_short_form_goes_deep() -> None:
 
 
 def test_the_same_seed_is_the_same_run() -> None:
-    with swift_copies():
-        first, second = fuzz("twice", cases=6), fuzz("twice", cases=6)
+    first, second = fuzz("twice", cases=6), fuzz("twice", cases=6)
     assert first.reached == second.reached
     assert (first.cycles, first.frames, first.corpus) == (second.cycles, second.frames, second.corpus)
 
@@ -76,9 +74,9 @@ def test_the_same_seed_is_the_same_run() -> None:
     st.lists(st.randoms(use_true_random=False).map(some_events), min_size=1, max_size=8),
 )
 def test_whatever_happens_from_any_station_on_no_rule_is_broken(
-    setup: str, station: str, happenings: list[list[Event]]
+    setup: str, station: str, happenings: list[list[FuzzEvent]]
 ) -> None:
-    case = Case(setup, station, tuple(one for happening in happenings for one in happening))
+    case = FuzzCase(setup, station, tuple(one for happening in happenings for one in happening))
     _, problems = play(case)
     assert not problems, "\n".join(described(Failure(case, problems[0])))
 
@@ -91,8 +89,8 @@ def test_a_mission_that_drives_with_faults_upon_faults_breaks_no_rule() -> None:
 # ---------------------------------------------------------------- known doubts
 
 
-def played(*events: Event, setup: str = "2026", station: str = "moving") -> Played:
-    found, problems = play(Case(setup, station, events))
+def played(*events: FuzzEvent, setup: str = "2026", station: str = "moving") -> Played:
+    found, problems = play(FuzzCase(setup, station, events))
     assert not problems, problems
     return found
 
@@ -218,7 +216,7 @@ def test_an_exception_of_the_process_is_found_cut_down_told_and_kept(tmp_path: P
     events = (event("run", cycles=9), event("car", fault=True), event("once", throttle=1.0), event("run", cycles=3))
     with patched(Bridge, "on_command", breaks):
         forget_stations()
-        case = Case("2026", "off", events, "made-by-hand")
+        case = FuzzCase("2026", "off", events, "made-by-hand")
         _, problems = play(case)
         assert problems == [Violation("never an exception", "ZeroDivisionError: seeded")]
         small = minimised(Failure(case, problems[0]))
@@ -234,12 +232,12 @@ def test_replay_tells_and_its_status_says_whether_a_rule_is_broken(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "case.txt"
-    path.write_text(Case("2026", "moving", (event("mute", ids=[0x520], cycles=99), event("run", cycles=20))).text())
+    path.write_text(FuzzCase("2026", "moving", (event("mute", ids=[0x520], cycles=99), event("run", cycles=20))).text())
     assert command.main(["--replay", str(path)]) == 0
     assert "estop_request True" in capsys.readouterr().out
-    with patched(gating, "constant_power_nm", lambda rpm: 195.0):
+    with patched(gating, "constant_power_nm", lambda rpm: 195.0):  # wheels that speed up as fast as a tyre follows
         path.write_text(
-            Case("2026", "moving", (event("wheels", rpm=[290] * 4), event("run", cycles=2),  # as fast as a tyre follows
+            FuzzCase("2026", "moving", (event("wheels", rpm=[290] * 4), event("run", cycles=2),
                                     event("wheels", rpm=[580] * 4), event("command", throttle=1.0),
                                     event("run", cycles=5))).text()
         )  # fmt: skip

@@ -5,19 +5,22 @@ All mutants are tried by `make mutation`.
 
 from __future__ import annotations
 
+import ast
 import json
+import math
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 
 import pytest
 
-from fsai_hil.evidence.mutation import document, explained
+from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation.__main__ import main
-from fsai_hil.evidence.mutation.explained import Key, ListError, judge, load, stale
-from fsai_hil.evidence.mutation.operators import Mutant
-from fsai_hil.evidence.mutation.trial import KILLED, SURVIVED, TIMED_OUT, UNREACHED, Verdict, mutants, root, sources
+from fsai_hil.evidence.mutation.explained import DOCUMENT, ListError, judge, listed, load
+from fsai_hil.evidence.mutation.mutants import Mutant, mutants_of, mutated
+from fsai_hil.evidence.mutation.trial import mutants, sources
 
 SAMPLE = 60
 
@@ -27,121 +30,151 @@ def everything() -> list[Mutant]:
     return mutants(sources())
 
 
-# ---------------------------------------------------------------- the code of the core
-
-
-def test_every_branch_of_the_core_is_taken_and_no_mutant_of_a_sample_survives(tmp_path: Path) -> None:
+def test_core_is_covered_and_no_mutant_of_a_sample_survives(tmp_path: Path) -> None:
     """The sample changes with the code and the tests, and with nothing else."""
     record = tmp_path / "record.jsonl"
     command = [sys.executable, "-m", "fsai_hil.evidence.mutation", "--sample", str(SAMPLE), "--record", str(record)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-6000:] + run.stderr[-6000:]
-    assert "every line and branch of supervision/*, bridge.py, limits.py is reached" in run.stdout
-    verdicts = [json.loads(line)["verdict"]["outcome"] for line in record.read_text().splitlines()[1:]]
-    assert len(verdicts) == SAMPLE and set(verdicts) <= {KILLED, TIMED_OUT}
+    assert "every line and branch of supervision/*.py, bridge.py, limits.py is reached" in run.stdout
+    killers = [json.loads(line)[1] for line in record.read_text().splitlines()[1:]]
+    assert len(killers) == SAMPLE and all(killers)
 
 
-def test_every_explained_survivor_is_a_mutant_of_the_code_as_it_is(everything: list[Mutant]) -> None:
-    assert stale(load(), everything) == []
+def test_every_mutant_is_a_program_and_has_its_own_key(everything: list[Mutant]) -> None:
+    texts = sources()
+    assert len({mutant.key for mutant in everything}) == len(everything) > 3000
+    for mutant in everything[::20]:
+        ast.parse(mutated(texts[mutant.module], mutant))
 
 
-def test_the_documentation_lists_the_survivors_that_are_explained() -> None:
-    text = (root() / document.DOCUMENT).read_text()
-    assert text.endswith(document.listed(load())), "run `make mutation`"
+def test_every_explained_survivor_is_a_mutant(everything: list[Mutant]) -> None:
+    assert load().keys() <= {mutant.key for mutant in everything}
 
 
-# ---------------------------------------------------------------- the judgement
+def test_the_page_lists_the_explained_survivors() -> None:
+    assert (CHECKOUT / DOCUMENT).read_text().endswith(listed(load())), "run `make mutation`"
 
 
-@pytest.fixture
-def mutant(everything: list[Mutant]) -> Mutant:
-    return everything[0]
+def test_only_an_explained_survivor_holds(everything: list[Mutant]) -> None:
+    known, other = everything[:2]
+    why = {known.key: "nobody can tell"}
+    good = judge([(known, ""), (other, "a test")], why)
+    assert good.row == ("2", "1", "1", "0", "100.00 %") and not (good.unexplained or good.wrongly_explained)
+    bad = judge([(known, "a test"), (other, "")], why)
+    assert (bad.wrongly_explained, bad.unexplained, bad.row[-1]) == ([known], [other], "50.00 %")
 
 
-def test_a_survivor_that_nobody_explains_fails(mutant: Mutant) -> None:
-    for outcome in (SURVIVED, UNREACHED):
-        judgement = judge([(mutant, Verdict(outcome))], {})
-        assert not judgement.holds and judgement.unexplained == [mutant]
-
-
-def test_a_survivor_that_is_explained_holds_and_counts_as_equivalent(mutant: Mutant) -> None:
-    judgement = judge([(mutant, Verdict(SURVIVED))], {mutant.key: "nobody can tell"})
-    assert judgement.holds and judgement.explained == [mutant] and judgement.caught == 0
-
-
-def test_a_mutant_that_is_explained_and_killed_fails(mutant: Mutant) -> None:
-    judgement = judge([(mutant, Verdict(KILLED, "a test"))], {mutant.key: "nobody can tell"})
-    assert not judgement.holds and judgement.wrongly_explained == [mutant]
-
-
-def test_a_mutant_that_never_ends_is_caught(mutant: Mutant) -> None:
-    judgement = judge([(mutant, Verdict(TIMED_OUT))], {})
-    assert judgement.holds and (judgement.caught, judgement.killed, judgement.timed_out) == (1, 0, 1)
-
-
-def test_the_score_counts_only_what_can_be_killed(mutant: Mutant) -> None:
-    other = replace(mutant, nth=9)
-    judgement = judge([(mutant, Verdict(KILLED)), (other, Verdict(SURVIVED))], {other.key: "nobody can tell"})
-    assert document.score(judgement) == "100.00 %"
-
-
-def test_an_entry_that_names_no_mutant_is_stale(mutant: Mutant) -> None:
-    place, minus, plus, nth = mutant.key
-    gone: Key = (place, minus, plus + " and more", nth)
-    assert stale({mutant.key: "", gone: ""}, [mutant]) == [gone]
-
-
-# ---------------------------------------------------------------- the list
-
-ENTRY = """
-[[survivor]]
-where = "gate.f"
-minus = "a = 1"
-plus = ["a = 2", "a = 0"]
-why = "a is read by nobody who could tell."
-"""
-
-
-def listed(tmp_path: Path, text: str) -> dict[Key, str]:
-    path = tmp_path / "survivors.toml"
-    path.write_text(text)
-    return load(path)
-
-
-def test_mutants_of_one_line_may_share_a_reason(tmp_path: Path) -> None:
-    why = "a is read by nobody who could tell."
-    assert listed(tmp_path, ENTRY) == {
-        ("gate.f", "a = 1", "a = 2", 1): why,
-        ("gate.f", "a = 1", "a = 0", 1): why,
-    }
+ENTRY = '[[survivor]]\nwhere = "gate.f"\nminus = "a = 1"\nplus = ["a = 2", "a = 0"]\nwhy = "a is read by nobody here"\n'
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         (ENTRY + ENTRY, "survivor 2: .* is listed twice"),
-        (ENTRY.replace("read by nobody who could tell.", ""), "a reason is a sentence"),
+        (ENTRY.replace("read by nobody here", ""), "a reason is a sentence"),
         (ENTRY.replace("minus", "mimus"), r"unknown \['mimus'\], missing \['minus'\]"),
     ],
 )
-def test_a_list_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+def test_a_bad_list_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "survivors.toml").write_text(text)
     with pytest.raises(ListError, match=words):
-        listed(tmp_path, text)
+        load(tmp_path / "survivors.toml")
 
 
-# ---------------------------------------------------------------- the command
-
-
-def test_options_that_make_no_sense_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sample_of_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--sample", "0"]) == 2
     assert capsys.readouterr().err == "--jobs and --sample take 1 or more\n"
 
 
-def test_the_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    assert "example: python -m fsai_hil.evidence.mutation --only gate._steering" in capsys.readouterr().out
+# ---------------------------------------------------------------- each kind of mistake
 
 
-def test_the_list_is_where_the_command_looks() -> None:
-    assert (root() / explained.LIST).is_file()
+class Gear(Enum):
+    FIRST = 1
+    SECOND = 2
+    THIRD = 3
+
+
+@dataclass
+class Car:
+    gear: Gear = Gear.FIRST
+    rpm: int = 0
+
+
+NAMES = {"Gear": Gear, "Car": Car, "replace": replace, "math": math}
+
+
+def made(line: str, returns: str = "int") -> set[str]:
+    """What a function's only line becomes, in all its mutants."""
+    source = f"def drive(car: Car, rpm: int) -> {returns}:\n    {line}\n"
+    found = mutants_of("made", source, NAMES)
+    for mutant in found:
+        compile(mutated(source, mutant), "made", "exec")
+        assert mutant.minus == line and mutant.where == "drive" and not mutant.at_import
+    return {mutant.plus for mutant in found}
+
+
+@pytest.mark.parametrize(
+    ("line", "mistakes"),
+    [
+        ("return rpm < 3", {"return rpm <= 3", "return rpm >= 3", "return rpm < 4", "return rpm < 2"}),
+        ("return 1 <= rpm < 3", {"return 1 < rpm < 3", "return 1 <= rpm <= 3", "return 1 <= rpm >= 3"}),
+        ("return rpm is not None", {"return rpm is None", "return True", "return False"}),
+        ("return rpm not in (1, 2)", {"return rpm in (1, 2)", "return rpm not in (2,)", "return rpm not in (1,)"}),
+        ("return (rpm + 1) * rpm", {"return (rpm - 1) * rpm", "return (rpm + 1) / rpm"}),
+        ("return rpm + 1.5", {"return rpm - 1.5", "return rpm + 2.5", "return rpm + -1.5"}),
+        ("return -rpm", {"return rpm"}),
+        ("return not (rpm or car)", {"return rpm or car", "return not (rpm and car)", "return not (False or car)"}),
+        ("return rpm and car and 3", {"return rpm or (car and 3)", "return rpm and car or 3"}),
+        ("return rpm or car", {"return rpm or False", "return rpm and car"}),
+        ("return min(rpm, 3)", {"return max(rpm, 3)", "return (rpm)", "return (3)", "return min(rpm, 4)"}),
+        ("return math.floor(abs(rpm))", {"return math.ceil(abs(rpm))", "return math.floor((rpm))"}),
+        ("return Gear.SECOND", {"return Gear.THIRD", "return Gear.FIRST"}),
+        ("return replace(car, rpm=rpm)", {"return replace(car)"}),
+        ("return Car(car, rpm)", {"return Car(rpm, car)"}),
+        ("return 1 if car else rpm", {"return 1 if True else rpm", "return 1 if False else rpm"}),
+        ("return [a for a in car if a]", {"return [a for a in car if True]", "return [a for a in car if False]"}),
+        ("rpm = 3", {"pass", "rpm = 4", "rpm = 2"}),
+        ("rpm += rpm", {"rpm -= rpm", "pass"}),
+        ("raise ValueError('no')", {"pass", 'raise ValueError("")'}),
+        ("return f'{rpm} rpm'", {'return ""'}),
+        ("return {1: car, **rpm}", {"return {**rpm}", "return {1: car}"}),
+        ("rpm = rpm, car, (1 if car else 2)", {"rpm = rpm, car", "rpm = car, (1 if car else 2)"}),
+        ("assert rpm > 3", set()),
+        ('"""One or 2."""', set()),
+        ("here: dict[int, Literal[3]]", set()),
+    ],
+)  # fmt: skip
+def test_each_kind_of_mistake_is_made(line: str, mistakes: set[str]) -> None:
+    found = made(line)
+    assert mistakes <= found if mistakes else not found
+
+
+def test_what_is_returned_is_forced_by_its_type() -> None:
+    assert {"return True", "return False"} <= made("return rpm", "bool")
+    assert made("return rpm", "int") == set()
+    assert made("return rpm", "int | None") == {"return None"}
+
+
+def test_a_match_is_mistaken_in_pattern_and_guard() -> None:
+    source = "def f(g, on):\n    match g:\n        case Gear.FIRST if on:\n            return 1\n"
+    plus = {mutant.plus for mutant in mutants_of("made", source, NAMES)}
+    assert {"case Gear.SECOND if on:", "case Gear.THIRD if on:", "case Gear.FIRST if False:"} <= plus
+
+
+def test_tables_and_defaults_act_on_import() -> None:
+    found = mutants_of("made", "TABLE = {Gear.FIRST: 10}\n\nclass A:\n    rpm: int = 5\n", NAMES)
+    assert all(mutant.at_import for mutant in found)
+    assert {mutant.key for mutant in found} >= {
+        ("made", "TABLE = {Gear.FIRST: 10}", "TABLE = {}", 1),
+        ("made.A", "rpm: int = 5", "rpm: int = 6", 1),
+    }
+
+
+def test_a_key_outlives_lines_that_come_and_go_above() -> None:
+    source = "def f(a):\n    if a:\n        a = g(a, 1)\n    else:\n        a = g(a, 1)\n    return a\n"
+    here = mutants_of("made", source, NAMES)
+    below = mutants_of("made", "import math\n\n\n" + source, NAMES)
+    assert [mutant.key for mutant in here] == [mutant.key for mutant in below]
+    assert ("made.f", "a = g(a, 1)", "a = g(a, 2)", 2) in [mutant.key for mutant in here]

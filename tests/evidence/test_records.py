@@ -11,12 +11,12 @@ import pytest
 
 from fsai_hil.evidence.campaign.cases import Selection
 from fsai_hil.evidence.campaign.record import RecordError, Writer, of_other_sources, put_aside, read
-from fsai_hil.evidence.campaign.runner import Plan, batches
+from fsai_hil.evidence.campaign.runner import CampaignPlan, batches
 from fsai_hil.evidence.campaign.sources import digest, digest_of, files
 
 
-def plan(seed: int = 1) -> Plan:
-    return Plan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
+def plan(seed: int = 1) -> CampaignPlan:
+    return CampaignPlan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
 
 
 def line(index: int, full: bool = False) -> dict[str, object]:
@@ -59,7 +59,7 @@ def test_another_campaigns_record_is_not_continued(tmp_path: Path) -> None:
         Writer(path, plan(2).header(), resume=True)
 
 
-def test_a_record_of_other_sources_is_not_continued_and_the_line_says_what_to_do(tmp_path: Path) -> None:
+def test_a_record_of_other_sources_is_refused_with_the_remedy(tmp_path: Path) -> None:
     path = tmp_path / "record.jsonl"
     header = plan().header()
     for before in (replace(header, sources="0123456789ab"), replace(header, sources="")):
@@ -79,7 +79,7 @@ def test_a_record_that_is_put_aside_keeps_a_name_of_its_own(tmp_path: Path) -> N
     assert (tmp_path / "record-before-1.jsonl").read_text() == "1\n"
 
 
-def test_the_digest_is_of_all_code_that_decides_a_run_and_of_nothing_else() -> None:
+def test_the_digest_covers_exactly_the_code_that_decides_a_run() -> None:
     names = set(files())
     assert {
         "fsai_vcu.core.supervision.gate",
@@ -117,7 +117,7 @@ def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
         read(path)
 
 
-def test_every_task_is_in_exactly_one_batch_and_full_length_runs_come_first() -> None:
+def test_each_task_is_in_one_batch_full_length_runs_first() -> None:
     tasks = [task for batch in batches(plan(), plan().tasks()) for task in batch]
     assert sorted(tasks) == sorted(plan().tasks())
     assert [full for full, _ in tasks[:3]] == [True] * 3

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from fsai_hil.evidence.campaign.cases import Case, Selection, Since, case_of
-from fsai_hil.evidence.campaign.runner import Plan, drive_batch
+from fsai_hil.evidence.campaign.runner import CampaignPlan, drive_batch
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, drive_to, power_up, run_case
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
@@ -49,7 +49,7 @@ def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up(one: Case, snapsh
 
 def test_the_order_in_which_cases_are_driven_changes_nothing() -> None:
     selection = Selection(("steering_sensor_noisy", "wheel_very_noisy"), (Ami.ACCELERATION,), ("2026",), 1)
-    plan = Plan(5, 2, selection=selection, window_ms=1000)
+    plan = CampaignPlan(5, 2, selection=selection, window_ms=1000)
     forward = drive_batch(plan, [(False, 0), (False, 1)])
     backward = drive_batch(plan, [(False, 1), (False, 0)])
     assert [_told(line) for line in forward] == [_told(line) for line in reversed(backward)]

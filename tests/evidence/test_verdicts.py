@@ -11,8 +11,8 @@ from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.observation import Cycle, Observation
 from fsai_hil.evidence.campaign.verdict import judge
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 FAULT_NS = 5_000 * MS
 
 
@@ -62,21 +62,19 @@ def test_a_stop_in_time_is_as_the_rules_demand() -> None:
     assert (verdict.reaction_ms, verdict.safe_ms) == (310, 1500)
 
 
-def test_a_car_that_drives_on_where_it_must_stop_is_worse_than_allowed() -> None:
+def test_driving_on_where_a_stop_is_demanded_is_worse() -> None:
     verdict = judge(SILENT, observed(), FAULT_NS, ())
     assert not verdict.ok and verdict.end is End.ON
     assert "drives on, where the rules demand: service-brake stop" in verdict.faults[0]
 
 
-def test_a_car_that_stops_where_it_may_drive_on_is_worse_than_allowed() -> None:
+def test_stopping_where_driving_on_is_demanded_is_worse() -> None:
     verdict = judge(case("controller_silent", duration=40), observed(**STOPPED, **FINISHED), FAULT_NS, ())  # type: ignore[arg-type]
     assert not verdict.ok and "where the rules demand: drives on" in verdict.faults[0]
 
 
 @pytest.mark.parametrize("over", [True, False])
-def test_a_car_that_brakes_to_the_end_of_its_mission_drives_on_and_one_without_a_mission_s_end_does_not(
-    over: bool,
-) -> None:
+def test_braking_to_the_missions_end_counts_as_driving_on(over: bool) -> None:
     seen = observed(torque_until_ms=1500, rest_from_ms=7000)
     if over:
         seen.mission_over_ns = FAULT_NS + 6800 * MS
@@ -128,7 +126,7 @@ def test_an_emergency_without_our_request_is_the_cars_own() -> None:
     assert verdict.ok and verdict.end is End.SELF and verdict.safe_ms == 12
 
 
-def test_a_rule_broken_on_the_bus_is_worse_than_allowed_whatever_the_end() -> None:
+def test_a_broken_bus_rule_is_worse_whatever_the_end() -> None:
     seen = observed(**STOPPED, **FINISHED)  # type: ignore[arg-type]
     verdict = judge(SILENT, seen, FAULT_NS, ["1.0 s: rule 1: torque and brake together"])
     assert verdict.faults == ("on the wire: 1.0 s: rule 1: torque and brake together",)
@@ -149,7 +147,7 @@ def test_a_car_that_moves_before_it_may_is_worse_than_allowed() -> None:
 
 
 @pytest.mark.parametrize("supervised", [True, False])
-def test_a_car_that_still_moves_where_it_must_stand_is_unsafe_whatever_the_rules_demand(supervised: bool) -> None:
+def test_a_car_still_moving_where_it_must_stand_is_unsafe(supervised: bool) -> None:
     one = case("status_corrupted", duration=100, bits=3) if supervised else replace(SILENT, since=Since.START)
     standing, moving = (
         observed(rest_from_ms=rest_ms, **FINISHED)  # type: ignore[arg-type]
@@ -175,7 +173,7 @@ NEVER_ENDS = {
 
 @pytest.mark.parametrize("ran_out", [True, False])
 @pytest.mark.parametrize("name", NEVER_ENDS)
-def test_a_run_that_has_not_ended_after_the_longest_time_is_unsafe(name: str, ran_out: bool) -> None:
+def test_a_run_that_exceeds_the_longest_time_is_unsafe(name: str, ran_out: bool) -> None:
     made, over, unsafe = NEVER_ENDS[name]
     seen = replace(made, ran_out=ran_out, mission_over_ns=FAULT_NS + 2500 * MS if over else None)
     verdict = judge(case("speeds_frozen", duration=100), seen, FAULT_NS, ())
@@ -183,13 +181,13 @@ def test_a_run_that_has_not_ended_after_the_longest_time_is_unsafe(name: str, ra
     assert verdict.ok is not (ran_out and unsafe)
 
 
-def test_a_moment_that_never_came_does_not_excuse_a_car_that_still_moves() -> None:
+def test_a_fault_never_injected_does_not_excuse_a_moving_car() -> None:
     verdict = judge(SILENT, observed(then=(100, AsState.AS_OFF)), None, ())
     assert not verdict.ok and verdict.end is End.UNSAFE
 
 
 @pytest.mark.parametrize(("fault", "worse"), [("pulses_wrong", True), ("detector_blind", False)])
-def test_a_car_that_leaves_the_course_is_worse_than_allowed_where_nothing_may_change(fault: str, worse: bool) -> None:
+def test_leaving_the_course_is_worse_where_nothing_may_change(fault: str, worse: bool) -> None:
     seen = observed()
     seen.left_course = 1
     verdict = judge(case(fault, way="double", duration=500), seen, FAULT_NS, ())
@@ -197,7 +195,7 @@ def test_a_car_that_leaves_the_course_is_worse_than_allowed_where_nothing_may_ch
     assert not worse or "left the course" in verdict.faults[0]
 
 
-def test_a_process_of_ours_that_ends_by_an_exception_is_worse_than_allowed_whatever_the_end() -> None:
+def test_a_process_ended_by_an_exception_is_worse_than_allowed() -> None:
     seen = observed(torque_until_ms=10, then=(12, AsState.EMERGENCY_BRAKE))
     assert judge(case("go_off"), seen, FAULT_NS, ()).ok
     verdict = judge(case("go_off"), seen, FAULT_NS, (), ["the bridge's process ended: KeyError: 5"])
@@ -209,7 +207,7 @@ INTRUDER = case("intruder", message="0x510", frames=5, period=1, payload="zeros"
 
 @pytest.mark.parametrize("emergency_ms", [0, 4])
 @pytest.mark.parametrize(("estop_ms", "ok"), [(10, True), (20, True), (40, False), (None, False)])
-def test_an_intruder_asks_for_estop_request_also_where_the_car_stops_itself(
+def test_an_intruder_demands_estop_request_even_if_the_car_stops(
     estop_ms: int | None, ok: bool, emergency_ms: int
 ) -> None:
     seen = observed(torque_until_ms=5, estop_from_ms=estop_ms, then=(emergency_ms, AsState.EMERGENCY_BRAKE))
@@ -219,7 +217,8 @@ def test_an_intruder_asks_for_estop_request_also_where_the_car_stops_itself(
 
 
 @pytest.mark.parametrize("brakes", [True, False])
-def test_a_planner_that_says_it_is_over_must_be_stopped_for_and_its_word_is_not_enough(brakes: bool) -> None:
+def test_a_planner_that_reports_the_end_must_be_stopped_for(brakes: bool) -> None:
+    """Its report alone is not enough: the brakes are."""
     seen = observed(**STOPPED, **FINISHED) if brakes else observed(torque_until_ms=100, rest_from_ms=1500)  # type: ignore[arg-type]
     for cycle in seen.cycles_after(FAULT_NS + 60 * MS):
         cycle.torque_nm = 0.0
@@ -229,7 +228,7 @@ def test_a_planner_that_says_it_is_over_must_be_stopped_for_and_its_word_is_not_
     assert verdict.ok is brakes, verdict.faults
 
 
-def test_brakes_that_do_nothing_are_noticed_by_the_missing_deceleration() -> None:
+def test_failed_brakes_are_noticed_by_the_missing_deceleration() -> None:
     for estop_ms, ok in ((519, True), (700, False), (3010, False)):
         seen = observed(
             torque_until_ms=10, brake_from_ms=20, estop_from_ms=estop_ms, then=(estop_ms + 4, AsState.EMERGENCY_BRAKE)
@@ -237,7 +236,7 @@ def test_brakes_that_do_nothing_are_noticed_by_the_missing_deceleration() -> Non
         assert judge(case("brakes_failing"), seen, FAULT_NS, ()).ok is ok
 
 
-def test_a_steering_limit_that_the_car_lowers_is_no_reason_to_stop() -> None:
+def test_a_steering_limit_lowered_by_the_car_demands_no_stop() -> None:
     derated = case("steering_derated", limit="steer_limit_deg", value=5.0)
     assert judge(derated, observed(), FAULT_NS, ()).ok
     assert not judge(derated, observed(**STOPPED, **FINISHED), FAULT_NS, ()).ok  # type: ignore[arg-type]
@@ -262,9 +261,7 @@ def steered(off_for_ms: int, **reacts: int) -> Observation:
         (900, {"brake_from_ms": 310, "torque_until_ms": 310}, False),
     ],
 )
-def test_a_steering_that_is_surely_off_must_stop_the_car_in_its_times(
-    off_for_ms: int, reacts: dict[str, int], ok: bool
-) -> None:
+def test_a_certain_steering_error_must_stop_the_car_in_time(off_for_ms: int, reacts: dict[str, int], ok: bool) -> None:
     seen = steered(off_for_ms, **reacts)
     if reacts:
         seen.moving = [(t_ns, moves and t_ns < FAULT_NS + 2000 * MS) for t_ns, moves in seen.moving]

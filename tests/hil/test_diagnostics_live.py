@@ -99,7 +99,7 @@ def passes(frame: Frame, filters: str) -> bool:
     return not filters or frame.can_id in (0x520, 0x18FF0001)
 
 
-def test_decoded_signals_stand_beside_each_frame_and_json_says_the_same(
+def test_dump_shows_signals_beside_each_frame_and_in_json(
     interface: str, listen: Callable[..., CanBus], tmp_path: Path
 ) -> None:
     verb = [sys.executable, "-m", "fsai_vcu.cli.main"]

@@ -80,7 +80,7 @@ def other() -> Iterator[str]:
     subprocess.run(["ip", "link", "del", "vcan3"], check=True)
 
 
-def test_an_interface_that_goes_down_and_comes_back_does_not_end_the_recording(other: str, tmp_path: Path) -> None:
+def test_a_recording_outlives_an_interface_that_goes_down(other: str, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     recorder = Recorder(other, folder)
     with open_bus(other) as bus:
@@ -109,9 +109,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(place)], check=True)
 
 
-def test_a_disk_that_is_full_is_said_and_what_was_heard_meanwhile_is_kept_until_there_is_room(
-    other: str, small_disk: Path
-) -> None:
+def test_on_a_full_disk_frames_are_kept_until_there_is_room(other: str, small_disk: Path) -> None:
     folder = small_disk / "run"
     filler = small_disk / "filler"
     recorder = Recorder(other, folder, "--keep-free", "0")
@@ -139,7 +137,7 @@ def test_a_disk_that_is_full_is_said_and_what_was_heard_meanwhile_is_kept_until_
     assert recorder.said().count("\n") == 3
 
 
-def test_a_replayed_log_is_on_the_bus_in_its_order_and_only_the_cars_part_of_it(
+def test_replay_sends_the_cars_frames_of_a_log_in_order(
     interface: str,
     bus_log: BusLog,
     tmp_path: Path,

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.long  # minutes: with `fsai-vcu hil --all`
 SECONDS = 3.0
 
 
-def test_the_vcu_is_answered_in_time_on_an_idle_machine_and_under_full_load(interface: str, results: Path) -> None:
+def test_the_vcu_is_answered_in_time_idle_and_under_full_load(interface: str, results: Path) -> None:
     in_uml = os.environ.get("FSAI_HIL_PLACE") == "uml"
     measured = Measurement(interface, results, seconds=SECONDS, slow_place=in_uml).run(conditions_named(SHORT))
     print(summary(measured))

@@ -102,7 +102,7 @@ def test_an_interface_that_goes_down_ends_monitor_with_one_line(tmp_path: Path) 
         (("BenchWide", "ANY=255"), "18FF00FF#FF"),
     ],
 )
-def test_send_puts_the_very_frame_on_the_bus_that_cansend_makes_of_its_dry_run(
+def test_send_and_cansend_of_its_dry_run_send_the_same_frame(
     argv: tuple[str, ...], frame: str, interface: str, bench: str, bus_log: BusLog, verb: Run
 ) -> None:
     dry = verb("send", *argv, "--dbc", bench, "--dry-run")
@@ -131,9 +131,7 @@ def test_send_refuses_a_bus_on_which_a_live_bridge_is_heard(
     assert {frame.can_id for frame in bus_log.frames()} == {can_id}
 
 
-def test_the_ai_computers_frame_goes_out_when_asked_for_and_nobody_else_does_so(
-    interface: str, bus_log: BusLog, verb: Run
-) -> None:
+def test_an_ai_frame_is_sent_if_asked_for_and_no_bridge_sends(interface: str, bus_log: BusLog, verb: Run) -> None:
     refused = verb("send", "AI2VCU_Steer", "STEER_REQUEST=5", "-i", interface)
     assert refused.returncode == 1 and "--as-ai" in refused.stderr
     done = verb("send", "AI2VCU_Steer", "STEER_REQUEST=5", "--as-ai", "-i", interface)

@@ -66,13 +66,13 @@ def test_the_kernel_keeps_other_ids_from_a_bus_opened_for_some(interface: str, l
     assert heard is not None and (heard.can_id, heard.extended) == (0x521, False)
 
 
-def test_an_absent_interface_gets_one_line_that_names_it_and_those_there_are(interface: str) -> None:
+def test_an_absent_interface_gets_one_line_with_those_there_are(interface: str) -> None:
     with pytest.raises(BusError, match=rf"no CAN interface 'vcan9'.*{interface}") as refused:
         open_bus("vcan9")
     assert "\n" not in str(refused.value)
 
 
-def test_an_interface_that_goes_down_is_a_lost_bus_and_comes_back_by_being_opened_again() -> None:
+def test_a_bus_lost_with_its_interface_is_opened_again() -> None:
     ip("link", "add", "dev", "vcan1", "type", "vcan")
     try:
         with pytest.raises(BusError, match="'vcan1' is down"):

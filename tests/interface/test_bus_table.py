@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, BY_NAME, MS, BusMessage, Flow
+from fsai_vcu.interface import revisions
+from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, BY_NAME, BusMessage, Flow
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir, load_database
-from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS, may_send
+from fsai_vcu.interface.messages import VcuStatus, VcuSteer
+from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS
 from fsai_vcu.interface.revisions import REVISIONS, Revision, revision
+from fsai_vcu.interface.units import MS
 
 OTHER_SPELLINGS = {"PCAN": "PCAN_GPS"}  # the 2021 database's name of the same device
 
@@ -74,11 +78,6 @@ def test_the_reserved_identifiers_are_those_of_the_specification() -> None:
     assert len(RESERVED_IDS) == 1 + 5 + 5 + 4 + 1 + 1 + 16 + 33 + 1 + 3 + 1 + 4 + 65 + 17 + 6
 
 
-def test_nothing_but_the_five_may_be_sent_unless_the_car_has_no_pcan_gps() -> None:
-    assert [can_id for can_id in range(0x800) if may_send(can_id)] == list(AI_IDS)
-    assert [can_id for can_id in range(0x800) if may_send(can_id, without_pcan_gps=True)] == [0x501, *AI_IDS]
-
-
 # ---------------------------------------------------------------- revisions
 
 
@@ -93,3 +92,12 @@ def test_a_revision_is_found_by_its_name() -> None:
 def test_an_unknown_revision_is_refused_with_the_valid_names() -> None:
     with pytest.raises(ValueError, match=r"unknown interface revision '2020': choose one of 2021, 2026"):
         revision("2020")
+
+
+def test_what_tells_a_revision_is_where_its_database_has_it() -> None:
+    later, earlier = Codec(revision("2026")), Codec(revision("2021"))
+    states = ("op_state", "ts_state", "ebs_state")
+    assert later.mask(VcuStatus, *states) == revisions._STATES_2026 and earlier.mask(VcuStatus, *states) == 0
+    for codec in (earlier, later):
+        assert codec.mask(VcuStatus, "as_state") == 0xF << revisions._AS_STATE_BIT
+        assert codec.mask(VcuSteer, "angle_max_deg") == 0xFFFF << revisions._ANGLE_MAX_BIT

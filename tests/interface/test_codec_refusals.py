@@ -21,7 +21,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiCommand,
     AiDriveFront,

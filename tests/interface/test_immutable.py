@@ -5,19 +5,20 @@ from __future__ import annotations
 import copy
 import inspect
 import pickle
-from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
+from dataclasses import FrozenInstanceError, dataclass, field, fields, is_dataclass, replace
 
 import pytest
 
-from fsai_vcu.interface import images
+from fsai_vcu.interface import messages
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.immutable import replace as quick_replace
 
 IMAGES = sorted(
     (
         one
-        for one in vars(images).values()
-        if isinstance(one, type) and issubclass(one, Immutable) and one is not Immutable
+        for one in vars(messages).values()
+        if isinstance(one, type) and issubclass(one, Immutable) and is_dataclass(one)
     ),
     key=lambda one: one.__name__,
 )
@@ -44,6 +45,18 @@ class Checked(Immutable):
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
             raise ValueError("a share is 0 to 1")
+
+
+def test_a_copy_differs_in_what_is_named_and_checks_what_its_class_checks() -> None:
+    value = Quick(1, third=(3,))
+    assert quick_replace(value, second="x") == Quick(1, "x", (3,))
+    assert value == Quick(1, "two", (3,))
+    with pytest.raises(FrozenInstanceError):
+        quick_replace(value, first=2).first = 3  # type: ignore[misc]
+    with pytest.raises(AttributeError):
+        quick_replace(value, fourth=4)  # type: ignore[call-arg]
+    with pytest.raises(ValueError, match="a share is 0 to 1"):
+        quick_replace(Checked(0.5), share=2.0)
 
 
 @pytest.mark.parametrize(

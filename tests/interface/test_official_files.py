@@ -21,7 +21,8 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
+    FAULT_NAMES,
     AiBrake,
     AiCommand,
     AiStatus,
@@ -39,19 +40,8 @@ from fsai_vcu.interface.revisions import revision
 REVISION = revision("2026")
 OURS = (dbc_dir() / "ads_dv_2026.dbc").read_text(encoding="cp1252")
 GPS = dbc_dir() / "pcan_gps.dbc"
-FAULTS = [
-    "AI_ESTOP_REQUEST",
-    "HVIL_OPEN_FAULT",
-    "HVIL_SHORT_FAULT",
-    "EBS_FAULT",
-    "OFFBOARD_CHARGER_FAULT",
-    "AI_COMMS_LOST",
-    "AUTONOMOUS_BRAKING_FAULT",
-    "MISSION_STATUS_FAULT",
-    "CHARGE_PROCEDURE_FAULT",
-    "BMS_FAULT",
-    "BRAKE_PLAUSIBILITY_FAULT",
-]
+FAULTS = list(FAULT_NAMES.values())
+LOGGED = ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND")
 
 
 def without_signal(text: str, frame_id: int, signal: str) -> str:
@@ -151,8 +141,7 @@ def test_a_missing_shutdown_cause_is_none(codec_of: Callable[[str], Codec]) -> N
 
 def test_logging_fields_that_0x510_lacks_are_left_out(codec_of: Callable[[str], Codec]) -> None:
     text = OURS
-    logged = ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND")
-    for name in logged:
+    for name in LOGGED:
         text = without_signal(text, 0x510, name)
     codec = codec_of(text)
     command = AiCommand(
@@ -173,7 +162,7 @@ def test_the_official_hil_file_with_all_its_quirks_at_once(codec_of: Callable[[s
     for name in [*FAULTS, "SHUTDOWN_CAUSE"]:
         if name != "HVIL_OPEN_FAULT":
             text = without_signal(text, 0x520, name)
-    for name in ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND"):
+    for name in LOGGED:
         text = without_signal(text, 0x510, name)
     codec = codec_of(with_signed_flags(text))
     said = VcuStatus(
@@ -189,7 +178,6 @@ def test_the_official_hil_file_with_all_its_quirks_at_once(codec_of: Callable[[s
     assert codec.decode(codec.encode(AiSteer(-1.5))).image == AiSteer(-1.5)
 
 
-LOGGED = ("LAP_COUNTER", "CONES_COUNT_ACTUAL", "CONES_COUNT_ALL", "VEH_SPEED_ACTUAL", "VEH_SPEED_DEMAND")
 TOLD = ("SHUTDOWN_REQUEST", "AS_SWITCH_STATUS", "TS_SWITCH_STATUS", "STEERING_STATUS", "FAULT_STATUS", "WARNING_STATUS")
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
 

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiImage,
     AiStatus,
     VcuBrake,

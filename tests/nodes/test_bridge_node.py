@@ -29,7 +29,7 @@ from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState, EbsState, MissionStatus, TsState
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 
 _numbers = count()
@@ -71,7 +71,7 @@ def test_an_unknown_mode_is_refused_by_naming_the_valid_ones(rig: RosRig, bus: s
     assert "manual" in answer.message and "autonomous" in answer.message and "ludicrous" in answer.message
 
 
-def test_autonomous_is_refused_while_no_car_is_heard_and_taken_in_as_off(rig: RosRig, bus: str) -> None:
+def test_autonomous_is_refused_without_a_car_and_taken_in_as_off(rig: RosRig, bus: str) -> None:
     _, states = start_bridge(rig, bus)
     assert not rig.ask(SetMode, "/set_mode", mode="autonomous").success
     with ScriptedVcu(bus, VcuStatus(as_state=AsState.AS_OFF)):
@@ -81,7 +81,7 @@ def test_autonomous_is_refused_while_no_car_is_heard_and_taken_in_as_off(rig: Ro
         assert rig.ask(SetMode, "/set_mode", mode="manual").success
 
 
-def test_the_emergency_brake_latches_and_reset_clears_it_in_as_off(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+def test_the_emergency_brake_latches_until_reset_in_as_off(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus)
     wait_for_car(rig, states)
     assert rig.ask(Trigger, "/emergency_brake").success
@@ -116,9 +116,7 @@ def test_a_command_that_is_none_is_refused_and_reported(rig: RosRig, bus: str, f
     assert node._loop.report().reason_counts["command_refused"] == 1
 
 
-def test_a_new_run_is_confirmed_by_planner_and_controller_before_selected_is_sent(
-    rig: RosRig, bus: str, vcu: ScriptedVcu
-) -> None:
+def test_selected_waits_for_planner_and_controller(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     node, states = start_bridge(rig, bus)
     wait_for_car(rig, states)
     assert rig.ask(SetMode, "/set_mode", mode="autonomous").success
@@ -168,9 +166,7 @@ def test_two_bridges_in_a_row_never_announce_the_same_run(rig: RosRig, bus: str)
     assert first._loop.report().run.run_id != run_id
 
 
-def test_the_controller_sends_commands_of_the_run_with_the_stamp_of_its_data(
-    rig: RosRig, bus: str, vcu: ScriptedVcu
-) -> None:
+def test_commands_carry_the_run_and_the_stamp_of_their_data(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus)
     rig.start(VehicleController)
     commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
@@ -211,7 +207,7 @@ def test_listen_only_is_shown_and_nothing_is_ever_sent(rig: RosRig, bus: str, vc
     assert vcu.heard == []
 
 
-def test_operational_limits_come_from_a_file_or_from_the_parameter_itself(rig: RosRig, bus: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_limits_come_from_a_file_or_from_the_parameter(rig: RosRig, bus: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "limits.toml"
     file.write_text("max_speed_mps = 4.5\n")
     node, _ = start_bridge(rig, bus, limits=str(file))
@@ -249,7 +245,7 @@ def test_the_bridge_activates_itself_unless_told_otherwise(rig: RosRig, bus: str
     assert state_of(rig) == "active"
 
 
-def test_deactivation_silences_the_bus_and_activation_speaks_again(rig: RosRig, bus: str) -> None:
+def test_deactivation_silences_the_bus_until_activation(rig: RosRig, bus: str) -> None:
     start_bridge(rig, bus, autostart=False)
     assert state_of(rig) == "unconfigured"
     assert not rig.ask(SetMode, "/set_mode", mode="manual").success
@@ -272,7 +268,7 @@ def test_deactivation_silences_the_bus_and_activation_speaks_again(rig: RosRig, 
         rig.spin_until(somebody_sends, "frames after activation")
 
 
-def test_a_bus_that_is_not_there_fails_the_activation_and_leaves_the_node_inactive(rig: RosRig) -> None:
+def test_an_absent_bus_leaves_the_node_inactive(rig: RosRig) -> None:
     rig.start(VcuBridge, autostart=False, can_interface="nosuch0")
     assert change(rig, Transition.TRANSITION_CONFIGURE)
     assert not change(rig, Transition.TRANSITION_ACTIVATE)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 
-def test_who_asked_is_called_when_the_wall_clock_is_set_and_again_a_little_later(
+def test_a_clock_step_is_called_out_twice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from fsai_nodes.clock_step import on_clock_step
@@ -41,7 +41,7 @@ def test_who_asked_is_called_when_the_wall_clock_is_set_and_again_a_little_later
     assert len(calls) == 2
 
 
-def test_the_kernel_takes_the_timer_and_does_not_end_it_while_the_clock_is_left_alone() -> None:
+def test_without_a_clock_step_the_kernels_timer_stays() -> None:
     from fsai_nodes.clock_step import on_clock_step
 
     called = threading.Event()
@@ -49,7 +49,7 @@ def test_the_kernel_takes_the_timer_and_does_not_end_it_while_the_clock_is_left_
     assert not called.wait(0.2)
 
 
-def test_where_the_kernel_has_no_such_timer_the_node_goes_on_without(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_such_a_timer_the_node_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     from fsai_nodes.clock_step import on_clock_step
 
     class Refusing:

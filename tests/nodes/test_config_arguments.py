@@ -85,7 +85,7 @@ class Watched:
         return any((task / "comm").read_text().startswith("dds.shm") for task in tasks)
 
 
-def test_a_node_tells_systemd_that_it_is_ready_and_alive_and_listens_on_no_network(file: Path, tmp_path: Path) -> None:
+def test_a_node_notifies_systemd_and_listens_on_no_network(file: Path, tmp_path: Path) -> None:
     node = Watched("cone_detector", "--config", str(file), folder=tmp_path)
     node.await_told("READY=1")
     node.await_told("WATCHDOG=1")
@@ -134,9 +134,7 @@ def test_an_operators_own_transport_holds_and_one_line_says_so(
     assert words in output and output.count("transport:") == 1
 
 
-def test_the_bridge_takes_its_bus_revision_and_limits_from_the_file_and_confirms_the_limits(
-    file: Path, tmp_path: Path
-) -> None:
+def test_the_bridge_takes_bus_revision_and_limits_from_the_file(file: Path, tmp_path: Path) -> None:
     node = Watched("vcu_bridge", "--config", str(file), folder=tmp_path)
     node.await_told("READY=1")
     node.await_told("WATCHDOG=1")
@@ -151,7 +149,7 @@ def test_the_interface_of_the_service_goes_before_the_files(file: Path) -> None:
     assert 'can_interface:="can7"' in found
 
 
-def test_what_stands_on_the_command_line_goes_after_the_file_and_so_before_it(file: Path) -> None:
+def test_the_command_line_goes_before_the_file(file: Path) -> None:
     given = ["--ros-args", "-p", "revision:=2026"]
     found = Configured(["bridge", "--config", str(file), *given], "vcu_bridge").arguments
     assert found[-3:] == given
@@ -177,7 +175,7 @@ def test_a_wrong_configuration_is_refused_with_its_file_and_line(tmp_path: Path)
         Configured(["bridge", "--interface", "can0"], "vcu_bridge")
 
 
-def test_the_limits_in_force_are_part_of_what_the_bridge_publishes_and_of_status() -> None:
+def test_the_limits_in_force_are_published_and_in_status() -> None:
     import math
 
     from builtin_interfaces.msg import Time

@@ -23,7 +23,7 @@ from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     Faults,
     GpsAltitude,
@@ -39,7 +39,7 @@ from fsai_vcu.interface.images import (
     VcuSteer,
     WheelSpeeds,
 )
-from fsai_vcu.interface.images import VehicleState as VehicleImages
+from fsai_vcu.interface.messages import VehicleState as VehicleImages
 from fsai_vcu.interface.revisions import revision
 
 STAMP = Time(sec=12, nanosec=34)
@@ -65,7 +65,7 @@ def test_no_cones_are_a_table_without_rows() -> None:
     assert back.xy_m.shape == (0, 2) and len(back.color) == 0 and len(back.confidence) == 0
 
 
-def test_cones_that_are_nowhere_are_left_out_and_strange_colours_become_unknown() -> None:
+def test_cones_without_place_are_left_out_odd_colours_unknown() -> None:
     message = ConeArray(
         cones=[
             Cone(x=math.nan, y=1.0, confidence=1.0),
@@ -99,7 +99,7 @@ def test_the_poses_of_a_path_look_along_it() -> None:
         assert yaw == pytest.approx(math.pi / 2)
 
 
-def test_a_path_with_a_nan_in_it_or_without_points_or_for_no_mission_is_no_plan() -> None:
+def test_a_path_with_nan_or_points_or_mission_missing_is_none() -> None:
     plan = Plan(7, 3, Ami.TRACKDRIVE, np.array([[0.5, 0.0], [1.0, 0.1]]))
     status, path = to.plan_to_msgs(plan, STAMP)
     path.poses[1].pose.position.x = math.nan
@@ -130,7 +130,7 @@ def test_a_run_comes_back_as_it_was(as_state: AsState | None) -> None:
     assert to.run_from_msg(message) == run and message.mode == "autonomous"
 
 
-def test_a_run_with_values_outside_the_tables_is_nothing_to_drive_by() -> None:
+def test_a_run_with_values_outside_the_tables_is_refused() -> None:
     run = to.run_from_msg(RunState(run_id=1, mission=99, as_state=77, may_move=True))
     assert run.mission is Ami.NOT_SELECTED and run.as_state is None
 
@@ -185,7 +185,7 @@ def test_the_vehicle_state_is_in_si_units_and_in_the_cars_words() -> None:
     )
     assert (message.as_state, message.as_state_label) == (VehicleState.EMERGENCY_BRAKE, "EMERGENCY_BRAKE")
     assert message.mission_label == "TRACKDRIVE"
-    assert message.faults == ["ai_comms_lost"] and message.shutdown_cause_label == "AI_COMMS_FAULT"
+    assert message.faults == ["AI_COMMS_LOST"] and message.shutdown_cause_label == "AI_COMMS_FAULT"
     assert message.steering_rad == pytest.approx(math.radians(-10.0))
     assert message.steering_max_rad == pytest.approx(math.radians(21.0))
     assert (message.front_brake, message.rear_brake) == (0.5, 0.25)
@@ -219,7 +219,7 @@ def test_the_imu_is_in_si_units_in_the_sensors_axes() -> None:
     assert message.orientation_covariance[0] == -1.0  # REP-145: not measured
 
 
-def test_a_car_without_the_pcan_gps_has_the_imu_of_0x501_and_else_none() -> None:
+def test_a_car_without_the_pcan_gps_has_the_imu_of_0x501() -> None:
     message = to.imu_to_msg(GpsImu(dynamics=LogDynamics2(1.5, -2.5, 90.0)), "imu_link", stamp_of)
     assert message is not None
     assert (message.linear_acceleration.x, message.linear_acceleration.y) == (1.5, -2.5)

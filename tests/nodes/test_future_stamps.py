@@ -8,6 +8,8 @@ from itertools import count
 
 import pytest
 
+from fsai_vcu.interface.units import MS
+
 pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
 pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
 
@@ -24,7 +26,6 @@ from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState
 
-MS = 1_000_000
 _numbers = count()
 
 

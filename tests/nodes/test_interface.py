@@ -107,7 +107,7 @@ def test_every_endpoint_has_the_quality_of_service_of_the_table(rig: RosRig) -> 
                 assert promise(found, policy) == promise(wanted, policy), (topic, endpoint.node_name, policy)
 
 
-def test_commands_are_reliable_keep_last_1_with_deadline_and_lifespan() -> None:
+def test_commands_are_reliable_with_deadline_and_lifespan() -> None:
     command = qos.TOPICS["vehicle_cmd"]
     assert command.reliability is ReliabilityPolicy.RELIABLE
     assert (command.history, command.depth) == (HistoryPolicy.KEEP_LAST, 1)
@@ -151,7 +151,7 @@ def test_the_readme_has_each_parameter(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_each_parameter_has_a_description_and_each_number_a_range(name: str, rig: RosRig) -> None:
+def test_each_parameter_has_a_description_and_range(name: str, rig: RosRig) -> None:
     module, kind = MODULES[name]
     options = {"autostart": False} if name == "vcu_bridge" else {}
     if name == "sensor_simulator":
@@ -271,7 +271,7 @@ def test_parameters_for_no_node_by_name_are_told_apart(tmp_path: Path) -> None:
     assert found.of_files == {"laps", "camera.rate", "horizon_m"}
 
 
-def test_noise_level_and_confidence_threshold_change_while_running(rig: RosRig) -> None:
+def test_noise_and_confidence_threshold_change_while_running(rig: RosRig) -> None:
     rig.start(sensor_simulator.SensorSimulator, truth_port=20000 + os.getpid() % 10000)
     detector = rig.start(cone_detector.ConeDetector)
     assert set_parameter(rig, "sensor_simulator", "noise_level", 0.0) == (True, "")
@@ -280,9 +280,7 @@ def test_noise_level_and_confidence_threshold_change_while_running(rig: RosRig) 
 
 
 @pytest.mark.parametrize(("name", "value"), [("can_interface", "vcan7"), ("revision", "2021"), ("listen_only", True)])
-def test_the_bridge_refuses_to_change_its_bus_while_active_and_says_how_to(
-    rig: RosRig, name: str, value: object
-) -> None:
+def test_the_bridge_refuses_another_bus_while_active(rig: RosRig, name: str, value: object) -> None:
     rig.start(vcu_bridge.VcuBridge, can_interface=f"loopback:fixed-{os.getpid()}", real_time=False)
     done, reason = set_parameter(rig, "vcu_bridge", name, value)
     assert not done and name in reason and "deactivate" in reason
@@ -305,7 +303,7 @@ def test_a_bridge_that_cannot_start_says_why() -> None:
         rig.start(vcu_bridge.VcuBridge, can_interface="nosuch0")
 
 
-def test_the_detector_drops_what_is_unsure_or_nowhere_and_keeps_the_stamp(rig: RosRig) -> None:
+def test_the_detector_drops_unsure_cones_and_keeps_the_stamp(rig: RosRig) -> None:
     from fsai_msgs.msg import Cone, ConeArray
 
     rig.start(cone_detector.ConeDetector, confidence_threshold=0.5)
@@ -341,7 +339,7 @@ def test_every_timer_goes_by_the_monotonic_clock() -> None:
                 assert (call.func.attr, ast.unparse(call.func.value)) != ("time", "time"), path.name
 
 
-def test_launch_file_and_parameter_files_name_nodes_and_parameters_that_exist() -> None:
+def test_launch_and_parameter_files_name_what_exists() -> None:
     import yaml
 
     known = {name: {setting.name for setting in module.SETTINGS} for name, (module, _) in MODULES.items()}

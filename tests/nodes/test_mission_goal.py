@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from fsai_nodes.mission_goal import GOALS, GoalError, Outcome, Waiting
+from fsai_nodes.mission_goal import GOALS, GoalError, GoalResult, Waiting
 from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 OFF, READY, DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 FINISHED, EMERGENCY, INIT = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, AsState.AS_INIT
 
 
-def outcome_of(waiting: Waiting, states: list[AsState | None], mission: Ami = Ami.TRACKDRIVE) -> Outcome | None:
+def outcome_of(waiting: Waiting, states: list[AsState | None], mission: Ami = Ami.TRACKDRIVE) -> GoalResult | None:
     """The first outcome over one state after another, a second apart."""
     for index, state in enumerate(states):
         outcome = waiting.step(state, mission, index * S)
@@ -54,7 +54,7 @@ def test_a_goal_ends_as_the_table_says(until: str, states: list[AsState | None],
     assert outcome is None or outcome.success == (ended == "reached")
 
 
-def test_another_mission_than_the_expected_ends_it_once_the_car_is_ready() -> None:
+def test_another_mission_than_expected_ends_it_once_ready() -> None:
     waiting = Waiting("skidpad", "finished", 0.0, 0)
     assert waiting.step(OFF, Ami.NOT_SELECTED, 0) is None
     assert waiting.step(OFF, Ami.TRACKDRIVE, S) is None  # the choice is not made yet
@@ -68,7 +68,7 @@ def test_the_expected_mission_is_followed_to_its_end() -> None:
     assert outcome is not None and outcome.success
 
 
-def test_the_timeout_is_over_at_its_value_and_not_a_nanosecond_before() -> None:
+def test_the_timeout_is_over_at_its_value_and_not_before() -> None:
     waiting = Waiting("", "finished", 2.5, 7)
     assert waiting.step(READY, Ami.TRACKDRIVE, 7 + 2_500_000_000 - 1) is None
     outcome = waiting.step(READY, Ami.TRACKDRIVE, 7 + 2_500_000_000)
@@ -95,7 +95,7 @@ def test_a_timeout_that_is_no_time_is_refused(timeout_s: float) -> None:
         Waiting("", "finished", timeout_s, 0)
 
 
-def test_every_goal_can_be_reached_and_is_not_missed_by_what_reaches_it() -> None:
+def test_every_goal_can_be_reached() -> None:
     for name, goal in GOALS.items():
         assert goal.reached, name
         assert not goal.reached & goal.missed, name

@@ -20,7 +20,7 @@ from fsai_nodes.recorder import TopicRecorder
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 
 NAMESPACE = "/car1"
 _numbers = count()

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-v
 pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
 
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 
 LONG_S = 60.0

@@ -58,9 +58,7 @@ def test_every_topic_of_the_project_is_recorded_by_default() -> None:
     assert set(TOPICS) < set(PROJECT_TOPICS)
 
 
-def test_messages_are_recorded_raw_also_what_was_published_before_and_kept(
-    rig: RosRig, recorder: TopicRecorder
-) -> None:
+def test_messages_are_recorded_raw_latched_ones_too(rig: RosRig, recorder: TopicRecorder) -> None:
     rig.tester.create_publisher(RunState, "/run_state", TOPICS["run_state"]).publish(RunState(run_id=7))
     command = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", TOPICS["vehicle_cmd"])
     said = VehicleCommand(run_id=7, throttle=0.25)
@@ -103,9 +101,7 @@ def test_a_definition_has_every_type_in_it() -> None:
         definition_of("nav_msgs/msg/Nothing")
 
 
-def test_a_recorded_message_is_read_by_the_definition_in_the_file(
-    rig: RosRig, recorder: TopicRecorder, tmp_path: Path
-) -> None:
+def test_a_recorded_message_is_read_by_its_own_definition(rig: RosRig, recorder: TopicRecorder, tmp_path: Path) -> None:
     path = rig.tester.create_publisher(PathMessage, "/path", TOPICS["path"])
     said = PathMessage(poses=[PoseStamped(), PoseStamped()])
     said.poses[1].pose.position.x = 2.5
@@ -126,7 +122,7 @@ def test_a_recorded_message_is_read_by_the_definition_in_the_file(
     assert read.poses[1].pose.position.x == 2.5  # type: ignore[attr-defined]
 
 
-def test_the_recorder_verb_puts_frames_and_ros_messages_into_one_bag(rig: RosRig, tmp_path: Path) -> None:
+def test_record_puts_frames_and_ros_messages_into_one_bag(rig: RosRig, tmp_path: Path) -> None:
     bus = f"loopback:ros-record-{os.getpid()}"
     argv = [sys.executable, "-m", "fsai_vcu.cli.main", "record", "-i", bus, "-o", str(tmp_path / "run.log")]
     process = subprocess.Popen([*argv, "--mcap", "--ros"], stderr=subprocess.PIPE, text=True)

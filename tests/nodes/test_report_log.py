@@ -7,17 +7,17 @@ from types import MappingProxyType
 
 import pytest
 
-from fsai_nodes.report_log import Line, News
+from fsai_nodes.report_log import News, ReportLine
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.driving import Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, ShutdownCause
-from fsai_vcu.interface.images import VcuStatus, VehicleState
+from fsai_vcu.interface.messages import VcuStatus, VehicleState
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import S
 
-S = 1_000_000_000
 REPORT = Bridge(Codec(revision("2026")), revision("2026"), CARS["2026"], now_ns=0).report(0)
 
 
@@ -54,7 +54,7 @@ def test_emergency_brake_is_an_error_with_its_cause_in_words(cause: ShutdownCaus
 def test_a_cause_that_comes_later_or_is_unknown_is_said_too() -> None:
     news = started()
     (first,) = news.of(car(AsState.EMERGENCY_BRAKE), nobody)
-    assert first == Line("AS state EMERGENCY_BRAKE: SHUTDOWN_CAUSE NO_SHUTDOWN", "error")
+    assert first == ReportLine("AS state EMERGENCY_BRAKE: SHUTDOWN_CAUSE NO_SHUTDOWN", "error")
     (second,) = news.of(car(AsState.EMERGENCY_BRAKE, ShutdownCause.BMS_FAULT), nobody)
     assert "BMS_FAULT" in second.text
     (third,) = news.of(car(AsState.EMERGENCY_BRAKE, None), nobody)
@@ -65,13 +65,13 @@ def test_other_states_are_no_errors() -> None:
     news = started()
     for as_state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED):
         (line,) = news.of(car(as_state), nobody)
-        assert line == Line(f"AS state {as_state.label}", "info")
+        assert line == ReportLine(f"AS state {as_state.label}", "info")
 
 
 def test_a_missed_deadline_is_an_error_in_any_as_state() -> None:
     news = started()
     (line,) = news.of(replace(REPORT, t_ns=S, loop_faults=1), nobody)
-    assert line == Line("the loop failed or missed its deadline by 50 ms", "error")
+    assert line == ReportLine("the loop failed or missed its deadline by 50 ms", "error")
     assert news.of(replace(REPORT, t_ns=3 * S, loop_faults=1), nobody) == []
 
 

@@ -7,6 +7,8 @@ from itertools import count
 
 import pytest
 
+from fsai_vcu.interface.units import MS
+
 pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
 pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
 
@@ -28,9 +30,8 @@ from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 
-MS = 1_000_000
 WARN, ERROR = 30, 40  # rcl_interfaces/Log; its own constants are bytes
 _numbers = count()
 

@@ -150,7 +150,7 @@ def test_the_bridge_says_goodbye_before_it_falls_silent(number: signal.Signals, 
     assert complaint(error_output) == []
 
 
-def test_all_driving_nodes_run_composed_in_one_process_and_end_in_order(tmp_path: Path) -> None:
+def test_all_driving_nodes_run_composed_in_one_process(tmp_path: Path) -> None:
     process = start("composed")
     from rclpy.node import Node
     from ros_rig import RosRig

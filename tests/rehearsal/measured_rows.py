@@ -7,7 +7,7 @@ from typing import Any
 
 from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.simulator.profiles import MS
+from fsai_vcu.interface.units import MS
 
 
 def row(name: str = "idle", response_ns: Iterable[int] = range(MS, 3 * MS, 1000), **changes: Any) -> dict[str, Any]:
@@ -30,6 +30,7 @@ def row(name: str = "idle", response_ns: Iterable[int] = range(MS, 3 * MS, 1000)
         "bus_load_pct": 25.0,
         "machine_stalls_ms": [],
         "ended_early": "",
+        "stood": "",
         "peer": {"response": slower, "wire": slower, "comms_losses": 0},
         **changes,
     }

@@ -35,7 +35,7 @@ from fsai_hil.rehearsal.scrutineering.machine import (
 from fsai_hil.rehearsal.stack import Stack, StackError, await_condition
 
 
-def test_a_frame_without_stuff_bits_has_the_bits_of_the_can_standard() -> None:
+def test_a_frame_without_stuff_bits_has_its_standard_length() -> None:
     assert frame_bits(0) == 47
     assert frame_bits(8) == 111
 
@@ -52,7 +52,7 @@ def test_the_cars_frames_and_the_filling_are_one_full_bus() -> None:
     assert fill_frames_per_s(BUS_BITS_PER_S + 1) == 0
 
 
-def test_a_busy_machine_is_busy_while_it_is_measured_and_not_after(tmp_path: Path) -> None:
+def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> None:
     disk_file = tmp_path / "disk-load"
     condition = Condition("driving-loaded", Stance.DRIVING, (Load.PROCESSORS, Load.DISK))
     with Stack("vcan0", tmp_path) as stack:
@@ -91,7 +91,7 @@ def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path) -> None
         assert most <= MEMORY_MOST_BYTES + (64 << 20), "and no more than it may"
 
 
-def test_a_load_that_ends_by_itself_is_an_error_not_an_idle_machine(tmp_path: Path) -> None:
+def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path) -> None:
     condition = Condition("driving-disk", Stance.DRIVING, (Load.DISK,))
     with (
         Stack("vcan0", tmp_path) as stack,
@@ -115,7 +115,7 @@ def test_a_bus_that_is_not_filled_to_the_end_is_an_error(tmp_path: Path) -> None
 # ------------------------------------------------------------ conditions
 
 
-def test_the_car_only_ever_has_to_come_on_from_one_condition_to_the_next() -> None:
+def test_between_conditions_the_car_only_has_to_be_switched_on() -> None:
     order = list(Stance)
     stances = [order.index(condition.stance) for condition in CONDITIONS]
     assert stances == sorted(stances)

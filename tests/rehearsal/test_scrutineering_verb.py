@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from measured_rows import measured, row
 
-from fsai_hil.vcan import Place, VcanError
+from fsai_hil.vcan import VcanError, VcanHost
 from fsai_vcu.cli.main import main
 
 
@@ -32,7 +32,7 @@ class FakePlace:
 @pytest.fixture
 def place(monkeypatch: pytest.MonkeyPatch) -> FakePlace:
     fake = FakePlace()
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", f"wanted {wanted}", fake.run))
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("uml", f"wanted {wanted}", fake.run))
     monkeypatch.setattr("compileall.compile_dir", lambda *_, **__: True)
     return fake
 
@@ -51,7 +51,7 @@ def test_it_leaves_a_report_for_people_and_one_for_programs(
     assert not (tmp_path / "measured.json").exists()
 
 
-def test_a_vcu_that_timed_out_fails_the_command_and_the_report_is_written_all_the_same(
+def test_a_vcu_timeout_fails_the_verb_and_the_report_is_written(
     place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place.result = measured(row(comms_losses=1))
@@ -91,7 +91,7 @@ def test_a_slower_clock_is_only_for_those_who_ask_and_is_said(place: FakePlace, 
 def test_on_this_kernels_own_vcan_there_is_no_other_clock(
     place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("native", "", place.run))
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("native", "", place.run))
     assert main(["scrutineering", "-o", str(tmp_path), "--pace", "2"]) == 2
     assert "--pace is for User-Mode Linux" in capsys.readouterr().err
     assert place.argv == []
@@ -131,7 +131,7 @@ def test_a_measurement_that_broke_off_is_no_report(
 def test_where_no_vcan_can_be_had_it_fails_with_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def no_place(wanted: str) -> Place:
+    def no_place(wanted: str) -> VcanHost:
         raise VcanError("no vcan here; as root: install it")
 
     monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)

@@ -13,7 +13,7 @@ from fsai_hil.rehearsal.soak import (
     GROWTH_KIB_PER_HOUR,
     NOISE_KIB,
     Flatness,
-    Sample,
+    ProcessSample,
     Sampler,
     judge,
     look,
@@ -21,20 +21,22 @@ from fsai_hil.rehearsal.soak import (
 )
 from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.images import AiCommand, VcuStatus
+from fsai_vcu.interface.messages import AiCommand, VcuStatus
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 CODEC = Codec(revision("2026"))
 STEADY = [ResponseTimes([2 * MS] * 100)] * 3
 
 
-def run_of(rss_kib: Callable[[float], float] = lambda hour: 50_000, fds: int = 20, threads: int = 9) -> list[Sample]:
+def run_of(
+    rss_kib: Callable[[float], float] = lambda hour: 50_000, fds: int = 20, threads: int = 9
+) -> list[ProcessSample]:
     """Two hours of a process, sampled each minute. Medians of first and last third lie 80 minutes apart."""
-    return [Sample(60.0 * minute, int(rss_kib(minute / 60.0)), fds, threads) for minute in range(120)]
+    return [ProcessSample(60.0 * minute, int(rss_kib(minute / 60.0)), fds, threads) for minute in range(120)]
 
 
-def verdict(samples: list[Sample], responses: list[ResponseTimes] = STEADY) -> Flatness:
+def verdict(samples: list[ProcessSample], responses: list[ResponseTimes] = STEADY) -> Flatness:
     return judge({"bridge": samples}, responses)
 
 
@@ -42,10 +44,10 @@ def test_a_run_that_stays_as_it_was_is_flat() -> None:
     assert verdict(run_of()).flat
 
 
-def test_memory_may_grow_by_the_noise_and_so_much_an_hour_and_no_more() -> None:
+def test_memory_may_grow_by_noise_and_an_hourly_rate_only() -> None:
     allowed_kib = NOISE_KIB + GROWTH_KIB_PER_HOUR * 80 / 60
 
-    def grown(by_kib: float) -> list[Sample]:
+    def grown(by_kib: float) -> list[ProcessSample]:
         return run_of(lambda hour: 50_000 + (by_kib if hour > 1 else 0))
 
     assert verdict(grown(allowed_kib - 1)).flat
@@ -70,12 +72,12 @@ def test_one_descriptor_or_thread_that_stays_is_growth(what: str, words: str) ->
 
 
 @pytest.mark.parametrize(("last_ms", "flat"), [(5.0, True), (5.1, False)])
-def test_the_handshake_may_be_answered_half_as_long_again_and_2_ms_later(last_ms: float, flat: bool) -> None:
+def test_the_response_may_slow_by_half_and_2_ms_and_no_more(last_ms: float, flat: bool) -> None:
     last = ResponseTimes([int(last_ms * MS)] * 100)
     assert verdict(run_of(), [*STEADY[:2], last]).flat is flat
 
 
-def test_without_handshakes_or_with_a_process_that_was_not_there_nothing_is_flat() -> None:
+def test_missing_handshakes_or_a_missing_process_are_not_flat() -> None:
     assert "too few handshakes" in verdict(run_of(), [*STEADY[:2], ResponseTimes()]).reasons[0]
     assert "not there all the time" in verdict(run_of()[:5]).reasons[0]
 
@@ -88,7 +90,7 @@ def test_what_is_only_shown_is_not_judged_and_says_so() -> None:
     assert str(flatness).splitlines()[-1] == "FLAT over 119.0 min after the warm-up"
 
 
-def test_a_process_is_seen_as_proc_shows_it_and_one_that_ended_is_none() -> None:
+def test_a_process_is_as_proc_shows_it_and_an_ended_one_is_none() -> None:
     before = look(os.getpid(), 0.0)
     with open(os.devnull):  # noqa: PTH123
         during = look(os.getpid(), 0.0)
@@ -97,7 +99,7 @@ def test_a_process_is_seen_as_proc_shows_it_and_one_that_ended_is_none() -> None
     assert look(1 << 30, 0.0) is None
 
 
-def test_the_sampler_looks_again_and_again_and_leaves_the_warm_up_out() -> None:
+def test_the_sampler_samples_repeatedly_but_not_the_warm_up() -> None:
     with Sampler({"own": os.getpid(), "gone": 1 << 30}, 0.01) as sampler:
         until = time.monotonic() + 10.0
         while len(sampler.samples["own"]) < 5 and time.monotonic() < until:
@@ -107,7 +109,7 @@ def test_the_sampler_looks_again_and_again_and_leaves_the_warm_up_out() -> None:
     assert sampler.since(seen[2].t_s)["own"] == seen[2:]
 
 
-def test_a_period_that_is_left_out_is_neither_in_the_samples_nor_in_the_answers(tmp_path: Path) -> None:
+def test_an_excluded_period_is_in_no_sample_and_no_response(tmp_path: Path) -> None:
     sampler = Sampler({"bridge": 1}, 1.0)
     sampler.samples["bridge"] = run_of()
     seen = sampler.since(600.0, [(1200.0, 1800.0), (3000.0, 3000.0)])["bridge"]

@@ -19,7 +19,7 @@ from fsai_vcu.diagnostics.log.reader import LogError
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiCommand,
     Faults,
     Image,

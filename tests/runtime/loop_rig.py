@@ -10,7 +10,7 @@ from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.images import AiStatus
+from fsai_vcu.interface.messages import AiStatus
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.bus import CanBus
 from fsai_vcu.runtime.link import LinkEnd, link_pair

@@ -9,12 +9,12 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.bus import BusLost
 from fsai_vcu.runtime.engine import Engine
 
-MS = 1_000_000
 REVISION = revision("2026")
 CODEC = Codec(REVISION)
 STATUS = CODEC.encode(VcuStatus(as_state=AsState.AS_OFF))

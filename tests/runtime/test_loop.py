@@ -19,7 +19,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiStatus, VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime import loop as loop_module
 from fsai_vcu.runtime import loop_handle as handle_module

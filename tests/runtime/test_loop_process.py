@@ -17,7 +17,7 @@ from loop_rig import CODEC, drop_all, eventually, status_heard
 
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.images import VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.link import LoopSettings
 from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process

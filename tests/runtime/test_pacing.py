@@ -7,9 +7,9 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS, MIN_GAP_NS, PERIOD_NS, Pacing
-
-MS = 1_000_000
+from fsai_vcu.interface.specification import PERIOD_NS
+from fsai_vcu.interface.units import MS
+from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS, MIN_GAP_NS, Pacing
 
 
 def settled(now_ns: int = 0) -> Pacing:

@@ -9,8 +9,8 @@ import pytest
 
 from fsai_hil.simulator.car import Car, Pose, car_model
 from fsai_hil.simulator.vcu import Actuation
+from fsai_vcu.interface.units import MS
 
-MS = 1_000_000
 FULL = Actuation(rear_torque_nm=195.0, rear_motor_speed_max_rpm=4000, tractive_system_live=True)
 COAST = Actuation(tractive_system_live=True)
 
@@ -90,7 +90,7 @@ def test_no_torque_comes_without_a_live_tractive_system() -> None:
     assert car.speed_mps == 0.0
 
 
-def test_a_motor_faster_than_its_limit_brakes_with_the_torque_asked_for() -> None:
+def test_a_motor_above_its_speed_limit_brakes_as_requested() -> None:
     coasting, braking = at_speed(8.0), at_speed(8.0)
     drive(coasting, COAST, 1.0)
     drive(braking, replace(FULL, rear_torque_nm=100.0, rear_motor_speed_max_rpm=0), 1.0)
@@ -98,7 +98,7 @@ def test_a_motor_faster_than_its_limit_brakes_with_the_torque_asked_for() -> Non
     assert braking.speed_mps < coasting.speed_mps - 0.8
 
 
-def test_a_motor_speed_limit_of_zero_stops_the_car_and_never_reverses_it() -> None:
+def test_a_motor_speed_limit_of_zero_stops_and_never_reverses() -> None:
     car = at_speed(5.0)
     _, seconds = stopping(car, replace(FULL, rear_motor_speed_max_rpm=0))
     assert seconds < 6.0
@@ -129,7 +129,7 @@ def test_brakes_wait_80_ms_and_then_act() -> None:
 @pytest.mark.parametrize(
     ("asked", "comes"), [(0.0, 0.0), (0.5, 13.0), (10.0, 13.0), (20.0, 21.2), (50.0, 53.0), (100.0, 100.0)]
 )
-def test_brake_pressure_is_6_percent_over_the_request_and_13_at_least(asked: float, comes: float) -> None:
+def test_brake_pressure_is_6_percent_over_the_request_or_13(asked: float, comes: float) -> None:
     car = Car(car_model("2026"))
     drive(car, replace(COAST, front_brake_pct=asked, rear_brake_pct=asked), 1.0)
     assert car.feedback().rear_brake_pct == pytest.approx(comes)
@@ -166,7 +166,7 @@ def test_a_braked_car_does_not_pull_away_against_its_brakes() -> None:
 # ------------------------------------------------------------ steering
 
 
-def test_steering_waits_50_ms_then_turns_with_40_degps_less_its_play() -> None:
+def test_steering_turns_after_50_ms_with_40_degps_less_its_play() -> None:
     car = Car(car_model("2026"))
     order = replace(COAST, steer_deg=20.0)
     drive(car, order, 0.05)
@@ -221,7 +221,7 @@ def test_tyres_limit_the_lateral_acceleration() -> None:
     assert 6.0 < peak < 1.1 * car.model.friction * 9.81
 
 
-def test_a_turning_car_turns_left_with_positive_steering_and_its_right_wheels_run_faster() -> None:
+def test_positive_steering_turns_left_right_wheels_run_faster() -> None:
     car = at_speed(4.0)
     drive(car, replace(FULL, rear_torque_nm=30.0, steer_deg=10.0), 1.0)
     fl, fr, rl, rr = car.truth().wheel_rpm
@@ -230,7 +230,7 @@ def test_a_turning_car_turns_left_with_positive_steering_and_its_right_wheels_ru
     assert rr > rl
 
 
-def test_nothing_twitches_when_the_speed_passes_from_rolling_to_walking_pace() -> None:
+def test_the_yaw_rate_is_steady_down_to_walking_pace() -> None:
     car = at_speed(5.0)
     order = replace(COAST, steer_deg=8.0)
     before = car.truth().yaw_rate_radps
@@ -267,7 +267,7 @@ def test_wheelspin_turns_the_driven_wheels_faster_than_the_road() -> None:
     assert rl > 1.5 * fl
 
 
-def test_locked_wheels_read_slower_than_the_road_on_a_slippery_track() -> None:
+def test_locked_wheels_on_a_slippery_track_read_too_slow() -> None:
     car = at_speed(8.0)
     car.model = replace(car.model, friction=0.2)
     drive(car, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0), 0.4)
@@ -292,7 +292,7 @@ def test_pulse_counters_wrap_at_16_bits_and_lose_no_pulse() -> None:
     assert total == pytest.approx(revolutions * 6000, rel=0.02)
 
 
-def test_a_wheel_speed_reading_rests_at_9_rpm_for_a_second_after_the_car_stops() -> None:
+def test_wheel_speeds_rest_at_9_rpm_for_a_second_after_the_stop() -> None:
     car = at_speed(2.0)
     stopping(car, replace(COAST, front_brake_pct=30.0, rear_brake_pct=30.0))
     assert car.feedback().wheel_rpm == (9.0, 9.0, 9.0, 9.0)
@@ -340,7 +340,7 @@ def test_the_same_orders_give_the_same_run_in_whatever_portions() -> None:
     assert one.truth() == two.truth()
 
 
-def test_the_official_simulators_car_is_heavier_with_small_wheels_and_more_pulses() -> None:
+def test_the_official_simulators_car_differs_in_mass_and_wheels() -> None:
     model = car_model("2026", official_simulator=True)
     assert (model.mass_kg, model.wheel_radius_m, model.pulses_per_rev) == (325.0, 0.15, 36)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fsai_hil.simulator.car import CarTruth, Pose, car_model
-from fsai_hil.simulator.judge import Judge, JudgeSettings, Verdict
+from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict
 from fsai_hil.simulator.tracks import Track, acceleration_track, load_track, skidpad_track, small_oval
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 
@@ -70,7 +70,7 @@ class Puppet:
             x, y = line[i, 0] - offset_m * math.sin(yaw), line[i, 1] + offset_m * math.cos(yaw)
             self.go(float(x), float(y), yaw, speed_mps)
 
-    def finish(self, state: AsState = AsState.AS_FINISHED, cause: ShutdownCause | None = None) -> Verdict:
+    def finish(self, state: AsState = AsState.AS_FINISHED, cause: ShutdownCause | None = None) -> JudgeVerdict:
         self.speed_mps = 0.0
         self.look(0.6)
         self.state, self.cause = state, cause
@@ -84,7 +84,7 @@ def puppet(track: Track, mission: Ami, **settings: object) -> Puppet:
     return Puppet(judge, track.staging(mission, MODEL.nose_m), air=mission.name.startswith("STATIC"))
 
 
-def why(verdict: Verdict) -> str:
+def why(verdict: JudgeVerdict) -> str:
     return "; ".join(verdict.reasons)
 
 
@@ -158,7 +158,7 @@ def test_a_car_that_rolls_on_in_as_finished_fails() -> None:
 # ------------------------------------------------------------ how it ends
 
 
-def test_an_emergency_brake_fails_a_mission_that_ends_in_as_finished_and_names_the_cause() -> None:
+def test_an_emergency_brake_fails_a_run_and_the_cause_is_named() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
@@ -168,14 +168,14 @@ def test_an_emergency_brake_fails_a_mission_that_ends_in_as_finished_and_names_t
     assert verdict.shutdown_cause == "AI_COMMS_FAULT"
 
 
-def test_a_run_that_never_starts_ends_by_its_time_limit_with_the_reason() -> None:
+def test_a_run_that_never_starts_ends_by_its_time_limit() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION, start_timeout_s=20.0)
     car.look(20.1)
     assert car.judge.done
     assert "no AS_DRIVING within 20 s" in why(car.judge.verdict())
 
 
-def test_a_car_that_never_finishes_ends_by_its_time_limit_with_the_reason() -> None:
+def test_a_car_that_never_finishes_ends_by_its_time_limit() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION, drive_timeout_s=30.0)
     car.start()
     car.look(28.0)
@@ -189,7 +189,7 @@ def test_an_unfinished_run_is_no_pass() -> None:
     assert "the run is not over" in why(car.judge.verdict())
 
 
-def test_the_verdict_lists_the_as_states_with_their_times_for_json() -> None:
+def test_the_verdict_as_json_lists_the_as_states_with_times() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
@@ -206,7 +206,7 @@ def test_the_verdict_lists_the_as_states_with_their_times_for_json() -> None:
 # ------------------------------------------------------------ the track
 
 
-def test_a_car_beside_the_track_with_all_four_wheels_is_off_course_and_fails() -> None:
+def test_a_car_with_all_four_wheels_off_the_track_fails() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(20.0, 0.0, 0.0)
@@ -230,7 +230,7 @@ def test_two_wheels_on_the_track_are_enough() -> None:
     assert verdict.passed, why(verdict)
 
 
-def test_a_cone_is_hit_by_the_cars_side_counted_once_and_costs_2_s_but_no_pass() -> None:
+def test_a_cone_hit_counts_once_and_costs_2_s_but_no_pass() -> None:
     car = puppet(acceleration_track(), Ami.ACCELERATION)
     car.start()
     car.go(18.0, 0.0, 0.0)
@@ -303,7 +303,7 @@ def test_driving_back_and_forth_over_the_line_makes_no_lap() -> None:
     assert "0 of 1 laps" in why(car.finish())
 
 
-def test_a_short_cut_through_the_infield_makes_no_lap_and_is_off_course() -> None:
+def test_a_short_cut_through_the_infield_is_off_course_no_lap() -> None:
     car, line = circuit(1)
     car.start()
     car.along(line[:40])
@@ -329,7 +329,7 @@ def test_a_circuit_driven_beside_its_middle_reports_how_far() -> None:
 # ------------------------------------------------------------ skidpad
 
 
-def skidpad_run(sides: str, stop_at_m: float = 10.0) -> Verdict:
+def skidpad_run(sides: str, stop_at_m: float = 10.0) -> JudgeVerdict:
     car = puppet(skidpad_track(), Ami.SKIDPAD)
     car.start()
     car.go(0.0, 0.0, 0.0)
@@ -342,7 +342,7 @@ def skidpad_run(sides: str, stop_at_m: float = 10.0) -> Verdict:
     return car.finish()
 
 
-def test_two_laps_right_and_two_left_and_a_stop_in_the_exit_lane_pass() -> None:
+def test_two_laps_right_two_left_and_a_stop_in_the_exit_pass() -> None:
     verdict = skidpad_run("RRLL")
     assert verdict.passed, why(verdict)
     assert verdict.laps == 4
@@ -364,7 +364,7 @@ def test_the_skidpad_must_be_stopped_on_within_25_m() -> None:
 
 def inspection_a(
     sweep_deg: float = 29.1, rpm: float = 200.0, up_s: float = 6.0, down_s: float = 3.0, end_deg: float = 0.0
-) -> Verdict:
+) -> JudgeVerdict:
     car = puppet(load_track("static"), Ami.STATIC_INSPECTION_A)
     car.start()
     for steer in (sweep_deg, -sweep_deg, end_deg):
@@ -380,7 +380,7 @@ def inspection_a(
     return car.finish()
 
 
-def test_inspection_a_passes_after_a_full_sweep_and_200_rpm_up_and_down_in_time() -> None:
+def test_inspection_a_passes_with_full_sweep_and_200_rpm_in_time() -> None:
     verdict = inspection_a()
     assert verdict.passed, why(verdict)
 
@@ -399,7 +399,7 @@ def test_inspection_a_fails_where_it_falls_short(changes: dict[str, float], word
     assert words in why(inspection_a(**changes))
 
 
-def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> Verdict:
+def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> JudgeVerdict:
     car = puppet(load_track("static"), Ami.STATIC_INSPECTION_B)
     car.start()
     car.rpm = rpm
@@ -410,7 +410,7 @@ def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> Ver
     return car.finish(state, cause)
 
 
-def test_inspection_b_passes_with_50_rpm_and_the_ai_computers_emergency_brake() -> None:
+def test_inspection_b_passes_with_50_rpm_and_an_estop_request() -> None:
     verdict = inspection_b(50.0, AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMPUTER_REQUEST)
     assert verdict.passed, why(verdict)
 
@@ -427,7 +427,7 @@ def test_inspection_b_fails_too_slow_or_ended_by_anything_else() -> None:
 # ------------------------------------------------------------ demonstration
 
 
-def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, second_mps: float = 4.5) -> Verdict:
+def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, second_mps: float = 4.5) -> JudgeVerdict:
     car = puppet(load_track("static"), Ami.AUTONOMOUS_DEMO)
     car.start()
     for steer in (sweep_deg, -sweep_deg, 0.0):

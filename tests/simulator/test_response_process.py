@@ -5,10 +5,10 @@ from __future__ import annotations
 from test_world_process import FakeBus, made
 
 from fsai_hil.simulator.process import result_of
-from fsai_hil.simulator.profiles import MS
+from fsai_vcu.interface.units import MS
 
 
-def test_what_is_measured_is_what_happened_between_one_mark_and_the_next() -> None:
+def test_a_measurement_covers_one_mark_to_the_next() -> None:
     vcu = made(FakeBus())
     answered, late = vcu.world.vcu.response_times_ns, vcu.status_late_ns
     answered += [90 * MS]  # before anybody measured

@@ -21,7 +21,7 @@ def field_of(*cones: tuple[float, float, ConeColor]) -> Track:
     return Track("field", TrackKind.STATIC, xy, np.array([int(c) for *_, c in cones], dtype=np.int64))
 
 
-def test_a_perfect_sensor_sees_cones_where_they_are_in_the_vehicle_frame() -> None:
+def test_a_perfect_sensor_sees_exact_cones_in_the_vehicle_frame() -> None:
     track = field_of((10.0, 5.0, ConeColor.BLUE), (10.0, 2.0, ConeColor.YELLOW))
     seen = ConeSensor(track, PERFECT).see(Pose(8.0, -1.0, math.pi / 2.0), 77)  # looks north
     assert seen.t_ns == 77
@@ -72,7 +72,7 @@ def test_cones_are_missed_more_often_far_away() -> None:
     assert 0.05 < missed(13.5) < 0.15
 
 
-def test_ghosts_come_as_often_as_set_with_a_confidence_below_every_true_cone() -> None:
+def test_ghosts_come_as_set_with_less_confidence_than_true_cones() -> None:
     sensor = ConeSensor(field_of(), SensorSettings(false_per_scan=0.5), seed=1)
     looks = [sensor.see(Pose(), 0) for _ in range(500)]
     assert sum(len(look.xy_m) for look in looks) / 500 == pytest.approx(0.5, rel=0.2)

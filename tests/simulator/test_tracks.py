@@ -47,7 +47,7 @@ def as_csv(track: Track, pose: Pose) -> str:
 # ------------------------------------------------------------ the rules' geometry
 
 
-def test_acceleration_is_75_m_between_its_lines_with_100_m_to_stop_in() -> None:
+def test_acceleration_is_75_m_long_with_100_m_to_stop_in() -> None:
     track = acceleration_track()
     assert track.start_line is not None
     assert track.finish_line is not None
@@ -128,7 +128,7 @@ def test_a_circuit_begins_with_a_straight(name: str) -> None:
     assert max(abs(y) for _, y in start) < 0.3
 
 
-def test_blue_cones_stand_to_the_left_and_yellow_ones_to_the_right_of_the_driving_direction() -> None:
+def test_blue_cones_are_on_the_left_and_yellow_ones_on_the_right() -> None:
     track = load_track("autocross")
     line = track.centreline_m
     assert line is not None
@@ -139,13 +139,13 @@ def test_blue_cones_stand_to_the_left_and_yellow_ones_to_the_right_of_the_drivin
             assert (tx * (y - line[i, 1]) - ty * (x - line[i, 0])) * side > 0.0
 
 
-def test_a_seed_gives_the_same_circuit_every_time_and_another_seed_another() -> None:
+def test_a_seed_gives_one_circuit_and_another_seed_another() -> None:
     assert np.array_equal(random_circuit(5).cones_xy_m, random_circuit(5).cones_xy_m)
     assert not np.array_equal(random_circuit(5).centreline_m, random_circuit(6).centreline_m)
 
 
 @pytest.mark.parametrize("name", ["acceleration", "skidpad", "autocross", "small_oval"])
-def test_the_centreline_is_on_the_lane_and_points_beside_it_are_not(name: str) -> None:
+def test_the_centreline_is_on_the_lane_and_points_beside_are_not(name: str) -> None:
     track = load_track(name)
     line = track.centreline_m
     assert line is not None
@@ -165,7 +165,7 @@ def test_the_infield_of_a_circuit_is_off_the_lane() -> None:
 
 
 @pytest.mark.parametrize("name", ["autocross", "small_oval", "random-3"])
-def test_the_borders_of_a_circuit_from_a_file_are_found_between_its_cones(name: str) -> None:
+def test_the_borders_of_a_circuit_from_a_file_are_found(name: str) -> None:
     made = load_track(name)
     pose = made.staging(Ami.AUTOCROSS, 2.17)
     found = parse_track(as_csv(made, pose), "some/where/loop.csv")
@@ -183,7 +183,7 @@ def test_the_borders_of_a_circuit_from_a_file_are_found_between_its_cones(name: 
     assert (found.start_line.x_m, found.start_line.y_m) == pytest.approx((0.0, 0.0), abs=0.3)
 
 
-def test_an_acceleration_run_from_a_file_is_recognised_with_its_lines() -> None:
+def test_an_acceleration_track_from_a_file_is_recognised() -> None:
     found = parse_track(as_csv(acceleration_track(), Pose(-2.5, 0.0, 0.0)), "run.csv")
     assert found.kind is TrackKind.ACCELERATION
     assert found.start_line is not None
@@ -198,7 +198,7 @@ def test_a_skidpad_from_a_file_is_recognised() -> None:
     assert found.start_line.heading_rad == pytest.approx(0.0, abs=1e-6)
 
 
-def test_extra_columns_blank_lines_and_a_byte_order_mark_do_no_harm(tmp_path: Path) -> None:
+def test_extra_columns_blank_lines_and_a_bom_are_ignored(tmp_path: Path) -> None:
     header, *rows = as_csv(small_oval(), Pose(-8.0, 0.0, 0.0)).splitlines()
     text = "\n".join([header + ",x_variance,y_variance,xy_covariance", "", *rows, ""])
     path = tmp_path / "oval.csv"
@@ -223,9 +223,7 @@ def test_extra_columns_blank_lines_and_a_byte_order_mark_do_no_harm(tmp_path: Pa
         ("tag,x,y,direction\ncar_start,0,0,0\n", ["no cones"]),
     ],
 )
-def test_a_malformed_file_gets_one_line_that_names_file_line_and_fault(
-    tmp_path: Path, text: str, words: list[str]
-) -> None:
+def test_a_malformed_file_is_one_line_with_file_line_and_fault(tmp_path: Path, text: str, words: list[str]) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(TrackError) as caught:
@@ -236,7 +234,7 @@ def test_a_malformed_file_gets_one_line_that_names_file_line_and_fault(
     assert all(word in message for word in words), message
 
 
-def test_a_missing_file_a_binary_file_and_an_unknown_name_get_one_clear_line(tmp_path: Path) -> None:
+def test_missing_and_binary_files_and_unknown_names_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(TrackError, match=r"gone\.csv: cannot be read: No such file"):
         load_track(tmp_path / "gone.csv")
     (tmp_path / "picture.csv").write_bytes(b"\xff\xfe\x00\x89")
@@ -246,7 +244,7 @@ def test_a_missing_file_a_binary_file_and_an_unknown_name_get_one_clear_line(tmp
         load_track("silverstone")
 
 
-def test_cones_that_make_no_lane_can_be_driven_but_know_no_borders() -> None:
+def test_cones_that_form_no_lane_have_no_borders() -> None:
     track = parse_track("tag,x,y,direction\ncar_start,0,0,0\norange,5,1,0\norange,5,-1,0\n", "few.csv")
     assert track.centreline_m is None
     assert track.on_lane(1000.0, 1000.0)

@@ -8,10 +8,9 @@ from dataclasses import replace
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import MS, S
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     GpsCourseSpeed,
     GpsDateTime,
@@ -29,10 +28,11 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.units import MS, S
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])
-def test_every_message_of_the_car_comes_at_the_period_of_the_bus_table(name: str) -> None:
+def test_every_car_message_has_the_period_of_the_bus_table(name: str) -> None:
     bench = Bench(name, gps=True).power_up()
     bench.run(13 * MS)
     counted = Counter(frame.can_id for frame in bench.run(10 * S))
@@ -45,7 +45,7 @@ def test_every_message_of_the_car_comes_at_the_period_of_the_bus_table(name: str
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])
-def test_frames_come_in_the_order_of_their_times_and_never_after_the_step(name: str) -> None:
+def test_frames_are_in_order_of_time_and_never_after_the_step(name: str) -> None:
     bench = Bench(name, gps=True).power_up()
     last_ns = 0
     for _ in range(500):
@@ -54,7 +54,7 @@ def test_frames_come_in_the_order_of_their_times_and_never_after_the_step(name: 
             last_ns = frame.t_ns
 
 
-def test_the_vcus_own_frames_are_handed_to_the_bus_together_0x520_first() -> None:
+def test_the_vcu_sends_its_own_frames_together_0x520_first() -> None:
     bench = Bench().power_up()
     frames = [frame for frame in bench.run(10 * MS) if 0x520 <= frame.can_id <= 0x526]
     assert [frame.can_id for frame in frames] == list(range(0x520, 0x527))
@@ -74,15 +74,7 @@ def test_without_a_pcan_gps_none_of_its_frames_appear() -> None:
     assert all(BY_ID[frame.can_id].flow is Flow.FROM_VCU for frame in bench.run(S))
 
 
-def test_the_next_frame_is_due_when_it_says() -> None:
-    bench = Bench().power_up()
-    due_ns = bench.vcu.next_due_ns()
-    assert bench.now_ns < due_ns <= bench.now_ns + 10 * MS
-    assert bench.vcu.step(due_ns - 1, bench.car) == []
-    assert {frame.t_ns for frame in bench.vcu.step(due_ns, bench.car)} == {due_ns}
-
-
-def test_the_sensors_readings_reach_the_wire_and_saturate_at_its_ranges() -> None:
+def test_sensor_readings_are_sent_and_saturate_at_their_ranges() -> None:
     bench = Bench("2021").to_driving()
     bench.car = replace(
         bench.car,
@@ -104,7 +96,7 @@ def test_the_sensors_readings_reach_the_wire_and_saturate_at_its_ranges() -> Non
     assert (brake.front_pct, brake.rear_pct) == (12.5, 100.0)
 
 
-def test_0x524_echoes_the_brake_that_was_asked_for_and_not_what_the_ebs_does() -> None:
+def test_0x524_has_the_requested_brake_and_not_that_of_the_ebs() -> None:
     bench = Bench().to_emergency()
     bench.deliver(front_brake_pct=10.0, rear_brake_pct=20.0)
     bench.run(20 * MS)
@@ -113,7 +105,7 @@ def test_0x524_echoes_the_brake_that_was_asked_for_and_not_what_the_ebs_does() -
     assert (brake.front_request_pct, brake.rear_request_pct) == (10.0, 20.0)
 
 
-def test_the_steering_limit_of_the_revision_is_reported_and_a_derated_one_as_well() -> None:
+def test_the_steering_limit_is_reported_and_a_derated_one_too() -> None:
     for name, limit in (("2021", 21.0), ("2026", 30.0)):
         bench = Bench(name).power_up()
         bench.run(20 * MS)
@@ -140,7 +132,7 @@ def test_switches_mission_and_go_are_reported() -> None:
     assert not bench.status().go_signal, "without its radio the remote's Go is not heard"
 
 
-def test_outside_as_driving_the_ai_computers_faults_are_warnings_of_0x120() -> None:
+def test_outside_as_driving_ai_faults_are_warnings_of_0x120() -> None:
     bench = Bench("2021").power_up()
     bench.wheels(50.0)
     bench.say(estop_request=True, mission_status=MissionStatus.FINISHED, rear_torque_nm=10.0, rear_brake_pct=10.0)
@@ -173,7 +165,7 @@ def test_the_logging_frames_tell_the_run() -> None:
     assert status == LogStatus(3, 2, 2, 1, 3, 3, 12, 345, status.t_rx_ns)
 
 
-def test_the_gps_has_no_position_for_its_first_two_seconds_and_then_degrees_minutes_and_letters() -> None:
+def test_the_gps_has_no_position_for_its_first_two_seconds() -> None:
     bench = Bench("2026", gps=True)
     bench.car = replace(bench.car, latitude_deg=52.0706, longitude_deg=-1.0174, course_deg=271.0, speed_mps=10.0)
     bench.switches.lvms = True

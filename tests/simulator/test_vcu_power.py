@@ -9,7 +9,6 @@ from vcu_bench import Bench, codec
 
 from fsai_hil.simulator.indicators import Assi, Siren, Tsal
 from fsai_hil.simulator.power import SystemState
-from fsai_hil.simulator.profiles import MS, S
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import (
     AsState,
@@ -22,8 +21,9 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import VcuBrake, VcuStatus, VcuSystemStatus
+from fsai_vcu.interface.messages import VcuBrake, VcuStatus, VcuSystemStatus
 from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.units import MS, S
 
 
 def distinct(values: list[Any]) -> list[Any]:
@@ -31,7 +31,7 @@ def distinct(values: list[Any]) -> list[Any]:
     return list(dict.fromkeys(values))
 
 
-def test_a_car_without_low_voltage_says_nothing_and_shows_nothing() -> None:
+def test_a_car_without_low_voltage_sends_and_shows_nothing() -> None:
     bench = Bench()
     bench.switches.aims = bench.switches.asms = bench.switches.tsms = True
     assert bench.run(S) == []
@@ -40,7 +40,7 @@ def test_a_car_without_low_voltage_says_nothing_and_shows_nothing() -> None:
     assert not bench.vcu.actuation.ebs_engaged
 
 
-def test_2021_the_vcu_rests_in_aux_until_the_ai_computer_speaks_and_then_enables_autonomous_driving() -> None:
+def test_2021_the_vcu_stays_in_aux_until_ai_data_arrives() -> None:
     bench = Bench("2021")
     bench.talks = False
     for name in ("aims", "asms", "tsms", "lvms"):
@@ -61,7 +61,7 @@ def test_2021_the_vcu_rests_in_aux_until_the_ai_computer_speaks_and_then_enables
     assert {image.sm_as for image in said} == {AsState.AS_OFF}
 
 
-def test_2021_the_ai_computer_is_not_heard_while_its_master_switch_is_off() -> None:
+def test_2021_ai_frames_are_ignored_while_aims_is_off() -> None:
     bench = Bench("2021")
     for name in ("asms", "tsms", "lvms"):
         setattr(bench.switches, name, True)
@@ -72,7 +72,7 @@ def test_2021_the_ai_computer_is_not_heard_while_its_master_switch_is_off() -> N
     assert bench.vcu.system_state is SystemState.DRIVE_AUTONOMOUS
 
 
-def test_2026_tractive_system_and_ebs_come_up_when_valid_can_data_arrives() -> None:
+def test_2026_ts_and_ebs_come_up_when_valid_can_data_arrives() -> None:
     bench = Bench("2026")
     bench.talks = False
     for name in ("lvms", "asms", "tsms"):
@@ -161,7 +161,7 @@ def test_2026_a_second_mission_needs_all_switches_off_and_on() -> None:
     bench.run_until(lambda: bench.state is AsState.AS_READY, 10 * S)
 
 
-def test_tsms_off_shuts_the_car_down_and_lvms_may_go_off_two_seconds_later() -> None:
+def test_tsms_off_shuts_down_and_lvms_may_follow_2_s_later() -> None:
     bench = Bench("2021").power_up()
     assert not bench.status().shutdown_request
     bench.switches.asms = bench.switches.tsms = False
@@ -195,7 +195,7 @@ def test_after_low_voltage_has_been_off_the_vcu_begins_anew() -> None:
     assert status.handshake is True
 
 
-def test_an_ebs_that_low_voltage_left_under_pressure_keeps_the_brakes_closed_until_it_is_armed_anew() -> None:
+def test_an_ebs_left_under_pressure_brakes_until_armed_anew() -> None:
     bench = Bench("2026").to_ready()
     assert not bench.vcu.actuation.ebs_engaged
     bench.switches.lvms = False
@@ -213,7 +213,7 @@ def test_an_ebs_that_low_voltage_left_under_pressure_keeps_the_brakes_closed_unt
     assert not bench.vcu.actuation.ebs_engaged
 
 
-def test_steering_is_ready_with_the_tractive_system_and_off_in_an_emergency() -> None:
+def test_steering_is_ready_with_the_ts_and_off_in_an_emergency() -> None:
     bench = Bench().power_up()
     assert bench.status().steering_status is SteeringStatus.ACTIVE
     bench.switches.steering_fault = True
@@ -261,7 +261,7 @@ def test_blue_joins_yellow_for_one_second_after_the_five_seconds() -> None:
     assert shown == [Assi.YELLOW, Assi.YELLOW_AND_BLUE, Assi.YELLOW_AND_BLUE, Assi.YELLOW]
 
 
-def test_the_siren_sounds_three_seconds_and_then_intermittently_until_the_car_moves() -> None:
+def test_the_siren_sounds_3_s_then_intermittently_until_motion() -> None:
     bench = Bench().to_driving()
     driving_ns = bench.vcu.history[-1][0]
     bench.run(driving_ns + 3 * S - 1 - bench.now_ns)
@@ -288,7 +288,7 @@ def test_the_siren_sounds_fifteen_seconds_in_an_emergency() -> None:
     assert bench.siren() is Siren.OFF
 
 
-def test_tsal_is_red_while_the_tractive_system_is_live_and_green_after_an_emergency() -> None:
+def test_tsal_is_red_with_a_live_ts_and_green_after_an_emergency() -> None:
     bench = Bench().to_driving()
     assert bench.tsal() is Tsal.RED_FLASHING
     bench.switches.car_estop = True

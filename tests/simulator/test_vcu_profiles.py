@@ -7,9 +7,10 @@ from dataclasses import fields, replace
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import MS, OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, S, profile
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, profile
 from fsai_vcu.interface.enums import AsState, BrakeStatus, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuBrake, VcuStatus
+from fsai_vcu.interface.messages import VcuBrake, VcuStatus
+from fsai_vcu.interface.units import MS, S
 
 
 def bench_of(kind: Profile, name: str = "2021") -> Bench:
@@ -22,7 +23,7 @@ def handshakes(bench: Bench, count: int) -> list[bool]:
     return [image.handshake for image in bench.images(VcuStatus) if isinstance(image, VcuStatus)]
 
 
-def test_the_profiles_are_found_by_name_and_an_unknown_name_lists_them() -> None:
+def test_profiles_are_found_by_name_an_unknown_name_lists_them() -> None:
     assert profile("specification") is SPECIFICATION
     assert profile("official-simulator") is OFFICIAL_SIMULATOR
     with pytest.raises(ValueError, match="specification, official-simulator"):
@@ -37,13 +38,13 @@ def test_the_specification_is_the_default_of_every_difference() -> None:
     assert same == {"message_timeout_ns", "ready_wait_ns", "emergency_timer_ns", "ready_without_acknowledgement"}
 
 
-def test_the_official_simulator_drives_a_run_like_the_specification() -> None:
+def test_the_official_simulator_runs_like_the_specification() -> None:
     for kind in PROFILES.values():
         bench = bench_of(kind).to_finished()
         assert bench.state is AsState.AS_FINISHED
 
 
-def test_the_simulator_alternates_its_handshake_every_10_ms_whatever_comes_back() -> None:
+def test_the_simulator_toggles_every_10_ms_whatever_is_received() -> None:
     silent = bench_of(OFFICIAL_SIMULATOR)
     silent.talks = False
     silent.switches.lvms = True
@@ -102,7 +103,7 @@ def test_the_simulator_sends_as_state_zero_while_asms_is_off() -> None:
         assert bench.status().as_state is AsState.AS_OFF
 
 
-def test_the_simulator_raises_the_neutral_fault_only_when_all_four_wheels_turn() -> None:
+def test_the_simulator_raises_the_neutral_fault_with_all_wheels() -> None:
     for kind, survives in ((SPECIFICATION, False), (OFFICIAL_SIMULATOR, True)):
         bench = bench_of(kind).to_driving()
         bench.wheels(50.0, 50.0, 10.0, 50.0)
@@ -123,7 +124,7 @@ def test_the_simulator_resets_to_as_off_when_asms_goes_off(way: str) -> None:
     assert not bench.vcu.power_cycle_needed
 
 
-def test_the_simulator_can_drive_again_after_an_emergency_without_a_power_cycle() -> None:
+def test_the_simulator_recovers_from_an_emergency_while_powered() -> None:
     bench = bench_of(OFFICIAL_SIMULATOR).to_emergency()
     bench.switches.asms = bench.switches.go = False
     bench.say(estop_request=False, mission_status=MissionStatus.SELECTED, direction=Direction.NEUTRAL)

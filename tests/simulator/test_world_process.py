@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from scripted_driver import ScriptedDriver, Wish
+from scripted_driver import ScriptedDriver
 
 from fsai_hil.simulator import plot, process
 from fsai_hil.simulator.ground_truth import TruthReceiver
@@ -95,7 +95,7 @@ def test_a_go_that_is_on_already_is_taken_back_first() -> None:
 
 
 @pytest.mark.parametrize("line", ["fly", "asms maybe", "ami rally", "torque_limit_nm on", "__class__"])
-def test_a_command_that_means_nothing_changes_nothing_and_says_so(line: str) -> None:
+def test_an_unknown_command_is_reported_and_changes_nothing(line: str) -> None:
     vcu = made(FakeBus())
     before = str(vcu.world.vcu.switches)
     assert "unknown" in vcu.command(line)
@@ -125,7 +125,7 @@ def test_a_lost_bus_is_waited_for_while_the_car_lives_on(monkeypatch: pytest.Mon
     assert second.sent
 
 
-def test_a_process_that_was_held_up_lets_the_cars_time_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_held_up_process_lets_the_cars_time_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
     vcu = made(FakeBus(), "--auto", "--timeout", "0.3")
     start = vcu.world.now_ns
     monotonic_ns = time.monotonic_ns
@@ -144,7 +144,7 @@ def test_a_process_that_was_held_up_lets_the_cars_time_stand_still(monkeypatch: 
     assert vcu.world.now_ns - start < 1_000_000_000
 
 
-def test_an_auto_run_ends_by_itself_when_the_time_is_up_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_auto_run_ends_when_the_time_is_up_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
     bus = FakeBus()
     vcu = made(bus, "--auto", "--timeout", "0.2")
     vcu.loop()
@@ -185,7 +185,7 @@ def test_a_result_that_cannot_be_saved_is_said_and_is_a_failure(capsys: pytest.C
     assert json.loads(said.out.splitlines()[-1])["result"] == "fail", "the verdict is printed all the same"
 
 
-def test_as_a_process_it_speaks_on_the_bus_tells_the_truth_and_ends_politely(tmp_path: Path) -> None:
+def test_the_process_sends_frames_and_truth_and_ends_cleanly(tmp_path: Path) -> None:
     channel = f"loopback:sim-{os.getpid()}"
     result = tmp_path / "result.json"
     log = tmp_path / "bus.log"
@@ -226,7 +226,7 @@ def test_as_a_process_it_speaks_on_the_bus_tells_the_truth_and_ends_politely(tmp
 def test_a_picture_of_a_run_is_a_png(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     world = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False))
-    ScriptedDriver(world, lambda world, since_s: Wish(torque_nm=195.0)).run(20.0)
+    ScriptedDriver(world).run(15.0)
     path = tmp_path / "run.png"
     save_plot(path, world.track, world.samples, world.verdict())
     assert path.read_bytes().startswith(b"\x89PNG")

@@ -34,7 +34,7 @@ def test_anything_else_is_refused_in_one_line(datagram: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_receiver_gets_the_newest_truth_and_counts_what_is_malformed() -> None:
+def test_the_newest_truth_wins_malformed_ones_are_counted() -> None:
     with TruthReceiver(0) as receiver, TruthSender(receiver.port) as sender:
         assert receiver.latest() is None
         sender.send(TRUTH)
@@ -49,7 +49,7 @@ def test_a_receiver_gets_the_newest_truth_and_counts_what_is_malformed() -> None
         assert receiver.malformed == 1
 
 
-def test_a_sender_without_a_listener_loses_nothing_but_the_datagram() -> None:
+def test_a_sender_without_a_receiver_loses_only_the_datagram() -> None:
     with TruthReceiver(0) as receiver:
         port = receiver.port
     with TruthSender(port) as sender:

@@ -10,14 +10,15 @@ from typing import Any
 from fsai_hil.simulator.car_signals import CarFeedback
 from fsai_hil.simulator.indicators import Siren, Tsal
 from fsai_hil.simulator.operator import Operator
-from fsai_hil.simulator.profiles import MS, SPECIFICATION, Profile, S
+from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.switches import Switches
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiCommand, Image, VcuStatus
+from fsai_vcu.interface.messages import AiCommand, Image, VcuStatus
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS, S
 
 CYCLE_NS = 10 * MS
 ANSWER_NS = 1 * MS

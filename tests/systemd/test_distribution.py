@@ -53,9 +53,7 @@ def installed(tmp_path: Path, ros: Path) -> Path:
     return folder
 
 
-def test_what_the_setup_file_says_is_written_down_for_services_with_our_own_messages_first(
-    installed: Path, ros: Path
-) -> None:
+def test_a_ros_setup_file_is_noted_with_our_messages_first(installed: Path, ros: Path) -> None:
     lines = dict(line.split("=", 1) for line in (installed / "environment").read_text().splitlines())
     assert lines["AMENT_PREFIX_PATH"] == f"{installed}:{ros}"
     assert lines["LD_LIBRARY_PATH"] == f"{installed}/lib:{ros}/opt/vendor/lib:{ros}/lib"
@@ -64,14 +62,12 @@ def test_what_the_setup_file_says_is_written_down_for_services_with_our_own_mess
     assert "CMAKE_PREFIX_PATH" not in lines, "what only building needs"
 
 
-def test_whom_the_nodes_talk_to_is_said_by_our_configuration_and_not_by_a_setup_file(installed: Path) -> None:
+def test_our_configuration_decides_whom_the_nodes_talk_to(installed: Path) -> None:
     text = (installed / "environment").read_text()
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in text and "ROS_DOMAIN_ID" not in text
 
 
-def test_the_command_runs_on_the_distributions_rclpy_and_the_doctor_says_so(
-    installed: Path, ros: Path, tmp_path: Path
-) -> None:
+def test_the_doctor_names_the_distributions_rclpy(installed: Path, ros: Path, tmp_path: Path) -> None:
     launcher = tmp_path / "fsai-vcu"
     text = (CHECKOUT / "systemd" / "fsai-vcu").read_text()
     assert "/opt/fsai/environment" in text and "/opt/fsai/bin/fsai-vcu" in text
@@ -89,6 +85,6 @@ def test_the_command_runs_on_the_distributions_rclpy_and_the_doctor_says_so(
     assert found[0] == f"jazzy, {ros}/lib/python3/site-packages/rclpy"
 
 
-def test_services_take_their_ros_from_the_same_file_and_do_without_it() -> None:
+def test_services_take_their_ros_from_the_same_file() -> None:
     sandbox = (CHECKOUT / "systemd/units/fsai-.service.d/50-sandbox.conf").read_text()
     assert "EnvironmentFile=-/opt/fsai/environment\n" in sandbox

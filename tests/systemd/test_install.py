@@ -20,7 +20,7 @@ def contents(folder: Path) -> dict[str, str]:
     }
 
 
-def test_installing_again_changes_nothing_and_keeps_the_configuration(tmp_path: Path) -> None:
+def test_installing_again_keeps_the_configuration(tmp_path: Path) -> None:
     assert install_car("install", destination=tmp_path).returncode == 0
     toml = tmp_path / "etc/fsai/fsai.toml"
     toml.write_text("# ours\n")
@@ -50,7 +50,7 @@ def test_what_is_asked_wrongly_is_told_in_one_line() -> None:
     assert done.stderr == "install-car: say install, uninstall or deb\n"
 
 
-def test_an_environment_that_cannot_be_copied_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_an_environment_that_cannot_be_copied_is_refused_first(tmp_path: Path) -> None:
     root, other = tmp_path / "root", tmp_path / "other"
     done = install_car("install", destination=root, PYTHON=sys.executable, ENVIRONMENT=str(other))
     assert done.returncode == 1 and f"{other} is no virtual environment" in done.stderr
@@ -101,9 +101,7 @@ def test_the_package_carries_the_system_files_owned_by_root(package: Path) -> No
     assert not any(name.startswith("/DEBIAN") for name in names)
 
 
-def test_the_package_keeps_the_configuration_on_upgrade_and_settles_after_unpacking(
-    package: Path, tmp_path: Path
-) -> None:
+def test_the_package_keeps_the_configuration_on_upgrade(package: Path, tmp_path: Path) -> None:
     fields = dpkg_deb("-f", package)
     assert "Package: fsai-vcu" in fields and "systemd (>= 252)" in fields
     dpkg_deb("-e", package, tmp_path)

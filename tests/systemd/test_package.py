@@ -92,7 +92,7 @@ def image(fresh: Image) -> Image:
     return fresh
 
 
-def test_installed_nothing_starts_by_itself_before_a_bus_is_named(fresh: Image, deb: Path) -> None:
+def test_nothing_starts_before_a_bus_is_named(fresh: Image, deb: Path) -> None:
     # Somebody turns the car's wheels by hand meanwhile: no adapter that is plugged in may wake the bridge.
     assert fresh.starts == set()
     assert "nothing is sent until you say so" in fresh.settle().stdout
@@ -132,7 +132,7 @@ def test_what_cannot_be_a_bus_changes_nothing(image: Image, words: list[str]) ->
     assert image.starts == before
 
 
-def test_with_a_bus_named_it_starts_with_the_machine_under_a_user_of_its_own(image: Image) -> None:
+def test_with_a_bus_named_it_starts_at_boot_as_its_own_user(image: Image) -> None:
     assert image.has(TARGET) and image.has(BRIDGE.format("can0"))
     users = (image.root / "etc/passwd").read_text()
     (line,) = [line for line in users.splitlines() if line.startswith("fsai:")]
@@ -154,7 +154,7 @@ def test_without_what_it_depends_on_it_is_not_configured(deb: Path, tmp_path: Pa
     assert not bare.has(TARGET)
 
 
-def test_an_upgrade_keeps_the_configuration_and_what_the_team_has_switched_off(image: Image, deb: Path) -> None:
+def test_an_upgrade_keeps_configuration_and_what_is_disabled(image: Image, deb: Path) -> None:
     toml = image.root / "etc/fsai/fsai.toml"
     toml.write_text("# ours\n")
     detector = image.root / "etc/systemd/system/fsai.target.wants/fsai-detector.service"
@@ -175,7 +175,7 @@ def test_another_bus_that_is_named_takes_the_place_of_the_first(image: Image) ->
     assert image.has(BRIDGE.format("vcan0")), "settled again, as an upgrade does, nothing is decided anew"
 
 
-def test_removed_it_no_longer_starts_and_purged_nothing_is_left_but_the_logs(image: Image, deb: Path) -> None:
+def test_removal_ends_it_and_purging_leaves_only_the_logs(image: Image, deb: Path) -> None:
     log = image.root / "var/log/fsai/run.log"
     log.touch()
     stray = image.root / "opt/fsai/lib/stray.pyc"
@@ -193,9 +193,7 @@ def test_removed_it_no_longer_starts_and_purged_nothing_is_left_but_the_logs(ima
     assert log.exists()
 
 
-def test_the_rehearsal_unpacks_it_beside_what_this_machine_has_and_only_when_it_is_another(
-    deb: Path, tmp_path: Path
-) -> None:
+def test_the_rehearsal_unpacks_a_new_package_only(deb: Path, tmp_path: Path) -> None:
     Image(tmp_path / "machine", HAVE)
     root = tmp_path / "root"
     rehearsed.unpack(deb, root, tmp_path / "machine/var/lib/dpkg")

@@ -43,7 +43,7 @@ def test_whoever_looks_on_can_say_nothing() -> None:
         assert all("observer" not in who for who in allowed(kind, how).values())
 
 
-def test_every_topic_of_the_nodes_may_be_said_and_heard_by_somebody() -> None:
+def test_every_topic_of_the_nodes_has_its_permissions() -> None:
     pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
     sys.path.insert(0, str(Path(CHECKOUT) / "nodes" / "fsai_nodes"))
     from fsai_nodes.qos import TOPICS

@@ -13,7 +13,7 @@ from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Said, car_was_deaf, longes
 from fsai_hil.rehearsal.stall_monitor import RUNS, Stall
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -23,8 +23,7 @@ from fsai_vcu.interface.images import (
     VcuStatus,
     WheelSpeeds,
 )
-
-MS = 1_000_000
+from fsai_vcu.interface.units import MS
 
 
 class Remembers:
@@ -50,7 +49,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> scenes.Rehearsal
 @pytest.mark.parametrize(
     ("words", "pace"), [([], 1.0), (["--short"], rehearsal.SHORT_PACE), (["--short", "--pace", "4"], 4.0)]
 )
-def test_what_is_measured_is_measured_by_this_machines_clock_unless_another_pace_is_asked_for(
+def test_the_rehearsals_pace_is_1_unless_asked_for(
     monkeypatch: pytest.MonkeyPatch, words: list[str], pace: float
 ) -> None:
     asked: list[float] = []
@@ -72,7 +71,7 @@ def test_a_pace_that_no_machine_keeps_is_refused_with_one_line(
 
 
 @pytest.mark.parametrize(("seconds", "passed"), [(10.0, True), (10.1, False), (None, False)])
-def test_a_step_that_takes_longer_than_is_stated_or_never_ends_is_wrong(
+def test_a_step_that_takes_longer_than_stated_is_wrong(
     machine: scenes.Rehearsal, tmp_path: Path, seconds: float | None, passed: bool
 ) -> None:
     machine.note("back", seconds, 10.0)
@@ -87,7 +86,7 @@ def test_after_the_reboot_the_report_goes_on_where_it_was(machine: scenes.Rehear
     assert [step["what"] for step in again.steps] == ["before", "after"]
 
 
-def test_torque_of_either_axle_counts_and_its_last_frame_is_what_is_measured() -> None:
+def test_the_last_frame_with_torque_on_either_axle_is_measured() -> None:
     said = [
         Said(100 * MS, AiDriveFront(torque_nm=5.0)),
         Said(120 * MS, AiDriveRear(torque_nm=5.0)),
@@ -103,7 +102,7 @@ def test_a_car_of_which_one_wheel_turns_does_not_stand() -> None:
     assert not scenes.standing_at_the_end([])
 
 
-def test_the_longest_pause_is_between_frames_of_the_ai_computer_whatever_the_car_says_meanwhile() -> None:
+def test_the_longest_pause_is_of_the_ai_computers_frames() -> None:
     said = [Said(0, AiStatus()), Said(10 * MS, WheelSpeeds()), Said(30 * MS, AiStatus()), Said(40 * MS, AiStatus())]
     assert longest_gap_s(said) == pytest.approx(0.03)
 
@@ -132,7 +131,7 @@ class Scene:
 
 @pytest.mark.usefixtures("machine")
 @pytest.mark.parametrize("breaks_off", [False, True])
-def test_a_scene_that_failed_on_a_disturbed_machine_is_played_again_and_only_the_last_run_counts(
+def test_a_scene_failed_while_disturbed_is_played_again(
     breaks_off: bool,
 ) -> None:
     rehearsal_of_it = rehearsed(True, True)
@@ -146,7 +145,7 @@ def test_a_scene_that_failed_on_a_disturbed_machine_is_played_again_and_only_the
 
 
 @pytest.mark.usefixtures("machine")
-def test_a_scene_that_failed_on_an_undisturbed_machine_has_failed_at_once() -> None:
+def test_a_scene_failed_while_undisturbed_has_failed() -> None:
     rehearsal_of_it = rehearsed(False)
     scene = Scene(rehearsal_of_it, failures=1)
     rehearsal_of_it.scene("a scene", scene)
@@ -154,7 +153,7 @@ def test_a_scene_that_failed_on_an_undisturbed_machine_has_failed_at_once() -> N
 
 
 @pytest.mark.usefixtures("machine")
-def test_a_scene_that_was_never_undisturbed_has_failed_and_says_why() -> None:
+def test_a_scene_never_undisturbed_has_failed_and_says_why() -> None:
     rehearsal_of_it = rehearsed(*[True] * RUNS)
     scene = Scene(rehearsal_of_it, failures=RUNS)
     rehearsal_of_it.scene("a scene", scene)
@@ -193,7 +192,7 @@ tcp   LISTEN 0 128         [::]:22        [::]:*
     assert wifi.listeners_in("") == []
 
 
-def test_the_probe_runs_with_all_that_restricts_the_bridge_and_with_nothing_that_restarts_it() -> None:
+def test_the_probe_has_the_bridges_restrictions_but_no_restart() -> None:
     unit = (Path(__file__).parents[2] / "systemd/units/fsai-bridge@.service").read_text()
     text = scenes.in_its_place(unit, "/opt/fsai/bin/python probe", Path("/run/printed"))
     lines = text.splitlines()
@@ -227,7 +226,7 @@ def bus_of(silent_ms: int = 0, *, echoes: bool = True, lost: bool = True) -> lis
     return frames
 
 
-def test_a_vcu_that_missed_what_was_on_the_bus_is_told_from_an_ai_computer_that_was_silent_or_did_not_echo() -> None:
+def test_a_deaf_vcu_is_told_from_a_silent_ai_computer() -> None:
     assert car_was_deaf(bus_of())
     assert not car_was_deaf(bus_of(silent_ms=100))
     assert not car_was_deaf(bus_of(silent_ms=60))
@@ -237,7 +236,7 @@ def test_a_vcu_that_missed_what_was_on_the_bus_is_told_from_an_ai_computer_that_
 
 
 @pytest.mark.usefixtures("machine")
-def test_a_drive_in_which_the_simulated_vcu_was_deaf_is_driven_again() -> None:
+def test_a_drive_with_a_deaf_simulated_vcu_is_driven_again() -> None:
     rehearsal_of_it = rehearsed(False, False)
     scene = Scene(rehearsal_of_it, failures=1)
 

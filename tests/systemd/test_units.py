@@ -48,7 +48,7 @@ def test_systemd_finds_nothing_wrong_with_a_unit(machine: Path, unit: str) -> No
 
 
 @pytest.mark.parametrize("unit", [*NODES, *ON_THE_BUS])
-def test_a_service_is_exposed_no_more_than_its_work_needs_and_does_not_run_as_root(machine: Path, unit: str) -> None:
+def test_a_service_has_no_more_rights_than_it_needs(machine: Path, unit: str) -> None:
     done = analyze(machine, "security", "--offline=true", f"--threshold={int(MOST_EXPOSED * 10)}", unit)
     exposure = re.search(r"exposure level for .*: ([\d.]+)", done.stdout)
     assert exposure is not None, done.stderr
@@ -58,7 +58,7 @@ def test_a_service_is_exposed_no_more_than_its_work_needs_and_does_not_run_as_ro
     assert user["set"] is True, "it runs as root"
 
 
-def test_the_bridge_says_itself_when_it_is_ready_and_its_watchdog_outlasts_a_bus_that_is_gone(root: Path) -> None:
+def test_the_bridges_readiness_and_watchdog(root: Path) -> None:
     bridge = settings(root, "fsai-bridge@can0.service")
     assert bridge["Type"] == ["notify"]
     watchdog_s = float(bridge["WatchdogSec"][0].removesuffix("s"))
@@ -81,7 +81,7 @@ def test_the_bridge_has_real_time_scheduling_and_locked_memory(root: Path) -> No
 
 
 @pytest.mark.parametrize("unit", ["fsai-bridge@can0.service", "fsai-recorder@can0.service"])
-def test_what_needs_the_bus_goes_with_the_adapter_and_comes_back_with_it(root: Path, unit: str) -> None:
+def test_bus_services_go_and_come_with_the_adapter(root: Path, unit: str) -> None:
     found = settings(root, unit)
     device = "sys-subsystem-net-devices-%i.device"
     assert device in found["BindsTo"][0] and device in found["After"][0]
@@ -107,7 +107,7 @@ def test_a_node_hears_and_speaks_on_this_machine_only(root: Path, unit: str) -> 
     assert ("AF_CAN" in families) == (unit == "fsai-bridge@can0.service"), "only the bridge talks to the car"
 
 
-def test_one_service_alone_may_change_the_network_and_nothing_else(root: Path) -> None:
+def test_only_one_service_may_change_the_network(root: Path) -> None:
     with_capabilities = {
         path.parent.name for path in (root / UNITS).rglob("*.conf") if "AmbientCapabilities" in path.read_text()
     }
@@ -142,7 +142,7 @@ def test_no_unit_names_a_file_that_is_not_installed(root: Path) -> None:
             assert command.startswith("/opt/fsai/bin/") or (root / command.lstrip("/")).exists(), command
 
 
-def test_a_plug_that_is_back_before_its_services_have_ended_brings_them_back_too(root: Path) -> None:
+def test_a_plug_back_before_its_services_ended_starts_them(root: Path) -> None:
     # Seen in the rehearsal: the device asked for the recorder while it was still stopping, and nobody asked again.
     script = (root / "usr/lib/fsai/settle").read_text()
     assert "Upholds=%s" in script and "fsai-bridge@$interface.service fsai-recorder@$interface.service" in script

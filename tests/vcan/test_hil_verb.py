@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fsai_hil.vcan import Place, VcanError
+from fsai_hil.vcan import VcanError, VcanHost
 from fsai_vcu.cli.main import main
 
 CHECKOUT = Path(__file__).parents[2]
@@ -37,7 +37,7 @@ def place(monkeypatch: pytest.MonkeyPatch) -> FakePlace:
     fake = FakePlace(status=0)
     monkeypatch.setattr(
         "fsai_hil.vcan.choose_place",
-        lambda wanted: Place("uml", f"wanted {wanted}", lambda *words, **options: fake.run(*words, **options)),
+        lambda wanted: VcanHost("uml", f"wanted {wanted}", lambda *words, **options: fake.run(*words, **options)),
     )
     monkeypatch.setattr("compileall.compile_dir", lambda *_, **__: True)
     return fake
@@ -72,9 +72,7 @@ def test_the_long_tests_are_asked_for_by_name_and_get_more_time(place: FakePlace
     assert pytest_arguments(place) == ["tests/hil"]
 
 
-def test_a_soak_runs_its_own_test_for_so_many_minutes_and_its_time_limit_is_on_top(
-    place: FakePlace, tmp_path: Path
-) -> None:
+def test_a_soak_runs_its_own_test_for_so_many_minutes(place: FakePlace, tmp_path: Path) -> None:
     assert main(["hil", "--soak", "30", "--results", str(tmp_path)]) == 0
     assert pytest_arguments(place)[0] == "tests/hil/chain/test_soak.py"
     assert (CHECKOUT / pytest_arguments(place)[0]).exists()
@@ -92,9 +90,7 @@ def test_a_soak_of_no_time_is_refused_with_one_line(
     assert place.argv == []
 
 
-def test_a_polite_kill_ends_it_as_ctrl_c_does_and_the_callers_own_handler_is_back_afterwards(
-    place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sigterm_ends_it_as_ctrl_c_does(place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     handlers: list[object] = []
     before = signal.getsignal(signal.SIGTERM)
     run = place.run
@@ -103,7 +99,7 @@ def test_a_polite_kill_ends_it_as_ctrl_c_does_and_the_callers_own_handler_is_bac
         handlers.append(signal.getsignal(signal.SIGTERM))
         return run(argv, **options)
 
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("uml", "", noting))
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("uml", "", noting))
     assert main(["hil", "--results", str(tmp_path)]) == 0
     assert handlers == [signal.default_int_handler]
     assert signal.getsignal(signal.SIGTERM) is before
@@ -121,7 +117,7 @@ def test_a_suite_that_fails_or_runs_no_test_fails_the_command(place: FakePlace, 
     assert main(["hil", "--results", str(tmp_path)]) == status
 
 
-def test_what_was_put_off_is_run_again_where_it_has_more_time_and_decides(
+def test_what_was_put_off_is_run_again_and_decides(
     place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "put-off").write_text("tests/hil/of_an_earlier_run.py::test\n")
@@ -143,7 +139,7 @@ def test_what_was_put_off_is_run_again_where_it_has_more_time_and_decides(
     assert "put off" in capsys.readouterr().out
 
 
-def test_without_anything_put_off_or_after_a_failure_there_is_no_second_run(place: FakePlace, tmp_path: Path) -> None:
+def test_after_a_failure_or_with_nothing_put_off_no_second_run(place: FakePlace, tmp_path: Path) -> None:
     (tmp_path / "put-off").write_text("tests/hil/of_an_earlier_run.py::test\n")
     assert main(["hil", "--results", str(tmp_path)]) == 0
     assert place.runs == 1
@@ -155,7 +151,7 @@ def test_without_anything_put_off_or_after_a_failure_there_is_no_second_run(plac
 def test_this_kernels_own_vcan_goes_by_this_machines_clock(
     place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: Place("native", "", place.run))
+    monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("native", "", place.run))
     monkeypatch.setenv("FSAI_HIL_PUT_OFF", "a list that nobody reads")
     assert main(["hil", "--results", str(tmp_path)]) == 0
     assert "pace" not in place.options and not place.options["env"]["FSAI_HIL_PUT_OFF"]
@@ -174,7 +170,7 @@ def test_secrets_of_the_callers_environment_stay_outside(
 def test_where_no_vcan_can_be_had_it_fails_with_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def no_place(wanted: str) -> Place:
+    def no_place(wanted: str) -> VcanHost:
         raise VcanError("no vcan here; as root: install it")
 
     monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)

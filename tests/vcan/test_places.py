@@ -43,7 +43,7 @@ def processes_of(folder: Path) -> list[int]:
 
 
 @needs_uml
-def test_a_command_in_uml_has_vcan0_its_environment_its_folder_and_its_exit_status(
+def test_a_command_in_uml_keeps_environment_folder_and_status(
     tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
     results = tmp_path / "results of it"
@@ -71,7 +71,7 @@ def test_a_command_in_uml_has_vcan0_its_environment_its_folder_and_its_exit_stat
 
 @needs_uml
 @pytest.mark.parametrize("pace", [1.0, 3.0])
-def test_a_second_in_uml_takes_so_many_of_this_machine_by_every_clock_there(tmp_path: Path, pace: float) -> None:
+def test_every_clock_in_uml_goes_by_the_pace(tmp_path: Path, pace: float) -> None:
     """By the kernel's clock, by the one that programs are given, by the wall clock, and for timers."""
     inside = (
         "import subprocess, sys, time; "
@@ -103,9 +103,7 @@ def test_a_second_in_uml_takes_so_many_of_this_machine_by_every_clock_there(tmp_
 
 
 @needs_uml
-def test_a_command_that_takes_too_long_in_uml_is_ended_with_all_it_started(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_too_long_in_uml_is_ended_with_its_children(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     status = run_in_uml(
         ["sh", "-c", "sleep 1000 & while :; do :; done"],
@@ -121,7 +119,7 @@ def test_a_command_that_takes_too_long_in_uml_is_ended_with_all_it_started(
 
 @needs_uml
 @pytest.mark.parametrize("room_in_memory", [True, False])
-def test_what_was_written_before_the_time_was_up_is_kept_and_no_trace_of_it_elsewhere(
+def test_what_was_written_before_the_time_was_up_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_in_memory: bool
 ) -> None:
     shared = tmp_path / "shared"
@@ -139,7 +137,7 @@ def test_what_was_written_before_the_time_was_up_is_kept_and_no_trace_of_it_else
     assert list(shared.iterdir()) == []
 
 
-def test_two_at_once_take_different_processors_while_there_are_some(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_at_once_take_different_processors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uml, "_by_idleness", lambda: [900_003, 900_001])
     with uml.processor_of_its_own() as first, uml.processor_of_its_own() as second, uml.processor_of_its_own() as third:
         assert (first, second, third) == (900_003, 900_001, 900_003)
@@ -177,9 +175,7 @@ def test_uml_that_does_not_come_up_says_so_and_where_its_log_is(tmp_path: Path) 
 
 
 @needs_uml
-def test_a_native_place_has_an_interface_list_and_a_bus_of_its_own(
-    tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
-) -> None:
+def test_a_native_place_has_interfaces_of_its_own(tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
     # User-Mode Linux is here a kernel that has vcan: inside, the native way is the one that is taken.
     inner = "ls /sys/class/net; cansend vcan0 123#01; exit 5"
     program = (
@@ -199,9 +195,7 @@ def test_a_native_place_has_an_interface_list_and_a_bus_of_its_own(
     assert capfdbinary.readouterr().out.decode().split() == ["native", "lo", "vcan0", "status", "5", "0"]
 
 
-def test_a_native_command_that_takes_too_long_is_ended_with_its_children(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_native_command_too_long_is_ended_with_its_children(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(native, "namespace_prefix", lambda: None)
     monkeypatch.setattr(native, "existing_vcan", lambda: True)
     mark = tmp_path / "child-of-a-native-command"
@@ -220,7 +214,7 @@ def test_a_native_command_that_takes_too_long_is_ended_with_its_children(
     assert processes_of(mark) == []
 
 
-def test_where_there_is_neither_vcan_nor_uml_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_vcan_and_uml_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: False)
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     with pytest.raises(VcanError, match=r"no vcan .*linux\.uml.* apt-get install -y user-mode-linux") as refused:
@@ -228,13 +222,13 @@ def test_where_there_is_neither_vcan_nor_uml_one_line_says_what_to_install(monke
     assert "\n" not in str(refused.value)
 
 
-def test_native_asked_for_where_the_kernel_has_no_vcan_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_native_is_refused_where_the_kernel_has_no_vcan(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: False)
     with pytest.raises(VcanError, match="modprobe vcan"):
         choose_place("native")
 
 
-def test_the_kernels_own_vcan_is_preferred_and_uml_never_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_kernels_own_vcan_is_preferred(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: True)
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     assert choose_place().name == "native"

@@ -23,7 +23,7 @@ STEER_MAX_RAD = math.radians(8.0)
 ORIGIN = Motion()
 
 
-class Phase(Enum):
+class DemoPhase(Enum):
     """Where the demo is."""
 
     SWEEP = "sweep"
@@ -35,17 +35,17 @@ class Phase(Enum):
 
 
 NEXT = {
-    Phase.SWEEP: Phase.ACCELERATE,
-    Phase.ACCELERATE: Phase.STOP,
-    Phase.STOP: Phase.PAUSE,
-    Phase.PAUSE: Phase.ACCELERATE_AGAIN,
-    Phase.ACCELERATE_AGAIN: Phase.EMERGENCY_BRAKE,
+    DemoPhase.SWEEP: DemoPhase.ACCELERATE,
+    DemoPhase.ACCELERATE: DemoPhase.STOP,
+    DemoPhase.STOP: DemoPhase.PAUSE,
+    DemoPhase.PAUSE: DemoPhase.ACCELERATE_AGAIN,
+    DemoPhase.ACCELERATE_AGAIN: DemoPhase.EMERGENCY_BRAKE,
 }
 
 
 @dataclass(frozen=True, slots=True)
 class DemoState(Immutable):
-    phase: Phase = Phase.SWEEP
+    phase: DemoPhase = DemoPhase.SWEEP
     since_ns: int = 0
     distance_m: float = 0.0  # driven when the phase began
     line: Motion = ORIGIN  # the straight line: from here, along this yaw
@@ -57,20 +57,20 @@ def advance_demo(
 ) -> tuple[DemoState, MissionRequest]:
     """The demo at `view.now_ns`, and what it asks for."""
     motion = view.motion
-    if state.phase is Phase.SWEEP:
+    if state.phase is DemoPhase.SWEEP:
         sweep = advance_sweep(state.sweep, view, full_steer_rad, settings)
         state = replace(state, sweep=sweep, line=motion)
         return (_next(state, view) if sweep.done else state), MissionRequest(sweep.angle_rad, brake=REST_BRAKE)
     steering = _straight_on(state.line, motion)
-    if state.phase is Phase.EMERGENCY_BRAKE:
+    if state.phase is DemoPhase.EMERGENCY_BRAKE:
         return state, MissionRequest(steering, estop=True)
-    if state.phase in (Phase.ACCELERATE, Phase.ACCELERATE_AGAIN):
+    if state.phase in (DemoPhase.ACCELERATE, DemoPhase.ACCELERATE_AGAIN):
         target = min(settings.demo_speed_mps + settings.demo_margin_mps, max_speed_mps)
         driven = motion.distance_m - state.distance_m
         if motion.speed_mps >= target or driven >= LENGTH_SHARE * settings.demo_length_m:
             return _next(state, view), MissionRequest(steering)
         return state, MissionRequest(steering, throttle=1.0, speed_limit_mps=min(target + 1.5, max_speed_mps))
-    if state.phase is Phase.STOP:
+    if state.phase is DemoPhase.STOP:
         stands = view.standing or motion.speed_mps < 0.05
         return (_next(state, view) if stands else state), MissionRequest(steering, brake=STOP_BRAKE)
     if view.now_ns - state.since_ns >= settings.demo_pause_s * 1e9:

@@ -24,7 +24,7 @@ SPIN_LIMIT = 1.15  # the motors' own speed limit, over the speed asked for
 REST_BRAKE = 0.3
 
 
-class Phase(Enum):
+class InspectionPhase(Enum):
     """Where an inspection is."""
 
     SWEEP = "sweep"
@@ -38,7 +38,7 @@ class Phase(Enum):
 class Inspection:
     """One of the two inspections: its phases in order, the speed and for how long it is held."""
 
-    phases: tuple[Phase, ...]
+    phases: tuple[InspectionPhase, ...]
     rpm: float
     hold_s: float
     spin_up_s: float
@@ -55,7 +55,7 @@ class InspectionState(Immutable):
 
 def inspection_a(settings: MissionSettings) -> Inspection:
     return Inspection(
-        (Phase.SWEEP, Phase.SPIN_UP, Phase.HOLD, Phase.REST),
+        (InspectionPhase.SWEEP, InspectionPhase.SPIN_UP, InspectionPhase.HOLD, InspectionPhase.REST),
         settings.inspection_a_rpm,
         settings.inspection_a_hold_s,
         settings.inspection_a_spin_up_s,
@@ -64,7 +64,7 @@ def inspection_a(settings: MissionSettings) -> Inspection:
 
 def inspection_b(settings: MissionSettings) -> Inspection:
     return Inspection(
-        (Phase.SPIN_UP, Phase.HOLD, Phase.EMERGENCY_BRAKE),
+        (InspectionPhase.SPIN_UP, InspectionPhase.HOLD, InspectionPhase.EMERGENCY_BRAKE),
         settings.inspection_b_rpm,
         settings.inspection_b_hold_s,
         settings.inspection_a_spin_up_s,
@@ -93,13 +93,13 @@ def advance_inspection(
     phase = inspection.phases[state.index]
     in_phase_s = (view.now_ns - since_ns) / 1e9
 
-    if phase is Phase.SWEEP:
+    if phase is InspectionPhase.SWEEP:
         sweep = advance_sweep(state.sweep, view, full_steer_rad, settings)
         state = replace(state, sweep=sweep)
         return (_next(state, view) if sweep.done else state), MissionRequest(steering_rad=sweep.angle_rad)
-    if phase is Phase.REST:
+    if phase is InspectionPhase.REST:
         return state, MissionRequest(brake=REST_BRAKE, finished=True)
-    if phase is Phase.EMERGENCY_BRAKE:
+    if phase is InspectionPhase.EMERGENCY_BRAKE:
         return state, MissionRequest(estop=True)
 
     rpm = driven_rpm(car, view.wheel_rpm)
@@ -112,9 +112,9 @@ def advance_inspection(
         speed_limit_mps=min(car.speed_of_wheel_rpm(SPIN_LIMIT * inspection.rpm), max_speed_mps),
     )
     reached = rpm >= inspection.rpm
-    if phase is Phase.SPIN_UP and (reached or in_phase_s >= inspection.spin_up_s):
+    if phase is InspectionPhase.SPIN_UP and (reached or in_phase_s >= inspection.spin_up_s):
         return _next(state, view), request
-    if phase is Phase.HOLD and in_phase_s >= inspection.hold_s:
+    if phase is InspectionPhase.HOLD and in_phase_s >= inspection.hold_s:
         return _next(state, view), request
     return state, request
 

@@ -79,11 +79,6 @@ def find_lane(
     )
 
 
-def _ramp(value: Floats, low: float, high: float) -> Floats:
-    """0 below `low`, 1 above `high`, straight between."""
-    return np.minimum(np.maximum((value - low) / (high - low), 0.0), 1.0)
-
-
 @dataclass(frozen=True, slots=True)
 class _Fan:
     """The arcs that may follow each pose, and what does not depend on the pose."""

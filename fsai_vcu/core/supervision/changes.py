@@ -7,21 +7,7 @@ from __future__ import annotations
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.enums import ShutdownCause
-from fsai_vcu.interface.images import VcuStatus
-
-FAULT_NAMES = (
-    ("ai_estop_request", "AI_ESTOP_REQUEST"),
-    ("hvil_open", "HVIL_OPEN_FAULT"),
-    ("hvil_short", "HVIL_SHORT_FAULT"),
-    ("ebs", "EBS_FAULT"),
-    ("offboard_charger", "OFFBOARD_CHARGER_FAULT"),
-    ("ai_comms_lost", "AI_COMMS_LOST"),
-    ("autonomous_braking", "AUTONOMOUS_BRAKING_FAULT"),
-    ("mission_status", "MISSION_STATUS_FAULT"),
-    ("charge_procedure", "CHARGE_PROCEDURE_FAULT"),
-    ("bms", "BMS_FAULT"),
-    ("brake_plausibility", "BRAKE_PLAUSIBILITY_FAULT"),
-)
+from fsai_vcu.interface.messages import VcuStatus
 
 
 def changes(before: VcuStatus, now: VcuStatus) -> list[tuple[Reason, str]]:
@@ -34,8 +20,7 @@ def changes(before: VcuStatus, now: VcuStatus) -> list[tuple[Reason, str]]:
     if now.shutdown_request and not before.shutdown_request:
         found.append((Reason.SHUTDOWN_REQUESTED, ""))
     if now.faults != before.faults:
-        old, new = before.faults, now.faults
-        risen = [name for field, name in FAULT_NAMES if getattr(new, field) and not getattr(old, field)]
+        risen = [name for name in now.faults.names if name not in before.faults.names]
         if risen:
             found.append((Reason.FAULT_BIT, ", ".join(risen)))
     if before.shutdown_cause is ShutdownCause.NO_SHUTDOWN and now.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:

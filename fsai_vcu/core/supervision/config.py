@@ -7,9 +7,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 from fsai_vcu.interface.immutable import Immutable
-
-MS = 1_000_000
-S = 1_000_000_000
+from fsai_vcu.interface.specification import COMMS_LOST_NS, WHEEL_SPEED_MAX_RPM
+from fsai_vcu.interface.units import MS, S
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +46,16 @@ class BridgeConfig(Immutable):
 
     # What the car says
     vcu_stale_ns: int = 50 * MS
-    vcu_lost_ns: int = 100 * MS
+    vcu_lost_ns: int = COMMS_LOST_NS
     feedback_stale_ns: int = 100 * MS  # wheel speeds, steering feedback, torque limits
     feedback_lost_ns: int = 300 * MS
     implausible_ns: int = 300 * MS
     implausible_lost_ns: int = 600 * MS
 
     # Wheel speeds that are not believed
-    wheel_max_rpm: int = 1250  # signal database: range of the wheel speeds
+    wheel_max_rpm: int = WHEEL_SPEED_MAX_RPM
     wheel_change_max_rpm: int = 300  # no tyre speeds a wheel up, or slows it down, by more from one frame to the next
-    wheel_jump_ns: int = 150 * MS  # a jump is not believed for so long: what stays is reacted to as a missing speed
+    wheel_jump_ns: int = 350 * MS  # a jump is not believed for so long: what stays is reacted to as a missing speed
     wheel_doubt_turns: float = 0.5  # of a wheel: by so much speed and pulse count may contradict each other
 
     # Our own loop and bus

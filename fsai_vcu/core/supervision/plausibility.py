@@ -7,12 +7,12 @@ has been implausible, and the supervisor's table says what follows after how lon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
-from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.immutable import Immutable, replace
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
 
 WHEEL_NAMES = ("front left", "front right", "rear left", "rear right")
 

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fsai_vcu.core.supervision.changes import FAULT_NAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.supervisor import (
-    OFF_LIKE,
-    ROLES,
-    Mode,
-    Phase,
-    Sequence,
-    SupervisorState,
-    acknowledged,
-    vcu_lost,
-)
+from fsai_vcu.core.supervision.supervisor import ROLES, Mode, Phase, Sequence, SupervisorState, acknowledged, vcu_lost
 from fsai_vcu.interface.enums import (
+    OFF_LIKE,
     Ami,
     AsState,
     BrakeStatus,
@@ -27,11 +18,9 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.images import Faults, VcuStatus, VehicleState
 from fsai_vcu.interface.immutable import Immutable
-
-READY_WAIT_NS = 5_000_000_000  # interface specification v4.0: at least 5 s in AS_READY
-READY_STEER_DEG = 5.0  # interface specification v4.0: measured steering under 5 deg
+from fsai_vcu.interface.messages import VcuStatus, VehicleState
+from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +111,7 @@ def _car_side(config: BridgeConfig, state: SupervisorState, vehicle: VehicleStat
 
 
 def _named_faults(status: VcuStatus) -> str:
-    faults: Faults = status.faults
-    names = [name for attribute, name in FAULT_NAMES if getattr(faults, attribute)]
+    names = list(status.faults.names)
     if status.shutdown_cause is not None and status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN:
         names.append(f"SHUTDOWN_CAUSE {status.shutdown_cause.label}")
     return f": {', '.join(names)}" if names else ""

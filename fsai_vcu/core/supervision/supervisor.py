@@ -1,21 +1,31 @@
 """The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
 
-Pure. A state goes in with what happened, a state comes out: `heard` and `on_status` take frames of 0x520, `on_speeds`
-those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns what went
-out, the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`, `strike` takes what happens at one instant,
-and `supervise` looks at the clock once a cycle and decides. Three tables hold the rules:
+Pure: a `SupervisorState` goes in with what happened, a state comes out. `heard` and `on_status` take frames of 0x520,
+`on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns
+what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens at one
+instant. Once a cycle `supervise` looks at the clock and decides, in this order:
 
-- `OUTPUT`: phase of a run -> what is sent,
-- `REACTIONS`: what is wrong -> after how long -> what follows; the words are those of `Reason`,
-- `_NEXT`: which AS states this process saw follow one another.
+1. In AS_DRIVING, `_react`: what is wrong, and for how long (`_ages`); after how long what follows (`REACTIONS`). What
+   was asked for comes last: manual mode, then an emergency brake or the end of the mission by the command.
+2. `_phase`: where the run stands. The AS state decides first; in AS_DRIVING an emergency comes before a stop, a stop
+   before the 3 s of standing still, and those before holding the torque back.
+3. `OUTPUT`: the phase's row says mission status, direction, where steering and brake come from, whether torque may be.
 
-"Stale after T" means an age of T or more; an age of T - 1 ns is still in time.
+What latches: a stop until the AS state changes (the first cause stays); an emergency until `reset` in AS_INIT or
+AS_OFF, or a power cycle of the car (safety rule 6). A stop for a lost command also ends autonomous mode. Nothing else
+latches: torque that is held back returns by itself with what was missing.
+
+A drive needs what only the car's own life brings, in this order and seen by this process (safety rules 2 and 10):
+AS_OFF, 5 s of AS_READY without Go, Go, AS_DRIVING (`NEXT`); and a mission that was acknowledged, with planner and
+controller reset for it. Each entry into AS_OFF, and each change of the AMI, begins a run, which forgets the last one's.
+
+"Stale after T" means an age of T or more; an age of T - 1 ns is still in time. docs/supervision.md shows the tables.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum, auto
 from types import MappingProxyType
 
@@ -23,12 +33,9 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import turning
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import VcuStatus, WheelSpeeds
-from fsai_vcu.interface.immutable import Immutable
-
-OFF_LIKE = frozenset((AsState.AS_INIT, AsState.AS_OFF))
-"""AS_STATE 0 is treated like AS_OFF in both revisions."""
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.immutable import Immutable, replace
+from fsai_vcu.interface.messages import VcuStatus, WheelSpeeds
 
 IDLE_STATES = OFF_LIKE | {AsState.AS_READY}
 """Where a mode may be chosen and the AMI is followed."""
@@ -55,7 +62,7 @@ class Sequence(IntEnum):
     COMPLETE = auto()
 
 
-_NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
+NEXT: Mapping[tuple[Sequence, AsState], Sequence] = MappingProxyType(
     {
         (Sequence.OFF_SEEN, AsState.AS_READY): Sequence.READY_SEEN,
         (Sequence.READY_SEEN, AsState.AS_READY): Sequence.READY_SEEN,
@@ -207,7 +214,7 @@ class Asked(Enum):
     SHUTDOWN = "this software was stopped"
 
 
-_STEERS_WHILE_STOPPING = frozenset(
+STEERS_WHILE_STOPPING = frozenset(
     (
         Asked.MISSION_DONE,
         Reason.GO_OFF,
@@ -343,7 +350,7 @@ def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -
 
     # A power cycle breaks the sequence even if the state is the same before and after.
     seen = Sequence.NONE if power_cycle else state.sequence
-    sequence = _NEXT.get((seen, now), Sequence.NONE)
+    sequence = NEXT.get((seen, now), Sequence.NONE)
 
     run_id, mission, confirmed, selected_sent = state.run_id, state.mission, state.confirmed, state.selected_sent
     entered_off = off and before is not None and (before not in OFF_LIKE or power_cycle)
@@ -769,7 +776,7 @@ def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> t
     if steer is Steer.HELD_OR_COMMAND:
         assert state.stop is not None  # this phase is a stop
         speaks = command is not None and state.mode is Mode.AUTONOMOUS and may_move(config, state, now_ns)
-        steer = Steer.COMMAND if speaks and state.stop.cause in _STEERS_WHILE_STOPPING else Steer.HELD
+        steer = Steer.COMMAND if speaks and state.stop.cause in STEERS_WHILE_STOPPING else Steer.HELD
     return state, Decision(
         phase,
         mission_status,

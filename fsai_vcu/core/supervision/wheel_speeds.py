@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fsai_vcu.core.supervision.config import MS, BridgeConfig
+from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import WHEEL_NAMES
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.units import MS
 
 _PERIOD_NS = 10 * MS  # of 0x525 and 0x526: two frames may be read closer together than they were measured
 _COUNTS = 1 << 16  # interface specification v4.0: 16-bit counters that wrap

@@ -1,8 +1,8 @@
 """Dead reckoning from what the car reports: wheel speeds, steering and, while it is fresh, the yaw-rate sensor.
 
-Pure: state in, state out (`advance`); `Odometry` only keeps the state between calls. Positions are those of the rear
-axle's centre in the odometry frame. They drift, and whoever uses them over more than some tens of metres must correct
-them by what is seen.
+Pure: state in, state out (`standing_start`, `advance`, `begin_run`). Positions are those of the rear axle's centre in
+the odometry frame. They drift, and whoever uses them over more than some tens of metres must correct them by what is
+seen.
 
 The instant of a motion is that of the wheel speeds behind it: where the car says nothing, nothing goes on. How sure it
 is follows from the way driven, as a random walk (`OdometrySettings`): over `ds` metres the heading's variance grows by
@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
-from fsai_vcu.interface.images import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
-from fsai_vcu.interface.immutable import Immutable
-
-NS_PER_S = 1_000_000_000
+from fsai_vcu.interface.immutable import Immutable, replace
+from fsai_vcu.interface.messages import GpsImu, VcuBrake, VehicleState, WheelCounts, WheelSpeeds
+from fsai_vcu.interface.units import S
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +47,9 @@ class OdometrySettings(Immutable):
     missing_yaw_rate_radps: float = 0.5  # a moving car may have turned so fast while it was not heard
 
 
+SETTINGS = OdometrySettings()
+
+
 @dataclass(frozen=True, slots=True)
 class OdometryState(Immutable):
     """Everything that dead reckoning remembers."""
@@ -63,6 +65,13 @@ class OdometryState(Immutable):
 def standing_start(now_ns: int) -> OdometryState:
     """The state at a run's beginning: at the origin, at rest."""
     return OdometryState(motion=Motion(t_ns=now_ns), counts_changed_ns=now_ns)
+
+
+def begin_run(state: OdometryState, now_ns: int) -> OdometryState:
+    """The car's pose is the origin from now on. What was learnt of the sensor stays."""
+    return replace(
+        standing_start(now_ns), yaw_rate_bias_radps=state.yaw_rate_bias_radps, bias_t_rx_ns=state.bias_t_rx_ns
+    )
 
 
 def _fresh(t_rx_ns: int, now_ns: int, settings: OdometrySettings) -> bool:
@@ -127,10 +136,10 @@ def _yaw_rates_by_wheels(car: VehicleParameters, speeds: WheelSpeeds, curvature_
 
 def advance(
     car: VehicleParameters,
-    settings: OdometrySettings,
     state: OdometryState,
     vehicle: VehicleState,
     gps: GpsImu,
+    settings: OdometrySettings = SETTINGS,
 ) -> OdometryState:
     """The state when the newest wheel speeds were received. Without newer ones nothing changes."""
     before, speeds = state.motion, vehicle.speeds
@@ -138,7 +147,7 @@ def advance(
         return state
     t_ns = speeds.t_rx_ns
     step_ns = t_ns - before.t_ns
-    dt_s = min(step_ns, settings.longest_step_ns) / NS_PER_S
+    dt_s = min(step_ns, settings.longest_step_ns) / S
 
     curvature = state.curvature_1pm
     steer = vehicle.steer
@@ -180,7 +189,7 @@ def advance(
     way = 0.5 * (speed + before.speed_mps) * dt_s
     middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
     faster = max(speed, before.speed_mps)
-    missing_s = max(0, step_ns - settings.fresh_ns) / NS_PER_S if faster > 0.0 else 0.0
+    missing_s = max(0, step_ns - settings.fresh_ns) / S if faster > 0.0 else 0.0
     yaw_sd = math.sqrt(before.yaw_sd_rad**2 + settings.yaw_sd_radpsqrtm**2 * way)
     position_sd = math.sqrt(
         before.position_sd_m**2 + (settings.position_sd_share**2 + yaw_sd**2) * settings.error_length_m * way
@@ -209,39 +218,13 @@ def advance(
     )
 
 
-class Odometry:
-    """Dead reckoning over time; `reset` begins a run."""
-
-    def __init__(self, car: VehicleParameters, settings: OdometrySettings | None = None, now_ns: int = 0) -> None:
-        self._car = car
-        self._settings = settings or OdometrySettings()
-        self._state = standing_start(now_ns)
-
-    @property
-    def motion(self) -> Motion:
-        return self._state.motion
-
-    def reset(self, now_ns: int) -> None:
-        """The car's pose is the origin from now on. What was learnt of the sensor stays."""
-        self._state = replace(
-            standing_start(now_ns),
-            yaw_rate_bias_radps=self._state.yaw_rate_bias_radps,
-            bias_t_rx_ns=self._state.bias_t_rx_ns,
-        )
-
-    def update(self, vehicle: VehicleState, gps: GpsImu) -> Motion:
-        """The motion by the newest that the car has said."""
-        self._state = advance(self._car, self._settings, self._state, vehicle, gps)
-        return self._state.motion
-
-
 CARRIED_NS = 300_000_000
 """A motion is carried on for no longer: 100 ms for which wheel speeds are fresh, and what actuators take to answer."""
 
 
 def motion_at(motion: Motion, t_ns: int) -> Motion:
     """`motion` carried to another instant with speed and yaw rate held, but by no more than `CARRIED_NS`."""
-    dt_s = min(max(t_ns - motion.t_ns, -CARRIED_NS), CARRIED_NS) / NS_PER_S
+    dt_s = min(max(t_ns - motion.t_ns, -CARRIED_NS), CARRIED_NS) / S
     if dt_s == 0.0:
         return motion
     way = motion.speed_mps * dt_s
@@ -259,7 +242,7 @@ def motion_at(motion: Motion, t_ns: int) -> Motion:
 class MotionHistory:
     """The motions of the last moments, to know where the car was when a sensor looked."""
 
-    def __init__(self, span_ns: int = 2 * NS_PER_S) -> None:
+    def __init__(self, span_ns: int = 2 * S) -> None:
         self._span_ns = span_ns
         self._motions: deque[Motion] = deque()
 

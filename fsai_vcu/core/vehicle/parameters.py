@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, CONSTANT_POWER_RPM_NM, GEAR_RATIO, MOTOR_SPEED_MAX_RPM
 
 GRAVITY_MPS2 = 9.81
 
@@ -36,18 +37,14 @@ class VehicleParameters(Immutable):
     # Drive line
     driven_front: bool = False
     driven_rear: bool = True
-    gear_ratio: float = 3.5  # motor turns per wheel turn
-    motor_speed_max_rpm: float = 4000.0
-    axle_torque_max_nm: float = 195.0
+    gear_ratio: float = GEAR_RATIO  # motor turns per wheel turn
+    motor_speed_max_rpm: float = MOTOR_SPEED_MAX_RPM
+    axle_torque_max_nm: float = AXLE_TORQUE_MAX_NM
     torque_rate_nmps: float = 5000.0  # 50 Nm per 10 ms
     # Available axle torque by motor speed: what 5 kW and 200 A leave of the peak.
     torque_curve_rpm_nm: tuple[tuple[float, float], ...] = (
-        (0.0, 195.0),
-        (1050.0, 150.0),
-        (1400.0, 120.0),
-        (1750.0, 100.0),
-        (2100.0, 85.0),
-        (2450.0, 50.0),
+        (0.0, AXLE_TORQUE_MAX_NM),
+        *((GEAR_RATIO * wheel_rpm, torque_nm) for wheel_rpm, torque_nm in reversed(CONSTANT_POWER_RPM_NM)),
         (2800.0, 30.0),
         (3150.0, 10.0),
     )

@@ -26,13 +26,12 @@ from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.log.live import LiveSource
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import WheelCounts, WheelSpeeds
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
 from fsai_vcu.runtime.bus import BusError
 
 _NET = Path("/sys/class/net")
 _ARPHRD_CAN = "280"  # linux/if_arp.h
-_STATUS_ID = 0x520
 _ANSWER_S = 10.0
 _PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 _ENABLED, _UNITS = Path("/etc/systemd/system"), Path("/usr/lib/systemd/system")
@@ -154,14 +153,14 @@ def heard_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusHeard:
     ids = {int(can_id) for frames in chunks for can_id in set(frames.can_id.tolist())}
     known = max(chunks, key=len, default=None)
     revision = why = ""
-    if known is not None and _STATUS_ID in ids:
+    if known is not None and STATUS_ID in ids:
         found, why = guess_revision(known)
         revision = found.name
     return BusHeard(
         seconds,
         frames=sum(len(frames) for frames in chunks),
         error_frames=sum(int((frames.flags & 0x04 != 0).sum()) for frames in chunks),
-        from_car=_STATUS_ID in ids,
+        from_car=STATUS_ID in ids,
         from_ai=not ids.isdisjoint(AI_IDS),
         from_others=not ids <= set(AI_IDS),
         revision=revision,

@@ -53,7 +53,7 @@ class Turn:
         return None
 
 
-class WheelCheck:
+class WheelWiringCheck:
     """Asks for each wheel in turn. Fed with what the bus says, by signal position (fl, fr, rl, rr)."""
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain.emergencies import emergencies
-from fsai_vcu.diagnostics.explain.incident import Event, Incident, Kind, Story
+from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
 from fsai_vcu.diagnostics.explain.record import Record, record_of
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
@@ -24,7 +24,7 @@ from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
 
-__all__ = ["Event", "Incident", "Kind", "Story", "record_for", "story_of", "tell"]
+__all__ = ["Explanation", "Incident", "IncidentKind", "TimelineEntry", "record_for", "story_of", "tell"]
 
 
 def record_for(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Record:
@@ -33,15 +33,15 @@ def record_for(frames: Frames, revision: str | None = None, databases: Databases
     return record_of(frames, chosen, reason, databases)
 
 
-def tell(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Story:
+def tell(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Explanation:
     """The story of a log. Raises ValueError for a log without frames, or an unknown revision."""
     return story_of(record_for(frames, revision, databases))
 
 
-def story_of(record: Record) -> Story:
+def story_of(record: Record) -> Explanation:
     """The story of a log that is sorted already."""
     incidents = [*emergencies(record), *refusals(record), *early_stops(record)]
-    return Story(
+    return Explanation(
         heading={
             "revision": record.revision.name,
             "revision_reason": record.revision_reason,

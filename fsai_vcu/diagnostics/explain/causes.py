@@ -13,6 +13,7 @@ from typing import Final
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.interface.enums import ShutdownCause
+from fsai_vcu.interface.messages import FAULT_NAMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,17 +374,9 @@ SHUTDOWN: Final[Mapping[ShutdownCause, str]] = MappingProxyType(
 
 FAULT_BITS: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "AI_ESTOP_REQUEST": "ai_computer_request",
-        "HVIL_OPEN_FAULT": "hvil_open",
-        "HVIL_SHORT_FAULT": "hvil_short",
-        "EBS_FAULT": "ebs_fault",
-        "OFFBOARD_CHARGER_FAULT": "offboard_charger",
-        "AI_COMMS_LOST": "ai_comms_lost",
-        "AUTONOMOUS_BRAKING_FAULT": "neutral_while_moving",
-        "MISSION_STATUS_FAULT": "finished_while_moving",
-        "CHARGE_PROCEDURE_FAULT": "charge_procedure",
-        "BMS_FAULT": "bms",
-        "BRAKE_PLAUSIBILITY_FAULT": "torque_with_brake",
+        "AI_ESTOP_REQUEST": SHUTDOWN[ShutdownCause.AI_COMPUTER_REQUEST],
+        "AI_COMMS_LOST": SHUTDOWN[ShutdownCause.AI_COMMS_FAULT],
+        **{cause.name: slug for cause, slug in SHUTDOWN.items() if cause.name in FAULT_NAMES.values()},
     }
 )
 """Fault bit of 0x520 -> cause. Every bit has a row."""

@@ -13,7 +13,15 @@ from typing import Final
 
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
 from fsai_vcu.diagnostics.explain.evidence import found_before
-from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Kind, Step, Sureness, candidate, ranked
+from fsai_vcu.diagnostics.explain.incident import (
+    Candidate,
+    ChainLink,
+    Incident,
+    IncidentKind,
+    Sureness,
+    candidate,
+    ranked,
+)
 from fsai_vcu.diagnostics.explain.link import link_losses, ms, timeouts_said
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
 from fsai_vcu.diagnostics.explain.signals import (
@@ -31,25 +39,23 @@ from fsai_vcu.diagnostics.explain.signals import (
     FINISHED,
     GO,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     RADIO_STRENGTH,
     REMOTE_ESTOP,
     SHUTDOWN_CAUSE,
-    STANDING_RPM,
     STATUS,
     STATUS_EBS,
     TORQUE_F,
     TORQUE_R,
     TS_SWITCH,
-    S,
     first_on,
     label,
     like_official_simulator,
 )
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of state belongs to it
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
@@ -78,7 +84,7 @@ def _emergency(record: Record, span: Span) -> Incident:
     t_ns = span.begin_ns
     before = None if span.before is None else AsState(int(span.before)) if span.before <= FINISHED else None
     came = f"{before.label} → EMERGENCY_BRAKE" if before is not None else "EMERGENCY_BRAKE"
-    end = Step(t_ns, f"AS_STATE {came}{_said_words(record, t_ns)}", STATUS, AS_STATE.name)
+    end = ChainLink(t_ns, f"AS_STATE {came}{_said_words(record, t_ns)}", STATUS, AS_STATE.name)
     candidates: list[Candidate] = []
     said = _said(record, span)
     for slug, sureness in said.items():
@@ -94,11 +100,15 @@ def _emergency(record: Record, span: Span) -> Incident:
     chains = tuple(replace(c, steps=(*_marks(record, c), *c.steps, end)) for c in chains)
     chains = tuple(replace(c, steps=tuple(dict.fromkeys(sorted(c.steps, key=lambda s: s.t_ns)))) for c in chains)
     return Incident(
-        Kind.EMERGENCY, t_ns, f"EMERGENCY_BRAKE{'' if before is None else f' in {before.label}'}", chains, planned
+        IncidentKind.EMERGENCY,
+        t_ns,
+        f"EMERGENCY_BRAKE{'' if before is None else f' in {before.label}'}",
+        chains,
+        planned,
     )
 
 
-def _marks(record: Record, one: Candidate) -> tuple[Step, ...]:
+def _marks(record: Record, one: Candidate) -> tuple[ChainLink, ...]:
     """What 0x120 says belongs to a chain about the link."""
     if one.slug.startswith(("ai_message", "ai_silent", "handshake", "ai_unheard", "ai_comms")):
         return tuple(timeouts_said(record, one.t_ns, one.t_ns + BEHIND_NS)[:2])
@@ -143,8 +153,10 @@ def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Can
         if FAULT_BITS[signal.name] == slug:
             rose = [s for s in record.series(signal).changes(t_ns - BEHIND_NS, t_ns + AROUND_NS) if s.value]
             at_ns = rose[0].begin_ns if rose else t_ns
-            return [candidate(slug, sureness, [Step(at_ns, f"{signal.name} is 1", STATUS, signal.name)])]
-    return [candidate(slug, sureness, [Step(t_ns, f"SHUTDOWN_CAUSE names it: {slug}", STATUS, SHUTDOWN_CAUSE.name)])]
+            return [candidate(slug, sureness, [ChainLink(at_ns, f"{signal.name} is 1", STATUS, signal.name)])]
+    return [
+        candidate(slug, sureness, [ChainLink(t_ns, f"SHUTDOWN_CAUSE names it: {slug}", STATUS, SHUTDOWN_CAUSE.name)])
+    ]
 
 
 def _drive_begin(record: Record, t_ns: int) -> int:
@@ -160,12 +172,12 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
     asked = [s for s in record.series(ESTOP).spans if s.value and s.begin_ns <= t_ns + 20 * MS]
     if not asked or asked[-1].end_ns < t_ns - BEHIND_NS:
         words = "the car names the AI computer's request, but no 0x510 in this log has ESTOP_REQUEST 1"
-        return [candidate(slug, sureness, [Step(t_ns, words, STATUS, SHUTDOWN_CAUSE.name)])]
+        return [candidate(slug, sureness, [ChainLink(t_ns, words, STATUS, SHUTDOWN_CAUSE.name)])]
     first = asked[-1]
     if first.before is None:
-        step = Step(first.begin_ns, "ESTOP_REQUEST is 1 from the log's first 0x510 on", 0x510, ESTOP.name)
+        step = ChainLink(first.begin_ns, "ESTOP_REQUEST is 1 from the log's first 0x510 on", 0x510, ESTOP.name)
         return [candidate(slug, sureness, [step])]
-    request = Step(first.begin_ns, "ESTOP_REQUEST 0 → 1: the AI computer asks", 0x510, ESTOP.name)
+    request = ChainLink(first.begin_ns, "ESTOP_REQUEST 0 → 1: the AI computer asks", 0x510, ESTOP.name)
     roots = found_before(record, first.begin_ns, _drive_begin(record, t_ns), emergency=True)
     # Who asked is said by the car; why, by the frames before.
     chains = [replace(root, sureness=sureness, steps=(*root.steps, request)) for root in roots]
@@ -173,7 +185,7 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
         return list(ranked(chains))
     ami = record.series(AMI).at(t_ns)
     if ami in PLANNED and (ami == Ami.STATIC_INSPECTION_B or _has_moved(record, t_ns)):
-        mission = Step(_drive_begin(record, t_ns), f"the mission is {label(AMI, ami)}", STATUS, AMI.name)
+        mission = ChainLink(_drive_begin(record, t_ns), f"the mission is {label(AMI, ami)}", STATUS, AMI.name)
         return [candidate("planned_end", sureness, [mission, request])]
     return [
         candidate("not_on_the_bus", sureness, [request]),
@@ -193,19 +205,19 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
         return found
     if any(record.has(can_id) for can_id in AI_IDS):
         words = "0x510 to 0x514 and the echo are all in this log, in time"
-        return [candidate("ai_unheard", sureness, [Step(t_ns, words, 0x510)])]
+        return [candidate("ai_unheard", sureness, [ChainLink(t_ns, words, 0x510)])]
     words = "this log has no frame of the AI computer: it was silent, or only one direction was recorded"
-    return [candidate(slug, sureness, [Step(t_ns, words, STATUS, "AI_COMMS_LOST")])]
+    return [candidate(slug, sureness, [ChainLink(t_ns, words, STATUS, "AI_COMMS_LOST")])]
 
 
 def _torque_with_brake(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """The moment when both were asked for."""
     met = _both_asked(record, t_ns)
-    step = met or Step(t_ns, "the frames of this log do not show torque and brake together", STATUS)
+    step = met or ChainLink(t_ns, "the frames of this log do not show torque and brake together", STATUS)
     return [candidate(slug, sureness, [step])]
 
 
-def _both_asked(record: Record, t_ns: int) -> Step | None:
+def _both_asked(record: Record, t_ns: int) -> ChainLink | None:
     begin = t_ns - JUST_BEFORE_NS
     torque = [record.series(signal) for signal in (TORQUE_F, TORQUE_R)]
     brake = [record.series(signal) for signal in (BRAKE_REQ_F, BRAKE_REQ_R)]
@@ -214,7 +226,7 @@ def _both_asked(record: Record, t_ns: int) -> Step | None:
             nm = max((s.at(at_ns) or 0.0) for s in torque)
             pct = max((s.at(at_ns) or 0.0) for s in brake)
             if nm > 0 and pct > 0:
-                return Step(at_ns, f"torque {nm:g} Nm and brake {pct:g} % are asked for together", 0x514)
+                return ChainLink(at_ns, f"torque {nm:g} Nm and brake {pct:g} % are asked for together", 0x514)
     return None
 
 
@@ -225,10 +237,12 @@ def _turning(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[C
     said = [s for s in series.spans if s.value == value and s.begin_ns <= t_ns]
     wheels = record.fastest_wheel().at(t_ns)
     if not said:
-        return [candidate(slug, sureness, [Step(t_ns, f"no 0x510 of this log says {label(signal, value)}", STATUS)])]
+        return [
+            candidate(slug, sureness, [ChainLink(t_ns, f"no 0x510 of this log says {label(signal, value)}", STATUS)])
+        ]
     turn = "" if wheels is None else f" while a wheel turns at {wheels:.0f} rpm"
     words = f"{signal.name} {label(signal, said[-1].before)} → {label(signal, value)}{turn}"
-    return [candidate(slug, sureness, [Step(said[-1].begin_ns, words, 0x510, signal.name)])]
+    return [candidate(slug, sureness, [ChainLink(said[-1].begin_ns, words, 0x510, signal.name)])]
 
 
 TURNING: Final[Mapping[str, tuple[Signal, float]]] = MappingProxyType(
@@ -242,12 +256,12 @@ TURNING: Final[Mapping[str, tuple[Signal, float]]] = MappingProxyType(
 def _ebs(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """An EBS that goes because TSMS went, or by itself."""
     switched = [s for s in record.series(TS_SWITCH).changes(t_ns - BEHIND_NS, t_ns) if not s.value]
-    went: list[Step] = []
+    went: list[ChainLink] = []
     for signal, armed in ((EBS_STATE, EbsState.EBS_ARMED), (STATUS_EBS, EbsStatus.ARMED)):
         for s in record.series(signal).changes(t_ns - BEHIND_NS, t_ns):
             if s.before == armed:
                 went.append(
-                    Step(
+                    ChainLink(
                         s.begin_ns,
                         f"{signal.name} {label(signal, s.before)} → {label(signal, s.value)}",
                         signal.can_id,
@@ -256,7 +270,7 @@ def _ebs(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candi
                 )
     bit = _plain(record, t_ns, slug, sureness)[0].steps
     if switched:
-        root = Step(switched[-1].begin_ns, "TS_SWITCH_STATUS 1 → 0: TSMS goes off", STATUS, TS_SWITCH.name)
+        root = ChainLink(switched[-1].begin_ns, "TS_SWITCH_STATUS 1 → 0: TSMS goes off", STATUS, TS_SWITCH.name)
         return [
             candidate("tsms_off", sureness, [root, *went[:1], *bit]),
             candidate(slug, Sureness.FITS, [*went[:1], *bit]),
@@ -284,7 +298,7 @@ def _switch_off(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
     if _state_before(record, t_ns) != DRIVING:
         return []
     return [
-        candidate(slug, Sureness.SHOWN, [Step(s.begin_ns, words, STATUS, signal.name)])
+        candidate(slug, Sureness.SHOWN, [ChainLink(s.begin_ns, words, STATUS, signal.name)])
         for signal, slug, words in (
             (AS_SWITCH, "asms_off", "AS_SWITCH_STATUS 1 → 0: ASMS goes off"),
             (GO, "go_off", "GO_SIGNAL 1 → 0"),
@@ -306,14 +320,14 @@ def _radio(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
     found = []
     pressed = first_on(record.series(REMOTE_ESTOP), t_ns - 2 * S, t_ns)
     if pressed is not None:
-        step = Step(pressed, "ESTOP_STATUS is ON at the remote", REMOTE_ESTOP.can_id, REMOTE_ESTOP.name)
+        step = ChainLink(pressed, "ESTOP_STATUS is ON at the remote", REMOTE_ESTOP.can_id, REMOTE_ESTOP.name)
         found.append(candidate("remote_estop", Sureness.SHOWN, [step]))
     weak = [s for s in record.series(RADIO_STRENGTH).changes(t_ns - 2 * S, t_ns) if s.value == 0]
     if weak:
-        step = Step(weak[-1].begin_ns, "RADIO_STRENGTH falls to 0 %", RADIO_STRENGTH.can_id, RADIO_STRENGTH.name)
+        step = ChainLink(weak[-1].begin_ns, "RADIO_STRENGTH falls to 0 %", RADIO_STRENGTH.can_id, RADIO_STRENGTH.name)
         found.append(candidate("radio_lost", Sureness.SHOWN, [step]))
     elif any(not s.value for s in record.series(GO).changes(t_ns - JUST_BEFORE_NS, t_ns)):
-        step = Step(t_ns, "Go vanishes with the remote's radio, too", STATUS, GO.name)
+        step = ChainLink(t_ns, "Go vanishes with the remote's radio, too", STATUS, GO.name)
         found.append(candidate("radio_lost", Sureness.POSSIBLE, [step]))
     return found
 
@@ -354,7 +368,7 @@ def _simulators_brake(record: Record, t_ns: int, said: set[str]) -> list[Candida
     ]
     if not rose:
         return []
-    step = Step(rose[0].begin_ns, f"a brake of {rose[0].value:g} % is asked for", 0x514, BRAKE_REQ_F.name)
+    step = ChainLink(rose[0].begin_ns, f"a brake of {rose[0].value:g} % is asked for", 0x514, BRAKE_REQ_F.name)
     return [candidate("brake_request_simulator", Sureness.SHOWN, [step])]
 
 
@@ -366,13 +380,13 @@ def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
     """What is left when neither the car nor the frames name a cause."""
     t_ns = span.begin_ns
     if span.before is None:
-        step = Step(t_ns, "the first 0x520 of the log says EMERGENCY_BRAKE already", STATUS, AS_STATE.name)
+        step = ChainLink(t_ns, "the first 0x520 of the log says EMERGENCY_BRAKE already", STATUS, AS_STATE.name)
         return [candidate("before_the_log", Sureness.SHOWN, [step])]
     checked = (
         "ASMS and Go are on, no fault bit and no SHUTDOWN_CAUSE is set, the AI computer did not ask and was in time"
     )
-    found = [candidate("sdc_open", Sureness.FITS, [Step(t_ns, f"{checked}: what is left is the SDC", STATUS)])]
-    return [*found, candidate("unknown", Sureness.POSSIBLE, [Step(t_ns, "something that this log does not have")])]
+    found = [candidate("sdc_open", Sureness.FITS, [ChainLink(t_ns, f"{checked}: what is left is the SDC", STATUS)])]
+    return [*found, candidate("unknown", Sureness.POSSIBLE, [ChainLink(t_ns, "something that this log does not have")])]
 
 
 # ---------------------------------------------------------------- drives that were cut off
@@ -381,25 +395,25 @@ def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
 def _cut_off(record: Record, span: Span) -> Incident:
     """AS_DRIVING fell back to another state than EMERGENCY_BRAKE or AS_FINISHED."""
     t_ns = span.begin_ns
-    end = Step(t_ns, f"AS_STATE AS_DRIVING → {label(AS_STATE, span.value)}", STATUS, AS_STATE.name)
+    end = ChainLink(t_ns, f"AS_STATE AS_DRIVING → {label(AS_STATE, span.value)}", STATUS, AS_STATE.name)
     found: list[Candidate] = []
     silence = next((g for g in record.gaps(STATUS, SILENT_NS) if g.end_ns == t_ns), None)
     if silence is not None and span.value in OFF_LIKE:
         words = f"the last 0x520 before {ms(silence.length_ns)} of silence"
         slug = "vcu_reboot" if silence.length_ns < GONE_NS else "power_off"
-        found.append(candidate(slug, Sureness.SHOWN, [Step(silence.begin_ns, words, STATUS)]))
+        found.append(candidate(slug, Sureness.SHOWN, [ChainLink(silence.begin_ns, words, STATUS)]))
     for s in record.series(AS_SWITCH).changes(t_ns - JUST_BEFORE_NS, t_ns):
         if not s.value:
-            step = Step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off", STATUS, AS_SWITCH.name)
+            step = ChainLink(s.begin_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off", STATUS, AS_SWITCH.name)
             found.append(candidate("asms_off", Sureness.SHOWN, [step]))
     for s in record.series(MISSION_STATUS).changes(t_ns - JUST_BEFORE_NS, t_ns):
         if s.value == MissionStatus.NOT_SELECTED:
-            step = Step(s.begin_ns, "MISSION_STATUS becomes NOT_SELECTED", 0x510, MISSION_STATUS.name)
+            step = ChainLink(s.begin_ns, "MISSION_STATUS becomes NOT_SELECTED", 0x510, MISSION_STATUS.name)
             found.append(candidate("not_selected_simulator", Sureness.SHOWN, [step]))
     if not found:
         found.append(candidate("unknown", Sureness.POSSIBLE, [end]))
     chains = tuple(replace(c, steps=(*c.steps, end)) for c in ranked(found))
-    return Incident(Kind.ABORT, t_ns, f"AS_DRIVING ended in {label(AS_STATE, span.value)}", chains)
+    return Incident(IncidentKind.ABORT, t_ns, f"AS_DRIVING ended in {label(AS_STATE, span.value)}", chains)
 
 
 def _lost_car(record: Record) -> list[Incident]:
@@ -416,9 +430,9 @@ def _lost_car(record: Record) -> list[Incident]:
     slug = "vcu_silent" if still else "power_off"
     return [
         Incident(
-            Kind.ABORT,
+            IncidentKind.ABORT,
             last_ns,
             "the car fell silent in AS_DRIVING",
-            (candidate(slug, Sureness.SHOWN, [Step(last_ns, words, STATUS)]),),
+            (candidate(slug, Sureness.SHOWN, [ChainLink(last_ns, words, STATUS)]),),
         )
     ]

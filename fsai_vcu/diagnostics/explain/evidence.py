@@ -14,7 +14,7 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.diagnostics.explain.incident import Candidate, Step, Sureness, candidate
+from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at, ms
 from fsai_vcu.diagnostics.explain.record import Intrusion, Record, Signal, Values
 from fsai_vcu.diagnostics.explain.signals import (
@@ -26,23 +26,22 @@ from fsai_vcu.diagnostics.explain.signals import (
     FAULT_STATUS,
     FAULTS,
     GO,
-    MS,
     SHUTDOWN_CAUSE,
     SHUTDOWN_REQUEST,
     SPEED_MAX_F,
     SPEED_MAX_R,
-    STANDING_RPM,
     STEER,
     TORQUE_F,
     TORQUE_R,
     TS_SWITCH,
-    S,
     label,
     like_official_simulator,
 )
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.images import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
@@ -58,7 +57,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
     found: list[Candidate] = []
 
     def add(slug: str, since_ns: int, words: str, can_id: int | None = None, signal: str = "") -> None:
-        found.append(candidate(slug, Sureness.SHOWN, [Step(since_ns, words, can_id, signal)]))
+        found.append(candidate(slug, Sureness.SHOWN, [ChainLink(since_ns, words, can_id, signal)]))
 
     if emergency:
         for intrusion in record.intrusions:
@@ -166,7 +165,9 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
         f"the brake is asked for at {front.value:g} % for {ms(asked_ns)}, and the wheels still turn at {now:.0f} rpm"
     )
     return [
-        candidate(Reason.STOP_INEFFECTIVE.slug, Sureness.SHOWN, [Step(front.begin_ns, words, 0x514, BRAKE_REQ_F.name)])
+        candidate(
+            Reason.STOP_INEFFECTIVE.slug, Sureness.SHOWN, [ChainLink(front.begin_ns, words, 0x514, BRAKE_REQ_F.name)]
+        )
     ]
 
 
@@ -228,7 +229,7 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
     ):
         if since_ns is not None and t_ns - since_ns >= patience_ns - 2 * SLACK_NS:
             text = f"{words}: implausible for {ms(t_ns - since_ns)}"
-            found.append(candidate(slug, Sureness.SHOWN, [Step(since_ns, text, can_id)]))
+            found.append(candidate(slug, Sureness.SHOWN, [ChainLink(since_ns, text, can_id)]))
     return found
 
 

@@ -10,8 +10,6 @@ from typing import Any
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
 from fsai_vcu.interface.bus_table import BY_ID
 
-NS_PER_S = 1e9
-
 
 class Weight(IntEnum):
     """How much an event matters to a reader."""
@@ -23,7 +21,7 @@ class Weight(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class TimelineEntry:
     """One line of the timeline."""
 
     t_ns: int
@@ -34,7 +32,7 @@ class Event:
     signal: str = ""
 
 
-class Kind(Enum):
+class IncidentKind(Enum):
     """What happened, in the words of the heading. `bad` decides the exit status."""
 
     EMERGENCY = ("emergency_brake", "emergency brake", True)
@@ -62,7 +60,7 @@ class Sureness(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ChainLink:
     """One link of a cause chain: what a frame said, and when."""
 
     t_ns: int
@@ -85,7 +83,7 @@ class Candidate:
 
     slug: str
     sureness: Sureness
-    steps: tuple[Step, ...]
+    steps: tuple[ChainLink, ...]
 
     @property
     def cause(self) -> Cause:
@@ -96,7 +94,7 @@ class Candidate:
         return self.steps[0].t_ns
 
 
-def candidate(slug: str, sureness: Sureness, steps: Iterable[Step]) -> Candidate:
+def candidate(slug: str, sureness: Sureness, steps: Iterable[ChainLink]) -> Candidate:
     """A candidate with its steps in the order of time. Raises KeyError for a cause that the table does not have."""
     return Candidate(CAUSES[slug].slug, sureness, tuple(sorted(steps, key=lambda step: step.t_ns)))
 
@@ -108,7 +106,7 @@ class Incident:
     planned: the mission ends like this, nothing is to be put right.
     """
 
-    kind: Kind
+    kind: IncidentKind
     t_ns: int
     what: str
     candidates: tuple[Candidate, ...]
@@ -128,11 +126,11 @@ def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Story:
+class Explanation:
     """The whole of it."""
 
     heading: dict[str, Any]
-    events: tuple[Event, ...]
+    events: tuple[TimelineEntry, ...]
     incidents: tuple[Incident, ...]
     closing: str
     problems: tuple[str, ...] = field(default=())

@@ -7,14 +7,15 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.error_frames import error_words
-from fsai_vcu.diagnostics.explain.incident import Candidate, Step, Sureness, candidate
+from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
 from fsai_vcu.diagnostics.explain.record import Gap, Record
-from fsai_vcu.diagnostics.explain.signals import ESTOP, HANDSHAKE_TIMEOUT, MS, TIMEOUTS, S, is_on
+from fsai_vcu.diagnostics.explain.signals import ESTOP, HANDSHAKE_TIMEOUT, TIMEOUTS, is_on
 from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import MS, S
 
-LOSS_NS: Final = 100 * MS  # interface specification v4.0: ten messages of 10 ms missing in a row
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # five messages that stop within this time stop together
 LOOK_BACK_NS: Final = 2 * S
@@ -34,7 +35,7 @@ def dead_bus(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
     for begin_ns, end_ns in record.silences:
         if begin_ns < t_ns and end_ns >= t_ns - AT_ONCE_NS:
             words = f"nobody at all is heard for {ms(end_ns - begin_ns)}: the bus was dead, or the recording paused"
-            return [candidate("bus_lost", sureness, [Step(begin_ns, words)])]
+            return [candidate("bus_lost", sureness, [ChainLink(begin_ns, words)])]
     return []
 
 
@@ -62,28 +63,30 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
     found = dead_bus(record, t_ns, said)
     if found:
         return found
-    gaps = {can_id: gap for can_id in AI_IDS if (gap := gap_at(record, can_id, t_ns, LOSS_NS)) is not None}
+    gaps = {can_id: gap for can_id in AI_IDS if (gap := gap_at(record, can_id, t_ns, COMMS_LOST_NS)) is not None}
     errors = record.error_ns[(record.error_ns >= t_ns - LOOK_BACK_NS) & (record.error_ns <= t_ns)]
     if len(gaps) == len(AI_IDS) and _together(gaps):
         first = min(gap.begin_ns for gap in gaps.values())
         back = min((gap.end_ns for gap in gaps.values() if gap.end_ns is not None), default=None)
         ends = "and did not come back" if back is None else f"for {ms(back - first)}"
-        steps = [Step(first, f"the last frame of the AI computer: 0x510 to 0x514 are silent {ends}", 0x510)]
+        steps = [ChainLink(first, f"the last frame of the AI computer: 0x510 to 0x514 are silent {ends}", 0x510)]
         if len(errors):
             steps.append(_error_step(record, int(errors[0]), len(errors)))
         if is_on(record, ESTOP, first):
-            steps.append(Step(first, "its last words were ESTOP_REQUEST 1: it was stopped in order", 0x510, ESTOP.name))
+            steps.append(
+                ChainLink(first, "its last words were ESTOP_REQUEST 1: it was stopped in order", 0x510, ESTOP.name)
+            )
         found.append(candidate("ai_silent", said, steps))
         return found
     for can_id, gap in gaps.items():
         wrong = record.wrong_length.get(can_id)
         if wrong is not None and wrong[1] <= t_ns:
             words = f"{BY_ID[can_id]} comes with the wrong length"
-            found.append(candidate("ai_message_length", said, [Step(gap.begin_ns, words, can_id)]))
+            found.append(candidate("ai_message_length", said, [ChainLink(gap.begin_ns, words, can_id)]))
             continue
         length = "to the end of the log" if gap.end_ns is None else f"for {ms(gap.length_ns)}"
         words = f"the last {BY_ID[can_id]} before it is missing {length}, while others go on"
-        found.append(candidate("ai_message_missing", said, [Step(gap.begin_ns, words, can_id)]))
+        found.append(candidate("ai_message_missing", said, [ChainLink(gap.begin_ns, words, can_id)]))
     if record.has(0x510) or any(record.has(can_id) for can_id in AI_IDS):
         for can_id in AI_IDS:
             if not record.has(can_id):
@@ -91,7 +94,7 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
                 wrong = record.wrong_length.get(can_id)
                 slug = "ai_message_length" if wrong else "ai_message_missing"
                 words = f"{BY_ID[can_id]} " + ("always has the wrong length" if wrong else "never comes")
-                found.append(candidate(slug, said, [Step(begin, words, can_id)]))
+                found.append(candidate(slug, said, [ChainLink(begin, words, can_id)]))
     if not found:
         found += _handshake(record, t_ns, said)
     return found
@@ -102,28 +105,28 @@ def _together(gaps: dict[int, Gap]) -> bool:
     return max(begins) - min(begins) <= AT_ONCE_NS
 
 
-def _error_step(record: Record, t_ns: int, count: int) -> Step:
-    return Step(t_ns, f"{count} error frame{'s' if count > 1 else ''} on the bus: {error_text(record, t_ns)}")
+def _error_step(record: Record, t_ns: int, count: int) -> ChainLink:
+    return ChainLink(t_ns, f"{count} error frame{'s' if count > 1 else ''} on the bus: {error_text(record, t_ns)}")
 
 
 def _handshake(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
     for answer in record.answers:
         over_ns = record.end_ns if answer.echo_ns is None else answer.echo_ns
-        due_ns = answer.toggle_ns + LOSS_NS - EARLY_NS
-        if answer.waited_ns >= LOSS_NS - EARLY_NS and due_ns <= t_ns and over_ns >= t_ns - AT_ONCE_NS:
+        due_ns = answer.toggle_ns + COMMS_LOST_NS - EARLY_NS
+        if answer.waited_ns >= COMMS_LOST_NS - EARLY_NS and due_ns <= t_ns and over_ns >= t_ns - AT_ONCE_NS:
             words = (
                 f"HANDSHAKE becomes {answer.bit}, and 0x510 keeps saying {1 - answer.bit} for {ms(answer.waited_ns)}"
             )
-            return [candidate("handshake_lost", said, [Step(answer.toggle_ns, words, 0x520, "HANDSHAKE")])]
+            return [candidate("handshake_lost", said, [ChainLink(answer.toggle_ns, words, 0x520, "HANDSHAKE")])]
     return []
 
 
-def timeouts_said(record: Record, begin_ns: int, end_ns: int) -> list[Step]:
+def timeouts_said(record: Record, begin_ns: int, end_ns: int) -> list[ChainLink]:
     """What 0x120 (2021) says was missing."""
     steps = []
     for signal, can_id in {**TIMEOUTS, HANDSHAKE_TIMEOUT: 0x510}.items():
         for span in record.series(signal).changes(begin_ns, end_ns):
             if span.value:
                 what = "the handshake's echo" if signal == HANDSHAKE_TIMEOUT else str(BY_ID[can_id])
-                steps.append(Step(span.begin_ns, f"the VCU misses {what}", signal.can_id, signal.name))
+                steps.append(ChainLink(span.begin_ns, f"the VCU misses {what}", signal.can_id, signal.name))
     return steps

@@ -18,9 +18,11 @@ import numpy.typing as npt
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.log.frames import ERROR, RECEIVED, SENT, Frames, Ints
-from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, MS, Flow
+from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import MS
 
 Values = npt.NDArray[np.float64]
 
@@ -29,7 +31,6 @@ CATCHING_UP_NS: Final = 13 * MS  # after a pause longer than this, one sender ma
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 TOGETHER_NS: Final = 500 * MS  # what a stranger does within this time is told as one
-HANDSHAKE_LOST_NS: Final = 100 * MS  # interface specification v4.0: echo not matching for so long is a loss
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
 
@@ -131,7 +132,7 @@ class Intrusion:
 
 
 @dataclass(frozen=True)
-class Answer:
+class HandshakeToggle:
     """A toggle of the VCU's handshake and the AI computer's echo. `echo_ns` None: it never came."""
 
     toggle_ns: int
@@ -141,7 +142,7 @@ class Answer:
 
     @property
     def lost(self) -> bool:
-        return self.waited_ns >= HANDSHAKE_LOST_NS
+        return self.waited_ns >= COMMS_LOST_NS
 
 
 @dataclass
@@ -197,17 +198,10 @@ class Record:
 
     def fastest_wheel(self) -> Series:
         """The fastest of the four wheels, rpm."""
-        return self._over_wheels(np.maximum)
-
-    def slowest_wheel(self) -> Series:
-        """The slowest of the four wheels, rpm."""
-        return self._over_wheels(np.minimum)
-
-    def _over_wheels(self, choose: np.ufunc) -> Series:
-        key = Signal("VCU2AI_Speeds", choose.__name__)
+        key = Signal("VCU2AI_Speeds", "fastest")
         if key not in self._series:
             wheels = [self.series(Signal("VCU2AI_Speeds", f"{w}_WHEEL_SPEED")) for w in ("FL", "FR", "RL", "RR")]
-            values = choose.reduce([wheel.values for wheel in wheels])
+            values = np.maximum.reduce([wheel.values for wheel in wheels])
             self._series[key] = Series(wheels[0].t_ns, values)
         return self._series[key]
 
@@ -244,7 +238,7 @@ class Record:
         return None
 
     @cached_property
-    def answers(self) -> Sequence[Answer]:
+    def answers(self) -> Sequence[HandshakeToggle]:
         """Every toggle of the VCU's handshake while the AI computer speaks, and its echo."""
         asked = self.series(Signal("VCU2AI_Status", "HANDSHAKE"))
         echo = self.series(Signal("AI2VCU_Status", "HANDSHAKE"))
@@ -260,7 +254,7 @@ class Record:
             first = int(np.searchsorted(times, span.begin_ns))
             echo_ns = int(times[first]) if first < len(times) else None
             waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
-            found.append(Answer(span.begin_ns, bit, echo_ns, waited_ns))
+            found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
         return tuple(found)
 
     @cached_property

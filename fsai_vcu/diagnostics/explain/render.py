@@ -8,7 +8,16 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from fsai_vcu.diagnostics.explain.incident import Candidate, Event, Incident, Kind, Step, Story, Sureness, Weight
+from fsai_vcu.diagnostics.explain.incident import (
+    Candidate,
+    ChainLink,
+    Explanation,
+    Incident,
+    IncidentKind,
+    Sureness,
+    TimelineEntry,
+    Weight,
+)
 
 WIDTH: Final = 110
 EPOCH_NS: Final = 946_684_800 * 1_000_000_000  # 2000: earlier stamps count from something else than a calendar
@@ -16,16 +25,16 @@ _ALSO: Final = 3  # further candidates told in full sentences
 _COLOURS: Final = {Weight.FAULT: "31;1", Weight.WARNING: "33", Weight.STATE: "1", Weight.NOTE: "2"}
 
 
-def seconds(story: Story, t_ns: int) -> float:
+def seconds(story: Explanation, t_ns: int) -> float:
     """Seconds since the log's first frame."""
     return (t_ns - int(story.heading["begin_ns"])) / 1e9
 
 
-def cut(story: Story, from_s: float | None, to_s: float | None) -> Story:
+def cut(story: Explanation, from_s: float | None, to_s: float | None) -> Explanation:
     """The part of a story from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
     low = float("-inf") if from_s is None else from_s
     high = float("inf") if to_s is None else to_s
-    return Story(
+    return Explanation(
         story.heading,
         tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
         tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
@@ -37,7 +46,7 @@ def cut(story: Story, from_s: float | None, to_s: float | None) -> Story:
 # ---------------------------------------------------------------- for people
 
 
-def text_lines(story: Story, name: str, *, colour: bool = False) -> Iterator[str]:
+def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterator[str]:
     """The story as lines: timeline first, so that the answer stands at the end, where the eye is."""
 
     def paint(text: str, code: str) -> str:
@@ -61,13 +70,13 @@ def text_lines(story: Story, name: str, *, colour: bool = False) -> Iterator[str
     yield paint(verdict(story), "32;1" if story.clean else "31;1")
 
 
-def _event_line(story: Story, event: Event, paint: Any) -> str:
+def _event_line(story: Explanation, event: TimelineEntry, paint: Any) -> str:
     where = f"  [0x{event.can_id:03X}]" if event.can_id is not None else ""
     text = paint(event.text, _COLOURS[event.weight])
     return f"{seconds(story, event.t_ns):9.3f} s  {event.topic:<9} {text}{paint(where, '2')}"
 
 
-def _incident_lines(story: Story, incident: Incident, paint: Any) -> Iterator[str]:
+def _incident_lines(story: Explanation, incident: Incident, paint: Any) -> Iterator[str]:
     colour = "31;1" if incident.bad else "33;1"
     planned = " (as planned)" if incident.planned else ""
     heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"
@@ -95,7 +104,7 @@ def _chain(incident: Incident, one: Candidate, paint: Any) -> Iterator[str]:
         yield f"    {before(incident.t_ns, step):>12}  {paint(frame, '36')}  {step.words}{paint(signal, '2')}"
 
 
-def before(t_ns: int, step: Step) -> str:
+def before(t_ns: int, step: ChainLink) -> str:
     """How long before (or after) the incident."""
     apart_ms = (step.t_ns - t_ns) / 1e6
     if abs(apart_ms) < 0.05:
@@ -110,18 +119,18 @@ def _wrapped(text: str, indent: str, paint: Any, code: str = "") -> Iterator[str
         yield paint(line, code)
 
 
-def verdict(story: Story) -> str:
+def verdict(story: Explanation) -> str:
     """One line that ends the story."""
     counts = []
     for kind, one, many in (
-        (Kind.EMERGENCY, "emergency brake", "emergency brakes"),
-        (Kind.ABORT, "drive cut off", "drives cut off"),
-        (Kind.REFUSAL, "refusal to start", "refusals to start"),
+        (IncidentKind.EMERGENCY, "emergency brake", "emergency brakes"),
+        (IncidentKind.ABORT, "drive cut off", "drives cut off"),
+        (IncidentKind.REFUSAL, "refusal to start", "refusals to start"),
     ):
         count = sum(incident.bad for incident in story.incidents if incident.kind is kind)
         if count:
             counts.append(f"{count} {one if count == 1 else many}")
-    early = sum(incident.kind is Kind.STOP for incident in story.incidents)
+    early = sum(incident.kind is IncidentKind.STOP for incident in story.incidents)
     planned = sum(incident.planned for incident in story.incidents)
     rest = [f"{early} early stop{'s' if early > 1 else ''} by the service brake"] if early else []
     rest += ["the emergency brake that the mission ends with"] if planned else []
@@ -133,7 +142,7 @@ def verdict(story: Story) -> str:
 # ---------------------------------------------------------------- for programs
 
 
-def json_lines(story: Story, name: str) -> Iterator[str]:
+def json_lines(story: Explanation, name: str) -> Iterator[str]:
     """One object per line: the log, each event, each incident, the verdict."""
     yield json.dumps({"type": "log", "log": name, **story.heading, "notes": list(story.problems)})
     for event in story.events:
@@ -155,17 +164,17 @@ def json_lines(story: Story, name: str) -> Iterator[str]:
         {
             "type": "verdict",
             "clean": story.clean,
-            "emergency_brakes": sum(i.kind is Kind.EMERGENCY for i in story.incidents),
-            "refusals": sum(i.kind is Kind.REFUSAL for i in story.incidents),
-            "aborts": sum(i.kind is Kind.ABORT for i in story.incidents),
-            "early_stops": sum(i.kind is Kind.STOP for i in story.incidents),
+            "emergency_brakes": sum(i.kind is IncidentKind.EMERGENCY for i in story.incidents),
+            "refusals": sum(i.kind is IncidentKind.REFUSAL for i in story.incidents),
+            "aborts": sum(i.kind is IncidentKind.ABORT for i in story.incidents),
+            "early_stops": sum(i.kind is IncidentKind.STOP for i in story.incidents),
             "words": verdict(story),
             "ends": story.closing,
         }
     )
 
 
-def incident_dict(story: Story, incident: Incident) -> dict[str, Any]:
+def incident_dict(story: Explanation, incident: Incident) -> dict[str, Any]:
     """One incident for JSON."""
     return {
         "type": "incident",

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fsai_vcu.core.supervision.changes import FAULT_NAMES
-from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal
-from fsai_vcu.interface import bus_table
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -22,12 +19,9 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
+from fsai_vcu.interface.messages import FAULT_NAMES
 
-MS: Final = bus_table.MS
-S: Final = 1000 * MS
-STANDING_RPM: Final = BridgeConfig().standstill_rpm
 DRIVING: Final = float(AsState.AS_DRIVING)
-OFF_LIKE: Final = (float(AsState.AS_INIT), float(AsState.AS_OFF))
 READY: Final = float(AsState.AS_READY)
 EMERGENCY: Final = float(AsState.EMERGENCY_BRAKE)
 FINISHED: Final = float(AsState.AS_FINISHED)
@@ -46,7 +40,7 @@ SHUTDOWN_CAUSE: Final = Signal("VCU2AI_Status", "SHUTDOWN_CAUSE")
 OP_STATE: Final = Signal("VCU2AI_Status", "OP_STATE")
 TS_STATE: Final = Signal("VCU2AI_Status", "TS_STATE")
 EBS_STATE: Final = Signal("VCU2AI_Status", "EBS_STATE")
-FAULTS: Final = tuple(Signal("VCU2AI_Status", name) for _, name in FAULT_NAMES)
+FAULTS: Final = tuple(Signal("VCU2AI_Status", name) for name in FAULT_NAMES.values())
 WARNINGS: Final = tuple(Signal("VCU2AI_Status", name) for name in ("WARN_BATT_TEMP_HIGH", "WARN_BATT_SOC_LOW"))
 ANGLE: Final = Signal("VCU2AI_Steer", "ANGLE")
 ANGLE_MAX: Final = Signal("VCU2AI_Steer", "ANGLE_MAX")

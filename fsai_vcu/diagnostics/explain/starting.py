@@ -10,8 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from fsai_vcu.core.supervision.readiness import READY_STEER_DEG, READY_WAIT_NS
-from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Kind, Step, Sureness, candidate
+from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Incident, IncidentKind, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
 from fsai_vcu.diagnostics.explain.signals import (
@@ -29,8 +28,6 @@ from fsai_vcu.diagnostics.explain.signals import (
     FINISHED,
     GO,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     READY,
     SHUTDOWN_REQUEST,
     STATUS,
@@ -42,12 +39,13 @@ from fsai_vcu.diagnostics.explain.signals import (
     TORQUE_R,
     TS_STATE,
     TS_SWITCH,
-    S,
     label,
     like_official_simulator,
 )
-from fsai_vcu.interface.enums import BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
+from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
+from fsai_vcu.interface.units import MS, S
 
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
@@ -55,11 +53,11 @@ ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
 GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 HEARD_NS: Final = 500 * MS
 
-Unmet = Callable[[Record, int], "Step | None"]
+Unmet = Callable[[Record, int], "ChainLink | None"]
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class StartCondition:
     """One condition. `unmet` gives the evidence while it does not hold. `after`: what has to be met before it."""
 
     slug: str
@@ -71,23 +69,23 @@ class Condition:
 def _is(signal: Signal, wanted: Callable[[float], bool]) -> Unmet:
     """The condition that a signal (where the log has it) has a wanted value."""
 
-    def unmet(record: Record, t_ns: int) -> Step | None:
+    def unmet(record: Record, t_ns: int) -> ChainLink | None:
         span = record.series(signal).span_at(t_ns)
         if span is None or wanted(span.value):
             return None
         words = f"{signal.name} is {label(signal, span.value)}"
-        return Step(span.begin_ns, words, signal.can_id, signal.name)
+        return ChainLink(span.begin_ns, words, signal.can_id, signal.name)
 
     return unmet
 
 
-def _no_ai_data(record: Record, t_ns: int) -> Step | None:
+def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
     last = max((_last(record, can_id, t_ns) for can_id in AI_IDS), default=None)
     if last is not None and last > 0 and t_ns - last < HEARD_NS:
         return None
     if not last:
-        return Step(record.begin_ns, "no 0x510 to 0x514 up to then")
-    return Step(last, f"the last frame of the AI computer, {ms(t_ns - last)} before")
+        return ChainLink(record.begin_ns, "no 0x510 to 0x514 up to then")
+    return ChainLink(last, f"the last frame of the AI computer, {ms(t_ns - last)} before")
 
 
 def _last(record: Record, can_id: int, t_ns: int) -> int:
@@ -96,7 +94,7 @@ def _last(record: Record, can_id: int, t_ns: int) -> int:
     return int(times[place - 1]) if place else 0
 
 
-def _incomplete(record: Record, t_ns: int) -> Step | None:
+def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
     missing = [i for i in AI_IDS if t_ns - _last(record, i, t_ns) >= HEARD_NS]
     if not missing or len(missing) == len(AI_IDS):
         return None
@@ -105,16 +103,16 @@ def _incomplete(record: Record, t_ns: int) -> Step | None:
     words = f"{names} {'does' if len(missing) == 1 else 'do'} not come" + (
         ", or with the wrong length" if wrong else ""
     )
-    return Step(max(_last(record, missing[0], t_ns), record.begin_ns), words, missing[0])
+    return ChainLink(max(_last(record, missing[0], t_ns), record.begin_ns), words, missing[0])
 
 
-def _link_lost(record: Record, t_ns: int) -> Step | None:
+def _link_lost(record: Record, t_ns: int) -> ChainLink | None:
     bit = Signal("VCU2AI_Status", "AI_COMMS_LOST")
     span = record.series(bit).span_at(t_ns)
-    return Step(span.begin_ns, "AI_COMMS_LOST is 1", STATUS, bit.name) if span is not None and span.value else None
+    return ChainLink(span.begin_ns, "AI_COMMS_LOST is 1", STATUS, bit.name) if span is not None and span.value else None
 
 
-def _ebs(record: Record, t_ns: int) -> Step | None:
+def _ebs(record: Record, t_ns: int) -> ChainLink | None:
     if len(record.series(EBS_STATE)) and record.revision.name != "2021":
         return _is(EBS_STATE, lambda value: value == EbsState.EBS_ARMED)(record, t_ns)
     # 0 is what the official simulator always sends: it says nothing
@@ -125,7 +123,7 @@ def _status(wrong: MissionStatus) -> Unmet:
     return _is(MISSION_STATUS, lambda value: value != wrong)
 
 
-def _power_cycle(record: Record, t_ns: int) -> Step | None:
+def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
     ends = (EMERGENCY,) if record.revision.name == "2021" else (EMERGENCY, FINISHED)
     if like_official_simulator(record):
         return None  # ASMS alone resets it
@@ -138,43 +136,43 @@ def _power_cycle(record: Record, t_ns: int) -> Step | None:
     if last is None or any(last.end_ns <= g.begin_ns <= t_ns for g in record.gaps(STATUS, GONE_NS)):
         return None
     words = f"the last run ended in {label(AS_STATE, last.value)}, and 0x520 has not been away since"
-    return Step(last.end_ns, words, STATUS, AS_STATE.name)
+    return ChainLink(last.end_ns, words, STATUS, AS_STATE.name)
 
 
-def _fault(record: Record, t_ns: int) -> Step | None:
+def _fault(record: Record, t_ns: int) -> ChainLink | None:
     span = record.series(FAULT_STATUS).span_at(t_ns)
     if span is None or not span.value:
         return None
     names = [signal.name for signal in FAULTS if record.series(signal).at(t_ns)]
-    return Step(
+    return ChainLink(
         span.begin_ns, f"FAULT_STATUS is 1{': ' + ', '.join(names) if names else ''}", STATUS, FAULT_STATUS.name
     )
 
 
 _LINK = ("no_ai_data", "ai_data_incomplete")
 
-TO_READY: Final[tuple[Condition, ...]] = (
-    Condition("no_ai_data", _no_ai_data),
-    Condition("ai_data_incomplete", _incomplete),
-    Condition("power_cycle", _power_cycle),
-    Condition("asms", _is(AS_SWITCH, bool)),
-    Condition("tsms", _is(TS_SWITCH, bool)),
-    Condition("shutting_down", _is(SHUTDOWN_REQUEST, lambda value: not value), after=("tsms",)),
-    Condition("fault", _fault, after=_LINK),
-    Condition("link_lost", _link_lost, after=_LINK),
-    Condition("estop_latched", _is(ESTOP, lambda value: not value), after=("no_ai_data",)),
-    Condition("no_mission", _is(AMI, bool)),
-    Condition(
+TO_READY: Final[tuple[StartCondition, ...]] = (
+    StartCondition("no_ai_data", _no_ai_data),
+    StartCondition("ai_data_incomplete", _incomplete),
+    StartCondition("power_cycle", _power_cycle),
+    StartCondition("asms", _is(AS_SWITCH, bool)),
+    StartCondition("tsms", _is(TS_SWITCH, bool)),
+    StartCondition("shutting_down", _is(SHUTDOWN_REQUEST, lambda value: not value), after=("tsms",)),
+    StartCondition("fault", _fault, after=_LINK),
+    StartCondition("link_lost", _link_lost, after=_LINK),
+    StartCondition("estop_latched", _is(ESTOP, lambda value: not value), after=("no_ai_data",)),
+    StartCondition("no_mission", _is(AMI, bool)),
+    StartCondition(
         "status_not_selected", _status(MissionStatus.NOT_SELECTED), after=("no_ai_data", "no_mission", "estop_latched")
     ),
-    Condition("status_running", _status(MissionStatus.RUNNING), after=("no_ai_data",)),
-    Condition("status_finished", _status(MissionStatus.FINISHED), after=("no_ai_data",)),
-    Condition(
+    StartCondition("status_running", _status(MissionStatus.RUNNING), after=("no_ai_data",)),
+    StartCondition("status_finished", _status(MissionStatus.FINISHED), after=("no_ai_data",)),
+    StartCondition(
         "ts_not_running",
         _is(TS_STATE, lambda value: value == TsState.TS_RUNNING),
         after=(*_LINK, "tsms", "power_cycle", "fault", "shutting_down", "link_lost"),
     ),
-    Condition(
+    StartCondition(
         "ebs_not_armed",
         _ebs,
         after=(*_LINK, "asms", "tsms", "power_cycle", "fault", "shutting_down", "link_lost", "ts_not_running"),
@@ -182,40 +180,40 @@ TO_READY: Final[tuple[Condition, ...]] = (
 )
 
 
-def _too_early(record: Record, t_ns: int) -> Step | None:
+def _too_early(record: Record, t_ns: int) -> ChainLink | None:
     span = record.series(AS_STATE).span_at(t_ns)
     if span is None or span.before is None or t_ns - span.begin_ns >= READY_WAIT_NS:
         return None
     words = f"Go {ms(t_ns - span.begin_ns)} after AS_READY began: 5 s have to pass"
-    return Step(span.begin_ns, words, STATUS, AS_STATE.name)
+    return ChainLink(span.begin_ns, words, STATUS, AS_STATE.name)
 
 
-def _ready_not_selected(record: Record, t_ns: int) -> Step | None:
+def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
     if not like_official_simulator(record):
         return None
     return _is(MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
 
 
-def _torque(record: Record, t_ns: int) -> Step | None:
+def _torque(record: Record, t_ns: int) -> ChainLink | None:
     zero = lambda value: value == 0  # noqa: E731
     return _is(TORQUE_F, zero)(record, t_ns) or _is(TORQUE_R, zero)(record, t_ns)
 
 
-TO_DRIVING: Final[tuple[Condition, ...]] = (
-    Condition("go_too_early", _too_early),
-    Condition("torque_requested", _torque),
-    Condition("steering_requested", _is(STEER, lambda value: value == 0)),
-    Condition("steering_turned", _is(ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
-    Condition("direction_not_neutral", _is(DIRECTION, lambda value: value == Direction.NEUTRAL)),
-    Condition("ready_not_selected", _ready_not_selected),
-    Condition("link_lost", _link_lost),
-    Condition("no_ai_data", _no_ai_data),
-    Condition("steering_inactive", _is(STEERING_STATUS, bool), hint=True),
-    Condition("brakes_not_ready", _is(STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
+TO_DRIVING: Final[tuple[StartCondition, ...]] = (
+    StartCondition("go_too_early", _too_early),
+    StartCondition("torque_requested", _torque),
+    StartCondition("steering_requested", _is(STEER, lambda value: value == 0)),
+    StartCondition("steering_turned", _is(ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
+    StartCondition("direction_not_neutral", _is(DIRECTION, lambda value: value == Direction.NEUTRAL)),
+    StartCondition("ready_not_selected", _ready_not_selected),
+    StartCondition("link_lost", _link_lost),
+    StartCondition("no_ai_data", _no_ai_data),
+    StartCondition("steering_inactive", _is(STEERING_STATUS, bool), hint=True),
+    StartCondition("brakes_not_ready", _is(STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
 )
 
 
-def unmet(conditions: tuple[Condition, ...], record: Record, t_ns: int) -> list[Candidate]:
+def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> list[Candidate]:
     """What does not hold at `t_ns`: what must be put right first, then what follows from it."""
     steps = {c.slug: step for c in conditions if (step := c.unmet(record, t_ns)) is not None}
     found = [
@@ -250,10 +248,10 @@ def _never_ready(record: Record) -> list[Incident]:
         candidates = unmet(TO_READY, record, at_ns)
         if not candidates:
             words = "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there"
-            candidates = [candidate("start_unknown", Sureness.POSSIBLE, [Step(at_ns, words, STATUS)])]
+            candidates = [candidate("start_unknown", Sureness.POSSIBLE, [ChainLink(at_ns, words, STATUS)])]
         state = label(AS_STATE, record.series(AS_STATE).at(at_ns))
         what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
-        found.append(Incident(Kind.REFUSAL, at_ns, what, tuple(candidates)))
+        found.append(Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates)))
     return found
 
 
@@ -321,17 +319,17 @@ def _refused_go(record: Record, span: Span, following: float | None) -> Incident
         return None
     found: dict[str, Candidate] = {}
     for edge in refused:
-        pressed = Step(edge, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
+        pressed = ChainLink(edge, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
         for one in unmet(TO_DRIVING, record, edge):
             found.setdefault(one.slug, candidate(one.slug, one.sureness, [*one.steps, pressed]))
     if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
-        pressed = Step(refused[0], "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
+        pressed = ChainLink(refused[0], "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
         found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, [pressed])
     times = f" ({len(refused)} times)" if len(refused) > 1 else ""
     later = ", later it did" if following == DRIVING else ""
     what = f"Go was given{times} and the car did not start{later}"
     order = sorted(found.values(), key=lambda one: -one.sureness)
-    return Incident(Kind.REFUSAL, refused[0], what, tuple(order))
+    return Incident(IncidentKind.REFUSAL, refused[0], what, tuple(order))
 
 
 def _waited_in_vain(record: Record, span: Span, following: float | None) -> Incident | None:
@@ -342,23 +340,23 @@ def _waited_in_vain(record: Record, span: Span, following: float | None) -> Inci
     if following in OFF_LIKE:
         for s in record.series(AS_SWITCH).changes(span.begin_ns, span.end_ns):
             if not s.value:
-                step = Step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0", STATUS, AS_SWITCH.name)
+                step = ChainLink(s.begin_ns, "AS_SWITCH_STATUS 1 → 0", STATUS, AS_SWITCH.name)
                 candidates.append(candidate("given_up", Sureness.SHOWN, [step]))
     if waited_ns >= NO_GO_NS:
         held = record.series(GO).span_at(end_ns)
         candidates += [c for c in unmet(TO_DRIVING, record, end_ns) if c.slug != "go_too_early"]
         if held is not None and held.value and held.begin_ns <= span.begin_ns:
-            step = Step(held.begin_ns, "GO_SIGNAL is 1 since before AS_READY began", STATUS, GO.name)
+            step = ChainLink(held.begin_ns, "GO_SIGNAL is 1 since before AS_READY began", STATUS, GO.name)
             candidates.append(candidate("go_held", Sureness.SHOWN, [step]))
         elif held is not None and not held.value:
-            step = Step(span.begin_ns, f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY", STATUS, GO.name)
+            step = ChainLink(span.begin_ns, f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY", STATUS, GO.name)
             candidates.append(candidate("no_go", Sureness.SHOWN, [step]))
     elif following is None and not candidates:
         return None  # the log ends while the 5 s run
     if not candidates:
-        step = Step(span.end_ns, f"AS_STATE AS_READY → {label(AS_STATE, following)}", STATUS, AS_STATE.name)
+        step = ChainLink(span.end_ns, f"AS_STATE AS_READY → {label(AS_STATE, following)}", STATUS, AS_STATE.name)
         candidates.append(candidate("start_unknown", Sureness.POSSIBLE, [step]))
     ended = "the log ends" if following is None else f"{label(AS_STATE, following)} follows"
     what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
     order = sorted(candidates, key=lambda one: -one.sureness)
-    return Incident(Kind.REFUSAL, span.end_ns, what, tuple(order))
+    return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order))

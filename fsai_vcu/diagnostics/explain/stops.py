@@ -12,7 +12,15 @@ import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain.evidence import CONFIG, found_before
-from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Kind, Step, Sureness, candidate, ranked
+from fsai_vcu.diagnostics.explain.incident import (
+    Candidate,
+    ChainLink,
+    Incident,
+    IncidentKind,
+    Sureness,
+    candidate,
+    ranked,
+)
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import (
     AMI,
@@ -21,13 +29,13 @@ from fsai_vcu.diagnostics.explain.signals import (
     DRIVING,
     EMERGENCY,
     ESTOP,
-    MS,
     SPEED_MAX_R,
     STEER,
     TORQUE_F,
     TORQUE_R,
 )
 from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.units import MS
 
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
@@ -70,7 +78,7 @@ def _service_brake(record: Record, begin_ns: int, end_ns: int) -> int | None:
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
-    brake = Step(
+    brake = ChainLink(
         t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for good", 0x514, BRAKE_REQ_F.name
     )
     candidates = [
@@ -79,18 +87,18 @@ def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
     ]
     held_ns = _held_before(record, t_ns)
     if held_ns is not None:
-        step = Step(
+        step = ChainLink(
             held_ns,
             f"torque 0 and the steering held: no fresh command for {CONFIG.command_stale_ns // MS} ms by then",
             0x512,
             TORQUE_R.name,
         )
-        lost = Step(held_ns - CONFIG.command_stale_ns, "about when the last fresh command came (not on the bus)")
+        lost = ChainLink(held_ns - CONFIG.command_stale_ns, "about when the last fresh command came (not on the bus)")
         candidates.append(candidate(Reason.COMMAND_STALE.slug, Sureness.FITS, [lost, step, brake]))
     candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [brake]))
     wheels = record.fastest_wheel().at(t_ns) or 0
     what = f"service-brake stop from {wheels:.0f} rpm"
-    return Incident(Kind.STOP, t_ns, what, ranked(candidates))
+    return Incident(IncidentKind.STOP, t_ns, what, ranked(candidates))
 
 
 def _held_before(record: Record, t_ns: int) -> int | None:

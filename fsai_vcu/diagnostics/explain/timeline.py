@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.explain.evidence import intrusion_words
-from fsai_vcu.diagnostics.explain.incident import Event, Weight
+from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.explain.link import error_text, ms
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import (
@@ -27,15 +27,12 @@ from fsai_vcu.diagnostics.explain.signals import (
     GO,
     HANDSHAKE_TIMEOUT,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     OP_STATE,
     READY,
     REMOTE_ESTOP,
     SHUTDOWN_CAUSE,
     SHUTDOWN_REQUEST,
     SM_SYS,
-    STANDING_RPM,
     STATUS,
     STATUS_BRK,
     STATUS_EBS,
@@ -48,18 +45,18 @@ from fsai_vcu.diagnostics.explain.signals import (
     TS_SWITCH,
     WARNING_STATUS,
     WARNINGS,
-    S,
     label,
 )
 from fsai_vcu.interface.bus_table import BY_ID, Flow
-from fsai_vcu.interface.enums import EbsState, EbsStatus, MissionStatus, TsState
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
 GONE_NS: Final = 1 * S
 MANY: Final = 12  # gaps of one message told singly
 AT_ONCE_NS: Final = 30 * MS
-VCU_IDS: Final = tuple(range(0x520, 0x527))
 # What one instant brings is told with causes before effects.
 ORDER: Final = (
     "bus", "link", "intruder", "switches", "Go", "mission", "fault", "AS state", "AI", "mode", "gate", "power", "EBS",
@@ -126,7 +123,7 @@ SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
 )  # fmt: skip
 
 
-def timeline(record: Record) -> list[Event]:
+def timeline(record: Record) -> list[TimelineEntry]:
     """Every event of the log in the order of time."""
     events = [
         *_speakers(record),
@@ -144,7 +141,7 @@ def timeline(record: Record) -> list[Event]:
     return sorted(events, key=lambda event: (event.t_ns, ORDER.index(event.topic)))
 
 
-def _speakers(record: Record) -> Iterator[Event]:
+def _speakers(record: Record) -> Iterator[TimelineEntry]:
     """Who speaks first, and when."""
     for can_id, who in (
         (STATUS, "the car speaks: the first 0x520"),
@@ -153,20 +150,22 @@ def _speakers(record: Record) -> Iterator[Event]:
         times = record.times(can_id)
         if len(times):
             already = " (it did when the log began)" if times[0] - record.begin_ns < 50 * MS else ""
-            yield Event(int(times[0]), "power" if can_id == STATUS else "AI", who + already, Weight.STATE, can_id)
+            yield TimelineEntry(
+                int(times[0]), "power" if can_id == STATUS else "AI", who + already, Weight.STATE, can_id
+            )
 
 
-def _switches(record: Record) -> Iterator[Event]:
+def _switches(record: Record) -> Iterator[TimelineEntry]:
     for signal, topic, off, on, weight_off, weight_on in SWITCHES:
         for span in record.series(signal).spans:
             if span.before is None and not span.value:
                 continue
             begins = " (since the log began)" if span.before is None else ""
             text, weight = (on, weight_on) if span.value else (off, weight_off)
-            yield Event(span.begin_ns, topic, text + begins, weight, signal.can_id, signal.name)
+            yield TimelineEntry(span.begin_ns, topic, text + begins, weight, signal.can_id, signal.name)
 
 
-def _states(record: Record) -> Iterator[Event]:
+def _states(record: Record) -> Iterator[TimelineEntry]:
     for signal, topic, usual in STATES:
         if signal in (OP_STATE, TS_STATE, EBS_STATE) and record.revision.name == "2021":
             continue
@@ -182,13 +181,13 @@ def _states(record: Record) -> Iterator[Event]:
             text = f"{signal.name} {known}"
             if signal is AS_STATE and span.before is not None:
                 text = f"AS_STATE {label(signal, span.before)} → {known}"
-            yield Event(span.begin_ns, topic, text, weight, signal.can_id, signal.name)
+            yield TimelineEntry(span.begin_ns, topic, text, weight, signal.can_id, signal.name)
     for span in record.series(SM_SYS).spans:
         name = SM_SYS_NAMES[int(span.value)] if span.value < len(SM_SYS_NAMES) else f"{span.value:.0f}"
-        yield Event(span.begin_ns, "power", f"SM_SYS {name}", Weight.NOTE, SM_SYS.can_id, SM_SYS.name)
+        yield TimelineEntry(span.begin_ns, "power", f"SM_SYS {name}", Weight.NOTE, SM_SYS.can_id, SM_SYS.name)
 
 
-def _flags(record: Record) -> Iterator[Event]:
+def _flags(record: Record) -> Iterator[TimelineEntry]:
     """Fault and warning bits."""
     missed = {signal: f"the VCU misses {BY_ID[can_id]}" for signal, can_id in TIMEOUTS.items()}
     missed[HANDSHAKE_TIMEOUT] = "the VCU misses the handshake's echo"
@@ -205,12 +204,12 @@ def _flags(record: Record) -> Iterator[Event]:
                     continue
                 what = missed.get(signal)
                 text = f"{what} ({signal.name})" if what and span.value else f"{signal.name} {span.value:.0f}"
-                yield Event(
+                yield TimelineEntry(
                     span.begin_ns, topic, text, weight if span.value else Weight.NOTE, signal.can_id, signal.name
                 )
 
 
-def _mode(record: Record) -> Iterator[Event]:
+def _mode(record: Record) -> Iterator[TimelineEntry]:
     """The AI side's mode is not on the bus; what it acknowledges is."""
     ami, state = record.series(AMI), record.series(AS_STATE)
     for span in record.series(MISSION_STATUS).spans:
@@ -218,16 +217,16 @@ def _mode(record: Record) -> Iterator[Event]:
             continue
         if span.value == MissionStatus.SELECTED:
             text = "mode: autonomous, as the AI computer acknowledges the mission"
-            yield Event(span.begin_ns, "mode", text, Weight.STATE, 0x510, MISSION_STATUS.name)
+            yield TimelineEntry(span.begin_ns, "mode", text, Weight.STATE, 0x510, MISSION_STATUS.name)
     chosen = [s for s in ami.spans if s.value and state.at(s.begin_ns) in OFF_LIKE]
     for span in chosen:
         later = span.begin_ns + 2 * S
         if later < span.end_ns and record.series(MISSION_STATUS).at(later) == 0 and state.at(later) in OFF_LIKE:
             text = "mode: manual, or the new mission is not confirmed yet (NOT_SELECTED 2 s after the choice)"
-            yield Event(later, "mode", text, Weight.WARNING, 0x510, MISSION_STATUS.name)
+            yield TimelineEntry(later, "mode", text, Weight.WARNING, 0x510, MISSION_STATUS.name)
 
 
-def _motion(record: Record) -> Iterator[Event]:
+def _motion(record: Record) -> Iterator[TimelineEntry]:
     """When the car sets off and when it stands."""
     wheels = record.fastest_wheel()
     if not len(wheels):
@@ -236,20 +235,20 @@ def _motion(record: Record) -> Iterator[Event]:
     changes = np.flatnonzero(np.diff(turning)) + 1
     begun: int | None = 0 if turning[0] else None
     if begun is not None:
-        yield Event(int(wheels.t_ns[0]), "motion", "the wheels turn when the log begins", Weight.STATE, 0x525)
+        yield TimelineEntry(int(wheels.t_ns[0]), "motion", "the wheels turn when the log begins", Weight.STATE, 0x525)
     for row in changes.tolist():
         if turning[row]:
             begun = row
-            yield Event(int(wheels.t_ns[row]), "motion", "the wheels begin to turn", Weight.NOTE, 0x525)
+            yield TimelineEntry(int(wheels.t_ns[row]), "motion", "the wheels begin to turn", Weight.NOTE, 0x525)
         else:
             top = wheels.values[begun or 0 : row].max()
             if top >= 3 * STANDING_RPM:
                 text = f"the wheels stand (under 10 rpm), {top:.0f} rpm at most before"
-                yield Event(int(wheels.t_ns[row]), "motion", text, Weight.NOTE, 0x525)
+                yield TimelineEntry(int(wheels.t_ns[row]), "motion", text, Weight.NOTE, 0x525)
             begun = None
 
 
-def _gate(record: Record) -> Iterator[Event]:
+def _gate(record: Record) -> Iterator[TimelineEntry]:
     """What the AI side's gate lets through: the first torque of a drive, brake pressures that mean a stop."""
     for span in record.series(AS_STATE).spans:
         if span.value != DRIVING:
@@ -267,7 +266,7 @@ def _gate(record: Record) -> Iterator[Event]:
             if firsts and span.before is not None:
                 t_ns, signal = min(firsts)
                 text = f"{words}, {ms(t_ns - span.begin_ns)} after AS_DRIVING began"
-                yield Event(t_ns, "gate", text, Weight.NOTE, signal.can_id, signal.name)
+                yield TimelineEntry(t_ns, "gate", text, Weight.NOTE, signal.can_id, signal.name)
     for span in record.series(AS_STATE).spans:
         if span.value not in (*OFF_LIKE, READY):
             continue
@@ -275,19 +274,19 @@ def _gate(record: Record) -> Iterator[Event]:
             for asked in record.series(signal).changes(span.begin_ns, span.end_ns):
                 if asked.value > 0 and asked.before == 0:
                     text = f"{signal.name} {asked.value:g} Nm in {label(AS_STATE, span.value)}"
-                    yield Event(asked.begin_ns, "AI", text, Weight.WARNING, signal.can_id, signal.name)
+                    yield TimelineEntry(asked.begin_ns, "AI", text, Weight.WARNING, signal.can_id, signal.name)
                     break
     for span in record.series(ANGLE_MAX).spans:
         if span.before is not None:
             text = f"ANGLE_MAX {span.before:g} → {span.value:g} deg"
-            yield Event(span.begin_ns, "steering", text, Weight.NOTE, ANGLE_MAX.can_id, ANGLE_MAX.name)
+            yield TimelineEntry(span.begin_ns, "steering", text, Weight.NOTE, ANGLE_MAX.can_id, ANGLE_MAX.name)
 
 
-def _gaps(record: Record) -> Iterator[Event]:
+def _gaps(record: Record) -> Iterator[TimelineEntry]:
     """Messages that did not come, several that stopped together as one."""
     for quiet_ns, heard_ns in record.silences:
         text = f"nobody at all is heard for {ms(heard_ns - quiet_ns)}: the bus was dead, or the recording paused"
-        yield Event(quiet_ns, "bus", text, Weight.WARNING)
+        yield TimelineEntry(quiet_ns, "bus", text, Weight.WARNING)
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
         together: dict[int, list[tuple[int, int, int | None]]] = {}
         for can_id in ids:
@@ -295,7 +294,7 @@ def _gaps(record: Record) -> Iterator[Event]:
             gaps = [gap for gap in record.gaps(can_id, GAP_PERIODS * period) if not record.silence_in(gap)]
             if len(gaps) > MANY:
                 text = f"{BY_ID[can_id]} pauses {len(gaps)} times, {ms(max(g.length_ns for g in gaps))} at most"
-                yield Event(gaps[0].begin_ns, "link", text, Weight.WARNING, can_id)
+                yield TimelineEntry(gaps[0].begin_ns, "link", text, Weight.WARNING, can_id)
                 continue
             for gap in gaps:
                 key = next((k for k in together if abs(k - gap.begin_ns) <= AT_ONCE_NS), gap.begin_ns)
@@ -308,9 +307,9 @@ def _gaps(record: Record) -> Iterator[Event]:
             weight = Weight.WARNING if length_ns >= 10 * BY_ID[can_id].period_ns[record.revision.name] else Weight.NOTE
             if whole and length_ns >= GONE_NS and ids is VCU_IDS:
                 names += ": switched off, or unplugged"
-            yield Event(begin_ns, "link", f"{names} {lasts}", weight, can_id)
+            yield TimelineEntry(begin_ns, "link", f"{names} {lasts}", weight, can_id)
             if end_ns is not None and length_ns >= GONE_NS and whole:
-                yield Event(end_ns, "link", f"{who} speaks again", Weight.STATE, can_id)
+                yield TimelineEntry(end_ns, "link", f"{who} speaks again", Weight.STATE, can_id)
 
 
 def _named(ids: list[int]) -> str:
@@ -318,33 +317,33 @@ def _named(ids: list[int]) -> str:
     return f"{names} {'is' if len(ids) == 1 else 'are'} missing"
 
 
-def _handshake(record: Record) -> Iterator[Event]:
+def _handshake(record: Record) -> Iterator[TimelineEntry]:
     for answer in record.answers:
         if answer.lost:
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
-            yield Event(answer.toggle_ns, "link", text, Weight.WARNING, 0x510, "HANDSHAKE")
+            yield TimelineEntry(answer.toggle_ns, "link", text, Weight.WARNING, 0x510, "HANDSHAKE")
 
 
-def _strangers(record: Record) -> Iterator[Event]:
+def _strangers(record: Record) -> Iterator[TimelineEntry]:
     for intrusion in record.intrusions:
         text = f"somebody else sends on the AI computer's ids: {intrusion_words(intrusion)}"
-        yield Event(intrusion.begin_ns, "intruder", text, Weight.FAULT, intrusion.can_id)
+        yield TimelineEntry(intrusion.begin_ns, "intruder", text, Weight.FAULT, intrusion.can_id)
 
 
-def _bus(record: Record) -> Iterator[Event]:
+def _bus(record: Record) -> Iterator[TimelineEntry]:
     """Error frames (grouped), frames of wrong length, a clock that was set back."""
     for first, last, count in _bursts(record):
         many = f"{count} error frames within {ms(last - first)}" if count > 1 else "an error frame"
-        yield Event(first, "bus", f"{many}: {error_text(record, first)}", Weight.FAULT)
+        yield TimelineEntry(first, "bus", f"{many}: {error_text(record, first)}", Weight.FAULT)
     for can_id, (count, first) in record.wrong_length.items():
         owner = BY_ID[can_id].flow if can_id in BY_ID else Flow.OTHER
         weight = Weight.FAULT if owner in (Flow.TO_VCU, Flow.FROM_VCU) else Weight.WARNING
         name = BY_ID.get(can_id, f"0x{can_id:03X}")
-        yield Event(
+        yield TimelineEntry(
             first, "bus", f"{name} with the wrong length ({count} frames): it counts as missing", weight, can_id
         )
     for t_ns, back_ns in record.set_back:
-        yield Event(
+        yield TimelineEntry(
             t_ns, "bus", f"the log's clock was set back by {ms(back_ns)}: what follows is moved on", Weight.WARNING
         )
 

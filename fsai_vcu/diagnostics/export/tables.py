@@ -18,7 +18,6 @@ Numbers = npt.NDArray[Any]
 
 DTYPES: Final[Mapping[Kind, str]] = {"int64": "int64", "uint64": "uint64", "float64": "float64", "text": "object"}
 _INT64: Final = 1 << 63
-_NO_NUMBERS: Final[Ints] = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ from fsai_vcu.diagnostics.export.tables import LeftOut, Rows, Table, Tables, bus
 from fsai_vcu.diagnostics.export.wide import WideTable
 from fsai_vcu.diagnostics.log.frames import Frames
 
-FORMATS: Final = ("csv", "parquet", "mcap", "mf4")
 NEEDS: Final[Mapping[str, str]] = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
 """What has to be installed for a format; the extra has the format's name."""
 _A_FILE_EACH: Final = ("csv", "parquet")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
-from itertools import zip_longest
 from typing import Final, NamedTuple
 
-from fsai_vcu.diagnostics.monitor.snapshot import KMH_PER_MPS, Actuator, Freshness, MessagePicture, Obstacle, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Obstacle, Picture
+from fsai_vcu.interface.units import KMH_PER_MPS
 
 _RESET: Final = "\x1b[0m"
 _STYLES: Final = {
@@ -168,16 +168,17 @@ def _faults(picture: Picture) -> Line:
 def _why(picture: Picture, width: int, room: int) -> list[Line]:
     if picture.driving:
         return [[Part("driving", "good")]]
-    lines: list[Line] = [[Part("why not driving:", "strong")]]
-    for place, one in enumerate(picture.why_not_driving):
-        left = len(picture.why_not_driving) - place
-        free = room - len(lines)
-        if free < 1 or (free == 1 and left > 1):
-            lines[room - 1 :] = [[Part(f"  … and {left} more", "faint")]]
-            break
+    parts = [_obstacle(one, width) for one in picture.why_not_driving]
+    if sum(map(len, parts)) > room - 1:
         # Evidence and remedy stand below for as long as each that follows has a line of its own.
-        lines += _obstacle(one, width)[: max(1, free - (left - 1))]
-    return lines
+        spare = max(0, room - 1 - len(parts))
+        for place, part in enumerate(parts):
+            parts[place] = part[: 1 + spare]
+            spare -= len(parts[place]) - 1
+    lines = [line for part in parts for line in part]
+    if len(lines) > room - 1:
+        lines[room - 2 :] = [[Part(f"  … and {len(lines) - (room - 2)} more", "faint")]]
+    return [[Part("why not driving:", "strong")], *lines]
 
 
 def _obstacle(one: Obstacle, width: int) -> list[Line]:
@@ -198,29 +199,15 @@ def _wrapped(text: str, indent: str, style: str, width: int) -> list[Line]:
 def _messages(messages: Sequence[MessagePicture], width: int, room: int) -> list[Line]:
     """As many as fit, in columns; where not all fit, those first that are not as they should be."""
     columns = max(1, (width + 2) // (_MESSAGE_WIDTH + 2))
-    shown = list(messages)
-    if room < 1 or not shown:
+    if room < 1 or not messages:
         return []
-    left_out = 0
-    if len(shown) > room * columns:
-        left_out = len(shown) - (room * columns - 1)
-        worst_first = sorted(shown, key=lambda m: m.freshness in (Freshness.FRESH, Freshness.NEVER))
-        chosen = set(map(id, worst_first[: len(shown) - left_out]))
-        shown = [message for message in shown if id(message) in chosen]
-    cells: list[Part] = [_cell(message) for message in shown]
-    if left_out:
-        cells.append(Part(f"… and {left_out} more".ljust(_MESSAGE_WIDTH), "faint"))
+    cells = [_cell(message) for message in messages]
+    if len(cells) > room * columns:
+        worst_first = sorted(messages, key=lambda m: m.freshness in (Freshness.FRESH, Freshness.NEVER))
+        cells = [_cell(message) for message in worst_first[: room * columns - 1]]
+        cells.append(Part(f"… and {len(messages) - len(cells)} more".ljust(_MESSAGE_WIDTH), "faint"))
     rows = -(-len(cells) // columns)
-    blocks = [cells[begin : begin + rows] for begin in range(0, len(cells), rows)]
-    lines: list[Line] = []
-    for row in zip_longest(*blocks):
-        line: list[Part] = []
-        for cell in row:
-            if cell is not None:
-                line += [Part("  ")] if line else []
-                line.append(cell)
-        lines.append(line)
-    return lines
+    return [[part for cell in cells[row::rows] for part in (cell, Part("  "))][:-1] for row in range(rows)]
 
 
 def _cell(message: MessagePicture) -> Part:

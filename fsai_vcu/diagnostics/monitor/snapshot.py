@@ -10,11 +10,9 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Final
+from typing import Any
 
 from fsai_vcu.diagnostics.statistics.measure import Handshake
-
-KMH_PER_MPS: Final = 3.6
 
 
 class Freshness(Enum):

@@ -8,12 +8,13 @@ show that there was no pause. Of every other message the newest frame is kept.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Final
 
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-from fsai_vcu.diagnostics.explain.signals import MS, STANDING_RPM, STATUS, S
+from fsai_vcu.diagnostics.explain.signals import STATUS
 from fsai_vcu.diagnostics.log.frames import (
     ERROR,
     EXTENDED,
@@ -26,16 +27,16 @@ from fsai_vcu.diagnostics.log.frames import (
     frames_of,
     joined,
 )
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.messages import AiStatus, VcuBrake, VcuStatus
+from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 WINDOW_NS: Final = 3 * S  # enough for a rate
 LONG_NS: Final = 30 * S  # as far as the rules look back that find the cause of an emergency brake
-PAUSE_NS: Final = 100 * MS  # interface specification v4.0: so long without a message of 10 ms is a loss
 HEARTBEAT_NS: Final = 500 * MS  # under the second without 0x520 that means a car switched off
 MOST_STATES: Final = 200_000  # rows: a day of heartbeats of four messages
-
-_HANDSHAKE: Final = np.uint64(1)  # bit 0 of 0x520 toggles all the time
-_AI_STATES: Final = np.uint64(0xFF00)  # 0x510: ESTOP_REQUEST, MISSION_STATUS, DIRECTION_REQUEST
-_BRAKE_STATES: Final = np.uint64(0xFF << 32)  # 0x524: STATUS_BRK, STATUS_EBS
 
 
 def _turning(words: Words) -> Words:
@@ -44,12 +45,21 @@ def _turning(words: Words) -> Words:
     return np.packbits(wheels >= STANDING_RPM, axis=1, bitorder="little")[:, 0].astype(np.uint64)
 
 
-STATES_OF: Final[dict[int, Callable[[Words], Words]]] = {
-    STATUS: lambda words: words & ~_HANDSHAKE,
-    0x510: lambda words: words & _AI_STATES,
-    0x524: lambda words: words & _BRAKE_STATES,
-    0x525: _turning,
-}
+@cache
+def _states_of() -> dict[int, Callable[[Words], Words]]:
+    """By identifier: what of its payloads is a state, in any revision."""
+    codec = Codec(list(REVISIONS.values())[-1])
+
+    def only(mask: int) -> Callable[[Words], Words]:
+        return lambda words: words & np.uint64(mask)
+
+    handshake = codec.mask(VcuStatus, "handshake")  # toggles all the time
+    return {
+        STATUS: only(~handshake & 0xFFFF_FFFF_FFFF_FFFF),
+        0x510: only(codec.mask(AiStatus, "estop_request", "mission_status", "direction")),
+        0x524: only(codec.mask(VcuBrake, "brake_status", "ebs_status")),
+        0x525: _turning,
+    }
 
 
 class Memory:
@@ -107,7 +117,7 @@ class Memory:
         plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
         kept: Mask = np.zeros(len(frames), np.bool_)
         earlier: list[LogFrame] = []
-        for can_id, states_of in STATES_OF.items():
+        for can_id, states_of in _states_of().items():
             rows: Ints = np.flatnonzero(plain & (frames.can_id == can_id))
             if not len(rows):
                 continue
@@ -118,7 +128,7 @@ class Memory:
             new = np.empty(len(rows), np.bool_)
             new[1:] = (np.diff(states) != 0) | (np.diff(beats) != 0)
             new[0] = int(states[0]) != state or int(beats[0]) != beat
-            pauses = np.diff(frames.t_ns[rows], prepend=before.t_ns if before else frames.t_ns[rows[0]]) > PAUSE_NS
+            pauses = np.diff(frames.t_ns[rows], prepend=before.t_ns if before else frames.t_ns[rows[0]]) > COMMS_LOST_NS
             kept[rows[new | pauses]] = True
             ends = np.flatnonzero(pauses[1:])
             kept[rows[ends]] = True

@@ -46,7 +46,6 @@ from fsai_vcu.diagnostics.explain.signals import (
     TS_STATE,
     TS_SWITCH,
     WARNINGS,
-    S,
     label,
 )
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames
@@ -57,6 +56,7 @@ from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatis
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.units import S
 
 EXPECTED: Final = tuple(
     message.can_id

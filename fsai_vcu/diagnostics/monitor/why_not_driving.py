@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from fsai_vcu.core.supervision.readiness import READY_WAIT_NS
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Sureness
 from fsai_vcu.diagnostics.explain.link import ms
@@ -17,19 +16,17 @@ from fsai_vcu.diagnostics.explain.signals import (
     FINISHED,
     GO,
     MISSION_STATUS,
-    MS,
-    OFF_LIKE,
     READY,
     STATUS,
-    S,
     label,
 )
 from fsai_vcu.diagnostics.explain.starting import TO_DRIVING, TO_READY, unmet
 from fsai_vcu.diagnostics.monitor.snapshot import Obstacle
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import MissionStatus
+from fsai_vcu.interface.enums import OFF_LIKE, MissionStatus
+from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_WAIT_NS
+from fsai_vcu.interface.units import S
 
-_LOST_NS: Final = 100 * MS  # interface specification v4.0: ten messages of 10 ms missing in a row
 _WAIT_S: Final = READY_WAIT_NS // S
 
 
@@ -42,7 +39,7 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
     if span is None:
         return (_silent_car(record),)
     silent_ns = now_ns - int(record.times(STATUS)[-1])
-    if silent_ns >= _LOST_NS:
+    if silent_ns >= COMMS_LOST_NS:
         return (_lost_car(silent_ns, label(AS_STATE, span.value)),)
     if span.value == DRIVING:
         return ()

@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
 from fsai_vcu.diagnostics.recorder.listening import Heard
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import Place
+from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 from fsai_vcu.runtime.recording import candump_line
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Recording:
 
     def __init__(
         self,
-        place: Place,
+        place: SegmentFolder,
         bus: str,
         about: Mapping[str, Any],
         say: Callable[[str], None],

@@ -33,7 +33,7 @@ class Bounds:
     keep_free_bytes: int = 0
 
 
-class Place:
+class SegmentFolder:
     """Names the files of each segment, and makes room for what comes."""
 
     def __init__(self, path: Path, prefix: str, bounds: Bounds) -> None:
@@ -48,7 +48,6 @@ class Place:
         self._pattern = re.compile(rf"{re.escape(self._prefix)}-(\d{{{_DIGITS}}})(\.log|\.mcap|\.json)")
         self._lock: IO[bytes] | None = None
         self.number = 0
-        self.deleted = 0
         if self.single:
             for kind in (".log", ".mcap"):
                 if self.file(kind).exists():
@@ -101,7 +100,6 @@ class Place:
             for kind in _KINDS:
                 self.file(kind, number).unlink(missing_ok=True)
             total -= segments[number]
-            self.deleted += 1
         free = self._free(folder)
         if self.bounds.keep_free_bytes and free < self.bounds.keep_free_bytes + bytes_to_come:
             raise NoRoomError(

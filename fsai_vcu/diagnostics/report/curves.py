@@ -28,7 +28,6 @@ from fsai_vcu.diagnostics.explain.signals import (
     FINISHED,
     GO,
     MISSION_STATUS,
-    MS,
     READY,
     SHUTDOWN_CAUSE,
     STATUS_EBS,
@@ -43,11 +42,12 @@ from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, LOAD_WINDOW_NS
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.enums import MissionStatus
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import KMH_PER_MPS, MS
 
 BUCKETS: Final = 1000  # a wide screen has not many more points than twice as many
 BREAK_NS: Final = 250 * MS  # a value so old is not drawn on: a message that stopped must not look alive
-KMH_PER_MPS: Final = 3.6
 LANE_SPANS: Final = 400
 
 
@@ -260,8 +260,8 @@ def lanes(record: Record) -> list[dict[str, Any]]:
         add(name, [entry for entry in bad if entry[2] == name])
     silent = [
         (gap.begin_ns, record.end_ns if gap.end_ns is None else gap.end_ns, f"0x{can_id:03X}", "bad")
-        for can_id in (*AI_IDS, *range(0x520, 0x526))
-        for gap in record.gaps(can_id, 100 * MS)
+        for can_id in (*AI_IDS, *VCU_IDS[:-1])
+        for gap in record.gaps(can_id, COMMS_LOST_NS)
     ]
     add("missing", sorted(silent))
     add("intruder", [(i.begin_ns, i.end_ns, Reason.INTRUDER.words, "bad") for i in record.intrusions])

@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.explain import Incident, Story, record_for, story_of
+from fsai_vcu.diagnostics.explain import Explanation, Incident, record_for, story_of
 from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds, verdict
@@ -30,7 +30,7 @@ def page(frames: Frames, name: str, revision: str | None = None, databases: Data
     return page_of(record, story_of(record), name)
 
 
-def page_of(record: Record, story: Story, name: str) -> str:
+def page_of(record: Record, story: Explanation, name: str) -> str:
     """The page of a log that is sorted already."""
     style, script = _part("page.css"), _part("page.js")
     policy = (
@@ -66,7 +66,7 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _data(record: Record, story: Story, drawn: list[Plot]) -> str:
+def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
     data = {
         "seconds": round((record.end_ns - record.begin_ns) / 1e9, 4),
         "plots": [
@@ -87,7 +87,7 @@ def _data(record: Record, story: Story, drawn: list[Plot]) -> str:
 # ---------------------------------------------------------------- what is read
 
 
-def _head(story: Story, name: str) -> Iterator[str]:
+def _head(story: Explanation, name: str) -> Iterator[str]:
     heading = story.heading
     began = int(heading["begin_ns"])
     when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
@@ -103,7 +103,7 @@ def _head(story: Story, name: str) -> Iterator[str]:
     yield "</header>\n"
 
 
-def _incidents(story: Story) -> Iterator[str]:
+def _incidents(story: Explanation) -> Iterator[str]:
     if not story.incidents:
         return
     yield '<section aria-labelledby="why"><h2 id="why">What happened, and why</h2>\n'
@@ -112,7 +112,7 @@ def _incidents(story: Story) -> Iterator[str]:
     yield "</section>\n"
 
 
-def _incident(story: Story, incident: Incident) -> Iterator[str]:
+def _incident(story: Explanation, incident: Incident) -> Iterator[str]:
     first = incident.candidates[0]
     at_s = seconds(story, incident.t_ns)
     planned = " (as planned)" if incident.planned else ""
@@ -174,7 +174,7 @@ def _plots(drawn: list[Plot]) -> Iterator[str]:
     yield "</section>\n"
 
 
-def _events(story: Story) -> Iterator[str]:
+def _events(story: Explanation) -> Iterator[str]:
     weights = {Weight.FAULT: "fault", Weight.WARNING: "warning", Weight.STATE: "state", Weight.NOTE: "note"}
     count = len(story.events)
     yield f'<section><details open><summary><h2>Timeline</h2> {count} events</summary>\n<ol class="events">'

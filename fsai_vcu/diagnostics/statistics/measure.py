@@ -20,11 +20,12 @@ from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
-from fsai_vcu.interface.bus_table import BY_ID, MS, BusMessage, Flow
+from fsai_vcu.interface.bus_table import BY_ID, BusMessage, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
+from fsai_vcu.interface.units import MS, S
 
 BITRATE: Final = 500_000  # interface specification v4.0: 500 kbit/s
-SECOND: Final = 1_000_000_000
 LOAD_WINDOW_NS: Final = 100 * MS
 
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
@@ -33,15 +34,13 @@ _ENOUGH_INTERVALS = 20
 # Three frames within so many periods are of two senders: one alone keeps 8 ms between the AI computer's cycles.
 _CLOSE_PERIODS = 1.5
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
-_AI_PATIENCE_NS = 100 * MS  # interface specification v4.0: an echo later than this raises AI_COMMS_LOST
-_SLOW_ECHO_NS = 10 * MS  # one cycle of the VCU
 _HIGH_LOAD = 0.7
-_FROZEN_COUNTS_NS = SECOND
+_FROZEN_COUNTS_NS = S
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class TimeSpread:
     """A distribution of times in ms; None while there are none."""
 
     p50_ms: float | None
@@ -49,7 +48,7 @@ class Spread:
     max_ms: float | None
 
     @classmethod
-    def of(cls, times_ns: Ints) -> Spread:
+    def of(cls, times_ns: Ints) -> TimeSpread:
         ordered = np.sort(times_ns)
         found = [quantile(ordered, share) for share in (0.5, 0.99, 1.0)]  # type: ignore[arg-type]
         return cls(*(None if time_ns is None else time_ns / MS for time_ns in found))
@@ -78,9 +77,9 @@ class MessageStatistics:
     remote: int
     sent: int
     expected_ms: float | None
-    interval: Spread
+    interval: TimeSpread
     mean_ms: float | None
-    jitter: Spread
+    jitter: TimeSpread
     gaps: int
     longest_gap_ms: float | None
     longest_gap_at_s: float | None
@@ -124,7 +123,7 @@ class Handshake:
     answered: int
     unanswered: int  # toggles whose bit did not come back before the next one, or for 100 ms at the log's end
     stood_ms: float  # the longest time for which the VCU kept its bit
-    response: Spread
+    response: TimeSpread
     above_patience: int  # answers that took 100 ms or longer
 
     def as_dict(self) -> dict[str, Any]:
@@ -177,7 +176,7 @@ class Severity(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class BusFinding:
     """Something that a person should know. A PROBLEM makes the verdict bad."""
 
     severity: Severity
@@ -250,7 +249,7 @@ def _measure_channel(
     return BusStatistics(
         channel=channel,
         frames=len(frames),
-        duration_s=duration_ns / SECOND,
+        duration_s=duration_ns / S,
         timed=duration_ns > 0,
         messages=tuple(messages),
         missing=missing,
@@ -301,19 +300,19 @@ def _measure_message(
         extended=bool(frames.flags[rows[0]] & EXTENDED),
         name=layout.name if layout else None,
         count=len(rows),
-        first_s=int(t_ns[0]) / SECOND,
-        last_s=int(t_ns[-1]) / SECOND,
+        first_s=int(t_ns[0]) / S,
+        last_s=int(t_ns[-1]) / S,
         expected_length=layout.length if layout else None,
         wrong_lengths=wrong,
         remote=int(remote.sum()),
         sent=int(((frames.flags[rows] & SENT) != 0).sum()),
         expected_ms=expected_ns / MS if expected_ns else None,
-        interval=Spread.of(intervals if timed else intervals[:0]),
+        interval=TimeSpread.of(intervals if timed else intervals[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
-        jitter=Spread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
+        jitter=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
         gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
-        longest_gap_at_s=None if longest is None else int(t_ns[longest]) / SECOND,
+        longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=len(np.unique(word)),
         close=close,
@@ -338,7 +337,7 @@ def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
 
 
 def _share(bits: int, duration_ns: int, bitrate: int) -> float:
-    return bits / (bitrate * duration_ns / SECOND) if duration_ns > 0 else 0.0
+    return bits / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
 def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
@@ -347,7 +346,7 @@ def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
         return 0.0
     windows = (t_ns - t_ns.min()) // LOAD_WINDOW_NS
     _, where = np.unique(windows, return_inverse=True)
-    return float(np.bincount(where, weights=bits).max()) / (bitrate * LOAD_WINDOW_NS / SECOND)
+    return float(np.bincount(where, weights=bits).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
 def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
@@ -362,7 +361,7 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     next_ns = np.append(asked_ns[toggles[1:]], np.iinfo(np.int64).max)
     stood_ns = int(np.diff(np.append(asked_ns[toggles], asked_ns[-1])).max())
     before = np.searchsorted(answer_ns, asked_ns[toggles], side="right") - 1
-    alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < _AI_PATIENCE_NS)
+    alive = (before >= 0) & (asked_ns[toggles] - answer_ns[np.maximum(before, 0)] < COMMS_LOST_NS)
     toggles, next_ns = toggles[alive], next_ns[alive]
     toggle_ns, toggle_bits = asked_ns[toggles], asked_bits[toggles]
     first_ns = np.full(len(toggles), np.iinfo(np.int64).max)
@@ -373,10 +372,10 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     in_time = first_ns < next_ns
     waited = (first_ns - toggle_ns)[in_time]
     unanswered = ~in_time
-    if len(toggles) and asked_ns[-1] - toggle_ns[-1] < _AI_PATIENCE_NS:
+    if len(toggles) and asked_ns[-1] - toggle_ns[-1] < COMMS_LOST_NS:
         unanswered[-1] = False  # the log ended before it had to be
     return Handshake(
-        len(waited), int(unanswered.sum()), stood_ns / MS, Spread.of(waited), int((waited >= _AI_PATIENCE_NS).sum())
+        len(waited), int(unanswered.sum()), stood_ns / MS, TimeSpread.of(waited), int((waited >= COMMS_LOST_NS).sum())
     )
 
 
@@ -410,13 +409,13 @@ def _frozen_counts(frames: Frames, decoder: Decoder) -> Iterator[tuple[str, floa
             count.t_ns, count.values, np.where(turning, -1, np.arange(len(turning), dtype=np.int64))
         )
         if lasted_ns >= _FROZEN_COUNTS_NS:
-            yield count.name, since_ns / SECOND, lasted_ns / SECOND
+            yield count.name, since_ns / S, lasted_ns / S
 
 
 # ---------------------------------------------------------------- judging
 
 
-def judge(bus: BusStatistics) -> list[Finding]:
+def judge(bus: BusStatistics) -> list[BusFinding]:
     """Everything that is not as it should be, the grave first."""
     found = list(_judge_bus(bus))
     for message in bus.messages:
@@ -424,81 +423,81 @@ def judge(bus: BusStatistics) -> list[Finding]:
     return sorted(found, key=lambda finding: finding.severity is not Severity.PROBLEM)
 
 
-def verdict(findings: list[Finding]) -> bool:
+def verdict(findings: list[BusFinding]) -> bool:
     """Whether all is well."""
     return not any(finding.severity is Severity.PROBLEM for finding in findings)
 
 
-def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
+def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
     problem, note = Severity.PROBLEM, Severity.NOTE
     if not bus.frames:
-        yield Finding(problem, "silent", f"nothing was heard on {bus.channel}")
+        yield BusFinding(problem, "silent", f"nothing was heard on {bus.channel}")
         return
     if not bus.timed:
-        yield Finding(note, "no-times", "no times to measure: the log has none, or is a single instant")
+        yield BusFinding(note, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
-        yield Finding(
+        yield BusFinding(
             note, "clock", f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
         )
     for words, count in bus.error_frames.items():
-        yield Finding(problem, "error-frames", f"{count} error frames: {words}")
+        yield BusFinding(problem, "error-frames", f"{count} error frames: {words}")
     absent = []
     for layout in bus.missing:
         own = BY_ID.get(layout.can_id)
         grave = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
         name = _name(layout.can_id, layout.name, layout.extended)
         if grave and own is not None and own.timeout_ns is not None:
-            yield Finding(problem, "missing", f"{name} was never heard", layout.can_id)
+            yield BusFinding(problem, "missing", f"{name} was never heard", layout.can_id)
         else:
             absent.append(name)
     if absent:
-        yield Finding(note, "missing", f"never heard: {', '.join(absent)}")
+        yield BusFinding(note, "missing", f"never heard: {', '.join(absent)}")
     if bus.peak_load > _HIGH_LOAD:
-        yield Finding(
+        yield BusFinding(
             note, "load", f"bus load {bus.load:.1%}, and {bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
         )
     handshake = bus.handshake
     if handshake is not None:
         if handshake.above_patience or handshake.unanswered:
-            yield Finding(
+            yield BusFinding(
                 problem,
                 "handshake",
                 f"{handshake.unanswered} handshakes without an answer and {handshake.above_patience} answered after"
-                f" {_AI_PATIENCE_NS // MS} ms or more: the VCU takes that for AI_COMMS_LOST",
+                f" {COMMS_LOST_NS // MS} ms or more: the VCU takes that for AI_COMMS_LOST",
                 0x510,
             )
-        elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > _SLOW_ECHO_NS:
-            yield Finding(
+        elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > PERIOD_NS:
+            yield BusFinding(
                 note, "handshake", f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow", 0x510
             )
-        if handshake.stood_ms * MS >= _AI_PATIENCE_NS:
-            yield Finding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
+        if handshake.stood_ms * MS >= COMMS_LOST_NS:
+            yield BusFinding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
     for signal, since_s, for_s in bus.frozen_counts:
-        yield Finding(
+        yield BusFinding(
             problem, "frozen", f"{signal} stood still for {for_s:.1f} s while its wheel turned", 0x526, since_s
         )
 
 
-def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
+def _judge_message(message: MessageStatistics) -> Iterator[BusFinding]:
     problem, note = Severity.PROBLEM, Severity.NOTE
     name = _name(message.can_id, message.name, message.extended)
     own = None if message.extended else BY_ID.get(message.can_id)
     if own is not None and own.name != message.name:
         own = None
     if message.name is None:
-        yield Finding(
+        yield BusFinding(
             note, "unknown", f"{name} is in no database: {message.count} frames", message.can_id, message.first_s
         )
     if message.wrong_lengths:
         which = ", ".join(f"{count} of {length} bytes" for length, count in message.wrong_lengths.items())
-        yield Finding(
+        yield BusFinding(
             problem, "wrong-length", f"{name} must have {message.expected_length} bytes: {which}", message.can_id
         )
     is_ai = not message.extended and message.can_id in AI_IDS
     if message.remote and is_ai:
-        yield Finding(problem, "intruder", f"{name}: {message.remote} remote frames", message.can_id)
+        yield BusFinding(problem, "intruder", f"{name}: {message.remote} remote frames", message.can_id)
     if is_ai and 0 < message.sent < message.count:
-        yield Finding(
+        yield BusFinding(
             problem,
             "intruder",
             f"{name}: {message.count - message.sent} frames that this computer did not send, beside {message.sent} of"
@@ -506,27 +505,27 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
             message.can_id,
         )
     elif is_ai and message.close:
-        yield Finding(
+        yield BusFinding(
             problem,
             "intruder",
             f"{name}: frames came too close together {message.close} times, as from a second sender",
             message.can_id,
         )
     elif message.close and message.expected_ms:
-        yield Finding(
+        yield BusFinding(
             note,
             "bursts",
             f"{name}: {message.close} times three within 1.5 periods: bursts, or two senders",
             message.can_id,
         )
     if not message.extended and message.sent and message.can_id in RESERVED_IDS:
-        yield Finding(
+        yield BusFinding(
             problem, "reserved", f"{name}: sent {message.sent} times by this computer, which must not", message.can_id
         )
     yield from _judge_times(message, name, own)
 
 
-def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) -> Iterator[Finding]:
+def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) -> Iterator[BusFinding]:
     problem, note = Severity.PROBLEM, Severity.NOTE
     if message.expected_ms is None or message.longest_gap_ms is None or message.interval.p50_ms is None:
         return
@@ -534,7 +533,7 @@ def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) 
     lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * message.expected_ms
     at = f" at {message.longest_gap_at_s:.3f} s" if message.longest_gap_at_s is not None else ""
     if message.longest_gap_ms >= lost_ms:
-        yield Finding(
+        yield BusFinding(
             problem if supervised else note,
             "gap",
             f"{name} was silent for {message.longest_gap_ms:.1f} ms{at}: {lost_ms:g} ms count as lost",
@@ -542,7 +541,7 @@ def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) 
             message.longest_gap_at_s,
         )
     elif message.gaps:
-        yield Finding(
+        yield BusFinding(
             note,
             "gap",
             f"{name}: frames missing {message.gaps} times, the longest gap {message.longest_gap_ms:.1f} ms{at}",
@@ -553,7 +552,7 @@ def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) 
     both = [message.interval.p50_ms, message.mean_ms or 0.0]
     off = min(abs(period_ms / message.expected_ms - 1.0) for period_ms in both)
     if message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
-        yield Finding(
+        yield BusFinding(
             problem if supervised else note,
             "period",
             f"{name} comes every {message.interval.p50_ms:.2f} ms, but should every {message.expected_ms:g} ms",

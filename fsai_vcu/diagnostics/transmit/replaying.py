@@ -96,7 +96,7 @@ def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
 
 
 @dataclass
-class Progress:
+class ReplayProgress:
     """What has been sent. late_max_ns: the latest that a frame left after it was due."""
 
     sent: int = 0
@@ -119,7 +119,7 @@ class Player:
         laps: int | None = 1,
     ) -> None:
         """`frames` in order of time. laps: None is for ever. `send` returns False for a full transmit queue."""
-        self.progress = Progress()
+        self.progress = ReplayProgress()
         self._frames = frames
         self._send = send
         self._clock_ns = clock_ns

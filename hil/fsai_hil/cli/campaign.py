@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fsai_hil.evidence.campaign.runner import Pace, Plan, Task
+    from fsai_hil.evidence.campaign.runner import CampaignPlan, Pace, Task
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
 
@@ -109,7 +109,7 @@ def _campaign(args: argparse.Namespace) -> int:
         kept = len(writer.runs)
         if kept:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
-        told = Progress()
+        told = CampaignProgress()
         try:
             if args.dask:
                 from fsai_hil.evidence.campaign.cluster import on_cluster
@@ -136,15 +136,15 @@ def _campaign(args: argparse.Namespace) -> int:
         return 0
 
 
-def _local(jobs: int, plan: Plan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
+def _local(jobs: int, plan: CampaignPlan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
     from fsai_hil.evidence.campaign.runner import in_processes
 
     return in_processes(plan, work, jobs)
 
 
-def _plan(args: argparse.Namespace) -> Plan:
+def _plan(args: argparse.Namespace) -> CampaignPlan:
     from fsai_hil.evidence.campaign.cases import LEG_MS, WORLD_SEEDS, Selection
-    from fsai_hil.evidence.campaign.runner import Plan
+    from fsai_hil.evidence.campaign.runner import CampaignPlan
     from fsai_hil.evidence.campaign.scenario import WINDOW_MS
     from fsai_hil.simulator.world import mission_named
     from fsai_vcu.interface.revisions import revision
@@ -163,14 +163,14 @@ def _plan(args: argparse.Namespace) -> Plan:
         WORLD_SEEDS if args.world_seeds is None else args.world_seeds,
         min(LEG_MS, 6 * window_ms // 10),
     )
-    return Plan(args.seed, args.runs, args.full, selection, window_ms)
+    return CampaignPlan(args.seed, args.runs, args.full, selection, window_ms)
 
 
 def _names(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
-class Progress:
+class CampaignProgress:
     """One line that is written over on a terminal, one every few seconds elsewhere; each failure as it comes."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fsai_hil.simulator.judge import Verdict
+    from fsai_hil.simulator.judge import JudgeVerdict
     from fsai_hil.simulator.lockstep import Lockstep
     from fsai_hil.simulator.world import World
     from fsai_vcu.core.report import BridgeReport
@@ -95,7 +95,7 @@ def _drive(args: argparse.Namespace) -> int:
         for mission in setup.missions:
             if line := lockstep.computer.controller.too_slow(mission):
                 print(line, file=sys.stderr)
-        result = lockstep.run(None if args.json else Progress(), realtime=args.realtime)
+        result = lockstep.run(None if args.json else DriveProgress(), realtime=args.realtime)
     status = 0 if result.passed else 1
     if args.plot and not _plotted(args.plot, lockstep, result.verdict):
         status = 1
@@ -117,7 +117,7 @@ def _drive(args: argparse.Namespace) -> int:
     return status
 
 
-def _plotted(path: Path, lockstep: Lockstep, verdict: Verdict) -> bool:
+def _plotted(path: Path, lockstep: Lockstep, verdict: JudgeVerdict) -> bool:
     from fsai_hil.simulator.plot import PlotError, save_plot
 
     try:
@@ -131,7 +131,7 @@ def _plotted(path: Path, lockstep: Lockstep, verdict: Verdict) -> bool:
 def _drive_with_fault(args: argparse.Namespace) -> int:
     """One case of the fault campaign, told to a person. Exit status 1: worse than the safety rules allow."""
     from fsai_hil.evidence.campaign.cases import case_from_spec
-    from fsai_hil.evidence.campaign.explain import Story
+    from fsai_hil.evidence.campaign.explain import ScenarioNarrator
     from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
     from fsai_hil.evidence.campaign.verdict import as_record
     from fsai_hil.simulator.world import mission_named
@@ -156,7 +156,7 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
         if case.leg_ms is not None:
             drive_to(rig, case.leg_ms)
         scenario = Scenario(case, rig)
-        story = Story(case)
+        story = ScenarioNarrator(case)
         while not scenario.over:
             scenario.step()
             if not args.json:
@@ -174,7 +174,7 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
     return status
 
 
-class Progress:
+class DriveProgress:
     """A line when the AS state changes, and one every five seconds of driving."""
 
     EVERY_S = 5.0

@@ -11,9 +11,13 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fsai_hil import CHECKOUT
 from fsai_vcu.runtime.transport import loopback_environment
+
+if TYPE_CHECKING:
+    from fsai_hil.vcan import VcanHost
 
 EXAMPLE = "fsai-vcu hil -k planner_killed"
 
@@ -45,9 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MINUTES",
         help="instead: one mission after another for so long, with the verdict whether it stays flat",
     )
-    place = parser.add_mutually_exclusive_group()
-    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
-    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    add_place_arguments(parser)
     parser.add_argument(
         "--timeout",
         type=float,
@@ -60,6 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_place_arguments(parser: argparse.ArgumentParser) -> None:
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
+    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+
+
 def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
     """Options that are not ours are pytest's."""
     args, others = parser.parse_known_args(argv)
@@ -68,7 +76,7 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+    from fsai_hil.vcan import INTERFACE, VcanError
     from fsai_vcu.cli.main import UserError, WrongUse
 
     timeout_s = args.timeout
@@ -83,12 +91,9 @@ def run(args: argparse.Namespace) -> int:
     # A polite kill ends everything in order, as Ctrl-C does: the logs are still to be put into their place.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        place = prepared_place(args)
         print(f"fsai-vcu hil: {place.name} {INTERFACE}: {place.why}", flush=True)
         results = _results_dir(args.results, CHECKOUT / "out" / ("hil" if args.soak is None else "soak"))
-        for package in ("fsai_vcu", "hil", "nodes"):
-            # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
-            compileall.compile_dir(CHECKOUT / package, quiet=2)
 
         def suite(words: Sequence[str], results: Path, pace: float, put_off: Path | None) -> int:
             # Always said: one that a caller has in his environment must not let a failure be put off for ever.
@@ -123,6 +128,17 @@ def run(args: argparse.Namespace) -> int:
     if status:
         print(f"fsai-vcu hil: the logs of the processes are in {results}", file=sys.stderr)
     return status
+
+
+def prepared_place(args: argparse.Namespace) -> VcanHost:
+    """Where the arguments want the vcan0, with everything compiled. Raises VcanError."""
+    from fsai_hil.vcan import choose_place
+
+    place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+    for package in ("fsai_vcu", "hil", "nodes"):
+        # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
+        compileall.compile_dir(CHECKOUT / package, quiet=2)
+    return place
 
 
 def _results_dir(wanted: Path | None, usual: Path) -> Path:

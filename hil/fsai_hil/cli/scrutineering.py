@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import compileall
 import json
 import math
 import os
@@ -12,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
+from fsai_hil.cli.hil import add_place_arguments, environment, prepared_place
 
 EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
@@ -28,9 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--conditions", metavar="NAME[,NAME…]", help="only these (default: all)")
     add("--short", action="store_true", help=f"only what needs no drive, {_SHORT_SECONDS:g} s each")
     add("--revision", default="2026", choices=("2021", "2026"), help="interface revision (2026)")
-    place = parser.add_mutually_exclusive_group()
-    place.add_argument("--native", action="store_true", help="on this kernel's vcan, or not at all")
-    place.add_argument("--uml", action="store_true", help="in User-Mode Linux even where the kernel has vcan")
+    add_place_arguments(parser)
     add(
         "--pace",
         type=float,
@@ -51,11 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0: in every condition answered in time, and sooner than the loop in C; 1: not, or not measured."""
-    from fsai_hil.cli.hil import environment
     from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME, SHORT, conditions_named
     from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
     from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
-    from fsai_hil.vcan import INTERFACE, VcanError, choose_place
+    from fsai_hil.vcan import INTERFACE, VcanError
     from fsai_hil.vcan.clock import SLOWEST_PACE
     from fsai_vcu.cli.main import UserError, WrongUse
 
@@ -74,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         out.mkdir(parents=True, exist_ok=True)
         result.unlink(missing_ok=True)
-        place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+        place = prepared_place(args)
         if args.pace is not None and not place.has_pace:
             raise WrongUse("--pace is for User-Mode Linux (--uml): this kernel's own vcan goes by this machine's clock")
         pace = 1.0 if not place.has_pace else _PACE if args.pace is None else args.pace
@@ -82,9 +79,6 @@ def run(args: argparse.Namespace) -> int:
         _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
         if pace != 1.0:
             _say(args, f"{pace:g} s of this machine for each second inside")
-        for package in ("fsai_vcu", "hil", "nodes"):
-            # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
-            compileall.compile_dir(CHECKOUT / package, quiet=2)
         argv = [
             sys.executable,
             "-m",

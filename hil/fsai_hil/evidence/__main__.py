@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
-from fsai_hil.evidence.model import Composition, swift_copies
+from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import all_scopes, scope
 from fsai_hil.evidence.search import explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
@@ -23,10 +23,9 @@ def searched(name: str) -> dict[str, Any]:
     """Search the scope of that name; its figures."""
     one = scope(name)
     began = time.process_time()
-    with swift_copies():
-        model = Composition(one)
-        found = explore(model, bounds_ns=one.bounds_ns)
-        trace = model.told(found.trace)
+    model = Composition(one)
+    found = explore(model, bounds_ns=one.bounds_ns)
+    trace = model.told(found.trace)
     figures: dict[str, Any] = {
         "scope": one.name,
         "covers": one.covers,

@@ -21,10 +21,10 @@ from typing import Any, Final
 from fsai_hil.evidence import fuzz_run
 from fsai_hil.evidence.fuzz_cases import make
 from fsai_hil.evidence.fuzz_drives import Drive
-from fsai_hil.evidence.fuzz_events import SETUPS, Case, CaseError, read_case
+from fsai_hil.evidence.fuzz_events import SETUPS, CaseError, FuzzCase, read_case
 from fsai_hil.evidence.fuzz_run import NotOrdinary, forget_stations
 from fsai_hil.evidence.fuzz_search import KINDS, Failure, Fuzzer, Tally, described, fuzz, minimised, story, unreached
-from fsai_hil.evidence.model import patched, swift_copies
+from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS, Seed
 from fsai_hil.rules.violation import Violation
 
@@ -47,20 +47,19 @@ def _worker(job: int, seed: str, cases: int | None, until_s: float | None, out: 
     """One process's share: cases in small batches, so that progress is seen, and a drive now and then."""
     done = 0
     try:
-        with swift_copies():
-            fuzzer = Fuzzer(f"{seed}-{job}")
-            while (cases is None or done < cases) and (until_s is None or time.monotonic() < until_s):
-                size = BATCH if cases is None else min(BATCH, cases - done)
-                tally = fuzzer.run(cases=size, until_s=until_s)
-                tally.failures = [minimised(failure) for failure in tally.failures]
-                out.put(tally)
-                done += size
-                if tally.failures:
-                    break
-                if done % CASES_FOR_A_DRIVE == 0 and (until_s is None or time.monotonic() < until_s):
-                    drive = Drive(f"{seed}-{job}-{done}")
-                    problems = drive.run()
-                    out.put((drive.lockstep.now_ns / 1e9, drive.origin, drive.notes, problems))
+        fuzzer = Fuzzer(f"{seed}-{job}")
+        while (cases is None or done < cases) and (until_s is None or time.monotonic() < until_s):
+            size = BATCH if cases is None else min(BATCH, cases - done)
+            tally = fuzzer.run(cases=size, until_s=until_s)
+            tally.failures = [minimised(failure) for failure in tally.failures]
+            out.put(tally)
+            done += size
+            if tally.failures:
+                break
+            if done % CASES_FOR_A_DRIVE == 0 and (until_s is None or time.monotonic() < until_s):
+                drive = Drive(f"{seed}-{job}-{done}")
+                problems = drive.run()
+                out.put((drive.lockstep.now_ns / 1e9, drive.origin, drive.notes, problems))
     except KeyboardInterrupt:
         pass
     except NotOrdinary as broken:
@@ -195,7 +194,6 @@ def sought(name: str, cases: int = SEEDED_CASES, seconds: float = SEEDED_S) -> t
     }
     forget_stations()
     with ExitStack() as stack:
-        stack.enter_context(swift_copies())
         stack.enter_context(patched(fuzz_run, "SETUPS", setups))
         for owner, attribute, value in seed.patches():
             stack.enter_context(patched(owner, attribute, value))
@@ -222,7 +220,7 @@ def seek_all(names: Sequence[str], jobs: int) -> int:
 # ---------------------------------------------------------------- the command
 
 
-def replay(case: Case) -> int:
+def replay(case: FuzzCase) -> int:
     """Tell what happens in a case; 1 if it breaks a rule."""
     lines, problems = story(case)
     for line in lines:
@@ -282,8 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.seeded:
         seeds = [seed.name for seed in SEEDS if seed.shows_in_fuzz]
         print(f"{len(seeds)} faults put into the rules on purpose, each sought on the wire:", flush=True)
-        with swift_copies():
-            sound = fuzz("seeded", cases=SEEDED_CASES, cpu_s=SEEDED_S, stop_at_failures=1)
+        sound = fuzz("seeded", cases=SEEDED_CASES, cpu_s=SEEDED_S, stop_at_failures=1)
         if sound.failures:
             print(f"without any of them case {sound.failures[0].case.origin} breaks a rule already", file=sys.stderr)
             return 1

@@ -14,9 +14,9 @@ from dataclasses import fields
 from random import Random
 from typing import Any, Final
 
-from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, event
+from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, FuzzCase, FuzzEvent, event
 from fsai_vcu.interface.bus_table import BUS_TABLE
-from fsai_vcu.interface.images import Faults
+from fsai_vcu.interface.messages import Faults
 from fsai_vcu.interface.reserved import AI_IDS
 
 # Cycles of 10 ms about the times at which something runs out, and far from them.
@@ -71,10 +71,10 @@ _FIELDS: Final[dict[str, tuple[tuple[str, tuple[Any, ...]], ...]]] = {
     "GpsDateTime": (("year", (0, 255)),),
 }
 
-Maker = Callable[[Random], list[Event]]
+Maker = Callable[[Random], list[FuzzEvent]]
 
 
-def _run(chance: Random) -> Event:
+def _run(chance: Random) -> FuzzEvent:
     return event("run", cycles=chance.choice(_LONG_CYCLES if chance.random() < 0.06 else _CYCLES))
 
 
@@ -82,7 +82,7 @@ def _ms(chance: Random) -> float:
     return chance.choice(_LONG_MS if chance.random() < 0.3 else _MS)
 
 
-def _car(chance: Random) -> list[Event]:
+def _car(chance: Random) -> list[FuzzEvent]:
     match chance.randrange(5):
         case 0:
             says: dict[str, Any] = {"as_state": chance.choice(_STATE_WALK)}
@@ -97,7 +97,7 @@ def _car(chance: Random) -> list[Event]:
     return [event("car", **says)]
 
 
-def _next_run(chance: Random) -> list[Event]:
+def _next_run(chance: Random) -> list[FuzzEvent]:
     """The whole way to a drive once more, with what may be wrong on it."""
     events = [
         event("car", as_state=chance.choice((5, 4, 3)), go=False),
@@ -118,7 +118,7 @@ def _next_run(chance: Random) -> list[Event]:
     return events
 
 
-def _wheels(chance: Random) -> list[Event]:
+def _wheels(chance: Random) -> list[FuzzEvent]:
     match chance.randrange(4):
         case 0:
             rpm: list[int] | None = None
@@ -132,11 +132,11 @@ def _wheels(chance: Random) -> list[Event]:
     return [event("wheels", rpm=rpm)]
 
 
-def _steering(chance: Random) -> list[Event]:
+def _steering(chance: Random) -> list[FuzzEvent]:
     return [event("steering", deg=chance.choice((None, None, 0.0, 3.0, -29.9, 29.9)))]
 
 
-def _limits(chance: Random) -> list[Event]:
+def _limits(chance: Random) -> list[FuzzEvent]:
     return [
         event(
             "limits",
@@ -147,7 +147,7 @@ def _limits(chance: Random) -> list[Event]:
     ]
 
 
-def _mute(chance: Random) -> list[Event]:
+def _mute(chance: Random) -> list[FuzzEvent]:
     ids = [chance.choice(_VITAL_IDS)] if chance.random() < 0.7 else chance.sample(_VITAL_IDS, chance.randrange(2, 8))
     cycles = chance.choice((1, 4, 5, 9, 10, 11, 29, 30, 31, 99, 100, 101))
     return [
@@ -156,7 +156,7 @@ def _mute(chance: Random) -> list[Event]:
     ]
 
 
-def _frame(chance: Random) -> list[Event]:
+def _frame(chance: Random) -> list[FuzzEvent]:
     match chance.randrange(6):
         case 0:
             can_id = chance.choice(AI_IDS)
@@ -173,19 +173,19 @@ def _frame(chance: Random) -> list[Event]:
     return [event("frame", id=can_id, data="" if kind == "remote" else data.hex(), kind=kind)]
 
 
-def _storm(chance: Random) -> list[Event]:
+def _storm(chance: Random) -> list[FuzzEvent]:
     """The same strange frame again and again in the midst of the ordinary ones."""
     (frame,) = _frame(chance)
     return [one for _ in range(chance.randrange(2, 12)) for one in (frame, event("run", cycles=1))]
 
 
-def _says(chance: Random) -> list[Event]:
+def _says(chance: Random) -> list[FuzzEvent]:
     image = chance.choice(("VcuStatus", "VcuStatus", *_FIELDS))
     name, values = chance.choice(_FIELDS[image])
     return [event("says", image=image, field=name, value=chance.choice(values))]
 
 
-def _flip(chance: Random) -> list[Event]:
+def _flip(chance: Random) -> list[FuzzEvent]:
     return [event("flip", id=chance.choice(_VITAL_IDS), bit=chance.randrange(64))]
 
 
@@ -211,11 +211,11 @@ def fields_of_a_command(chance: Random) -> dict[str, Any]:
     return {name: makers[name]() for name in names}
 
 
-def _command(chance: Random) -> list[Event]:
+def _command(chance: Random) -> list[FuzzEvent]:
     return [event("command", **fields_of_a_command(chance))]
 
 
-def _orderly(chance: Random) -> list[Event]:
+def _orderly(chance: Random) -> list[FuzzEvent]:
     """The controller is in its right mind again."""
     return [
         event("command", steering_rad=round(chance.uniform(-0.3, 0.3), 3), throttle=chance.choice((0.0, 0.4, 1.0)),
@@ -225,14 +225,14 @@ def _orderly(chance: Random) -> list[Event]:
     ]  # fmt: skip
 
 
-def _once(chance: Random) -> list[Event]:
+def _once(chance: Random) -> list[FuzzEvent]:
     return [event("once", **fields_of_a_command(chance))]
 
 
-def _flicker(chance: Random) -> list[Event]:
+def _flicker(chance: Random) -> list[FuzzEvent]:
     """The controller pushes and brakes in turn, faster than the interlock."""
     cycles = chance.choice((1, 1, 2))
-    events: list[Event] = []
+    events: list[FuzzEvent] = []
     for _ in range(chance.randrange(2, 6)):
         events += [
             event("command", throttle=0.0, brake=0.5),
@@ -243,28 +243,28 @@ def _flicker(chance: Random) -> list[Event]:
     return events
 
 
-def _silence(chance: Random) -> list[Event]:
+def _silence(chance: Random) -> list[FuzzEvent]:
     cycles = chance.choice((5, 9, 10, 11, 29, 30, 31, 50, 69, 71))
     return [event("silence", on=True), event("run", cycles=cycles), event("silence", on=False)]
 
 
-def _planner(chance: Random) -> list[Event]:
+def _planner(chance: Random) -> list[FuzzEvent]:
     """A planner or controller that is started anew."""
     role = chance.choice(("planner", "controller"))
     old = [event("command", age_ms=chance.choice((100.0, 450.0, 550.0, 690.0))), event("run", cycles=3)]
     return [*old, event("confirm", role=role, offset=0), event("command", age_ms=0.0), event("run", cycles=4)]
 
 
-def _confirm(chance: Random) -> list[Event]:
+def _confirm(chance: Random) -> list[FuzzEvent]:
     role = chance.choice(("planner", "controller", "planner", "controller", "bridge", "", "PLANNER"))
     return [event("confirm", role=role, offset=chance.choice((0, 0, 1, -1, 10**12)))]
 
 
-def _confirming(chance: Random) -> list[Event]:
+def _confirming(chance: Random) -> list[FuzzEvent]:
     return [event("confirming", on=chance.random() < 0.5)]
 
 
-def _service(chance: Random) -> list[Event]:
+def _service(chance: Random) -> list[FuzzEvent]:
     match chance.randrange(6):
         case 0 | 1 | 2:
             return [event("service", name="mode", text=chance.choice(MODES))]
@@ -274,12 +274,12 @@ def _service(chance: Random) -> list[Event]:
             return [event("service", name="reset")]
 
 
-def _drops(chance: Random) -> list[Event]:
+def _drops(chance: Random) -> list[FuzzEvent]:
     cycles = chance.choice((1, 1, 2, 3, 4, 5, 6, 7, 20))
     return [event("drops", cycles=cycles, takes=chance.randrange(5)), event("run", cycles=cycles)]
 
 
-def _lost(chance: Random) -> list[Event]:
+def _lost(chance: Random) -> list[FuzzEvent]:
     lost = event("breaks", takes=chance.randrange(5), ms=_ms(chance)) if chance.random() < 0.5 else event(
         "lost", ms=_ms(chance)
     )  # fmt: skip
@@ -290,41 +290,41 @@ def _lost(chance: Random) -> list[Event]:
     return events
 
 
-def _quiet(chance: Random) -> list[Event]:
+def _quiet(chance: Random) -> list[FuzzEvent]:
     return [event("quiet", ms=_ms(chance))]
 
 
-def _hang(chance: Random) -> list[Event]:
+def _hang(chance: Random) -> list[FuzzEvent]:
     return [event("hang", ms=_ms(chance))]
 
 
-def _late(chance: Random) -> list[Event]:
+def _late(chance: Random) -> list[FuzzEvent]:
     return [event("late", ns=chance.choice((0, 0, 1, 1_000_000, 3_000_000, 7_999_999, 30_000_000, 49_999_999)))]
 
 
-def _pace(chance: Random) -> list[Event]:
+def _pace(chance: Random) -> list[FuzzEvent]:
     ns = chance.choice(
         (10_000_000,) * 4 + (100_000, 2_000_000, 7_999_999, 9_999_999, 14_999_999, 25_000_000, 49_999_999)
     )
     return [event("pace", ns=ns, first=chance.random() < 0.7, answered=chance.random() < 0.5)]
 
 
-def _handshake(chance: Random) -> list[Event]:
+def _handshake(chance: Random) -> list[FuzzEvent]:
     return [event("handshake", how=chance.choice(("alternate", "alternate", "stuck", "wild")))]
 
 
-def _echo(chance: Random) -> list[Event]:
+def _echo(chance: Random) -> list[FuzzEvent]:
     return [event("echo", pct=chance.choice((None, None, 0.0, 0.5, 100.0)))]
 
 
-def _stops_itself(chance: Random) -> list[Event]:
+def _stops_itself(chance: Random) -> list[FuzzEvent]:
     """The car says in AS_DRIVING that it is stopping itself, for a moment or for good."""
     says = chance.choice(({"go": False}, {"fault": True}))
     events = [event("car", **says), event("run", cycles=chance.choice((1, 2, 40)))]
     return [*events, event("car", go=True, fault=False)] if chance.random() < 0.6 else events
 
 
-def _at_the_edge(chance: Random) -> list[Event]:
+def _at_the_edge(chance: Random) -> list[FuzzEvent]:
     """A nanosecond on either side of the instant at which something runs out."""
     off_ns = chance.choice((-1, 0, 1))
     match chance.randrange(4):
@@ -345,7 +345,7 @@ def _at_the_edge(chance: Random) -> list[Event]:
             return [event("pace", ns=50_000_000 + off_ns, first=True, answered=True), event("run", cycles=4)]
 
 
-def _pedals(chance: Random) -> list[Event]:
+def _pedals(chance: Random) -> list[FuzzEvent]:
     """Throttle and brake together, for about as long as it may last."""
     return [
         event("command", throttle=0.5, brake=0.3, age_ms=0.0, run_offset=0),
@@ -353,7 +353,7 @@ def _pedals(chance: Random) -> list[Event]:
     ]
 
 
-def _beyond(chance: Random) -> list[Event]:
+def _beyond(chance: Random) -> list[FuzzEvent]:
     """More steering than the car allows just now."""
     return [
         event("limits", angle_deg=chance.choice((0.0, 2.0, 5.0)), front_nm=195.0, rear_nm=195.0),
@@ -363,11 +363,11 @@ def _beyond(chance: Random) -> list[Event]:
     ]
 
 
-def _other_run(chance: Random) -> list[Event]:
+def _other_run(chance: Random) -> list[FuzzEvent]:
     return [event("command", run_offset=chance.choice((-1, 1))), event("run", cycles=chance.choice((2, 9, 11, 31)))]
 
 
-def _finish(chance: Random) -> list[Event]:
+def _finish(chance: Random) -> list[FuzzEvent]:
     """The mission is done, and the car says so in the end."""
     return [
         event("wheels", rpm=None),
@@ -379,7 +379,7 @@ def _finish(chance: Random) -> list[Event]:
     ]
 
 
-def _emergency_to_rest(chance: Random) -> list[Event]:
+def _emergency_to_rest(chance: Random) -> list[FuzzEvent]:
     """The car brakes itself, comes to rest and is switched off and on."""
     events = [
         event("wheels", rpm=None),
@@ -394,21 +394,21 @@ def _emergency_to_rest(chance: Random) -> list[Event]:
     return events
 
 
-def _intruder(chance: Random) -> list[Event]:
+def _intruder(chance: Random) -> list[FuzzEvent]:
     """Somebody else sends on the AI computer's ids, once or for a while."""
     length = chance.choice((8, 4, 2, 0))
     frame = event("frame", id=chance.choice(AI_IDS), data=chance.randbytes(length).hex(), kind="standard")
     return [one for _ in range(chance.choice((1, 1, 5))) for one in (frame, event("run", cycles=1))]
 
 
-def _unbelieved(chance: Random) -> list[Event]:
+def _unbelieved(chance: Random) -> list[FuzzEvent]:
     """A 0x520 with an AS_STATE that is none: its handshake counts, the rest does not."""
     data = bytearray(chance.randbytes(8))
     data[2] = data[2] & 0xF0 | chance.randrange(6, 16)
     return [event("frame", id=0x520, data=data.hex(), kind="standard"), event("run", cycles=chance.choice((1, 2)))]
 
 
-def _turned(chance: Random) -> list[Event]:
+def _turned(chance: Random) -> list[FuzzEvent]:
     """What ends a drive by turning, though FAULT_STATUS stays 0; for a moment or for good."""
     says = chance.choice(
         (
@@ -424,7 +424,7 @@ def _turned(chance: Random) -> list[Event]:
     return [*events, back] if chance.random() < 0.6 else events
 
 
-def _speeds(chance: Random) -> list[Event]:
+def _speeds(chance: Random) -> list[FuzzEvent]:
     """0x525 says what no wheel of this car turns at, or jumps."""
     rpm = [chance.choice((65535, 1251, 1300, 1250, 700, 0))] * 4
     if chance.random() < 0.5:
@@ -433,7 +433,7 @@ def _speeds(chance: Random) -> list[Event]:
     return [event("speeds", rpm=rpm), event("run", cycles=cycles), event("speeds", rpm=None)]
 
 
-def _counts(chance: Random) -> list[Event]:
+def _counts(chance: Random) -> list[FuzzEvent]:
     """Pulse counts that contradict the wheel speeds, on a car that drives or stops."""
     how = chance.choice(({"how": "none"}, {"how": "more", "pulses": chance.choice((0.05, 0.05, 1, 2, 7))}))
     reads = [event("speeds", rpm=[0] * 4)] if chance.random() < 0.5 else []
@@ -442,7 +442,7 @@ def _counts(chance: Random) -> list[Event]:
     return [*reads, *stops, event("counts", **how), event("run", cycles=chance.choice((20, 60, 120))), *ends]
 
 
-def _hasty(chance: Random) -> list[Event]:
+def _hasty(chance: Random) -> list[FuzzEvent]:
     """AS_DRIVING too soon after AS_OFF, without an edge of Go, or without a mission."""
     ready = chance.choice((2, 100, 489, 490, 491, 492, _READY_CYCLES))
     return [
@@ -459,7 +459,7 @@ def _hasty(chance: Random) -> list[Event]:
     ]
 
 
-def _restart_on_the_way(chance: Random) -> list[Event]:
+def _restart_on_the_way(chance: Random) -> list[FuzzEvent]:
     """The process is killed before AS_DRIVING, and everybody goes on as if nothing had happened."""
     return [
         event("car", as_state=1, go=False),
@@ -476,11 +476,11 @@ def _restart_on_the_way(chance: Random) -> list[Event]:
     ]
 
 
-def _restart(chance: Random) -> list[Event]:
+def _restart(chance: Random) -> list[FuzzEvent]:
     return [event("restart"), event("run", cycles=chance.choice((5, 25, 40)))]
 
 
-def _end(chance: Random) -> list[Event]:
+def _end(chance: Random) -> list[FuzzEvent]:
     return [event("end"), event("run", cycles=chance.choice((3, 8, 20)))]
 
 
@@ -502,7 +502,7 @@ _STATION_WEIGHTS: Final = {
 _SETUP_WEIGHTS: Final = {"2026": 8, "2021": 3, "venue": 3, "staging": 2, "official simulator": 2, "listening": 1}
 
 
-def some_events(chance: Random) -> list[Event]:
+def some_events(chance: Random) -> list[FuzzEvent]:
     """One thing that happens, mostly with a little ordinary traffic after it."""
     (maker,) = chance.choices([maker for _, maker in _MAKERS], _WEIGHTS)
     events = maker(chance)
@@ -511,25 +511,25 @@ def some_events(chance: Random) -> list[Event]:
     return events
 
 
-def fresh(chance: Random) -> Case:
+def fresh(chance: Random) -> FuzzCase:
     """A case out of nothing."""
     (setup,) = chance.choices(tuple(SETUPS), [_SETUP_WEIGHTS[name] for name in SETUPS])
     (station,) = chance.choices(_STATION_NAMES, [_STATION_WEIGHTS[name] for name in _STATION_NAMES])
     events = [one for _ in range(chance.randrange(2, 12)) for one in some_events(chance)]
-    return Case(setup, station, tuple(events))
+    return FuzzCase(setup, station, tuple(events))
 
 
 TOURS: Final = len(_MAKERS)
 """How many ways there are in which something happens."""
 
 
-def tour(number: int, chance: Random) -> Case:
+def tour(number: int, chance: Random) -> FuzzCase:
     """One thing that happens to a car that drives, so that none is left to chance alone."""
     events = [*_MAKERS[number % TOURS][1](chance), event("run", cycles=35), *some_events(chance)]
-    return Case(chance.choice(("2026", "2026", "2021")), "moving", tuple(events))
+    return FuzzCase(chance.choice(("2026", "2026", "2021")), "moving", tuple(events))
 
 
-def changed(case: Case, chance: Random) -> Case:
+def changed(case: FuzzCase, chance: Random) -> FuzzCase:
     """The case with one to three changes: something put in, taken out, repeated, told otherwise, or put at the end."""
     events = list(case.events)
     for _ in range(chance.choice((1, 1, 2, 3))):
@@ -547,10 +547,10 @@ def changed(case: Case, chance: Random) -> Case:
                 events = [*events[:place], *some_events(chance), *some_events(chance)]
             case _:
                 events += some_events(chance)
-    return Case(case.setup, case.station, tuple(events))
+    return FuzzCase(case.setup, case.station, tuple(events))
 
 
-def _otherwise(one: Event, chance: Random) -> Event:
+def _otherwise(one: FuzzEvent, chance: Random) -> FuzzEvent:
     """The same event with other values, where the vocabulary has one like it."""
     if one.name == "run":
         return _run(chance)
@@ -561,7 +561,7 @@ def _otherwise(one: Event, chance: Random) -> Event:
     return one
 
 
-def make(origin: str) -> Case:
+def make(origin: str) -> FuzzCase:
     """The case of this lineage. Raises ValueError for text that is none."""
     first, *changes = origin.split(".")
     if not first or not all(changes):
@@ -570,14 +570,14 @@ def make(origin: str) -> Case:
     case = fresh(Random(first)) if touring is None else tour(int(touring.group(1)), Random(first))
     for count in range(len(changes)):
         case = changed(case, Random(".".join((first, *changes[: count + 1]))))
-    return Case(case.setup, case.station, case.events, origin)
+    return FuzzCase(case.setup, case.station, case.events, origin)
 
 
 def lineage_depth(origin: str) -> int:
     return origin.count(".")
 
 
-def shortened(events: Sequence[Event], fails: Callable[[tuple[Event, ...]], bool]) -> tuple[Event, ...]:
+def shortened(events: Sequence[FuzzEvent], fails: Callable[[tuple[FuzzEvent, ...]], bool]) -> tuple[FuzzEvent, ...]:
     """Delta debugging: the fewest events found with which `fails` still holds, and the smallest `cycles` in them."""
     kept = tuple(events)
     parts = 2
@@ -603,12 +603,14 @@ def shortened(events: Sequence[Event], fails: Callable[[tuple[Event, ...]], bool
     return kept
 
 
-def _smaller(one: Event) -> list[Event]:
+def _smaller(one: FuzzEvent) -> list[FuzzEvent]:
     values = dict(one.values)
     cycles = values.get("cycles")
     if isinstance(cycles, int):
         steps = sorted({1, 2, 5, cycles // 4, cycles // 2, 3 * cycles // 4, cycles - 1} - {0})
-        return [Event(one.name, {**values, "cycles": step}) for step in steps if step < cycles]
+        return [FuzzEvent(one.name, {**values, "cycles": step}) for step in steps if step < cycles]
     if one.name in ("command", "once", "car"):
-        return [Event(one.name, {k: v for k, v in values.items() if k != name}) for name in values if len(values) > 1]
+        return [
+            FuzzEvent(one.name, {k: v for k, v in values.items() if k != name}) for name in values if len(values) > 1
+        ]
     return []

@@ -21,9 +21,8 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.units import MS, S
 
-S: Final = 1_000_000_000
-MS: Final = 1_000_000
 LONGEST_NS: Final = 45 * S  # of one drive
 AFTER_NS: Final = 6 * S  # what is watched after the last fault
 _MISSIONS: Final = (Ami.ACCELERATION, Ami.AUTONOMOUS_DEMO, Ami.STATIC_INSPECTION_A, Ami.SKIDPAD)
@@ -110,7 +109,7 @@ class Drive:
         try:
             while lockstep.now_ns < self._last_ns and not lockstep.world.done:
                 lockstep.step()
-                status = lockstep.bridge.vehicle.status
+                status = lockstep.bridge.state.vehicle.status
                 if not self._planned and status is not None and status.as_state is AsState.AS_DRIVING:
                     self._planned = True
                     self._plan(lockstep.now_ns)

@@ -60,7 +60,7 @@ EVENTS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class FuzzEvent:
     """One thing that happens. `values` are JSON values."""
 
     name: str
@@ -70,10 +70,10 @@ class Event:
         return " ".join((self.name, *(f"{key}={json.dumps(value)}" for key, value in self.values.items())))
 
 
-def event(event_name: str, /, **values: Any) -> Event:
+def event(event_name: str, /, **values: Any) -> FuzzEvent:
     """An event of the vocabulary. Raises KeyError for a name that is not in it."""
     EVENTS[event_name]
-    return Event(event_name, values)
+    return FuzzEvent(event_name, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ SETUPS: Final[Mapping[str, Setup]] = MappingProxyType(
 )
 
 # How a case begins: the station before, and what an ordinary car, operator and controller do from there on.
-STATIONS: Final[Mapping[str, tuple[str | None, tuple[Event, ...]]]] = MappingProxyType(
+STATIONS: Final[Mapping[str, tuple[str | None, tuple[FuzzEvent, ...]]]] = MappingProxyType(
     {
         "start": (None, ()),
         "awake": ("start", (event("run", cycles=25),)),
@@ -134,12 +134,12 @@ STATIONS: Final[Mapping[str, tuple[str | None, tuple[Event, ...]]]] = MappingPro
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class FuzzCase:
     """A setup, where it begins, and what happens then. `origin` is the lineage of seeds that makes it anew."""
 
     setup: str
     station: str
-    events: tuple[Event, ...]
+    events: tuple[FuzzEvent, ...]
     origin: str = ""
 
     def text(self, notes: Sequence[str] = ()) -> str:
@@ -156,7 +156,7 @@ class CaseError(ValueError):
 _PAIR: Final = re.compile(r"(\w+)=")
 
 
-def read_case(text: str) -> Case:
+def read_case(text: str) -> FuzzCase:
     """The case of a file's text. Raises CaseError with the line's number."""
     setup, station, events = "2026", "start", []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -176,7 +176,7 @@ def read_case(text: str) -> Case:
             raise CaseError(f"line {number}: {error.args[0]!r} is not known: {line[:80]}") from None
         except ValueError:
             raise CaseError(f"line {number}: cannot be read: {line[:80]}") from None
-    return Case(setup, station, tuple(events))
+    return FuzzCase(setup, station, tuple(events))
 
 
 def _values(text: str) -> dict[str, Any]:

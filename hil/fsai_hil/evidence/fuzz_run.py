@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, Final
 
-from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, Case, Event, Setup
+from fsai_hil.evidence.fuzz_events import SETUPS, STATIONS, FuzzCase, FuzzEvent, Setup
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
 from fsai_hil.rules.seen import Process
@@ -24,17 +24,18 @@ from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface import images
+from fsai_vcu.interface import messages
 from fsai_vcu.interface.codec import Codec, EncodeError, command_of
 from fsai_vcu.interface.enums import Ami, AsState, BrakeStatus, CarEnum, EbsStatus, ShutdownCause
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiCommand,
     AiDriveFront,
     AiDriveRear,
     AiImage,
     AiSteer,
+    Faults,
     Image,
     VcuBrake,
     VcuDriveFront,
@@ -160,7 +161,7 @@ class Played:
 
     # ------------------------------------------------------------ events
 
-    def play(self, events: Iterable[Event]) -> list[Violation]:
+    def play(self, events: Iterable[FuzzEvent]) -> list[Violation]:
         """Let `events` happen until a rule is broken. What was found; an exception of the process is a problem too."""
         for one in events:
             if self.say is not None:
@@ -186,7 +187,7 @@ class Played:
             self._turn()
 
     def _do_aim(self, ms: float, ns: int) -> None:
-        since_ns = self.bridge._state.driving_since_ns
+        since_ns = self.bridge.state.supervisor.driving_since_ns
         if since_ns is None:
             return
         cycles, rest_ns = divmod(since_ns + round(ms * MS) + ns - self.now_ns, self.period_ns)
@@ -222,7 +223,7 @@ class Played:
             asms, tsms = says["switches"]
             self.status = replace(self.status, as_switch=asms, ts_switch=tsms)
         if "bits" in says:
-            self.status = replace(self.status, faults=images.Faults(**dict.fromkeys(says["bits"], True)))
+            self.status = replace(self.status, faults=Faults(**dict.fromkeys(says["bits"], True)))
         if "cause" in says:
             self.status = replace(self.status, shutdown_cause=ShutdownCause(says["cause"]))
 
@@ -282,7 +283,7 @@ class Played:
 
     def _image(self, name: str) -> Image:
         own: dict[str, Image] = {type(one).__name__: one for one in self._images()}
-        found: Image = own[name] if name in own else getattr(images, name)()
+        found: Image = own[name] if name in own else getattr(messages, name)()
         return found
 
     def _do_command(self, **fields: Any) -> None:
@@ -491,7 +492,7 @@ class Played:
             self._lose(str(lost), back_ns)
             return
         self.checker.cycle_over(now_ns, self._made)
-        self.checker.on_mode_shown(self.bridge._state.mode.value)
+        self.checker.on_mode_shown(self.bridge.state.supervisor.mode.value)
         if self.say is not None:
             self._tell()
         self.cycles += 1
@@ -598,7 +599,7 @@ def forget_stations() -> None:
     _stations.clear()
 
 
-def play(case: Case, watch: Callable[[Played], None] | None = None) -> tuple[Played, list[Violation]]:
+def play(case: FuzzCase, watch: Callable[[Played], None] | None = None) -> tuple[Played, list[Violation]]:
     """Play a case; the process as it is at the end, and what was found."""
     played = at_station(case.setup, case.station)
     played.watch = watch

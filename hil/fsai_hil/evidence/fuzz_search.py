@@ -15,7 +15,7 @@ from random import Random
 from typing import Final
 
 from fsai_hil.evidence.fuzz_cases import TOURS, changed, lineage_depth, make, shortened
-from fsai_hil.evidence.fuzz_events import Case, Event
+from fsai_hil.evidence.fuzz_events import FuzzCase, FuzzEvent
 from fsai_hil.evidence.fuzz_run import Played, play
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.supervision.reasons import Reason
@@ -37,8 +37,8 @@ def _cause(latch: Latch | None) -> str:
 
 def look(played: Played) -> None:
     """Note what a cycle has reached."""
-    bridge = played.bridge
-    state, decision, active = bridge._state, bridge._decision, bridge._active
+    bridge, active = played.bridge.state, played.bridge.tally.active
+    state, decision = bridge.supervisor, bridge.decision
     seen = (state.as_state, decision.phase, state.stop, state.emergency, active)
     before = played.seen
     if seen == before:
@@ -76,7 +76,7 @@ def expected() -> dict[str, frozenset[str]]:
 class Failure:
     """A case that breaks a rule."""
 
-    case: Case
+    case: FuzzCase
     problem: Violation
 
 
@@ -106,7 +106,7 @@ class Tally:
         return sum(one[0] == kind for one in self.reached)
 
 
-def play_watched(case: Case) -> tuple[Played, list[Violation]]:
+def play_watched(case: FuzzCase) -> tuple[Played, list[Violation]]:
     """Play a case and note what it reaches."""
     played, problems = play(case, look)
     report = played.bridge.report(played.now_ns)
@@ -119,12 +119,12 @@ class Fuzzer:
 
     def __init__(self, seed: str) -> None:
         self._seed = seed
-        self._parents: list[Case] = []
+        self._parents: list[FuzzCase] = []
         self._chance = Random(f"corpus {seed}")
         self._reached: set[Reached] = set()
         self._number = 0
 
-    def _next(self) -> Case:
+    def _next(self) -> FuzzCase:
         number, self._number = self._number, self._number + 1
         if number < TOURS:
             return make(f"tour-{number}-{self._seed}")
@@ -185,21 +185,21 @@ def minimised(failure: Failure) -> Failure:
     """The failure with the fewest events that still show it."""
     case, left = failure.case, _REPLAYS
 
-    def fails(events: tuple[Event, ...]) -> bool:
+    def fails(events: tuple[FuzzEvent, ...]) -> bool:
         nonlocal left
         left -= 1
         if left < 0:
             return False
-        _, problems = play(Case(case.setup, case.station, events))
+        _, problems = play(FuzzCase(case.setup, case.station, events))
         return bool(problems) and _same(problems[0], failure.problem)
 
     events = shortened(case.events, fails)
-    small = Case(case.setup, case.station, events, case.origin)
+    small = FuzzCase(case.setup, case.station, events, case.origin)
     _, problems = play(small)
     return Failure(small, problems[0]) if problems else failure
 
 
-def story(case: Case) -> tuple[list[str], list[Violation]]:
+def story(case: FuzzCase) -> tuple[list[str], list[Violation]]:
     """What happens in a case, line by line, and what it breaks."""
     from fsai_hil.evidence.fuzz_run import at_station
 

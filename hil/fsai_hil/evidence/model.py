@@ -23,13 +23,24 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from functools import cache
-from operator import attrgetter
 from typing import Any, Final, cast
 
+from fsai_hil.evidence.abstraction import CLOCKS, NEVER, NOW, Abstraction, Content
+from fsai_hil.evidence.car_frames import (
+    MARKS,
+    PlainCodec,
+    brake_frame,
+    front_frame,
+    rear_frame,
+    speeds_frame,
+    status_frame,
+    steer_frame,
+    unreadable_frame,
+)
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import (
@@ -43,37 +54,23 @@ from fsai_hil.rules.seen import EDGES, Process
 from fsai_hil.rules.violation import Violation
 from fsai_hil.simulator.as_machine import Situation, Table, taken, transition_table
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
-from fsai_vcu.core.bridge import Bridge, BridgeConfig
+from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.limits import OperationalLimits
-from fsai_vcu.core.supervision import gate as gate_module
 from fsai_vcu.core.supervision import supervisor
-from fsai_vcu.core.supervision.gate import GateState
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
-from fsai_vcu.core.supervision.supervisor import Asked, Decision, Latch, SupervisorState
-from fsai_vcu.core.supervision.wheel_speeds import Pulses, WheelBelief
+from fsai_vcu.core.supervision.wheel_speeds import Pulses
+from fsai_vcu.core.vehicle.odometry import OdometryState
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
-from fsai_vcu.interface.codec import Codec, Decoded, EncodeError
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.codec import Codec, EncodeError
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.immutable import replace
+from fsai_vcu.interface.messages import (
     AiCommand,
     AiImage,
-    Faults,
-    Image,
-    VcuBrake,
-    VcuDriveFront,
-    VcuDriveRear,
-    VcuStatus,
-    VcuSteer,
-    VehicleState,
-    WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
-
-NOW: Final = 1_000 * S  # every state is looked at as if it were now
-NEVER: Final = -1
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
 CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
@@ -123,13 +120,6 @@ COMMANDS: Final[Mapping[str, Ask]] = {
     "negative": Ask("a negative brake with throttle", False, _LEFT, 0.5, -0.1),
     "beyond steering": Ask("steering beyond the car's own limit", False, math.radians(31.0), 0.5),
 }
-
-
-_SWITCHES: Final = ("AS_SWITCH_STATUS 0", "TS_SWITCH_STATUS 0")
-_REQUEST: Final = "SHUTDOWN_REQUEST 1"
-_BITS: Final[Mapping[str, str]] = {"BMS_FAULT 1": "bms", "EBS_FAULT 1": "ebs"}
-_CAUSE: Final = "a SHUTDOWN_CAUSE"
-MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,124 +216,21 @@ class Setting:
 
 # ---------------------------------------------------------------- the clocks
 
-# Names are those of the fields that hold them; `VCU …` are the other party's own. Behind them come the checker's.
-_CLOCKS: Final = (
-    "status", "heard", "driving", "speeds", "still", "stop", "window", "pedals", "cycle", "command",
-    "listening", "reopened", "complete", "steer odd", "wheel odd",
-    "said status", "said speeds", "said steer", "said axles",
-    "VCU state", "VCU hears", "VCU echo", "ready", "turning",
-)  # fmt: skip
 
+_OTHER_EDGES: Final = ((5 * S, 15 * S), (100 * MS,), (100 * MS,), *EDGES)
+"""The ages at which the VCU's three times and the checker's matter, in the order of `Composition._save`."""
 
-def _edges(c: BridgeConfig) -> tuple[tuple[int, ...], ...]:
-    """The ages at which each clock matters. A gap that is seen when a frame comes has its edge a cycle earlier too."""
-    vcu = (c.vcu_stale_ns, c.vcu_lost_ns)
-    heard = (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns)
-    launch = (c.launch_wait_ns, c.launch_wait_ns + c.command_stale_ns, c.launch_wait_ns + c.command_lost_ns)
-    speeds = (c.feedback_stale_ns - CYCLE_NS, c.feedback_stale_ns, c.feedback_lost_ns)
-    steer = (c.feedback_stale_ns, c.feedback_lost_ns)
-    odd = (c.implausible_ns, c.implausible_lost_ns)
-    command = (c.command_stale_ns, c.command_lost_ns)
-    return (
-        vcu, heard, launch, speeds, (c.standstill_ns,), (c.stop_timeout_ns,), (c.stop_window_ns,), (c.both_pedals_ns,),
-        (), command, (c.listen_first_ns,), (c.vcu_lost_ns,), (c.send_lost_ns,), odd, odd,
-        vcu, (*speeds, c.wheel_jump_ns - CYCLE_NS, c.wheel_jump_ns), steer, (c.feedback_stale_ns,),
-        (5 * S, 15 * S), (100 * MS,), (100 * MS,),
-        (c.ready_wait_ns,), (c.standstill_ns,), *EDGES,
-    )  # fmt: skip
-
-
-_LISTENING_CLOCK: Final = _CLOCKS.index("listening")
-_DRIVING_CLOCK: Final = _CLOCKS.index("driving")
+_LISTENING_CLOCK: Final = CLOCKS.index("listening_since_ns")
+_DRIVING_CLOCK: Final = CLOCKS.index("driving_since_ns")
 _READY_NS: Final = 5 * S
 
 
 # ---------------------------------------------------------------- what stands in for the rest of the world
 
 
-@dataclass(frozen=True, slots=True)
-class _Said(Frame):
-    """A frame that carries its image along."""
-
-    decoded: Decoded = field(default_factory=lambda: Decoded(None))
-
-
-def _frame(can_id: int, image: Image | None, now: int, handshake: bool | None = None) -> _Said:
-    return _Said(can_id, b"", now, decoded=Decoded(image, (), handshake))
-
-
-# The same few frames come again and again.
-@cache
-def _status_frame(bit: bool, go: bool, state: AsState, ami: Ami, fault: bool, marks: frozenset[str], now: int) -> _Said:
-    image = VcuStatus(
-        handshake=bit,
-        shutdown_request=_REQUEST in marks,
-        as_switch=_SWITCHES[0] not in marks,
-        ts_switch=_SWITCHES[1] not in marks,
-        go_signal=go,
-        as_state=state,
-        ami=ami,
-        fault=fault,
-        faults=Faults(**{field: mark in marks for mark, field in _BITS.items()}),
-        shutdown_cause=ShutdownCause.BMS_FAULT if _CAUSE in marks else ShutdownCause.NO_SHUTDOWN,
-        t_rx_ns=now,
-    )
-    return _frame(0x520, image, now, bit)
-
-
-@cache
-def _unreadable_frame(bit: bool, now: int) -> _Said:
-    return _frame(0x520, None, now, bit)
-
-
-@cache
-def _front_frame(torque_max_nm: float, now: int) -> _Said:
-    return _frame(0x521, VcuDriveFront(0.0, 0.0, torque_max_nm, now), now)
-
-
-@cache
-def _rear_frame(torque_max_nm: float, now: int) -> _Said:
-    return _frame(0x522, VcuDriveRear(0.0, 0.0, torque_max_nm, now), now)
-
-
-@cache
-def _steer_frame(angle_max_deg: float, now: int) -> _Said:
-    return _frame(0x523, VcuSteer(0.0, angle_max_deg, 0.0, now), now)
-
-
-@cache
-def _brake_frame(braking: bool, now: int) -> _Said:
-    pct = 30.0 if braking else 0.0
-    return _frame(0x524, VcuBrake(pct, pct, pct, pct, t_rx_ns=now), now)
-
-
-@cache
-def _speeds_frame(rpm: tuple[int, int, int, int], now: int) -> _Said:
-    return _frame(0x525, WheelSpeeds(*rpm, now), now)
-
-
-class _PlainCodec:
-    """The codec that hands on what a frame carries."""
-
-    unknown = ""
-
-    def decode(self, frame: _Said) -> Decoded:
-        return frame.decoded
-
-
 @cache
 def _codec(revision_name: str) -> Codec:
     return Codec(revision(revision_name))
-
-
-class _NoOdometry:
-    motion = Motion()
-
-    def update(self, *_: object) -> Motion:
-        return self.motion
-
-    def reset(self, _: int) -> None:
-        """Nothing to forget."""
 
 
 class SearchedBridge(Bridge):
@@ -355,22 +242,18 @@ class SearchedBridge(Bridge):
     def _on_revision(self, frame: Frame) -> None:
         """A searched frame has an image and no bytes; what they tell of its revision reaches words only."""
 
-    def _check(self, asked: AiCommand, vehicle: VehicleState, now_ns: int) -> None:
-        steer, wheels = self._steering.implausible_since_ns, self._wheels.implausible_since_ns
-        driving = self._state.driving
-        self._steering = _steering_since(now_ns if steer is None else steer) if self.steer_odd and driving else _FITS[0]
-        self._wheels = _wheel_since(now_ns if wheels is None else wheels) if self.wheel_odd and driving else _FITS[1]
+    def _moved(self, state: BridgeState) -> OdometryState:
+        return state.odometry
 
-
-_FITS = (SteeringCheck(), WheelCheck())
-
-
-def _steering_since(t_ns: int) -> SteeringCheck:
-    return SteeringCheck(implausible_since_ns=t_ns)
-
-
-def _wheel_since(t_ns: int) -> WheelCheck:
-    return WheelCheck(implausible_since_ns=t_ns)
+    def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
+        steering, wheels = SteeringCheck(), WheelCheck()
+        if self.steer_odd and state.supervisor.driving:
+            since_ns = state.steering.implausible_since_ns
+            steering = SteeringCheck(implausible_since_ns=now_ns if since_ns is None else since_ns)
+        if self.wheel_odd and state.supervisor.driving:
+            since_ns = state.wheels.implausible_since_ns
+            wheels = WheelCheck(implausible_since_ns=now_ns if since_ns is None else since_ns)
+        return steering, wheels
 
 
 class _Vcu:
@@ -399,40 +282,6 @@ class _Vcu:
         self.front = self.rear = self.steer = self.brake = False
 
 
-def _copier(made: type[Any]) -> Callable[..., Any]:
-    """`dataclasses.replace` for one class, four times as fast: it is a fifth of a search otherwise."""
-    names = [spec.name for spec in fields(made)]
-    members = {name: getattr(made, name).__set__ for name in names}
-    setters = list(members.values())
-    values = attrgetter(*names)
-    new = object.__new__
-
-    def copied(instance: Any, **changes: Any) -> Any:
-        copy = new(made)
-        for put, value in zip(setters, values(instance), strict=True):
-            put(copy, value)
-        for name, value in changes.items():
-            members[name](copy, value)
-        return copy
-
-    return copied
-
-
-@contextmanager
-def swift_copies() -> Iterator[None]:
-    """While it lasts, supervisor and gate copy their states faster. Nothing else differs."""
-    supervise, gating = _copier(SupervisorState), _copier(GateState)
-
-    def copied_state(instance: Any, **changes: Any) -> Any:
-        return supervise(instance, **changes) if type(instance) is SupervisorState else replace(instance, **changes)
-
-    def copied_gate(instance: Any, **changes: Any) -> Any:
-        return gating(instance, **changes) if type(instance) is GateState else replace(instance, **changes)
-
-    with patched(supervisor, "replace", copied_state), patched(gate_module, "replace", copied_gate):
-        yield
-
-
 @contextmanager
 def patched(owner: Any, name: str, value: object) -> Iterator[None]:
     """`owner.name` is `value` for a while."""
@@ -446,10 +295,10 @@ def patched(owner: Any, name: str, value: object) -> Iterator[None]:
 
 # ---------------------------------------------------------------- the composition
 
-# A state: what can be told apart without a clock, and the ages.
-State = tuple[tuple[object, ...], tuple[int, ...]]
-
-_HELD_STOP, _STEERED_STOP = Asked.MANUAL, Asked.MISSION_DONE
+# A state: what can be told apart without a clock (of the bridge, the VCU and the witness), and the ages.
+Contents = tuple[Content, Content, Content]
+State = tuple[Contents, tuple[int, ...]]
+Outcome = tuple[tuple[Contents, list[int]], tuple[Violation, ...], AiCommand | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -503,7 +352,10 @@ class Composition:
         self._table: Table = transition_table(setting.profile)
         self._vcu = _Vcu(setting.first_state)
         self._situation = Situation()
-        self._edges = _edges(setting.config)
+        self._abstraction = Abstraction(
+            setting.config, sends_fail=self._sends_fail, data_may_be_lost=self._data_may_be_lost
+        )
+        self._edges = (*self._abstraction.edges, *_OTHER_EDGES)
         self._ages = tuple(
             tuple(sorted({0, *(age for edge in edges for age in (edge - 1, edge))})) for edges in self._edges
         )
@@ -512,8 +364,8 @@ class Composition:
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
-        made = SearchedBridge(
-            cast(Codec, _PlainCodec()),
+        return SearchedBridge(
+            cast(Codec, PlainCodec()),
             revision(setting.revision),
             setting.car,
             setting.config,
@@ -521,8 +373,6 @@ class Composition:
             first_run_id=1,
             now_ns=NOW,
         )
-        made._odometry = cast(Any, _NoOdometry())
-        return made
 
     def _new_checker(self) -> WireChecker:
         setting = self.scope.setting
@@ -552,7 +402,6 @@ class Composition:
     def initial(self) -> State:
         """Nothing has been sent or heard: both sides have just been switched on."""
         self._bridge = self._new_bridge()
-        self._bridge._gate = GateState(cycle_ns=None)
         self._vcu = _Vcu(self.scope.setting.first_state)
         self._checker = self._new_checker()
         disc, raw = self._save(NOW)
@@ -566,72 +415,22 @@ class Composition:
             ]
         )
 
-    def _save(self, now: int) -> tuple[tuple[object, ...], list[int]]:
+    def _save(self, now: int) -> tuple[Contents, list[int]]:
         """The whole composition at `now`: what is no time, and the ages, not yet rounded."""
-        b, v, c = self._bridge, self._vcu, self.config
-        s, g = b._state, b._gate
+        v = self._vcu
+        bridge = self._bridge.state
 
         def age(t_ns: int | None) -> int:
             return NEVER if t_ns is None else max(0, now - t_ns)
 
-        # What nothing looks at any more must not tell states apart: each line says why it may be forgotten.
-        driving = s.as_state is AsState.AS_DRIVING
-        speeds_age = age(s.speeds_ns)
-        still_known = s.still_since_ns is not None and s.speeds_ns is not None and speeds_age < c.feedback_stale_ns
-        stop = s.stop
-        over = driving and stop is not None and s.emergency is not None  # nothing else happens in this run
-        steers = None if stop is None else not over and stop.cause in supervisor._STEERS_WHILE_STOPPING
-        window = None if stop is None or over else s.stop_window_rpm  # it is measured anew by each stop
-        # A command is used in AS_DRIVING only, and there each cycle may bring a new one. Its own age and that of its
-        # data count together: data of 500 ms ages like a command of 100 ms.
-        command = b._command if driving and b._command is not None and b._command.run_id == s.run_id else None
-        content: tuple[object, ...] | None = None
-        command_age = NEVER
-        if command is not None:
-            allowance_ns = c.sensor_stale_ns - c.command_stale_ns
-            command_age = max(age(b._command_ns), age(command.t_sensor_ns) - allowance_ns)
-            if command_age >= c.command_lost_ns or (stop is not None and s.emergency is not None):
-                content = _SPENT
-            elif stop is not None:  # of a stop's command only the steering counts, and a wish for an emergency
-                content = (command.steering_rad if steers else 0.0, 0.0, 0.0, False, command.estop_request)
-            else:
-                content = (
-                    command.steering_rad, command.throttle, command.brake, command.mission_finished,
-                    command.estop_request,
-                )  # fmt: skip
-        driving_age = age(s.driving_since_ns)
-        in_time = 0 <= command_age < CYCLE_NS and not self._data_may_be_lost
-        if driving_age >= c.launch_wait_ns and (stop is not None or in_time):
-            driving_age = c.launch_wait_ns  # how long supervision has run counts only while no command ever came
-        images = b._images
-        brake, status, speeds = images.get("brake"), images.get("status"), images.get("speeds")
-        steer, axle = images.get("steer"), images.get("drive_rear")
-        # An echo counts if it is newer than the first zero cycle.
-        brake_newer = brake is not None and g.zero_cycles == 1 and brake.t_rx_ns > g.zero_since_ns
-        echoed = brake_newer and brake is not None and brake.rear_request_pct == 0.0
-        silent_bit = v.bit
         table = self._table_runs  # else the VCU is whatever the environment says
 
         told = self._checker.seen
-        told.handshake = bool(told.handshake) != silent_bit
+        told.handshake = bool(told.handshake) != v.bit
         wire, wire_ages = self._checker.saved(now, data_may_be_lost=self._data_may_be_lost)
+        content, ages = self._abstraction.apart(bridge, v.bit, now)
         disc = (
-            # supervisor
-            (s.as_state, s.go and driving, s.fault and driving, s.was_silent, s.sequence, s.fastest_rpm, s.mission,
-             s.confirmed, s.selected_sent, s.ready_waited_ns >= c.ready_wait_ns, s.mode,
-             s.power_up and c.autonomous_at_power_up, steers, s.emergency is not None, window),
-            # gate
-            (g.steer_deg, g.brake if driving else 0.0, g.torque_there, g.zero_cycles, g.torque_running,
-             g.tried_torque and g.awaiting, g.tried_brake and g.awaiting, g.awaiting, brake_newer,
-             g.tried_selected and g.awaiting, g.acknowledged_run_id == s.run_id),
-            # the bridge's shell
-            (b._handshake != silent_bit, content, b._bus_lost is not None, b._stop_cycles_left,
-             bool(b._status_doubt)),
-            # what the car has said
-            (None if status is None else (status.as_state, status.go_signal and driving, status.fault and driving,
-                                          _marks_of(status)),
-             None if speeds is None else speeds.all_rpm, None if steer is None else steer.angle_max_deg,
-             None if axle is None else axle.torque_max_nm, echoed),
+            content,
             # VCU
             (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
              v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake),
@@ -643,131 +442,30 @@ class Composition:
         elif v.state is AsState.EMERGENCY_BRAKE:
             vcu_age = age(v.since_ns) if self._leaves_emergency else 0
         raw = [
-            age(s.status_ns),
-            age(s.heard_ns),
-            driving_age,
-            speeds_age,
-            s.speeds_ns - s.still_since_ns if still_known else NEVER,  # type: ignore[operator]
-            NEVER if stop is None else 0 if over else age(stop.since_ns),
-            age(s.stop_window_ns) if window is not None else NEVER,
-            NEVER if stop is not None else age(s.both_pedals_since_ns),
-            age(g.cycle_ns),
-            command_age,
-            NEVER if b._listening_until_ns is None else age(b._listening_until_ns - c.listen_first_ns),
-            NEVER if b._reopened_until_ns is None else age(b._reopened_until_ns - c.vcu_lost_ns),
-            NEVER if b._last_complete_ns is None else age(b._last_complete_ns) if driving and self._sends_fail else 0,
-            NEVER if over else age(b._steering.implausible_since_ns),
-            NEVER if over else age(b._wheels.implausible_since_ns),
-            NEVER if status is None else age(status.t_rx_ns),
-            NEVER if speeds is None else age(speeds.t_rx_ns),
-            NEVER if steer is None else age(steer.t_rx_ns) if driving and not over else 0,
-            NEVER if axle is None else age(axle.t_rx_ns) if driving and stop is None else 0,
+            *ages,
             vcu_age if table else NEVER,
             age(v.ai_ns) if table else NEVER,
             age(v.echo_ns) if table else NEVER,
-            age(s.ready_since_ns),
-            NEVER if age(s.turning_ns) >= c.standstill_ns else age(s.turning_ns),
             *wire_ages,
         ]
         return disc, raw
 
+    def bridge_of(self, state: State) -> BridgeState:
+        """The bridge's half of it, at `NOW`."""
+        return self._abstraction.whole(state[0][0], state[1][: len(CLOCKS)])
+
     def _load(self, state: State) -> None:
         """Put the composition back as it was saved, at `NOW`."""
-        (sup, gat, shell, said, vcu, wire), ages = cast(Any, state)
-        b, v, c = self._bridge, self._vcu, self.config
-        t = [None if age < 0 else NOW - age for age in ages]
-        speeds_ns, still = t[3], ages[4]
-        steers = sup[12]
-        stop = None if steers is None else Latch(_STEERED_STOP if steers else _HELD_STOP, cast(int, t[5]))
-        window = sup[14]
-        b._state = SupervisorState(
-            as_state=sup[0],
-            go=sup[1],
-            fault=sup[2],
-            status_ns=t[0],
-            heard_ns=t[1],
-            was_silent=sup[3],
-            sequence=sup[4],
-            ready_since_ns=t[22],
-            ready_waited_ns=c.ready_wait_ns if sup[9] else 0,
-            driving_since_ns=t[2],
-            speeds_ns=speeds_ns,
-            fastest_rpm=sup[5],
-            still_since_ns=None if still < 0 else cast(int, speeds_ns) - still,
-            turning_ns=t[23],
-            run_id=2,
-            mission=sup[6],
-            confirmed=sup[7],
-            selected_sent=sup[8],
-            mode=sup[10],
-            power_up=sup[11],
-            stop=stop,
-            emergency=_EMERGENCY if sup[13] else None,
-            stop_window_ns=0 if window is None else cast(int, t[6]),
-            stop_window_rpm=window,
-            both_pedals_since_ns=t[7],
-        )
-        brake_newer = gat[8]
-        b._gate = GateState(
-            steer_deg=gat[0],
-            brake=gat[1],
-            cycle_ns=t[8],
-            torque_there=gat[2],
-            zero_cycles=gat[3],
-            zero_since_ns=NOW - 2 if brake_newer else NOW,
-            torque_running=gat[4],
-            tried_torque=gat[5],
-            tried_brake=gat[6],
-            awaiting=gat[7],
-            tried_selected=gat[9],
-            acknowledged_run_id=2 if gat[10] else None,
-            pulses=_turning_since(t[23]),
-            run_id=2,
-        )
-        b._decision = _NO_DECISION
-        b._handshake = shell[0]
-        content = shell[1]
-        b._command_ns = 0
-        if content is None:
-            b._command = None
-        else:
-            b._command = VehicleCommand(
-                cast(int, t[9]), 2, content[0], content[1], content[2], 50.0, content[3], content[4]
-            )
-            b._command_ns = cast(int, t[9])
-        b._bus_lost = "the interface is gone" if shell[2] else None
-        b._stop_cycles_left = shell[3]
-        b._status_doubt = "it cannot be read" if shell[4] else ""
-        b._listening_until_ns = None if t[10] is None else t[10] + c.listen_first_ns
-        b._reopened_until_ns = None if t[11] is None else t[11] + c.vcu_lost_ns
-        b._last_complete_ns = t[12]
-        b._steering = _FITS[0] if t[13] is None else _steering_since(t[13])
-        b._wheels = _FITS[1] if t[14] is None else _wheel_since(t[14])
-        b._unanswered_ns = None
-        images: dict[str, Any] = {}
-        status, rpm, angle_max, torque_max, zero = said
-        if status is not None:
-            as_state, go, fault, marks = status
-            images["status"] = _status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, marks, t[15]).decoded.image
-        b._belief = _NO_BELIEF
-        if rpm is not None:
-            images["speeds"] = speeds = _speeds_frame(rpm, t[16]).decoded.image
-            b._belief = WheelBelief(cast(WheelSpeeds, speeds), t[16])
-        if angle_max is not None:
-            images["steer"] = _steer_frame(angle_max, t[17]).decoded.image
-        if torque_max is not None:
-            images["drive_front"] = _front_frame(torque_max, t[18]).decoded.image
-            images["drive_rear"] = _rear_frame(torque_max, t[18]).decoded.image
-        if brake_newer:
-            images["brake"] = _brake_frame(not zero, NOW - 1).decoded.image
-        b._images = images
-        b._vehicle = None
+        (_, vcu, wire), ages = cast(Any, state)
+        v = self._vcu
+        self._bridge.state = self.bridge_of(state)
+        t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) :]]
 
         (v.state, v.heard, v.go_before, v.needs_power_cycle, v.estop, v.status, v.direction, v.front, v.rear, v.steer,
          v.brake) = vcu  # fmt: skip
         v.bit = False
-        v.since_ns = NOW if t[19] is None else t[19]
-        v.ai_ns, v.echo_ns = t[20], t[21]
+        v.since_ns = NOW if t[0] is None else t[0]
+        v.ai_ns, v.echo_ns = t[1], t[2]
 
         self._checker.load((wire, ages[-len(EDGES) :]), NOW)
 
@@ -779,7 +477,7 @@ class Composition:
         Where the VCU says whatever the environment wants, all that the AI side can do counts: the VCU has been told
         ESTOP_REQUEST, or FINISHED (which rule 3 allows at rest only), and holds no torque request.
         """
-        as_state, _, _, _, estop, status, _, front, rear, *_ = cast(Any, state[0][4])
+        as_state, _, _, _, estop, status, _, front, rear, *_ = cast(Any, state[0][1])
         if as_state is not AsState.AS_DRIVING:
             return True
         told_to_stop = estop or status is MissionStatus.FINISHED
@@ -789,8 +487,8 @@ class Composition:
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
         listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self._path
         count = len(self.choices) if driving else self._path if listening else self._anywhere
-        braked = cast(Any, state[0][4])[0] is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
-        if self._path and (braked or cast(Any, state[0][2])[3] == 0):
+        braked = state[0][1][0] is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
+        if self._path and (braked or self.bridge_of(state).stop_cycles_left == 0):
             count = self._path  # the car brakes by itself for good, or the software has stopped for good
         for label in range(count):
             choice = self.choices[label]
@@ -829,16 +527,12 @@ class Composition:
                     break
         return () if nearest is None else (nearest - 1, nearest)
 
-    def _cycle(
-        self, state: State, choice: Choice, step_ns: int
-    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Violation, ...], AiCommand | None]:
+    def _cycle(self, state: State, choice: Choice, step_ns: int) -> Outcome:
         """One cycle of the whole composition, `step_ns` after the state was saved."""
         self._load(state)
         return self.live(choice, NOW + step_ns)
 
-    def live(
-        self, choice: Choice, now: int
-    ) -> tuple[tuple[tuple[object, ...], list[int]], tuple[Violation, ...], AiCommand | None]:
+    def live(self, choice: Choice, now: int) -> Outcome:
         """One cycle at `now`: what the composition is then, what is wrong with it, and what was sent."""
         problems: tuple[Violation, ...] = ()
         if choice.event == "restart":
@@ -856,19 +550,21 @@ class Composition:
             self._happens(choice.event, now)
         if choice.request is not None:
             self._requested(choice.request, now)
-        for role in choice.confirm - b._state.confirmed:
-            b.on_reset_confirmed(role, b._state.run_id)
+        supervising = b.state.supervisor
+        for role in choice.confirm - supervising.confirmed:
+            b.on_reset_confirmed(role, supervising.run_id)
             checker.on_confirmed(role)
         if choice.command != _NO_COMMAND:
             self._commanded(COMMANDS[choice.command], now)
         asked = b.cycle(now)
         checker.before_cycle(now)
-        checker.on_mode_shown(b._state.mode.value)
+        checker.on_mode_shown(b.state.supervisor.mode.value)
         if asked is not None:
             self._count(asked, choice)
             problems, images = self._images(asked)
             self._sent(choice, asked, images, now)
-        checker.on_implausible(b._steering.implausible_since_ns, b._wheels.implausible_since_ns)
+        checks = b.state
+        checker.on_implausible(checks.steering.implausible_since_ns, checks.wheels.implausible_since_ns)
         problems += checker.taken()
         if problems and self._only_rule is not None:
             problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
@@ -940,7 +636,7 @@ class Composition:
     def _car_speaks(self, choice: Choice, now: int) -> None:
         v, lost = self._vcu, choice.lost
 
-        def say(frame: _Said) -> None:
+        def say(frame: Any) -> None:
             self._bridge.on_frame(frame)
             self._checker.on_decoded(frame.can_id, frame.decoded, now)
 
@@ -949,23 +645,26 @@ class Composition:
             v.echo_ns = now
         if STATUS not in lost:
             if choice.unreadable:
-                say(_unreadable_frame(v.bit, now))
+                say(unreadable_frame(v.bit, now))
             else:
-                say(_status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
+                say(status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
         if AXLES not in lost:
-            say(_front_frame(choice.torque_max_nm, now))
-            say(_rear_frame(choice.torque_max_nm, now))
+            say(front_frame(choice.torque_max_nm, now))
+            say(rear_frame(choice.torque_max_nm, now))
         if STEER not in lost:
-            say(_steer_frame(choice.angle_max_deg, now))
+            say(steer_frame(choice.angle_max_deg, now))
         if BRAKE not in lost:
-            say(_brake_frame(v.brake, now))
+            say(brake_frame(v.brake, now))
         if SPEEDS not in lost:
-            say(_speeds_frame(choice.rpm, now))
+            say(speeds_frame(choice.rpm, now))
         if choice.counting:
             self._checker.wheels.turning_ns = now
-            b = self._bridge
-            b._state = supervisor.on_pulses(b._state, now)
-            b._gate = replace(b._gate, pulses=_turning_since(now))
+            b = self._bridge.state
+            self._bridge.state = replace(
+                b,
+                supervisor=supervisor.on_pulses(b.supervisor, now),
+                gate=replace(b.gate, pulses=Pulses(turning_ns=now)),
+            )
 
     # ------------------------------------------------------------ people, planner and loop
 
@@ -1004,7 +703,7 @@ class Composition:
         b = self._bridge
         command = VehicleCommand(
             now - ask.data_age_ns,
-            b._state.run_id + ask.run,
+            b.state.supervisor.run_id + ask.run,
             ask.steering_rad,
             ask.throttle,
             ask.brake,
@@ -1073,39 +772,17 @@ class Composition:
         time_ns = 0
         for move in trace:
             time_ns += move.duration_ns
-            state = cast(Any, move.target[0])
-            said = state[3][0]
-            heard = "no AS state seen" if said is None else f"{said[0].label} seen"
+            heard = self.bridge_of(move.target).supervisor.as_state
+            heard_words = "no AS state seen" if heard is None else f"{heard.label} seen"
             words = (
                 f"{self.choices[move.label].words}\n"
-                f"            -> {heard}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
+                f"            -> {heard_words}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
             )
             if words == before:
                 lines.pop()
             lines.append(f"{time_ns / 1e9:8.3f} s  {words}")
             before = words
         return lines
-
-
-@cache
-def _turning_since(t_ns: int | None) -> Pulses:
-    return Pulses(turning_ns=t_ns)
-
-
-def _marks_of(status: VcuStatus) -> frozenset[str]:
-    """What it shows besides, of `MARKS`."""
-    shown = (
-        not status.as_switch, not status.ts_switch, status.shutdown_request, status.faults.bms, status.faults.ebs,
-        status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN,
-    )  # fmt: skip
-    return frozenset(mark for mark, there in zip(MARKS, shown, strict=True) if there) if any(shown) else _NO_MARKS
-
-
-_NO_MARKS: Final[frozenset[str]] = frozenset()
-_NO_BELIEF: Final = WheelBelief()
-_SPENT: Final = (0.0, 0.0, 0.0, False, False)  # a command that can only be lost
-_EMERGENCY: Final = Latch(Asked.OPERATOR, 0)
-_NO_DECISION: Final = Decision()
 
 
 def _told_command(asked: AiCommand | None) -> str:

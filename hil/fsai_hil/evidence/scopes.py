@@ -12,12 +12,12 @@ from dataclasses import replace
 from itertools import combinations, product
 from typing import Final
 
+from fsai_hil.evidence.car_frames import MARKS
 from fsai_hil.evidence.model import (
     BOTH,
     BRAKE,
     CAR_MESSAGES,
     COMMANDS,
-    MARKS,
     NOBODY,
     SPEEDS,
     STATUS,

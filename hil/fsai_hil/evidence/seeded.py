@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Final
 
-from fsai_hil.evidence.model import Composition, Scope, State, patched, swift_copies
+from fsai_hil.evidence.model import Composition, Scope, State, patched
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
@@ -34,7 +34,7 @@ from fsai_vcu.core.supervision.supervisor import (
 )
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
-from fsai_vcu.interface.images import Faults, VcuStatus, VcuSteer
+from fsai_vcu.interface.messages import Faults, VcuStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def _output(phase: Phase, **changes: object) -> Callable[[], tuple[tuple[Any, st
 
 
 def _follows(before: Sequence, now: AsState, then: Sequence) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    return lambda: ((supervisor, "_NEXT", {**supervisor._NEXT, (before, now): then}),)
+    return lambda: ((supervisor, "NEXT", {**supervisor.NEXT, (before, now): then}),)
 
 
 def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
@@ -115,10 +115,11 @@ def _go_on_counts(original: Callable[..., Any], config: Any, state: Any, status:
 
 def _cut_short_counts(original: Callable[..., Any], instance: Any, complete: bool, now_ns: int) -> None:
     original(instance, complete, now_ns)
-    if instance._asked.mission_status is MissionStatus.SELECTED:
-        run_id = instance._decision.run_id
-        instance._state = supervisor.on_selected_sent(instance._state, run_id)
-        instance._gate = replace(instance._gate, acknowledged_run_id=run_id)
+    state = instance.state
+    if state.asked.mission_status is MissionStatus.SELECTED:
+        run_id = state.decision.run_id
+        selected = supervisor.on_selected_sent(state.supervisor, run_id)
+        instance.state = replace(state, supervisor=selected, gate=replace(state.gate, acknowledged_run_id=run_id))
 
 
 def _gate_knows(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any, vehicle: Any,
@@ -144,11 +145,6 @@ def _believed_bit(original: Callable[..., Any], config: Any, state: Any, decisio
     after, asked, reasons = original(config, state, decision, command, vehicle, *rest)
     bit = vehicle.handshake if vehicle.status is None else vehicle.status.handshake
     return after, replace(asked, handshake=bit), reasons
-
-
-def _unlimited_steering(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any,
-                        vehicle: Any, now_ns: int) -> Any:  # fmt: skip
-    return original(config, state, decision, command, replace(vehicle, steer=_FULL_ANGLE), now_ns)
 
 
 def _forgets_the_live_limit(original: Callable[..., Any], config: Any, axle: Any, *rest: Any) -> Any:
@@ -184,7 +180,7 @@ def _sends_all_the_same(original: Callable[..., Any], instance: Any, now_ns: int
 
 def _loses_nothing(original: Callable[..., Any], instance: Any, why: str, now_ns: int) -> None:
     original(instance, why, now_ns)
-    instance._bus_lost = None
+    instance.state = replace(instance.state, bus_lost=None)
 
 
 def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, command: Any, t_ns: int = 0) -> Any:
@@ -194,7 +190,6 @@ def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, com
 
 _NOTHING_SHOWN: Final = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
 _REPORTED: Final = (Step(None, Consequence.REPORT),)
-_FULL_ANGLE: Final = VcuSteer(0.0, 30.0, 0.0)
 
 SEEDS: Final[tuple[Seed, ...]] = (
     # ---- torque and brake
@@ -316,7 +311,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         config={"wheel_change_max_rpm": 65535},
     ),
     Seed("a jump that stays is believed at once", "reactions", "wheel speeds", config={"wheel_jump_ns": 20 * MS}),
-    Seed("ANGLE_MAX is not looked at", "4", "limits", _wrapped(gating, "_steering", _unlimited_steering)),
+    Seed("ANGLE_MAX is not looked at", "4", "limits", _always(gating, "_live_limit_deg", 30.0)),
     Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
     Seed("TRQ_MAX is believed for ever", "4", "messages", _wrapped(gating, "_axle_limit_nm", _believes_old_limits)),
     Seed("no constant-power steps", "4", "limits", _always(gating, "constant_power_nm", 195.0)),
@@ -588,7 +583,7 @@ def sown(seed: Seed) -> Iterator[Scope]:
 
 def search_seed(seed: Seed) -> tuple[Search[State], list[str]]:
     """Search the seed's scope for its rule alone: what was found, and its trace in words."""
-    with swift_copies(), sown(seed) as searched:
+    with sown(seed) as searched:
         model = Composition(searched, seed.rule)
         found = explore(model, bounds_ns=searched.bounds_ns)
         return found, model.told(found.trace)

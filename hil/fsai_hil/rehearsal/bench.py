@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -43,24 +44,22 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
+from fsai_vcu.interface.fields import fields_of
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiCommand, VcuStatus
-from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.messages import MESSAGES, AiCommand, VcuStatus
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import revision
-from fsai_vcu.interface.signals import rows
-from fsai_vcu.interface.wheels import STRAIGHT
+from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.engine import Engine
 from fsai_vcu.runtime.lock import holder_pid
 
 REVISION = "2026"
-CYCLE_NS = 10_000_000
 MISSIONS = ("acceleration", "skidpad", "autocross", "trackdrive")
 TRACKDRIVE_LAPS = 1
-_FROM_THE_CAR = tuple(range(0x520, 0x527))
 NODE_START = "start bridge node"
 NODE_START_WALL = f"{NODE_START}, wall"
-NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/stated.py)
+NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/recovery_times.py)
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
 
 
@@ -162,7 +161,7 @@ def car_frames(codec: Codec, database: Any, count: int = 20, seed: int = 1) -> l
     """Frames of the VCU with varying content that both decoders take."""
     chance = random.Random(seed)
     frames: list[Frame] = []
-    for can_id in _FROM_THE_CAR:
+    for can_id in VCU_IDS:
         message = database.get_message_by_frame_id(can_id)
         while sum(frame.can_id == can_id for frame in frames) < count:
             values = {signal.name: _some_value(signal, chance) for signal in message.signals}
@@ -182,19 +181,16 @@ def _some_value(signal: Any, chance: random.Random) -> float:
 
 def assert_same_values(codec: Codec, database: Any, frames: Sequence[Frame]) -> int:
     """Every field of every image is what cantools reads; how many values were compared. Raises AssertionError."""
-    by_name = {row.message: row for row in rows(STRAIGHT)}
+    by_name = {kind.dbc_name: kind for kind in MESSAGES}
     compared = 0
     for frame in frames:
         message = database.get_message_by_frame_id(frame.can_id)
         theirs = database.decode_message(frame.can_id, frame.data, decode_choices=False)
         image = codec.decode(frame).image
-        row = by_name[message.name]
-        assert isinstance(image, row.image), f"{message.name} was not decoded"
-        values = [(getattr(image, field.name), field.signal) for field in row.fields]
-        if row.faults:
-            faults: Any = codec.decode(frame).image
-            values += [(getattr(faults.faults, field.name), field.signal) for field in row.faults]
-        for value, signal in values:
+        kind = by_name[message.name]
+        assert isinstance(image, kind), f"{message.name} was not decoded"
+        for field in fields_of(kind):
+            value, signal = attrgetter(field.name)(image), field.signal
             if value is None or signal not in theirs:
                 continue
             assert abs(float(value) - float(theirs[signal])) < 1e-6, f"{signal}: {value} and {theirs[signal]}"
@@ -278,7 +274,7 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Result:
 
         def ours() -> None:
             nonlocal now_ns, turn
-            now_ns += CYCLE_NS
+            now_ns += PERIOD_NS
             turn += 1
             status = statuses[turn & 1]
             engine.on_frame(Frame(status.can_id, status.data, now_ns))
@@ -329,7 +325,7 @@ from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.images import AiCommand
+from fsai_vcu.interface.messages import AiCommand
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.loop import BridgeLoop
 codec = Codec(revision("{REVISION}"))

@@ -136,7 +136,7 @@ class Demo:
                 operator.await_bridge(START_TIMEOUT_S)
                 vcu = stack.start_verb("vcu", *self._vcu_arguments())
                 _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
-                result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, Screen().show, *NODES)
+                result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *NODES)
                 _say(f"run_mission: {result.message}")
             finally:
                 operator.close()
@@ -191,7 +191,7 @@ def _node_parameters(args: argparse.Namespace) -> dict[str, dict[str, object]]:
     }
 
 
-class Screen:
+class RunPrinter:
     """Prints the run as it goes: one line a second, and one whenever the AS state changes."""
 
     def __init__(self) -> None:

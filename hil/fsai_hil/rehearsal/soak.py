@@ -33,7 +33,7 @@ _LEAST_SAMPLES: Final = 2 * PARTS
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class ProcessSample:
     """One process at one instant of the monotonic clock."""
 
     t_s: float
@@ -42,13 +42,13 @@ class Sample:
     threads: int
 
 
-def look(pid: int, t_s: float) -> Sample | None:
+def look(pid: int, t_s: float) -> ProcessSample | None:
     """The process as /proc shows it; None when it has ended."""
     proc = Path(f"/proc/{pid}")
     try:
         status = dict(line.split(":", 1) for line in (proc / "status").read_text().splitlines())
         fds = sum(1 for _ in (proc / "fd").iterdir())
-        return Sample(t_s, int(status["VmRSS"].split()[0]), fds, int(status["Threads"]))
+        return ProcessSample(t_s, int(status["VmRSS"].split()[0]), fds, int(status["Threads"]))
     except (OSError, KeyError):
         return None
 
@@ -57,7 +57,7 @@ class Sampler:
     """Looks at processes again and again, in a thread of its own."""
 
     def __init__(self, pids: Mapping[str, int], period_s: float) -> None:
-        self.samples: dict[str, list[Sample]] = {name: [] for name in pids}
+        self.samples: dict[str, list[ProcessSample]] = {name: [] for name in pids}
         self._pids = dict(pids)
         self._period_s = period_s
         self._ended = threading.Event()
@@ -81,7 +81,7 @@ class Sampler:
         self._ended.set()
         self._thread.join()
 
-    def since(self, t_s: float, without: Sequence[tuple[float, float]] = ()) -> dict[str, list[Sample]]:
+    def since(self, t_s: float, without: Sequence[tuple[float, float]] = ()) -> dict[str, list[ProcessSample]]:
         """What was seen after the warm-up; not in the periods `without`, from and to on the monotonic clock in s."""
         return {
             name: [each for each in samples if each.t_s >= t_s and not _within(each.t_s, without)]
@@ -153,7 +153,7 @@ def response_parts(
 
 
 def judge(
-    samples: Mapping[str, Sequence[Sample]], responses: Sequence[ResponseTimes], *, unjudged: Sequence[str] = ()
+    samples: Mapping[str, Sequence[ProcessSample]], responses: Sequence[ResponseTimes], *, unjudged: Sequence[str] = ()
 ) -> Flatness:
     """The verdict on a run. `responses`: the handshake's times in its three parts. `unjudged`: only shown."""
     trends = tuple(_trend(name, seen, judged=name not in unjudged) for name, seen in samples.items())
@@ -169,7 +169,7 @@ def judge(
     return Flatness(minutes, trends, p99_ms, tuple(reasons))
 
 
-def _trend(name: str, samples: Sequence[Sample], *, judged: bool) -> Trend:
+def _trend(name: str, samples: Sequence[ProcessSample], *, judged: bool) -> Trend:
     if len(samples) < _LEAST_SAMPLES:
         absent = (f"only {len(samples)} samples: it was not there all the time",)
         return Trend(name, judged, len(samples), (0.0, 0.0), 0.0, (0, 0), (0, 0), absent)

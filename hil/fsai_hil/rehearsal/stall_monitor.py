@@ -107,17 +107,17 @@ class Watcher(Protocol):
     def busy_spells(self, since_ns: int) -> Sequence[Disturbance]: ...
 
 
-class Outcome(Enum):
+class RunValidity(Enum):
     COUNTS = "the run counts, whichever way it ended"
     AGAIN = "it failed on a disturbed machine: it is run again"
     NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
 
 
-def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> Outcome:
+def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> RunValidity:
     """What the `run`th run of a test (1 is the first) is worth; `disturbances` is empty if nothing befell it."""
     if not failed or not disturbances:
-        return Outcome.COUNTS
-    return Outcome.AGAIN if run < RUNS else Outcome.NEVER_UNDISTURBED
+        return RunValidity.COUNTS
+    return RunValidity.AGAIN if run < RUNS else RunValidity.NEVER_UNDISTURBED
 
 
 Noted = TypeVar("Noted", Stall, SlowSpell, BusySpell)

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from _pytest.runner import runtestprotocol
 
-from fsai_hil.rehearsal.stall_monitor import RUNS, Outcome, Watcher, describe, judge_run
+from fsai_hil.rehearsal.stall_monitor import RUNS, RunValidity, Watcher, describe, judge_run
 
 PUT_OFF = "put off"  # an outcome beside pytest's own: neither passed nor failed, it goes on the list
 
@@ -62,7 +62,7 @@ class Undisturbed:
                 # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
                 item.session._setupstate.teardown_exact(None)
             outcome = judge_run(bool(failed), disturbances, run)
-            if outcome is Outcome.AGAIN and self._put_off is not None:
+            if outcome is RunValidity.AGAIN and self._put_off is not None:
                 self._say(item, f"{item.name}: the machine {describe(disturbances)}: put off")
                 with self._put_off.open("a") as names:
                     print(item.nodeid, file=names)
@@ -72,10 +72,10 @@ class Undisturbed:
                 for report in failed:
                     report.outcome = PUT_OFF
                 return reports
-            if outcome is Outcome.AGAIN:
+            if outcome is RunValidity.AGAIN:
                 self._say(item, f"{item.name}: the machine {describe(disturbances)}: run {run} shows nothing")
                 continue
-            if outcome is Outcome.NEVER_UNDISTURBED:
+            if outcome is RunValidity.NEVER_UNDISTURBED:
                 why = f"never ran undisturbed: in run {run} of {RUNS} too the machine {describe(disturbances)}"
                 self._say(item, f"{item.name}: {why}")
                 failed[0].sections.append(("the machine", why))

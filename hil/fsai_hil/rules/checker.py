@@ -65,7 +65,7 @@ from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.codec import Codec, Decoded
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,

@@ -32,7 +32,7 @@ from fsai_hil.rules.numbers import (
     STOP_TIMEOUT_NS,
 )
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
-from fsai_vcu.interface.images import Faults, VcuStatus
+from fsai_vcu.interface.messages import Faults, VcuStatus
 
 NOBODY: Final[frozenset[str]] = frozenset()
 

@@ -9,7 +9,7 @@ from typing import Final
 
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.enums import Direction, MissionStatus
-from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer
 
 FAR_AWAY_NS: Final = 1 << 62
 AI_MESSAGES: Final = (AiStatus, AiDriveFront, AiDriveRear, AiSteer, AiBrake)

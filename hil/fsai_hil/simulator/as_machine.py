@@ -18,9 +18,7 @@ from typing import Final
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.immutable import Immutable
-
-STANDING_RPM: Final = 10.0  # interface specification v4.0: above it a wheel turns, below it the wheel stands
-READY_STEER_DEG: Final = 5.0  # interface specification v4.0: measured steering for AS_READY -> AS_DRIVING
+from fsai_vcu.interface.specification import READY_STEER_DEG, STANDING_RPM
 
 
 @dataclass(slots=True)
@@ -71,7 +69,7 @@ Condition = Callable[[Situation], bool]
 class Fault(Immutable):
     """A fault bit of 0x520: what raises it, and the SHUTDOWN_CAUSE of the stop that it brings."""
 
-    name: str  # a field of fsai_vcu.interface.images.Faults
+    name: str  # a field of fsai_vcu.interface.messages.Faults
     cause: ShutdownCause
     when: Condition
     why: str

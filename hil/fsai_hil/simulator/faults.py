@@ -13,7 +13,7 @@ import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
@@ -34,20 +34,26 @@ class Window:
         return self.from_ns <= frame.t_ns < self.until_ns and (not self.ids or frame.can_id in self.ids)
 
 
-class FrameFault(Protocol):
-    """One thing that goes wrong on the wire."""
+class FrameFault:
+    """One thing that goes wrong on the wire while its window is open."""
+
+    window: Window
 
     def frames(self, frame: Frame) -> Iterable[Frame]:
         """What arrives instead of `frame`; frames with a later `t_ns` arrive then."""
-        ...
+        return self.met(frame) if self.window.meets(frame) else (frame,)
+
+    def met(self, frame: Frame) -> Iterable[Frame]:
+        """The same, of a frame that the window meets."""
+        return (frame,)
 
     def uncalled(self, to_ns: int) -> Iterable[Frame]:
         """Frames which nobody sent, up to and including `to_ns`."""
-        ...
+        return ()
 
 
 @dataclass
-class Drop:
+class Drop(FrameFault):
     """Frames vanish: all of them, the first `count`, or each by chance."""
 
     window: Window = field(default_factory=Window)
@@ -59,20 +65,17 @@ class Drop:
         self._chance = random.Random(self.seed)
         self.dropped = 0
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        if not self.window.meets(frame) or (self.count is not None and self.dropped >= self.count):
+    def met(self, frame: Frame) -> Iterable[Frame]:
+        if self.count is not None and self.dropped >= self.count:
             return (frame,)
         if self.probability < 1.0 and self._chance.random() >= self.probability:
             return (frame,)
         self.dropped += 1
         return ()
 
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
-
 
 @dataclass
-class Freeze:
+class Freeze(FrameFault):
     """Frames go on, but with the payload that each id had when the window opened."""
 
     window: Window = field(default_factory=Window)
@@ -86,12 +89,9 @@ class Freeze:
             return (frame,)
         return (replace(frame, data=self._frozen.setdefault(frame.can_id, frame.data)),)
 
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
-
 
 @dataclass
-class Delay:
+class Delay(FrameFault):
     """Frames come later, by `delay_ns` and at most `jitter_ns` more; those of one id keep their order."""
 
     window: Window = field(default_factory=Window)
@@ -116,98 +116,72 @@ class Delay:
         self._latest_ns[frame.can_id] = arrival_ns
         return (replace(frame, t_ns=arrival_ns),)
 
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
-
 
 @dataclass
-class FlipBits:
+class FlipBits(FrameFault):
     """Bits of the payload are flipped; a mask shorter than the payload leaves the rest alone."""
 
     window: Window = field(default_factory=Window)
     mask: bytes = b"\x01"
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        if not self.window.meets(frame):
-            return (frame,)
+    def met(self, frame: Frame) -> Iterable[Frame]:
         mask = self.mask[: len(frame.data)].ljust(len(frame.data), b"\0")
         return (replace(frame, data=bytes(value ^ flip for value, flip in zip(frame.data, mask, strict=True))),)
 
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
-
 
 @dataclass
-class WrongLength:
+class WrongLength(FrameFault):
     """The payload is cut or padded with zeros to `length` bytes."""
 
     window: Window = field(default_factory=Window)
     length: int = 0
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        if not self.window.meets(frame):
-            return (frame,)
+    def met(self, frame: Frame) -> Iterable[Frame]:
         return (replace(frame, data=frame.data[: self.length].ljust(self.length, b"\0")),)
-
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
 
 
 @dataclass
-class Overwrite:
+class Overwrite(FrameFault):
     """Bytes of the payload from `at` on are replaced by `data`; what lies beyond the payload's end is left out."""
 
     window: Window = field(default_factory=Window)
     at: int = 0
     data: bytes = b""
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        if not self.window.meets(frame):
-            return (frame,)
+    def met(self, frame: Frame) -> Iterable[Frame]:
         changed = (frame.data[: self.at] + self.data + frame.data[self.at + len(self.data) :])[: len(frame.data)]
         return (replace(frame, data=changed),)
 
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
-
 
 @dataclass
-class WrongValues:
+class WrongValues(FrameFault):
     """Fields of a message say something else: `values` by the field names of its image."""
 
     codec: Codec
     window: Window = field(default_factory=Window)
     values: Mapping[str, Any] = field(default_factory=dict)
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        if not self.window.meets(frame):
-            return (frame,)
+    def met(self, frame: Frame) -> Iterable[Frame]:
         image = self.codec.decode(frame).image
         if image is None:
             return (frame,)
         changed = self.codec.encode(replace(image, **self.values))
         return (replace(frame, data=changed.data),)
 
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
-
 
 @dataclass
-class Repeat:
+class Repeat(FrameFault):
     """Each frame arrives `times` times in all."""
 
     window: Window = field(default_factory=Window)
     times: int = 2
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        return (frame,) * self.times if self.window.meets(frame) else (frame,)
-
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        return ()
+    def met(self, frame: Frame) -> Iterable[Frame]:
+        return (frame,) * self.times
 
 
 @dataclass
-class Intruder:
+class Intruder(FrameFault):
     """Somebody else sends a frame of his own every `period_ns` while the window is open."""
 
     frame: Frame

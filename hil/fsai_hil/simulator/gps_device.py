@@ -11,8 +11,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from fsai_hil.simulator.car_signals import CarFeedback
-from fsai_hil.simulator.profiles import MS, S
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     Acceleration,
     DeviceClock,
     DeviceIo,
@@ -30,8 +29,9 @@ from fsai_vcu.interface.images import (
     RotationA,
     RotationB,
 )
+from fsai_vcu.interface.units import KMH_PER_MPS, MS, STANDARD_GRAVITY_MPS2, S
 
-MILLI_G_PER_MPS2: Final = 1000.0 / 9.80665
+MILLI_G_PER_MPS2: Final = 1000.0 / STANDARD_GRAVITY_MPS2
 MILLI_G_MOST: Final = 20000.0  # PCAN-GPS database: range of BMC_Acceleration
 DYNAMICS_MOST_MPS2: Final = 63.99  # signal database: ranges of 0x501
 DYNAMICS_MOST_DEGPS: Final = 255.99
@@ -46,7 +46,6 @@ ALTITUDE_M: Final = 143.0
 # Earth's field in the middle of England, north and down
 FIELD_NORTH_UT: Final = 19.2
 FIELD_DOWN_UT: Final = 44.8
-KMH_PER_MPS: Final = 3.6
 DEFAULT_UTC: Final = datetime(2026, 7, 15, 9, 0, 0, tzinfo=UTC)
 
 

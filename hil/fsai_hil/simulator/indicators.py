@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from fsai_hil.simulator.profiles import S
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.units import S
 
 
 class Assi(StrEnum):

@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
-from fsai_hil.simulator.as_machine import STANDING_RPM
 from fsai_hil.simulator.car import CarModel, CarTruth, Pose
 from fsai_hil.simulator.tracks import (
     ACCELERATION_STOP_M,
@@ -22,15 +21,16 @@ from fsai_hil.simulator.tracks import (
     CONE_RADIUS_M,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
-    Line,
+    TimingLine,
     Track,
     TrackKind,
 )
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.units import KMH_PER_MPS, S
 
-NS_PER_S: Final = 1e9
 STILL_M: Final = 0.10  # a car that must not move may settle by this much
 CONE_PENALTY_S: Final = 2.0
 LINE_HALF_WIDTH_M: Final = 4.0  # a line is crossed within so much of its middle
@@ -84,7 +84,7 @@ LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict(Immutable):
+class JudgeVerdict(Immutable):
     """What the judge says at the end, or would say if the run ended now. Times in s since the world began."""
 
     mission: str
@@ -133,7 +133,7 @@ class Verdict(Immutable):
 class _Crossing:
     """Notices when a point crosses a line forward, and when exactly."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: TimingLine) -> None:
         self.line = line
         self._ahead_m: float | None = None
         self._t_ns = 0
@@ -290,7 +290,7 @@ class _AccelerationReferee:
         finished = self._finish.watch(truth.t_ns, *nose)
         if finished is not None and self._started_ns is not None and not self.laps:
             self.laps = 1
-            self.lap_times_s.append((finished - self._started_ns) / NS_PER_S)
+            self.lap_times_s.append((finished - self._started_ns) / S)
         if self.laps:
             self.stop_distance_m = self._finish.line.ahead_of(*nose)
 
@@ -343,7 +343,7 @@ class _SkidpadReferee:
         if crossed is not None and (self._crossed_ns is None or truth.distance_m - self._crossed_at_m > 20.0):
             if self._crossed_ns is not None:
                 self.sequence.append(self._side())
-                self.lap_times_s.append((crossed - self._crossed_ns) / NS_PER_S)
+                self.lap_times_s.append((crossed - self._crossed_ns) / S)
             self._crossed_ns = crossed
             self._crossed_at_m = truth.distance_m
             self._turned = {"left": 0.0, "right": 0.0}
@@ -392,7 +392,7 @@ class _CircuitReferee:
             self._crossed_ns, self._crossed_at_m = crossed, at_m
         elif crossed is not None and self._crossed_ns is not None and at_m - self._crossed_at_m > self._lap_m:
             self.laps += 1
-            self.lap_times_s.append((crossed - self._crossed_ns) / NS_PER_S)
+            self.lap_times_s.append((crossed - self._crossed_ns) / S)
             self._crossed_ns, self._crossed_at_m = crossed, at_m
             if self.laps == self._wanted:
                 self._finished_at_m = truth.distance_m
@@ -470,12 +470,12 @@ class _InspectionAReferee:
             found.append(f"steering ended at {self._sweep.now_deg:.1f} deg instead of straight")
         if self._began_ns is None or self._reached_ns is None or self._left_ns is None:
             return [*found, f"driven wheels reached {self._top_rpm:.0f} of {s.inspection_a_rpm:.0f} rpm"]
-        up_s = (self._reached_ns - self._began_ns) / NS_PER_S
+        up_s = (self._reached_ns - self._began_ns) / S
         if up_s > s.inspection_a_spin_up_s:
             found.append(f"driven wheels took {up_s:.1f} s to reach {s.inspection_a_rpm:.0f} rpm")
         if self._rest_ns is None:
             found.append("the wheels did not come to rest")
-        elif (down_s := (self._rest_ns - self._left_ns) / NS_PER_S) > s.inspection_a_spin_down_s:
+        elif (down_s := (self._rest_ns - self._left_ns) / S) > s.inspection_a_spin_down_s:
             found.append(f"the wheels took {down_s:.1f} s to come to rest")
         return found
 
@@ -524,7 +524,11 @@ class _DemoReferee:
             self._stops.append(at)
         if not self._legs:
             self._sweep.watch(truth.steer_deg)
-        elif self._moving and self._legs[-1][1] is None and truth.speed_mps * 3.6 >= self._settings.demo_speed_kmh:
+        elif (
+            self._moving
+            and self._legs[-1][1] is None
+            and truth.speed_mps * KMH_PER_MPS >= self._settings.demo_speed_kmh
+        ):
             self._legs[-1] = (self._legs[-1][0], at)
 
     def complaints(self) -> list[str]:
@@ -671,7 +675,7 @@ class Judge:
         stay = self._stay
         if stay is None or stay.excused:
             return
-        since_s = (truth.t_ns - stay.since_ns) / NS_PER_S
+        since_s = (truth.t_ns - stay.since_ns) / S
         if state is AsState.AS_DRIVING and since_s >= self._settings.wait_s:
             self._stay = None
             return
@@ -705,22 +709,22 @@ class Judge:
         if self._driving_ns is None:
             if state is AsState.EMERGENCY_BRAKE:
                 self._end("EMERGENCY_BRAKE before the run began")
-            elif s.start_timeout_s is not None and now - self._begin_ns > s.start_timeout_s * NS_PER_S:
+            elif s.start_timeout_s is not None and now - self._begin_ns > s.start_timeout_s * S:
                 self._end(f"did not start: no AS_DRIVING within {s.start_timeout_s:g} s")
             return
         if state is AsState.AS_DRIVING:
             most_s = s.drive_timeout_s or DRIVE_TIMEOUT_S.get(self.mission, LAP_TIMEOUT_S * self.laps_wanted)
-            if now - self._driving_ns > most_s * NS_PER_S:
+            if now - self._driving_ns > most_s * S:
                 self._end(f"did not finish: still in AS_DRIVING after {most_s:g} s")
             return
         if state in (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE):
             # over once it has stood for a second: a car that ought to stand may still roll on
             standing = truth.speed_mps < 0.02 and max(truth.wheel_rpm) < STANDING_RPM
             self._stood_ns = (self._stood_ns or now) if standing else None
-            overdue = now - (self._over_ns or now) > 30.0 * NS_PER_S
+            overdue = now - (self._over_ns or now) > 30.0 * S
             if overdue:
                 self._end(f"still moving 30 s after {state.label}")
-            elif self._stood_ns is not None and now - self._stood_ns >= NS_PER_S:
+            elif self._stood_ns is not None and now - self._stood_ns >= S:
                 self._end(None)
         else:
             self._end(f"the run ended in {state.label}")
@@ -763,18 +767,18 @@ class Judge:
             found.append(f"off course {'once' if times == 1 else f'{times} times'}")
         return found
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> JudgeVerdict:
         reasons = self._reasons_now()
         if not self.done:
             reasons.append("the run is not over")
-        moving_s = (self._still_ns - self._moved_ns) / NS_PER_S if self._still_ns and self._moved_ns else 0.0
+        moving_s = (self._still_ns - self._moved_ns) / S if self._still_ns and self._moved_ns else 0.0
         driving_end = self._over_ns or self._last_ns
         hit = len(self._surroundings.hit)
-        return Verdict(
+        return JudgeVerdict(
             mission=self.mission.name.lower(),
             result="fail" if reasons else "pass",
             reasons=tuple(reasons),
-            as_states=tuple((state.label, (t - self._epoch_ns) / NS_PER_S) for state, t in self._states),
+            as_states=tuple((state.label, (t - self._epoch_ns) / S) for state, t in self._states),
             laps=self._referee.laps,
             lap_times_s=tuple(round(t, 3) for t in self._referee.lap_times_s),
             cones_hit=hit,
@@ -784,7 +788,7 @@ class Judge:
             mean_speed_mps=round(self._distance_m / moving_s, 3) if moving_s > 0.0 else 0.0,
             top_speed_mps=round(self._top_mps, 3),
             distance_m=round(self._distance_m, 2),
-            driving_time_s=round((driving_end - (self._driving_ns or driving_end)) / NS_PER_S, 3),
+            driving_time_s=round((driving_end - (self._driving_ns or driving_end)) / S, 3),
             stop_distance_m=None if (d := self._referee.stop_distance_m) is None else round(d, 2),
             shutdown_cause=None if self._cause is None else self._cause.label,
             finished=self.done,

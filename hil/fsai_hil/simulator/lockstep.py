@@ -9,7 +9,7 @@ from typing import Any
 
 from fsai_hil.rules.checker import WireChecker, WireReport
 from fsai_hil.simulator.ai_computer import OnboardComputer
-from fsai_hil.simulator.judge import Verdict
+from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.control.controller import Controller
@@ -23,12 +23,12 @@ from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import S
 
 STEP_NS = 1_000_000  # the bus is looked at every millisecond
 CONE_PERIOD_NS = 50_000_000  # 20 Hz, as a camera or lidar pipeline
 CONFIDENCE_THRESHOLD = 0.5  # the detector's default
 PROGRESS_PERIOD_NS = 500_000_000
-NS_PER_S = 1e9
 RUNS_OF_A_PROCESS = 1_000_000
 
 
@@ -36,7 +36,7 @@ RUNS_OF_A_PROCESS = 1_000_000
 class LockstepResult:
     """A run in lockstep: what the judge saw, what the wire showed, what the bridge reported at the end."""
 
-    verdict: Verdict
+    verdict: JudgeVerdict
     wire: WireReport
     report: BridgeReport
     sim_time_s: float
@@ -202,7 +202,7 @@ class Lockstep:
                 if progress is not None:
                     progress(self.world, self.computer.report())
             if realtime:
-                ahead_s = (self._now_ns - start_ns) / NS_PER_S - (time.monotonic() - began)
+                ahead_s = (self._now_ns - start_ns) / S - (time.monotonic() - began)
                 if ahead_s > 0:
                     time.sleep(ahead_s)
         report = self.computer.report()
@@ -210,7 +210,7 @@ class Lockstep:
             self.world.verdict(),
             self.wire.report(),
             report,
-            (self._now_ns - start_ns) / NS_PER_S,
+            (self._now_ns - start_ns) / S,
             time.monotonic() - began,
             self.world.setup.seed,
             self.world.faults(),

@@ -15,10 +15,10 @@ from typing import Any, Final, Protocol
 
 from fsai_hil.simulator.indicators import Assi, Indicators, Siren
 from fsai_hil.simulator.power import POWER_UP, PowerUp
-from fsai_hil.simulator.profiles import MS, S
 from fsai_hil.simulator.switches import Switches
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.units import MS, S
 
 HAND_NS: Final = 300 * MS  # from one switch to the next
 REACTION_NS: Final = 500 * MS  # from seeing to doing

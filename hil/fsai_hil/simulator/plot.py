@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from fsai_hil.simulator.judge import Verdict
+from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.tracks import Track
-from fsai_hil.simulator.world import Sample
+from fsai_hil.simulator.world import PathSample
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.interface.enums import AsState
 
@@ -37,7 +37,7 @@ class PlotError(RuntimeError):
     """No picture can be made; the message is one clear line."""
 
 
-def save_plot(path: Path, track: Track, samples: Sequence[Sample], verdict: Verdict | None = None) -> None:
+def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: JudgeVerdict | None = None) -> None:
     """Write the picture. Raises PlotError where matplotlib is missing or the file cannot be written."""
     try:
         import matplotlib
@@ -90,7 +90,7 @@ def save_plot(path: Path, track: Track, samples: Sequence[Sample], verdict: Verd
         pyplot.close(figure)
 
 
-def _title(track: Track, verdict: Verdict | None) -> str:
+def _title(track: Track, verdict: JudgeVerdict | None) -> str:
     if verdict is None:
         return track.name
     title = f"{verdict.mission} on {track.name}: {verdict.result.upper()}"
@@ -101,7 +101,7 @@ def _title(track: Track, verdict: Verdict | None) -> str:
     return title + ("\n" + "; ".join(verdict.reasons)[:140] if verdict.reasons else "")
 
 
-def _shade_states(axis: object, samples: Sequence[Sample]) -> None:
+def _shade_states(axis: object, samples: Sequence[PathSample]) -> None:
     """Colour the background by AS state, each named once."""
     named: set[AsState] = set()
     begin = 0

@@ -11,9 +11,9 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Final
 
-from fsai_hil.simulator.profiles import MS
 from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, OpState, TsState
 from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.units import MS
 
 
 class SystemState(IntEnum):

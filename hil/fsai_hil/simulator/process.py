@@ -24,7 +24,7 @@ from typing import Any, Final, TextIO
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.ground_truth import TruthSender
-from fsai_hil.simulator.judge import Verdict
+from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.operator import SWITCH_NAMES
 from fsai_hil.simulator.power import POWER_UP
 from fsai_hil.simulator.profiles import PROFILES
@@ -464,7 +464,7 @@ def _passed(process: VcuProcess) -> bool:
 def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
     world = process.world
     saved_all = True
-    verdicts: list[Verdict] = world.verdicts if world.verdicts else [world.verdict()]
+    verdicts: list[JudgeVerdict] = world.verdicts if world.verdicts else [world.verdict()]
     result = result_of(process)
     if args.result:
         track = world.runs[0].track

@@ -11,9 +11,8 @@ from types import MappingProxyType
 from typing import Final
 
 from fsai_vcu.interface.immutable import Immutable
-
-MS: Final = 1_000_000
-S: Final = 1_000_000_000
+from fsai_vcu.interface.specification import COMMS_LOST_NS, EMERGENCY_TIMER_NS, READY_WAIT_NS
+from fsai_vcu.interface.units import MS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,12 +23,12 @@ class Profile(Immutable):
 
     # the link to the AI computer (interface specification v4.0: handshake and loss of communication)
     handshake_waits_for_echo: bool = True  # else it alternates with every 0x520, whatever comes back
-    echo_timeout_ns: int = 100 * MS
-    message_timeout_ns: int = 100 * MS  # ten messages of 10 ms
+    echo_timeout_ns: int = COMMS_LOST_NS
+    message_timeout_ns: int = COMMS_LOST_NS
 
     # the autonomous-system state machine
-    ready_wait_ns: int = 5 * S
-    emergency_timer_ns: int = 15 * S
+    ready_wait_ns: int = READY_WAIT_NS
+    emergency_timer_ns: int = EMERGENCY_TIMER_NS
     start_needs_selected: bool = False  # AS_DRIVING begins only while MISSION_STATUS is SELECTED
     brake_request_is_emergency: bool = False
     estop_request_in_as_off: bool = False

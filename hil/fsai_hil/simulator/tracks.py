@@ -66,7 +66,7 @@ class TrackKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line(Immutable):
+class TimingLine(Immutable):
     """A timing line across the lane: a point on it and the direction in which cars cross it."""
 
     x_m: float
@@ -105,8 +105,8 @@ class Track(Immutable):
     cone_colors: Ints
     car_start: Pose | None = None
     closed: bool = False
-    start_line: Line | None = None
-    finish_line: Line | None = None
+    start_line: TimingLine | None = None
+    finish_line: TimingLine | None = None
     centreline_m: Floats | None = None
     left_border_m: Floats | None = None
     right_border_m: Floats | None = None
@@ -198,8 +198,8 @@ def acceleration_track() -> Track:
         TrackKind.ACCELERATION,
         xy,
         colors,
-        start_line=Line(0.0, 0.0, 0.0),
-        finish_line=Line(finish, 0.0, 0.0),
+        start_line=TimingLine(0.0, 0.0, 0.0),
+        finish_line=TimingLine(finish, 0.0, 0.0),
         centreline_m=_array([(begin + 0.5 * i, 0.0) for i in range(int((end - begin) * 2) + 1)]),
         left_border_m=_array([(begin, half), (end, half)]),
         right_border_m=_array([(begin, -half), (end, -half)]),
@@ -252,7 +252,7 @@ def skidpad_track() -> Track:
             route.append((middle * math.sin(angle), side * middle * (1.0 - math.cos(angle))))
     route += [(0.25 * i, 0.0) for i in range(int(end * 4) + 1)]
     straight = ((begin, -half), (end, -half), (end, half), (begin, half))
-    line = Line(0.0, 0.0, 0.0)
+    line = TimingLine(0.0, 0.0, 0.0)
     return Track(
         "skidpad",
         TrackKind.SKIDPAD,
@@ -347,7 +347,7 @@ def _circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float
         rows.append([p for p in row if not (abs(p[0]) < 1.2 and abs(p[1]) < lane_m)])
     gate = [(x, y) for x in (-0.4, 0.4) for y in (lane_m / 2.0, -lane_m / 2.0)]
     xy, colors = _cones(((ConeColor.BLUE, rows[0]), (ConeColor.YELLOW, rows[1]), (ConeColor.BIG_ORANGE, gate)))
-    line = Line(0.0, 0.0, 0.0)
+    line = TimingLine(0.0, 0.0, 0.0)
     return Track(
         name,
         TrackKind.CIRCUIT,
@@ -522,19 +522,19 @@ def _number(row: Sequence[str], column: int, name: str, at: str) -> float:
 def _measured(name: str, source: str, points: Sequence[tuple[ConeColor, Point]], start: Pose) -> Track:
     """Find out what kind of track the cones make, its lines and its borders."""
     xy, colors = _cones((color, [point]) for color, point in points)
-    ahead = Line(start.x_m, start.y_m, start.yaw_rad)
+    ahead = TimingLine(start.x_m, start.y_m, start.yaw_rad)
     gates = _gates([p for color, p in points if color is ConeColor.BIG_ORANGE], ahead)
     if _skidpad_like(points, ahead, gates):
         return _skidpad_at(name, source, xy, colors, start, gates[0])
     walked = _walk(points, ahead)
-    line = _start_line(gates[0], ahead) if gates else Line(start.x_m, start.y_m, start.yaw_rad)
+    line = _start_line(gates[0], ahead) if gates else TimingLine(start.x_m, start.y_m, start.yaw_rad)
     if walked is not None and walked.closed:
         left, right = _array(walked.left), _array(walked.right)
         middle = _smoothed(_resampled(_array(walked.middle), 0.25), 2.0)
         nearest = int(np.argmin(np.hypot(middle[:, 0] - line.x_m, middle[:, 1] - line.y_m)))
         middle = np.roll(middle, -nearest, axis=0)
         toward = middle[2] - middle[-2]
-        line = Line(float(middle[0, 0]), float(middle[0, 1]), math.atan2(toward[1], toward[0]))
+        line = TimingLine(float(middle[0, 0]), float(middle[0, 1]), math.atan2(toward[1], toward[0]))
         return Track(
             name,
             TrackKind.CIRCUIT,
@@ -556,7 +556,7 @@ def _measured(name: str, source: str, points: Sequence[tuple[ConeColor, Point]],
     return Track(name, TrackKind.CIRCUIT, xy, colors, car_start=start, start_line=line, finish_line=line, source=source)
 
 
-def _gates(big: Sequence[Point], ahead: Line) -> list[tuple[Point, ...]]:
+def _gates(big: Sequence[Point], ahead: TimingLine) -> list[tuple[Point, ...]]:
     """Big orange cones in groups no more than 8 m apart along the starting direction: those in front of the car."""
     cones = sorted(big, key=lambda p: ahead.ahead_of(*p))
     groups: list[list[Point]] = []
@@ -568,12 +568,12 @@ def _gates(big: Sequence[Point], ahead: Line) -> list[tuple[Point, ...]]:
     return [tuple(group) for group in groups if ahead.ahead_of(*group[-1]) > 0.0]
 
 
-def _start_line(gate: Sequence[Point], ahead: Line) -> Line:
-    return Line(sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate), ahead.heading_rad)
+def _start_line(gate: Sequence[Point], ahead: TimingLine) -> TimingLine:
+    return TimingLine(sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate), ahead.heading_rad)
 
 
 def _straight_at(
-    name: str, source: str, xy: Floats, colors: Ints, start: Pose, first: Line, gate: Sequence[Point]
+    name: str, source: str, xy: Floats, colors: Ints, start: Pose, first: TimingLine, gate: Sequence[Point]
 ) -> Track:
     """A straight between two gates, with the exit lane behind the second."""
     finish_x, finish_y = sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate)
@@ -590,8 +590,8 @@ def _straight_at(
         xy,
         colors,
         car_start=start,
-        start_line=Line(first.x_m, first.y_m, heading),
-        finish_line=Line(finish_x, finish_y, heading),
+        start_line=TimingLine(first.x_m, first.y_m, heading),
+        finish_line=TimingLine(finish_x, finish_y, heading),
         centreline_m=_array([lane.ahead(-10.0 + 0.5 * i) for i in range(int((end + 10.0) * 2) + 1)]),
         left_border_m=_array([lane.ahead(-10.0, half), lane.ahead(end, half)]),
         right_border_m=_array([lane.ahead(-10.0, -half), lane.ahead(end, -half)]),
@@ -600,7 +600,9 @@ def _straight_at(
     )
 
 
-def _skidpad_like(points: Sequence[tuple[ConeColor, Point]], ahead: Line, gates: Sequence[Sequence[Point]]) -> bool:
+def _skidpad_like(
+    points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine, gates: Sequence[Sequence[Point]]
+) -> bool:
     """Two rings of blue and yellow cones to the left and to the right of the first gate."""
     if not gates:
         return False
@@ -618,7 +620,7 @@ def _skidpad_at(name: str, source: str, xy: Floats, colors: Ints, start: Pose, g
     """The rules' skidpad, laid over the cones of a file."""
     ideal = skidpad_track()
     # the gate's own direction: across is from its rightmost to its leftmost cone, so that a start askew does no harm
-    line = _start_line(gate, Line(start.x_m, start.y_m, start.yaw_rad))
+    line = _start_line(gate, TimingLine(start.x_m, start.y_m, start.yaw_rad))
     left = [p for p in gate if line.beside(*p) > 0.0]
     right = [p for p in gate if line.beside(*p) <= 0.0]
     heading = start.yaw_rad
@@ -629,7 +631,7 @@ def _skidpad_at(name: str, source: str, xy: Floats, colors: Ints, start: Pose, g
         )
         heading = math.atan2(across[1], across[0]) - math.pi / 2.0
     origin = Pose(line.x_m, line.y_m, heading)
-    line = Line(line.x_m, line.y_m, heading)
+    line = TimingLine(line.x_m, line.y_m, heading)
     assert ideal.centreline_m is not None  # skidpad_track always has one
     route = _array([origin.ahead(float(x), float(y)) for x, y in ideal.centreline_m])
     lane = tuple(tuple(tuple(origin.ahead(x, y) for x, y in ring) for ring in rings) for rings in ideal.lane)
@@ -648,7 +650,7 @@ def _skidpad_at(name: str, source: str, xy: Floats, colors: Ints, start: Pose, g
 
 
 @dataclass(frozen=True, slots=True)
-class _Walk(Immutable):
+class _Lane(Immutable):
     """The lane as it was found between the cones."""
 
     left: tuple[Point, ...]
@@ -657,7 +659,7 @@ class _Walk(Immutable):
     closed: bool
 
 
-def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: Line) -> _Walk | None:
+def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> _Lane | None:
     """Walk the lane from triangle to triangle through the edges that join a left cone to a right one.
 
     In a triangulation of all cones each triangle inside the lane has exactly two such edges, so the way on is always
@@ -718,7 +720,7 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: Line) -> _Walk | Non
         out = int(np.flatnonzero(triangle == leave)[0])
         onward = int(neighbours[index][out])
         if onward < 0:
-            return _Walk(_at(left, xy), _at(right, xy), tuple(middle), False)
+            return _Lane(_at(left, xy), _at(right, xy), tuple(middle), False)
         came_from = index
         index = onward
         corner = int(np.flatnonzero(neighbours[index] == came_from)[0])
@@ -727,7 +729,7 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: Line) -> _Walk | Non
                 left.pop()
             if right[0] == right[-1]:
                 right.pop()
-            return _Walk(_at(left, xy), _at(right, xy), tuple(middle), True)
+            return _Lane(_at(left, xy), _at(right, xy), tuple(middle), True)
     return None
 
 

@@ -17,16 +17,7 @@ from types import MappingProxyType
 from typing import Final, cast
 
 from fsai_hil.simulator.ai_link import AiLink
-from fsai_hil.simulator.as_machine import (
-    CAR_FAULTS,
-    READY_STEER_DEG,
-    STANDING_RPM,
-    Row,
-    Situation,
-    ai_faults,
-    taken,
-    transition_table,
-)
+from fsai_hil.simulator.as_machine import CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import FaultyWire
 from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
@@ -42,7 +33,7 @@ from fsai_hil.simulator.power import (
     TractiveSystem,
     op_state,
 )
-from fsai_hil.simulator.profiles import MS, SPECIFICATION, Profile
+from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.switches import Switches
 from fsai_vcu.interface.bus_table import BY_NAME, Flow
 from fsai_vcu.interface.codec import Codec
@@ -57,7 +48,8 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.immutable import Immutable
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -78,14 +70,11 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
-from fsai_vcu.interface.signals import rows
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, READY_STEER_DEG, STANDING_RPM, WHEEL_SPEED_MAX_RPM
+from fsai_vcu.interface.units import KMH_PER_MPS, MS
 
-TORQUE_LIMIT_NM: Final = 195.0  # interface specification v4.0: axle torque request 0-195 Nm
-WHEEL_RPM_MOST: Final = 1250.0  # signal database: range of the wheel speeds
-KMH_PER_MPS: Final = 3.6
 # Each device hands its frames to the bus at once, and the bus puts them one behind the other.
 GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames
 
@@ -104,7 +93,7 @@ class Transition(Immutable):
 
 
 @dataclass(frozen=True, slots=True)
-class _Message(Immutable):
+class _CyclicMessage(Immutable):
     """One cyclic message. `build` makes its image as it is at a time; None: the PCAN-GPS does."""
 
     kind: type[Image]
@@ -517,7 +506,7 @@ class SimulatedVcu:
         if not (self._powered and self._tractive_system.running):
             return 0.0, 0.0
         derated = self.switches.torque_limit_nm
-        most = TORQUE_LIMIT_NM if derated is None else min(TORQUE_LIMIT_NM, max(0.0, derated))
+        most = AXLE_TORQUE_MAX_NM if derated is None else min(AXLE_TORQUE_MAX_NM, max(0.0, derated))
         return (most if self.power_up.front_axle_driven else 0.0), most
 
     @property
@@ -571,23 +560,22 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ what it says
 
-    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_Message, ...]:
+    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_CyclicMessage, ...]:
         """Everything that is sent in this revision, 0x520 first."""
         decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
         if gps:
             decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
-        declared = {row.image: BY_NAME[row.message] for row in rows(self.codec.mapping)}
-        messages: list[_Message] = []
+        messages: list[_CyclicMessage] = []
         for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
-            message = declared[kind]
+            message = BY_NAME[kind.dbc_name]
             if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
                 continue
             phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0
             period_ns = message.period_ns[self.revision.name] * decimation.get(kind, 1)
-            messages.append(_Message(kind, period_ns, phase_ns, BUILDERS.get(kind)))
+            messages.append(_CyclicMessage(kind, period_ns, phase_ns, BUILDERS.get(kind)))
         return tuple(messages)
 
-    def _frame(self, message: _Message, t_ns: int) -> Frame:
+    def _frame(self, message: _CyclicMessage, t_ns: int) -> Frame:
         if message.build is not None:
             return self.codec.encode(message.build(self, t_ns))
         # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
@@ -640,11 +628,11 @@ class SimulatedVcu:
         )
 
     def _drive_front_image(self, t_ns: int) -> VcuDriveFront:
-        request = min(TORQUE_LIMIT_NM, self._link.drive_front.torque_nm)
+        request = min(AXLE_TORQUE_MAX_NM, self._link.drive_front.torque_nm)
         return VcuDriveFront(_torque(self._feedback.front_torque_nm), request, self.torque_max_nm[0], t_ns)
 
     def _drive_rear_image(self, t_ns: int) -> VcuDriveRear:
-        request = min(TORQUE_LIMIT_NM, self._link.drive_rear.torque_nm)
+        request = min(AXLE_TORQUE_MAX_NM, self._link.drive_rear.torque_nm)
         return VcuDriveRear(_torque(self._feedback.rear_torque_nm), request, self.torque_max_nm[1], t_ns)
 
     def _steer_image(self, t_ns: int) -> VcuSteer:
@@ -781,11 +769,11 @@ LOG_BRAKE_AVAILABLE: Final = 3
 
 
 def _torque(value_nm: float) -> float:
-    return min(TORQUE_LIMIT_NM, max(-TORQUE_LIMIT_NM, value_nm))
+    return min(AXLE_TORQUE_MAX_NM, max(-AXLE_TORQUE_MAX_NM, value_nm))
 
 
 def _torque_pct(front_nm: float, rear_nm: float) -> float:
-    return min(100.0, 100.0 * max(abs(front_nm), abs(rear_nm)) / TORQUE_LIMIT_NM)
+    return min(100.0, 100.0 * max(abs(front_nm), abs(rear_nm)) / AXLE_TORQUE_MAX_NM)
 
 
 def _percent(value: float) -> float:
@@ -793,4 +781,4 @@ def _percent(value: float) -> float:
 
 
 def _rpm(value: float) -> int:
-    return round(min(WHEEL_RPM_MOST, max(0.0, value)))
+    return round(min(WHEEL_SPEED_MAX_RPM, max(0.0, value)))

@@ -7,7 +7,7 @@ process on a bus. Deterministic: the same setup and the same frames at the same 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from fsai_hil.simulator.car import Car, car_model
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import FrameFault
 from fsai_hil.simulator.ground_truth import Truth
-from fsai_hil.simulator.judge import Judge, JudgeSettings, Verdict, check_track
+from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict, check_track
 from fsai_hil.simulator.operator import At, Operator
 from fsai_hil.simulator.profiles import profile as profile_named
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
@@ -24,7 +24,7 @@ from fsai_hil.simulator.tracks import MISSION_TRACK, Track, load_track
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.core.driving import ConeObservation
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -32,7 +32,6 @@ from fsai_vcu.interface.revisions import revision as revision_named
 STEP_NS: Final = 2_000_000  # the grid on which the VCU looks and the car moves on
 LOOK_NS: Final = 10_000_000  # judge and operator
 SAMPLE_NS: Final = 50_000_000  # what is kept for the plot
-STANDSTILL_STATES: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF})
 STATIC_INSPECTIONS: Final = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B})
 
 
@@ -65,7 +64,7 @@ class WorldSetup:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample(Immutable):
+class PathSample(Immutable):
     """One point of the driven path."""
 
     t_s: float
@@ -84,7 +83,7 @@ class _Run:
     track: Track
     judge: Judge
     sensor: ConeSensor
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[PathSample] = field(default_factory=list)
 
 
 class World:
@@ -119,7 +118,7 @@ class World:
         self._now_ns = setup.start_ns
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
-        self.verdicts: list[Verdict] = []  # of the runs that are over
+        self.verdicts: list[JudgeVerdict] = []  # of the runs that are over
         self.runs: list[_Run] = []
         self._spoken_to = False
         # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
@@ -178,13 +177,13 @@ class World:
     def _sample(self, now: int, state: AsState) -> None:
         pose = self.car.pose
         t_s = (now - self.setup.start_ns) / 1e9
-        point = Sample(t_s, pose.x_m, pose.y_m, self.car.speed_mps, self.car.truth().steer_deg, int(state))
+        point = PathSample(t_s, pose.x_m, pose.y_m, self.car.speed_mps, self.car.truth().steer_deg, int(state))
         self._run.samples.append(point)
 
     def _follow_display(self, state: AsState) -> None:
         """People bring the car to its start when it is off: for a mission newly chosen on the display, and after a run
         (the same mission may be driven twice)."""
-        if state not in STANDSTILL_STATES or not self.car.standing:
+        if state not in OFF_LIKE or not self.car.standing:
             return
         run, ami = self._run, self.vcu.switches.ami
         over = run.judge.done and not (self.setup.auto and self.done)
@@ -235,7 +234,7 @@ class World:
         return self._run.judge
 
     @property
-    def samples(self) -> Sequence[Sample]:
+    def samples(self) -> Sequence[PathSample]:
         """The path driven in the present run."""
         return self._run.samples
 
@@ -262,7 +261,7 @@ class World:
         """Every mission that was asked for has been judged."""
         return len(self.verdicts) >= len(self.setup.missions)
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> JudgeVerdict:
         """The latest run's verdict: of the run in hand, or of the last one while none has begun anew."""
         if not self._run.judge.done and self._run.judge.waiting and self.verdicts:
             return self.verdicts[-1]
@@ -283,8 +282,7 @@ class World:
 
     def faults(self) -> tuple[str, ...]:
         """The fault bits that the car shows now, by name."""
-        faults = self.vcu.faults
-        return tuple(bit.name for bit in fields(faults) if getattr(faults, bit.name))
+        return self.vcu.faults.names
 
 
 def _a_mission(mission: Ami) -> Ami:

@@ -10,7 +10,7 @@ own, so that two runs side by side never hear each other. Standard library only:
 
 from __future__ import annotations
 
-from fsai_hil.vcan.choice import Place, choose_place
+from fsai_hil.vcan.choice import VcanHost, choose_place
 from fsai_hil.vcan.errors import VcanError
 from fsai_hil.vcan.native import native_vcan_available, run_natively
 from fsai_hil.vcan.network import INTERFACE
@@ -18,8 +18,8 @@ from fsai_hil.vcan.uml import run_in_uml
 
 __all__ = [
     "INTERFACE",
-    "Place",
     "VcanError",
+    "VcanHost",
     "choose_place",
     "native_vcan_available",
     "run_in_uml",

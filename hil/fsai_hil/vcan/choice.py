@@ -13,7 +13,7 @@ from fsai_hil.vcan.uml import find_user_mode_linux, run_in_uml
 
 
 @dataclass(frozen=True)
-class Place:
+class VcanHost:
     """Where a command meets its vcan0: `run` has the signature of `run_natively` and `run_in_uml`."""
 
     name: Literal["native", "uml"]
@@ -26,10 +26,10 @@ class Place:
         return self.name == "uml"
 
 
-def choose_place(wanted: Literal["auto", "native", "uml"] = "auto") -> Place:
+def choose_place(wanted: Literal["auto", "native", "uml"] = "auto") -> VcanHost:
     """The place asked for, or the best there is. Raises VcanError, whose message says what to install."""
     if wanted != "uml" and native_vcan_available():
-        return Place("native", "this kernel has vcan", run_natively)
+        return VcanHost("native", "this kernel has vcan", run_natively)
     if wanted == "native":
         raise VcanError(
             f"the kernel here ({platform.release()}) gives no vcan interface: load the module as root "
@@ -37,4 +37,4 @@ def choose_place(wanted: Literal["auto", "native", "uml"] = "auto") -> Place:
         )
     uml = find_user_mode_linux()
     why = "asked for" if wanted == "uml" else f"the kernel here ({platform.release()}) has no vcan"
-    return Place("uml", f"{why}; User-Mode Linux {uml.version} brings one along", run_in_uml)
+    return VcanHost("uml", f"{why}; User-Mode Linux {uml.version} brings one along", run_in_uml)

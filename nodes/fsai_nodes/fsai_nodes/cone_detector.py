@@ -9,11 +9,11 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
-from fsai_nodes.parameters import Setting, Settings
+from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.qos import TOPICS, publisher
 
 SETTINGS = (
-    Setting(
+    NodeParameter(
         "confidence_threshold",
         0.5,
         "Raw cones with a lower confidence are dropped.",

@@ -6,7 +6,7 @@ Pure but for the message classes. Every number is made a plain int or float here
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import IntEnum
 
 import numpy as np
@@ -27,7 +27,8 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.images import Faults, GpsImu
+from fsai_vcu.interface.messages import GpsImu
+from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
 
 BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
 ODOM_FRAME = "odom"  # REP-105: where the run began
@@ -35,7 +36,6 @@ ODOM_FRAME = "odom"  # REP-105: where the run began
 UNKNOWN = 255
 NEVER = math.nan
 _UINT32_MAX = 2**32 - 1
-_GRAVITY_MPS2 = 9.80665
 
 
 def _count(value: int) -> int:
@@ -248,7 +248,7 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
         message.shutdown_request = bool(status.shutdown_request)
         message.fault = bool(status.fault)
         message.warning = bool(status.warning)
-        message.faults = list(fault_names(status.faults))
+        message.faults = list(status.faults.names)
         message.shutdown_cause = _raw(status.shutdown_cause)
         message.shutdown_cause_label = "" if status.shutdown_cause is None else status.shutdown_cause.label
         message.steering_status = _raw(status.steering_status)
@@ -306,11 +306,6 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     return message
 
 
-def fault_names(faults: Faults) -> Sequence[str]:
-    """The fault bits of 0x520 that are set."""
-    return [name for name in Faults.__slots__ if getattr(faults, name)]
-
-
 # ---------------------------------------------------------------- IMU and GPS
 
 
@@ -329,9 +324,9 @@ def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> I
         gps.dynamics,
     )
     if acceleration is not None:
-        message.linear_acceleration.x = acceleration.x_mg * 1e-3 * _GRAVITY_MPS2
-        message.linear_acceleration.y = acceleration.y_mg * 1e-3 * _GRAVITY_MPS2
-        message.linear_acceleration.z = acceleration.z_mg * 1e-3 * _GRAVITY_MPS2
+        message.linear_acceleration.x = acceleration.x_mg * 1e-3 * STANDARD_GRAVITY_MPS2
+        message.linear_acceleration.y = acceleration.y_mg * 1e-3 * STANDARD_GRAVITY_MPS2
+        message.linear_acceleration.z = acceleration.z_mg * 1e-3 * STANDARD_GRAVITY_MPS2
         if rotation_a is not None:
             message.angular_velocity.x = math.radians(rotation_a.x_degps)
             message.angular_velocity.y = math.radians(rotation_a.y_degps)

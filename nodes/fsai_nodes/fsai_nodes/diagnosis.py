@@ -5,7 +5,6 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from fsai_nodes.conversions import fault_names
 from fsai_vcu.core.report import BridgeReport
 
 
@@ -79,7 +78,7 @@ def _car(report: BridgeReport) -> DiagnosticStatus:
     status = report.vehicle.status
     if status is None:
         return _status("car", DiagnosticStatus.STALE, "nothing heard yet", {})
-    faults = fault_names(status.faults)
+    faults = status.faults.names
     cause = "" if status.shutdown_cause is None else status.shutdown_cause.label
     values: dict[str, object] = {
         "AS state": status.as_state.label,

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 
-_OFF = frozenset({AsState.AS_INIT, AsState.AS_OFF})
 _FINISHED = frozenset({AsState.AS_FINISHED})
 _EMERGENCY = frozenset({AsState.EMERGENCY_BRAKE})
 _NONE: frozenset[AsState] = frozenset()
@@ -32,7 +31,7 @@ GOALS: Mapping[str, Goal] = MappingProxyType(
         "driving": Goal(frozenset({AsState.AS_DRIVING}), _EMERGENCY | _FINISHED, False),
         "finished": Goal(_FINISHED, _EMERGENCY, True),
         "emergency": Goal(_EMERGENCY, _FINISHED, True),
-        "off": Goal(_OFF, _NONE, False),
+        "off": Goal(OFF_LIKE, _NONE, False),
         "end": Goal(_FINISHED | _EMERGENCY, _NONE, True),
     }
 )
@@ -40,7 +39,7 @@ DEFAULT_GOAL = "finished"
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class GoalResult:
     """How it ended: `ended` for programs, `message` for people."""
 
     success: bool
@@ -74,7 +73,7 @@ class Waiting:
     def duration_s(self, now_ns: int) -> float:
         return (now_ns - self._began_ns) / 1e9
 
-    def step(self, as_state: AsState | None, mission: Ami, now_ns: int) -> Outcome | None:
+    def step(self, as_state: AsState | None, mission: Ami, now_ns: int) -> GoalResult | None:
         """`as_state` and `mission` as the car says them now; None while nothing has been heard."""
         goal = GOALS[self.until]
         before, self._before = self._before, as_state
@@ -84,14 +83,14 @@ class Waiting:
             underway = as_state in (AsState.AS_READY, AsState.AS_DRIVING)
             if underway and self._mission is not None and mission is not self._mission:
                 words = f"{as_state.label} with mission {mission.label}, not {self._mission.label}"
-                return Outcome(False, "wrong_mission", words)
+                return GoalResult(False, "wrong_mission", words)
             if as_state in goal.reached:
-                return Outcome(True, "reached", f"{as_state.label} reached")
+                return GoalResult(True, "reached", f"{as_state.label} reached")
             if changed and as_state in goal.missed:
-                return Outcome(False, "missed", f"{as_state.label} instead of {self.until}")
-            if goal.lost_by_off and self._drove and as_state in _OFF:
-                return Outcome(False, "missed", f"{as_state.label} after AS_DRIVING, instead of {self.until}")
+                return GoalResult(False, "missed", f"{as_state.label} instead of {self.until}")
+            if goal.lost_by_off and self._drove and as_state in OFF_LIKE:
+                return GoalResult(False, "missed", f"{as_state.label} after AS_DRIVING, instead of {self.until}")
         if self._timeout_ns and now_ns - self._began_ns >= self._timeout_ns:
             state = "nothing heard from the car" if as_state is None else f"the car is in {as_state.label}"
-            return Outcome(False, "timeout", f"not {self.until} within {self._timeout_ns / 1e9:g} s: {state}")
+            return GoalResult(False, "timeout", f"not {self.until} within {self._timeout_ns / 1e9:g} s: {state}")
         return None

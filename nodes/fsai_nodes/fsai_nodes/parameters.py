@@ -28,7 +28,7 @@ class NodeError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class NodeParameter:
     """One parameter. `low` and `high` bound numbers, `choices` bound texts.
 
     live: it may change while the node runs; the others may only change while the node says it is at rest.
@@ -141,7 +141,7 @@ def _flat(content: object, prefix: str = "") -> Iterable[str]:
 _of_this_process: set[str] = set()
 
 
-def several_nodes(tables: Iterable[Sequence[Setting]]) -> None:
+def several_nodes(tables: Iterable[Sequence[NodeParameter]]) -> None:
     """This process holds several nodes, which have these parameters."""
     _of_this_process.update(setting.name for table in tables for setting in table)
 
@@ -166,7 +166,7 @@ class Settings:
     def __init__(
         self,
         node: Node,
-        table: Sequence[Setting],
+        table: Sequence[NodeParameter],
         on_change: Callable[[str], None],
         busy: Callable[[], str | None] = lambda: "the node is running; restart it with the new value",
     ) -> None:
@@ -198,7 +198,7 @@ class Settings:
     def flag(self, name: str) -> bool:
         return bool(self._node.get_parameter(name).value)
 
-    def _declare(self, setting: Setting) -> None:
+    def _declare(self, setting: NodeParameter) -> None:
         try:
             parameter = self._node.declare_parameter(setting.name, setting.default, setting.descriptor())
         except (

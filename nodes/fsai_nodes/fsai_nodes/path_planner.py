@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
-from fsai_nodes.parameters import Setting, Settings
+from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.driving import Motion, Run
@@ -26,8 +26,8 @@ _MISSIONS = MissionSettings()
 _COLD_NS = 500_000_000
 
 SETTINGS = (
-    Setting("car", "2026", "Vehicle parameters to plan with.", choices=tuple(CARS)),
-    Setting(
+    NodeParameter("car", "2026", "Vehicle parameters to plan with.", choices=tuple(CARS)),
+    NodeParameter(
         "laps",
         _MISSIONS.trackdrive_laps,
         "Laps of a trackdrive. Takes effect with the next run.",
@@ -35,14 +35,14 @@ SETTINGS = (
         high=100,
         live=True,
     ),
-    Setting(
+    NodeParameter(
         "range_max_m",
         _PLANNER.range_max_m,
         "Cones further away are not used, in metres. Takes effect with the next run.",
         *PLANNER_RANGES["range_max_m"],
         live=True,
     ),
-    Setting(
+    NodeParameter(
         "horizon_m",
         _PLANNER.horizon_m,
         "How far to look for the lane, in metres. Takes effect with the next run.",

@@ -19,7 +19,7 @@ Level = Literal["info", "warning", "error"]
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ReportLine:
     text: str
     level: Level = "info"
 
@@ -32,10 +32,10 @@ class News:
         self._counts: dict[str, int] = {}
         self._said_ns: dict[str, int] = {}
 
-    def of(self, report: BridgeReport, whose_silence: Callable[[], str]) -> list[Line]:
+    def of(self, report: BridgeReport, whose_silence: Callable[[], str]) -> list[ReportLine]:
         """`whose_silence` is asked where the vehicle command is stale: it says which input is missing."""
         lines = [
-            Line(text, level)
+            ReportLine(text, level)
             for key, text, quiet, level in self._facts(report)
             if self._changed(key, text) and not quiet
         ]
@@ -48,7 +48,7 @@ class News:
                 continue
             detail = whose_silence() if slug == _STALE else report.reason_details.get(slug)
             text = words_of(slug) + (f" ({detail})" if detail else "") + (f" [{more} times]" if more > 1 else "")
-            lines.append(Line(text, "error" if slug in (_STALE, _LATE_LOOP) else "warning"))
+            lines.append(ReportLine(text, "error" if slug in (_STALE, _LATE_LOOP) else "warning"))
             self._counts[slug] = count
             self._said_ns[slug] = report.t_ns
         return lines

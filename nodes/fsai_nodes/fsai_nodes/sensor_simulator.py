@@ -16,13 +16,13 @@ from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import TrackError, load_track
 from fsai_nodes.clocks import Clocks
 from fsai_nodes.conversions import cones_to_msg
-from fsai_nodes.parameters import NodeError, Setting, Settings
+from fsai_nodes.parameters import NodeError, NodeParameter, Settings
 from fsai_nodes.qos import publisher
 
 _DEFAULT = SensorSettings()
 
 SETTINGS = (
-    Setting(
+    NodeParameter(
         "noise_level",
         _DEFAULT.noise_level,
         "Scales all imperfections of the sensor: noise, misses, false cones. 0 is a perfect sensor.",
@@ -30,8 +30,8 @@ SETTINGS = (
         high=10.0,
         live=True,
     ),
-    Setting("range_m", _DEFAULT.range_m, "How far the sensor sees, in metres.", low=2.0, high=50.0, live=True),
-    Setting(
+    NodeParameter("range_m", _DEFAULT.range_m, "How far the sensor sees, in metres.", low=2.0, high=50.0, live=True),
+    NodeParameter(
         "field_of_view_deg",
         _DEFAULT.field_of_view_deg,
         "Horizontal field of view in degrees.",
@@ -39,8 +39,8 @@ SETTINGS = (
         high=360.0,
         live=True,
     ),
-    Setting("rate_hz", 20.0, "How often the sensor looks, in Hz.", low=1.0, high=50.0),
-    Setting(
+    NodeParameter("rate_hz", 20.0, "How often the sensor looks, in Hz.", low=1.0, high=50.0),
+    NodeParameter(
         "truth_port",
         DEFAULT_PORT,
         "UDP port of the loopback on which the simulated car tells its true pose.",

@@ -43,8 +43,8 @@ from fsai_nodes.conversions import (
     state_to_msg,
 )
 from fsai_nodes.diagnosis import diagnostics_of
-from fsai_nodes.mission_goal import GoalError, Outcome, Waiting
-from fsai_nodes.parameters import NodeError, Setting, Settings
+from fsai_nodes.mission_goal import GoalError, GoalResult, Waiting
+from fsai_nodes.parameters import NodeError, NodeParameter, Settings
 from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
 from fsai_nodes.report_log import News
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
@@ -83,61 +83,67 @@ _TIMES = (
 )
 
 SETTINGS = (
-    Setting(
+    NodeParameter(
         "can_interface",
         "vcan0",
         "The bus: a SocketCAN interface such as can0, loopback:NAME (a stand-in on one machine), or KIND:CHANNEL.",
     ),
-    Setting("revision", "2026", "Revision of the car's CAN interface.", choices=tuple(REVISIONS)),
-    Setting("car", _SAME_AS_REVISION, "Vehicle parameters.", choices=(_SAME_AS_REVISION, *CARS)),
-    Setting("dbc_files", "", "DBC files to use instead of the revision's own, separated by commas. Empty: its own."),
-    Setting(
+    NodeParameter("revision", "2026", "Revision of the car's CAN interface.", choices=tuple(REVISIONS)),
+    NodeParameter("car", _SAME_AS_REVISION, "Vehicle parameters.", choices=(_SAME_AS_REVISION, *CARS)),
+    NodeParameter(
+        "dbc_files", "", "DBC files to use instead of the revision's own, separated by commas. Empty: its own."
+    ),
+    NodeParameter(
         "wheel_mapping",
         "",
         "Wheels whose sensors are wired to another wheel's input, such as fl=fr,fr=fl. Empty: as documented.",
     ),
-    Setting(
+    NodeParameter(
         "limits",
         "",
         "Operational limits: the path of a TOML file, or the limits themselves, such as max_speed_mps=5.0,"
         "max_axle_torque_nm=100,max_steer_deg=20. Empty: none but the car's.",
     ),
-    Setting(
+    NodeParameter(
         "listen_only",
         False,
         "Never send. (Sending anything energises the tractive system and arms the EBS.)",
     ),
-    Setting(
+    NodeParameter(
         "autonomous_at_power_up",
         False,
         "Enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF.",
     ),
-    Setting(
+    NodeParameter(
         "service_brake",
         "hydraulic",
         "How the car is held and stopped. motor: by the motors alone, for the official simulator, which takes every "
         "hydraulic request for an emergency.",
         choices=("hydraulic", "motor"),
     ),
-    Setting(
+    NodeParameter(
         "holding_brake_pct",
         _CONFIG.holding_brake_pct,
         "Brake that holds the car at rest.",
         *BRAKE_RANGES_PCT["holding_brake_pct"],
     ),
-    Setting(
+    NodeParameter(
         "stop_brake_pct", _CONFIG.stop_brake_pct, "Brake of a service-brake stop.", *BRAKE_RANGES_PCT["stop_brake_pct"]
     ),
     *(
-        Setting(f"{name}_ms", default_ns / 1e6, f"{words}, in ms.", low=10.0, high=2000.0)
+        NodeParameter(f"{name}_ms", default_ns / 1e6, f"{words}, in ms.", low=10.0, high=2000.0)
         for name, default_ns, words in _TIMES
     ),
-    Setting("real_time", True, "Ask for SCHED_FIFO and locked memory for the CAN loop; go on without when refused."),
-    Setting("publish_rate_hz", 50.0, "How often state, odometry and IMU are published, in Hz.", low=20.0, high=100.0),
-    Setting("imu_frame_id", "imu_link", "frame_id of /imu: the axes of the PCAN-GPS as it is mounted."),
-    Setting("gps_frame_id", "gps_link", "frame_id of /gps/fix."),
-    Setting("publish_tf", True, "Broadcast odom -> base_link, where tf2_ros is installed.", live=True),
-    Setting("autostart", True, "Configure and activate without being asked."),
+    NodeParameter(
+        "real_time", True, "Ask for SCHED_FIFO and locked memory for the CAN loop; go on without when refused."
+    ),
+    NodeParameter(
+        "publish_rate_hz", 50.0, "How often state, odometry and IMU are published, in Hz.", low=20.0, high=100.0
+    ),
+    NodeParameter("imu_frame_id", "imu_link", "frame_id of /imu: the axes of the PCAN-GPS as it is mounted."),
+    NodeParameter("gps_frame_id", "gps_link", "frame_id of /gps/fix."),
+    NodeParameter("publish_tf", True, "Broadcast odom -> base_link, where tf2_ros is installed.", live=True),
+    NodeParameter("autostart", True, "Configure and activate without being asked."),
 )
 
 
@@ -327,7 +333,7 @@ class VcuBridge(LifecycleNode):
         report = loop.report()
         now_ns = self._clocks.now_ns()
         self._publish_state(report, now_ns)
-        self._step_goals(report, now_ns, Outcome(False, "bridge_stopped", "vcu_bridge was stopped"))
+        self._step_goals(report, now_ns, GoalResult(False, "bridge_stopped", "vcu_bridge was stopped"))
 
     def _end_process(self) -> None:
         process, self._process = self._process, None
@@ -527,14 +533,14 @@ class VcuBridge(LifecycleNode):
         waiting = Waiting(goal.mission, goal.until, goal.timeout_s, self._clocks.now_ns())
         self._goals[bytes(handle.goal_id.uuid)] = _Following(handle, waiting)
 
-    def _step_goals(self, report: BridgeReport, now_ns: int, ending: Outcome | None = None) -> None:
+    def _step_goals(self, report: BridgeReport, now_ns: int, ending: GoalResult | None = None) -> None:
         for following in list(self._goals.values()):
             handle = following.handle
             if following.outcome is not None:
                 continue  # its result is being handed over
             outcome = ending
             if handle.is_cancel_requested:
-                outcome = Outcome(False, "cancelled", "cancelled; the car goes on as it was")
+                outcome = GoalResult(False, "cancelled", "cancelled; the car goes on as it was")
             if outcome is None:
                 outcome = following.waiting.step(report.run.as_state, _mission_shown(report), now_ns)
             if outcome is not None:
@@ -575,7 +581,7 @@ class _Following:
     handle: ServerGoalHandle
     waiting: Waiting
     feedback_due_ns: int = 0
-    outcome: Outcome | None = None
+    outcome: GoalResult | None = None
     report: BridgeReport | None = None
     ended_ns: int = 0
 

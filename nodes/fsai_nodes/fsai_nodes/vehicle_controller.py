@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from fsai_nodes.clocks import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
-from fsai_nodes.parameters import Setting, Settings
+from fsai_nodes.parameters import NodeParameter, Settings
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import CONTROLLER_RANGES, NO_SPEED_LIMIT_MPS, ControllerSettings
@@ -29,7 +29,7 @@ _SPEEDS = {  # by parameter: the setting, and where it holds
 
 SETTINGS = (
     *(
-        Setting(
+        NodeParameter(
             name,
             getattr(_DEFAULT, setting),
             f"Highest speed in m/s in {where}.",
@@ -38,9 +38,9 @@ SETTINGS = (
         )
         for name, (setting, where) in _SPEEDS.items()
     ),
-    Setting("car", "2026", "Vehicle parameters to control with.", choices=tuple(CARS)),
+    NodeParameter("car", "2026", "Vehicle parameters to control with.", choices=tuple(CARS)),
     # safety: /vehicle_cmd comes at 50 Hz or more
-    Setting("rate_hz", 50.0, "How often a command is sent, in Hz.", low=50.0, high=100.0),
+    NodeParameter("rate_hz", 50.0, "How often a command is sent, in Hz.", low=50.0, high=100.0),
 )
 
 

@@ -26,7 +26,7 @@ SAMPLED_S = 0.5
 OTHER_REVISION = "2021"
 
 
-def test_every_node_topic_and_service_has_the_name_that_people_expect(chain: Chain) -> None:
+def test_every_node_topic_and_service_has_its_name(chain: Chain) -> None:
     node = chain.operator.node
     expected = {
         "/raw_cones": "fsai_msgs/msg/ConeArray",
@@ -46,14 +46,14 @@ def test_every_node_topic_and_service_has_the_name_that_people_expect(chain: Cha
     assert "/emergency_brake" in services and "/reset" in services
 
 
-def test_an_unknown_mode_is_refused_with_the_valid_ones_and_nothing_else_happens(chain: Chain) -> None:
+def test_an_unknown_mode_is_refused_with_the_valid_ones(chain: Chain) -> None:
     accepted, message = chain.operator.set_mode("sport")
     assert not accepted
     assert "sport" in message and "manual" in message and "autonomous" in message
     chain.stack.check_alive(*NODES)
 
 
-def test_the_operators_commands_reach_the_bridge_and_say_what_it_says(
+def test_the_operators_verbs_show_the_bridges_answer(
     chain: Chain, verb: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
     status = verb("status", "--json")
@@ -65,7 +65,7 @@ def test_the_operators_commands_reach_the_bridge_and_say_what_it_says(
     assert refused.returncode == 1 and "autonomous" in refused.stderr and "manual" in refused.stderr
 
 
-def test_manual_while_driving_is_a_controlled_stop_that_ends_finished(chain: Chain) -> None:
+def test_manual_while_driving_is_a_controlled_stop(chain: Chain) -> None:
     with chain.car("manual") as run:
         chain.autonomous()
         chain.driving(run)
@@ -111,7 +111,7 @@ def no_reserved_id_and_every_handshake(frames: list[tuple[int, bytes]]) -> None:
     assert sum(a != b for a, b in itertools.pairwise(toggles)) > 1000, "the handshake stood still"
 
 
-def test_a_killed_planner_brings_the_car_to_rest_by_the_service_brake(chain: Chain) -> None:
+def test_a_killed_planner_is_a_service_brake_stop(chain: Chain) -> None:
     try:
         with chain.car("planner_killed") as run:
             chain.autonomous()
@@ -127,7 +127,7 @@ def test_a_killed_planner_brings_the_car_to_rest_by_the_service_brake(chain: Cha
     assert chain.wire is not None and chain.wire.ok, chain.wire
 
 
-def test_a_killed_bridge_is_an_emergency_stop_and_a_new_one_never_drives_on(chain: Chain) -> None:
+def test_a_killed_bridge_is_an_emergency_stop_for_good(chain: Chain) -> None:
     with chain.car("bridge_killed", auto=False) as run:
         chain.driven_by_hand(run)
         bridge = chain.stack.processes["vcu_bridge"]
@@ -144,7 +144,7 @@ def test_a_killed_bridge_is_an_emergency_stop_and_a_new_one_never_drives_on(chai
     assert chain.wire is not None and chain.wire.ok, chain.wire
 
 
-def test_the_emergency_brake_service_stops_the_car_at_once_and_stays_latched(chain: Chain) -> None:
+def test_the_emergency_brake_service_stops_and_stays_latched(chain: Chain) -> None:
     with chain.car("emergency_brake") as run:
         chain.autonomous()
         chain.driving(run)
@@ -158,7 +158,7 @@ def test_the_emergency_brake_service_stops_the_car_at_once_and_stays_latched(cha
     assert chain.wire is not None and chain.wire.ok, chain.wire
 
 
-def test_the_remote_emergency_stop_ends_a_run_whose_switches_a_person_works(chain: Chain) -> None:
+def test_the_remote_emergency_stop_ends_a_run(chain: Chain) -> None:
     """The new power-up also shows that the emergency request of before has been cleared by the car's power cycle."""
     with chain.car("remote_estop", auto=False) as run:
         chain.driven_by_hand(run)
@@ -169,7 +169,7 @@ def test_the_remote_emergency_stop_ends_a_run_whose_switches_a_person_works(chai
     assert chain.wire is not None and chain.wire.ok, chain.wire
 
 
-def test_a_car_of_another_revision_is_named_and_the_rules_are_kept_if_it_drives_all_the_same(chain: Chain) -> None:
+def test_a_car_of_another_revision_is_named_and_rules_are_kept(chain: Chain) -> None:
     with chain.car("other_revision", "--revision", OTHER_REVISION, auto=False) as run:
         run.type("on")
         chain.autonomous()

@@ -32,7 +32,7 @@ from fsai_hil.vcan.network import TX_QUEUE_FRAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.lock import holder_pid
@@ -160,7 +160,7 @@ def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
 
 
 @long
-def test_a_killed_controller_ends_torque_brakes_and_its_successor_does_not_drive_on(chain: Chain, drive: Wire) -> None:
+def test_a_killed_controller_is_a_stop_for_good(chain: Chain, drive: Wire) -> None:
     killed_ns = time.time_ns()
     chain.stack.processes["vehicle_controller"].signal(signal.SIGKILL)
     comes_to_rest(chain, AsState.AS_FINISHED)
@@ -176,7 +176,7 @@ def test_a_killed_controller_ends_torque_brakes_and_its_successor_does_not_drive
 @long
 @pytest.mark.parametrize("name", ["path_planner", "cone_detector", "sensor_simulator"])
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_without_fresh_data_the_car_is_braked_to_rest_and_what_comes_back_does_not_drive_on(
+def test_without_fresh_data_the_car_stops_for_good(
     chain: Chain, drive: Wire, name: str, number: signal.Signals
 ) -> None:
     """The controller goes on commanding; its commands carry the stamp of the oldest data behind them."""
@@ -299,7 +299,7 @@ def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: 
     assert not any(status.estop_request for status in until_finished)
 
 
-def test_a_second_bridge_refuses_to_start_with_one_line_and_the_first_goes_on(chain: Chain) -> None:
+def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain) -> None:
     second = chain.stack.start(
         "second_bridge",
         [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"],
@@ -318,9 +318,7 @@ def test_a_second_bridge_refuses_to_start_with_one_line_and_the_first_goes_on(ch
 
 
 @long
-def test_a_vcu_that_restarts_gets_zeros_and_drives_only_after_the_whole_sequence_anew(
-    chain: Chain, car: CarRun, drive: Wire
-) -> None:
+def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, car: CarRun, drive: Wire) -> None:
     car.vcu.signal(signal.SIGKILL)
     car.vcu.wait(STOP_S)
     chain.operator.await_state(lambda s: s.emergency and s.status_age_s > POWER_CYCLE_S, STOP_S, "the car is missed")
@@ -340,9 +338,7 @@ def test_a_vcu_that_restarts_gets_zeros_and_drives_only_after_the_whole_sequence
 # ---------------------------------------------------------------- the bus
 
 
-def test_a_stepped_wall_clock_means_nothing_but_somebody_elses_0x511_is_an_emergency_at_once(
-    chain: Chain, drive: Wire, interface: str
-) -> None:
+def test_a_clock_step_is_nothing_a_foreign_0x511_an_emergency(chain: Chain, drive: Wire, interface: str) -> None:
     if os.environ.get("FSAI_HIL_PLACE") == "uml":  # elsewhere it would be the clock of the whole machine
         for step_s in (3600, -7200, 3600):
             step_clock(step_s)
@@ -362,9 +358,7 @@ def test_a_stepped_wall_clock_means_nothing_but_somebody_elses_0x511_is_an_emerg
 
 
 @long
-def test_on_a_flooded_bus_cycles_are_dropped_and_counted_and_too_many_of_them_end_the_drive(
-    chain: Chain, drive: Wire, interface: str
-) -> None:
+def test_on_a_flooded_bus_dropped_cycles_are_counted_and_stop_it(chain: Chain, drive: Wire, interface: str) -> None:
     """A bus of 500 kbit/s, and somebody who sends as fast as he can. A queue has no arbitration: even ours wait."""
     before = chain.operator.diagnostics("loop")
     with flooded(interface):
@@ -391,9 +385,7 @@ def test_a_bus_that_is_busy_but_not_full_changes_nothing(chain: Chain, drive: Wi
 
 
 @long
-def test_a_bus_off_drops_the_command_and_the_car_is_at_rest_when_the_bus_is_back(
-    chain: Chain, drive: Wire, interface: str
-) -> None:
+def test_after_bus_off_the_car_is_at_rest(chain: Chain, drive: Wire, interface: str) -> None:
     """The controller's own error frame, as a socket hears it: both sides lose the bus, ours is back at once."""
     before = chain.operator.diagnostics("loop")
     off_ns = time.time_ns()
@@ -406,9 +398,7 @@ def test_a_bus_off_drops_the_command_and_the_car_is_at_rest_when_the_bus_is_back
     rules_kept(drive, lost_ns=off_ns + CYCLE_NS)
 
 
-def test_an_interface_that_goes_down_and_up_again_finds_a_car_that_has_stopped_itself(
-    chain: Chain, drive: Wire, interface: str
-) -> None:
+def test_after_an_interface_was_down_the_car_has_stopped(chain: Chain, drive: Wire, interface: str) -> None:
     ip("link", "set", interface, "down")
     down_ns = time.time_ns()
     try:
@@ -424,9 +414,7 @@ def test_an_interface_that_goes_down_and_up_again_finds_a_car_that_has_stopped_i
 
 
 @long
-def test_an_interface_that_is_unplugged_and_plugged_in_again_is_taken_up_again(
-    chain: Chain, drive: Wire, interface: str, results: Path
-) -> None:
+def test_an_interface_plugged_in_again_is_used_again(chain: Chain, drive: Wire, interface: str, results: Path) -> None:
     ip("link", "del", interface)
     unplugged_ns = time.time_ns()
     try:

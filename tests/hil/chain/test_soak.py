@@ -39,9 +39,7 @@ class Instant:
 Period = tuple[Instant, Instant]
 
 
-def test_missions_one_after_another_leave_memory_descriptors_threads_and_response_times_as_they_were(
-    chain: Chain, results: Path, stall_monitor: StallMonitor
-) -> None:
+def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_monitor: StallMonitor) -> None:
     """A mission that failed on a disturbed machine shows nothing: it is told and left out, and the next one counts."""
     minutes = float(os.environ.get("FSAI_HIL_SOAK_MINUTES", "0"))
     missions = 1 + math.ceil(60.0 * minutes / LAP_S)

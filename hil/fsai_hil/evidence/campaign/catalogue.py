@@ -18,7 +18,7 @@ from fsai_hil.evidence.campaign.demands import ANY, CAR_STOPS, MAY_STOP_ITSELF, 
 from fsai_hil.evidence.campaign.injections import Injection, Params
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, ShutdownCause
-from fsai_vcu.interface.images import Faults
+from fsai_vcu.interface.messages import FAULT_NAMES, Faults
 from fsai_vcu.interface.reserved import AI_IDS
 
 PATH_MISSIONS: Final = frozenset({Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE})
@@ -420,8 +420,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             (
                 "one_fault_bit",
                 "one fault bit",
-                lambda p: {"faults": Faults(**{p["bit"]: True})},
-                (one_of("bit", *(bit.name for bit in fields(Faults))),),
+                lambda p: {"faults": Faults(**{field: name == p["bit"] for field, name in FAULT_NAMES.items()})},
+                (one_of("bit", *FAULT_NAMES.values()),),
             ),
             (
                 "shutdown_cause",
@@ -684,16 +684,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         what="all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there",
         begin=i.every_wheel(i.offset),
         draws=(between("size", (400, 800)),),
-        demanded="as if none came: 100 ms service-brake stop, where it cannot be shown to stand ESTOP_REQUEST",
-        demand=always(
-            ends(
-                End.STOP,
-                End.ESTOP,
-                no_torque_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
-                brake_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
-                safe_ms=d.FEEDBACK_STALE_MS + d.STOP_MS + d.SLACK_MS,
-            )
-        ),
+        demanded="as if none came: 100 ms service-brake stop, 300 ms ESTOP_REQUEST",
+        demand=always(d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS)),
     ),
     FaultKind(
         name="wheels_stuck",

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import Any
 
-from fsai_hil.evidence.campaign.runner import AHEAD, Plan, Task, drive_batch
+from fsai_hil.evidence.campaign.runner import AHEAD, CampaignPlan, Task, drive_batch
 from fsai_hil.evidence.campaign.sources import digest
 
 CONNECT_TIMEOUT_S = 15.0
@@ -19,7 +19,7 @@ class ClusterError(Exception):
     """No cluster; the message is one clear line."""
 
 
-def on_cluster(address: str, plan: Plan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
+def on_cluster(address: str, plan: CampaignPlan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
     """Drive batches on the Dask cluster at `address` (of its scheduler); yields their lines as they come.
 
     Raises ClusterError where there is no Dask, or no cluster, or one of other sources.

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
+from fsai_vcu.interface.specification import COMMS_LOST_NS
+from fsai_vcu.interface.units import MS
+
 # Safety rules, graded reactions.
 COMMAND_STALE_MS: Final = 100
 COMMAND_LOST_MS: Final = 300
@@ -22,7 +25,7 @@ IMPLAUSIBLE_MS: Final = 300
 IMPLAUSIBLE_LOST_MS: Final = 600
 DECELERATION_MS: Final = 500  # of a service-brake stop: so long without a deceleration, and it is an emergency
 STOP_MS: Final = 3000  # a service-brake stop that lasts longer becomes an emergency
-CAR_PATIENCE_MS: Final = 100  # interface specification v4.0: AI_COMMS_LOST after 100 ms
+CAR_PATIENCE_MS: Final = COMMS_LOST_NS // MS
 
 # A reaction is decided in a 10 ms cycle, the fault may begin just after one, and at most 15 ms pass without 0x520.
 SLACK_MS: Final = 25

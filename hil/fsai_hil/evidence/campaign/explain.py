@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 
 from fsai_hil.evidence.campaign.cases import Case
 from fsai_hil.evidence.campaign.scenario import Scenario
-from fsai_hil.evidence.campaign.verdict import Verdict
+from fsai_hil.evidence.campaign.verdict import CaseVerdict
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.reasons import words_of
-
-MS = 1_000_000
+from fsai_vcu.interface.units import MS
 
 
 @dataclass(slots=True)
-class Story:
+class ScenarioNarrator:
     """Listens to a scenario; `lines` tells it. Times are relative to the fault."""
 
     case: Case
@@ -82,7 +81,7 @@ class Story:
     def _say(self, t_ns: int, text: str) -> None:
         self._events.append((t_ns, text))
 
-    def lines(self, scenario: Scenario, verdict: Verdict, *, everything: bool = False) -> list[str]:
+    def lines(self, scenario: Scenario, verdict: CaseVerdict, *, everything: bool = False) -> list[str]:
         """What happened from shortly before the fault on, and the verdict."""
         fault_ns = scenario.fault_ns
         told = []

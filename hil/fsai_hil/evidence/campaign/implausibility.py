@@ -12,8 +12,7 @@ from fsai_hil.evidence.campaign.observation import Observation
 from fsai_hil.rules.wheels import Belief, Wheels
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import AsState
-
-MS: Final = 1_000_000
+from fsai_vcu.interface.units import MS
 
 # The official simulator's steering: 50 ms dead time, 40 deg/s (the true rate was never published), 0.9 deg play.
 STEER_DEAD_NS: Final = 50 * MS

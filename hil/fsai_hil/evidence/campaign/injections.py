@@ -34,9 +34,8 @@ from fsai_vcu.core.driving import ConeColor, ConeObservation, Plan
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.reserved import AI_IDS
-
-MS: Final = 1_000_000
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.units import MS
 
 Params = Mapping[str, Any]
 
@@ -57,10 +56,10 @@ Injection = Callable[[Lockstep, Params, int], Injected]
 
 # ---------------------------------------------------------------- the wire
 
-STATUS, DRIVE_F, DRIVE_R, STEER, BRAKE, SPEEDS, COUNTS = range(0x520, 0x527)
+STATUS, DRIVE_F, DRIVE_R, STEER, BRAKE, SPEEDS, COUNTS = VCU_IDS
 LOGS: Final = frozenset({0x120, 0x500, 0x502})
 GPS_IDS: Final = frozenset(range(0x600, 0x641))
-FROM_CAR: Final = frozenset({*LOGS, *range(0x520, 0x527)})
+FROM_CAR: Final = frozenset({*LOGS, *VCU_IDS})
 AI_STATUS, AI_DRIVE_F, AI_DRIVE_R, AI_STEER, AI_BRAKE = AI_IDS
 
 WireFault = Callable[[Window, Params], FrameFault]
@@ -173,14 +172,11 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     wire = rig.world.vcu.outgoing
     inverted = FlipBits(Window(frozenset({STATUS})), b"\x01")
 
-    class Wild:
+    class Wild(FrameFault):
         def frames(self, frame: Frame) -> Iterable[Frame]:
             if p["way"] == "random" and rng.random() < 0.5:
                 return (frame,)
             return inverted.frames(frame)
-
-        def uncalled(self, to_ns: int) -> Iterable[Frame]:
-            return ()
 
     made = Wild()
     wire.add(made)
@@ -193,7 +189,7 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     name = f"{p['wheel']}_rpm"
     seen = 0
 
-    class Spikes:
+    class Spikes(FrameFault):
         def frames(self, frame: Frame) -> Iterable[Frame]:
             nonlocal seen
             if frame.can_id != SPEEDS:
@@ -204,9 +200,6 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
                 return (frame,)
             spike = 1250 if getattr(image, name) < 600 else 0
             return (replace(frame, data=codec.encode(replace(image, **{name: spike})).data),)  # type: ignore[arg-type]
-
-        def uncalled(self, to_ns: int) -> Iterable[Frame]:
-            return ()
 
     made = Spikes()
     wire.add(made)

@@ -13,7 +13,7 @@ from typing import Final
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_vcu.interface.enums import AsState, MissionStatus
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import (
+from fsai_vcu.interface.messages import (
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -23,8 +23,8 @@ from fsai_vcu.interface.images import (
     WheelCounts,
     WheelSpeeds,
 )
+from fsai_vcu.interface.units import MS
 
-MS: Final = 1_000_000
 LOOK_NS: Final = 10 * MS
 MOVING_RPM: Final = 10.0  # interface specification v4.0: under it a wheel stands
 MOVING_MPS: Final = 0.25

@@ -30,7 +30,7 @@ Task = tuple[bool, int]  # full-length or not, and the case's number
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CampaignPlan:
     """What a campaign consists of."""
 
     seed: int
@@ -70,7 +70,7 @@ def _begin_worker(parent: int) -> None:
     os.nice(PRIORITY)
 
 
-def drive_batch(plan: Plan, tasks: Sequence[Task]) -> list[dict[str, Any]]:
+def drive_batch(plan: CampaignPlan, tasks: Sequence[Task]) -> list[dict[str, Any]]:
     """The lines of some cases. Each process keeps its snapshots between batches."""
     global _snapshots
     if _snapshots is None:
@@ -85,7 +85,7 @@ def drive_batch(plan: Plan, tasks: Sequence[Task]) -> list[dict[str, Any]]:
     return lines
 
 
-def batches(plan: Plan, tasks: Iterable[Task]) -> list[list[Task]]:
+def batches(plan: CampaignPlan, tasks: Iterable[Task]) -> list[list[Task]]:
     """Tasks in the order in which a worker uses few different snapshots at a time, in batches."""
 
     def place(task: Task) -> tuple[object, ...]:
@@ -98,7 +98,7 @@ def batches(plan: Plan, tasks: Iterable[Task]) -> list[list[Task]]:
     return [ordered[at : at + BATCH] for at in range(0, len(ordered), BATCH)]
 
 
-def in_processes(plan: Plan, work: Sequence[Sequence[Task]], jobs: int) -> Iterator[list[dict[str, Any]]]:
+def in_processes(plan: CampaignPlan, work: Sequence[Sequence[Task]], jobs: int) -> Iterator[list[dict[str, Any]]]:
     """Drive batches in `jobs` processes of this machine; yields their lines as they come."""
     if jobs == 1:
         for tasks in work:
@@ -149,9 +149,9 @@ class Pace:
 
 
 def campaign(
-    plan: Plan,
+    plan: CampaignPlan,
     writer: Writer,
-    spread: Callable[[Plan, Sequence[Sequence[Task]]], Iterator[list[dict[str, Any]]]],
+    spread: Callable[[CampaignPlan, Sequence[Sequence[Task]]], Iterator[list[dict[str, Any]]]],
     progress: Callable[[Pace, Sequence[dict[str, Any]]], None] | None = None,
 ) -> None:
     """Drive what the record does not hold yet. `spread` is where: `in_processes`, or a cluster."""

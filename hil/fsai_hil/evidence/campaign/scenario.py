@@ -10,14 +10,14 @@ from typing import Any, Final
 from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.injections import Injected
 from fsai_hil.evidence.campaign.observation import Observation, Observer
-from fsai_hil.evidence.campaign.verdict import SUPERVISED_MS, Verdict, as_record, judge
+from fsai_hil.evidence.campaign.verdict import SUPERVISED_MS, CaseVerdict, as_record, judge
 from fsai_hil.simulator.judge import JudgeSettings
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS
 
-MS: Final = 1_000_000
 WINDOW_MS: Final = 10_000  # how long a run from a snapshot lasts
 AFTERMATH_MS: Final = 4_200  # so long after a fault begins, or ends, all that the rules demand has happened
 DRIVING_MS: Final = 1_500  # a car that has torque so long after a fault is over drives on
@@ -168,7 +168,7 @@ class Scenario:
         clear_ms = DRIVING_MS if self._duration_ms is not None else DRIVING_ALONG_MS
         return now_ns >= end_ns + clear_ms * MS and bool(self.seen.cycles) and self.seen.cycles[-1].torque_nm > 0.0
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> CaseVerdict:
         rig, seen = self.rig, self.seen
         seen.ran_out = rig.now_ns - self._began_ns >= self._longest_ms * MS
         seen.left_course = max(0, rig.world.judge.verdict().off_course - self._left_course)

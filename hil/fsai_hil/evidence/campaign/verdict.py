@@ -12,14 +12,14 @@ from fsai_hil.evidence.campaign.implausibility import Streak, count_streaks, ste
 from fsai_hil.evidence.campaign.observation import Observation
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.units import MS
 
-MS: Final = 1_000_000
 SUPERVISED_MS: Final = 3000  # safety rules: supervision starts 3 s into AS_DRIVING
 PARKED: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY})
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class CaseVerdict:
     """`faults` is empty when the run is as the rules demand. Times in ms from the fault; None: there was none."""
 
     end: End
@@ -61,7 +61,7 @@ class _Seen:
 
 def judge(
     case: Case, seen: Observation, fault_ns: int | None, violations: Sequence[str], crashes: Sequence[str] = ()
-) -> Verdict:
+) -> CaseVerdict:
     """Judge a run in which the fault began at `fault_ns` (None: its moment never came).
 
     `crashes` are processes of ours that ended by an exception: no fault may do that to them, whatever the car makes of
@@ -74,7 +74,7 @@ def judge(
     if fault_ns is None:
         end = _end(seen, _since(seen, 0), 0, seen.mission_over_ns)
         wrong += [end.words] if end is End.UNSAFE else []
-        return Verdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
+        return CaseVerdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
     found = _since(seen, fault_ns)
     over_ns = seen.mission_over_ns
     if not demand.own_word and over_ns is not None and over_ns > fault_ns:
@@ -110,7 +110,7 @@ def judge(
         wrong.append(end.words)
     if applies and demand is NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
-    return Verdict(
+    return CaseVerdict(
         end,
         reaction,
         _ms(reaction_ns, onset_ns),
@@ -163,27 +163,35 @@ def _since(seen: Observation, fault_ns: int) -> _Seen:
 def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) -> End:
     """How the run ended; `over_ns`: when the controller said by itself that the mission is over."""
     last = seen.states[-1][1]
+    over = over_ns is not None
     idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
-    if _unsafe(seen, last, idle, over_ns):
-        return End.UNSAFE
-    if found.emergency_ns is not None:
-        by_us = found.estop_ns is not None and found.estop_ns <= found.emergency_ns
-        if by_us and over_ns is not None and found.estop_ns is not None and over_ns <= found.estop_ns:
-            return End.ON  # the mission ends so
-        return End.ESTOP if by_us else End.SELF
-    if found.finished_ns is not None:
-        return End.ON if over_ns is not None and over_ns <= found.finished_ns else End.STOP
-    if last is AsState.AS_DRIVING:
-        if over_ns is not None and found.finished_ns is None and found.estop_ns is None:
-            return End.ON  # it stands because the mission is done, and has yet to say FINISHED
-        drove = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
-        return End.HELD if drove and idle and found.rest_ns is not None else End.ON
-    if last in PARKED:
-        drove = any(state is AsState.AS_DRIVING for _, state in seen.states)
-        return End.OFF if drove else End.NOT_STARTED
-    if last is AsState.AS_FINISHED:
-        return End.ON if over_ns is not None else End.STOP
-    return End.ON if over_ns is not None else End.SELF  # in EMERGENCY_BRAKE since before the fault
+    emergency, finished = found.emergency_ns is not None, found.finished_ns is not None
+    by_us = emergency and _by(found.estop_ns, found.emergency_ns)
+    driving = last is AsState.AS_DRIVING
+    had_torque = any(cycle.torque_nm > 0.0 for cycle in seen.cycles if cycle.t_ns <= fault_ns)
+    had_driven = any(state is AsState.AS_DRIVING for _, state in seen.states)
+    ends = (
+        (_unsafe(seen, last, idle, over_ns), End.UNSAFE),
+        (by_us and _by(over_ns, found.estop_ns), End.ON),  # the mission ends so
+        (by_us, End.ESTOP),
+        (emergency, End.SELF),
+        (finished and _by(over_ns, found.finished_ns), End.ON),
+        (finished, End.STOP),
+        (driving and over and found.estop_ns is None, End.ON),  # it stands, the mission done, and has yet to say so
+        (driving and had_torque and idle and found.rest_ns is not None, End.HELD),
+        (driving, End.ON),
+        (last in PARKED and had_driven, End.OFF),
+        (last in PARKED, End.NOT_STARTED),
+        (over, End.ON),
+        (last is AsState.AS_FINISHED, End.STOP),
+    )
+    # Else it has been in EMERGENCY_BRAKE since before the fault.
+    return next((end for holds, end in ends if holds), End.SELF)
+
+
+def _by(t_ns: int | None, other_ns: int | None) -> bool:
+    """Whether both happened, the first no later than the other."""
+    return t_ns is not None and other_ns is not None and t_ns <= other_ns
 
 
 def _unsafe(seen: Observation, last: AsState, idle: bool, over_ns: int | None) -> bool:
@@ -300,7 +308,7 @@ def _moved_too_early(seen: Observation) -> list[str]:
     return [] if early is None else [f"the car moved at {early / 1e9:.2f} s, before it may"]
 
 
-def as_record(case: Case, verdict: Verdict, extra: Mapping[str, Any]) -> dict[str, Any]:
+def as_record(case: Case, verdict: CaseVerdict, extra: Mapping[str, Any]) -> dict[str, Any]:
     """One line of the record."""
     return {
         "index": case.index,

@@ -9,75 +9,28 @@ import os
 import random
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from fsai_hil.evidence.mutation import document, explained, trial
-from fsai_hil.evidence.mutation.explained import Judgement, Key, judge
-from fsai_hil.evidence.mutation.operators import Mutant
-from fsai_hil.evidence.mutation.trial import Baseline, Verdict
+from fsai_hil import CHECKOUT
+from fsai_hil.evidence.mutation import explained, trial
+from fsai_hil.evidence.mutation.mutants import Key, Mutant
 
 EXAMPLE = "example: python -m fsai_hil.evidence.mutation --only gate._steering --jobs 1"
+HEADS = ("mutants", "killed", "equivalent", "survived", "score")
 
 _EVERY_S = 10.0  # progress
 
 
-def digest_of(sources: Iterable[Path]) -> str:
-    """Changes with the text of any of these files."""
+def _digest() -> str:
+    """Changes with the text of any source or test that a verdict depends on."""
+    vcu, tests = CHECKOUT / "fsai_vcu", CHECKOUT / "tests" / "core"
+    sources = [*(vcu / "core").rglob("*.py"), *(vcu / "interface").rglob("*.py"), *Path(__file__).parent.glob("*.py")]
+    sources += [tests / name for name in (*trial.KILLERS, "supervision_rig.py")]
     total = hashlib.sha256()
     for path in sorted(sources):
         total.update(path.name.encode() + b"\0" + path.read_bytes())
     return total.hexdigest()[:12]
-
-
-def _digest() -> str:
-    root = trial.root()
-    tests = root / "tests" / "core"
-    return digest_of(
-        [
-            *(root / "fsai_vcu" / "core").rglob("*.py"),
-            *(root / "fsai_vcu" / "interface").rglob("*.py"),
-            *(tests / name for name in trial.KILLERS),
-            tests / "supervision_rig.py",
-            *Path(__file__).parent.glob("*.py"),
-        ]
-    )
-
-
-class _Record:
-    """Verdicts on disk, line by line. One of the same sources is taken up again; of others it only remembers which
-    test killed a mutant, so that this test is asked first.
-    """
-
-    def __init__(self, path: Path, digest: str, *, fresh: bool) -> None:
-        self.done: dict[Key, Verdict] = {}
-        self.hints: dict[Key, str] = {}
-        lines = path.read_text().splitlines() if path.exists() else []
-        same = bool(lines) and json.loads(lines[0]) == {"digest": digest} and not fresh
-        for line in lines[1:]:
-            try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:
-                continue  # cut short by the end of a process
-            place, minus, plus, nth = entry["mutant"]
-            verdict = Verdict(**entry["verdict"])
-            self.hints[place, minus, plus, nth] = verdict.killer
-            if same:
-                self.done[place, minus, plus, nth] = verdict
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("a" if same else "w")
-        if not same:
-            print(json.dumps({"digest": digest}), file=self._file, flush=True)
-
-    def add(self, mutant: Mutant, verdict: Verdict) -> None:
-        entry = {
-            "mutant": mutant.key,
-            "verdict": {"outcome": verdict.outcome, "killer": verdict.killer, "cpu_s": round(verdict.cpu_s, 2)},
-        }
-        print(json.dumps(entry), file=self._file, flush=True)
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -92,110 +45,98 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--fresh", action="store_true", help="begin anew, though the same sources were tried before")
     parser.add_argument("--record", type=Path, help="where verdicts are kept (default: out/mutation/record.jsonl)")
-    parser.add_argument("--document", action="store_true", help=f"write {document.DOCUMENT} if everything holds")
+    parser.add_argument("--document", action="store_true", help=f"write {explained.DOCUMENT} if everything holds")
     return parser
 
 
-def _chosen(mutants: Sequence[Mutant], known: Iterable[Key], options: argparse.Namespace, digest: str) -> list[Mutant]:
-    chosen = list(mutants)
-    if options.only:
-        chosen = [m for m in chosen if any(m.place == name or m.place.startswith(f"{name}.") for name in options.only)]
-        if not chosen:
-            places = ", ".join(sorted({mutant.place for mutant in mutants}))
-            raise SystemExit(f"no mutant in {', '.join(options.only)}: the places are {places}")
+def _chosen(mutants: Sequence[Mutant], listed: dict[Key, str], options: argparse.Namespace, seed: str) -> list[Mutant]:
+    chosen = [m for m in mutants if not options.only or any(f"{m.place}.".startswith(f"{n}.") for n in options.only)]
+    if not chosen:
+        places = ", ".join(sorted({mutant.place for mutant in mutants}))
+        raise SystemExit(f"no mutant in {', '.join(options.only)}: the places are {places}")
     if options.sample is not None:
         # Those that are known to survive cost all tests and tell nothing new.
-        equivalent = set(known)
-        chosen = [mutant for mutant in chosen if mutant.key not in equivalent]
-        seed = options.seed or digest
+        chosen = [mutant for mutant in chosen if mutant.key not in listed]
         chosen = random.Random(seed).sample(chosen, min(options.sample, len(chosen)))
         print(f"a sample of {len(chosen)}, drawn by --seed {seed}", flush=True)
     return chosen
 
 
-def _try_all(
-    baseline: Baseline, sources: dict[str, str], mutants: Sequence[Mutant], record: _Record, jobs: int
-) -> list[tuple[Mutant, Verdict]]:
-    results = [(mutant, record.done[mutant.key]) for mutant in mutants if mutant.key in record.done]
+def _try(
+    baseline: trial.Baseline, sources: dict[str, str], chosen: list[Mutant], options: argparse.Namespace, digest: str
+) -> list[tuple[Mutant, str]]:
+    """Every mutant with its killer, on disk line by line: a run of the same sources goes on where one was stopped."""
+    path = (options.record or CHECKOUT / "out" / "mutation" / "record.jsonl").resolve()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = path.read_text().splitlines(keepends=True) if path.exists() and not options.fresh else []
+    head = json.dumps({"digest": digest}) + "\n"
+    known = [json.loads(line) for line in lines[1:] if line.endswith("\n")] if lines[:1] == [head] else []
+    done = {(place, minus, plus, nth): killer for (place, minus, plus, nth), killer in known}
+    results = [(mutant, done[mutant.key]) for mutant in chosen if mutant.key in done]
     if results:
         print(f"{len(results)} were tried before and are not tried again", flush=True)
-    waiting = [mutant for mutant in mutants if mutant.key not in record.done]
     began = said = time.monotonic()
-    survived = count = 0
+    waiting = [mutant for mutant in chosen if mutant.key not in done]
+    count = 0
+    with path.open("w") as record:
+        record.write("".join([head, *(json.dumps(each) + "\n" for each in known)]))
 
-    def report(mutant: Mutant, verdict: Verdict) -> None:
-        nonlocal said, survived, count
-        record.add(mutant, verdict)
-        results.append((mutant, verdict))
-        survived += verdict.outcome in (trial.SURVIVED, trial.UNREACHED)
-        count += 1
-        now = time.monotonic()
-        if now - said >= _EVERY_S:
-            said = now
-            left_s = (now - began) / count * (len(waiting) - count)
-            print(f"{count} of {len(waiting)}, {survived} survive, {left_s / 60.0:.0f} min left", flush=True)
+        def report(mutant: Mutant, killer: str) -> None:
+            nonlocal said, count
+            print(json.dumps([mutant.key, killer]), file=record, flush=True)
+            results.append((mutant, killer))
+            count += 1
+            if (now := time.monotonic()) - said >= _EVERY_S:
+                said = now
+                left_min = (now - began) / count * (len(waiting) - count) / 60.0
+                survive = sum(not killer for _, killer in results)
+                print(f"{count} of {len(waiting)}, {survive} survive, {left_min:.0f} min left", flush=True)
 
-    trial.try_all(baseline, sources, waiting, record.hints, jobs, report)
+        trial.try_all(baseline, sources, waiting, options.jobs, report)
     return results
 
 
-def _print_figures(judgements: dict[str, Judgement], every: Judgement) -> None:
-    heads = f"{'mutants':>8} {'killed':>8} {'timed out':>10} {'equivalent':>11} {'survived':>9} {'score':>9}"
-    print(f"\n{'module':14} {heads}")
-    for name, one in (*judgements.items(), ("in all", every)):
-        print(
-            f"{name.rpartition('.')[2]:14} {one.tried:8} {one.killed:8} {one.timed_out:10} {len(one.explained):11} "
-            f"{len(one.unexplained):9} {document.score(one):>9}"
-        )
-    if every.tried:
-        print(
-            f"\n{every.caught} of {every.tried} mutants killed, {100.0 * every.caught / every.tried:.2f} %; "
-            f"of those that are not equivalent, {document.score(every)}"
-        )
+def _shown(mutant: Mutant) -> str:
+    lines = [f"{mutant.place}, line {mutant.lines[0]}: {mutant.operator}"]
+    lines += [f"    - {line}" for line in mutant.minus.splitlines()]
+    return "\n".join([*lines, *(f"    + {line}" for line in mutant.plus.splitlines() or ["(nothing)"])])
 
 
 def _run(options: argparse.Namespace) -> int:
-    path = (options.record or trial.root() / "out" / "mutation" / "record.jsonl").resolve()
     trial.warm_up()
     digest = _digest()
     listed = explained.load()
     sources = trial.sources()
-    mutants = trial.in_child(lambda: trial.mutants(sources))
-    gone = explained.stale(listed, mutants)
+    mutants = trial.mutants(sources)
+    gone = listed.keys() - {mutant.key for mutant in mutants}
     for place, minus, plus, nth in gone:
         print(f"{explained.LIST} explains what is no mutant any more: {place} ({nth})\n    - {minus}\n    + {plus}")
-    chosen = _chosen(mutants, listed, options, digest)
+    chosen = _chosen(mutants, listed, options, options.seed or digest)
 
     print(f"{len(chosen)} mutants; the tests on the code as it is …", flush=True)
     baseline = trial.measure()
     if baseline.failed:
         print(f"a test fails on the code as it is: {baseline.failed}", file=sys.stderr)
         return 1
-    cpu_s = sum(baseline.seconds.values())
-    print(f"{len(baseline.seconds)} tests, {cpu_s:.0f} s of CPU time", flush=True)
+    print(f"{len(baseline.seconds)} tests, {sum(baseline.seconds.values()):.0f} s of CPU time", flush=True)
     for place in baseline.missing:
         print(f"not covered: {place}")
     if not baseline.missing:
         print(f"every line and branch of {', '.join(trial.COVERED)} is reached", flush=True)
 
-    record = _Record(path, digest, fresh=options.fresh)
-    try:
-        results = _try_all(baseline, sources, chosen, record, options.jobs)
-    finally:
-        record.close()
-    every = judge(results, listed)
-    judgements = {name: judge([r for r in results if r[0].module == name], listed) for name in sources}
-    _print_figures(judgements, every)
+    results = _try(baseline, sources, chosen, options, digest)
+    every = explained.judge(results, listed)
+    judgements = {name: explained.judge([r for r in results if r[0].module == name], listed) for name in sources}
+    for name, row in (("module", HEADS), *((name, one.row) for name, one in judgements.items()), ("in all", every.row)):
+        print(f"{name.rpartition('.')[2]:14} " + " ".join(f"{cell:>10}" for cell in row))
     for mutant in every.unexplained:
-        print(f"\nSURVIVED: {mutant.shown()}")
+        print(f"\nSURVIVED: {_shown(mutant)}")
     for mutant in every.wrongly_explained:
-        print(f"\n{explained.LIST} calls it equivalent, but a test kills it: {mutant.shown()}")
-    holds = every.holds and not gone and not baseline.missing
+        print(f"\n{explained.LIST} calls it equivalent, but a test kills it: {_shown(mutant)}")
+    holds = not (every.unexplained or every.wrongly_explained or gone or baseline.missing)
     if options.document and holds and len(chosen) == len(mutants):
-        page = trial.root() / document.DOCUMENT
-        page.parent.mkdir(parents=True, exist_ok=True)
-        page.write_text(document.written(judgements, mutants, listed, digest))
-        print(f"written: {document.DOCUMENT}")
+        (CHECKOUT / explained.DOCUMENT).write_text(explained.page(judgements, mutants, listed, digest))
+        print(f"written: {explained.DOCUMENT}")
     return 0 if holds else 1
 
 

@@ -1,4 +1,4 @@
-"""The survivors that no test can kill, each with the reason; and the judgement on a run.
+"""The survivors that no test can kill, each with the reason; the judgement on a run; and the page that says both.
 
 An entry of `tests/evidence/survivors.toml` names a mutant by its place and its lines, not by line numbers, so that it
 stays true while the code around it moves and fails when the code itself changes.
@@ -7,16 +7,17 @@ stays true while the code around it moves and fails when the code itself changes
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from fsai_hil.evidence.mutation.operators import Mutant
-from fsai_hil.evidence.mutation.trial import KILLED, TIMED_OUT, Verdict, root
-
-Key = tuple[str, str, str, int]
+from fsai_hil import CHECKOUT
+from fsai_hil.evidence.mutation.mutants import Key, Mutant
+from fsai_hil.evidence.mutation.trial import KILLERS
 
 LIST = Path("tests/evidence/survivors.toml")
+DOCUMENT = Path("docs/evidence/mutation.md")
 
 _FIELDS = {"where", "minus", "plus", "nth", "why"}
 
@@ -25,18 +26,16 @@ class ListError(ValueError):
     """The list of explained survivors cannot be used."""
 
 
-def load(path: Path | None = None) -> dict[Key, str]:
+def load(path: Path = CHECKOUT / LIST) -> dict[Key, str]:
     """Mutant -> why no test can tell it from the code as it is. `plus` may list several that share a reason."""
-    text = (path or root() / LIST).read_text()
     explained: dict[Key, str] = {}
-    for number, entry in enumerate(tomllib.loads(text).get("survivor", []), start=1):
+    for number, entry in enumerate(tomllib.loads(path.read_text()).get("survivor", []), start=1):
         unknown, lacking = entry.keys() - _FIELDS, _FIELDS - {"nth"} - entry.keys()
         if unknown or lacking:
             raise ListError(f"survivor {number}: unknown {sorted(unknown)}, missing {sorted(lacking)}")
         if len(entry["why"].split()) < 5:
             raise ListError(f"survivor {number}: why is {entry['why']!r}: a reason is a sentence")
-        pluses = entry["plus"] if isinstance(entry["plus"], list) else [entry["plus"]]
-        for plus in pluses:
+        for plus in entry["plus"] if isinstance(entry["plus"], list) else [entry["plus"]]:
             key = (entry["where"], _lines(entry["minus"]), _lines(plus), entry.get("nth", 1))
             if key in explained:
                 raise ListError(f"survivor {number}: {key} is listed twice")
@@ -48,46 +47,91 @@ def _lines(text: str) -> str:
     return "\n".join(line.strip() for line in text.strip().splitlines())
 
 
-def stale(explained: Mapping[Key, str], mutants: Iterable[Mutant]) -> list[Key]:
-    """Entries that name no mutant of the code as it is now."""
-    known = {mutant.key for mutant in mutants}
-    return [key for key in explained if key not in known]
-
-
 @dataclass(slots=True)
 class Judgement:
     """What a run shows."""
 
-    killed: int
-    timed_out: int
-    explained: list[Mutant]
-    unexplained: list[Mutant]
-    wrongly_explained: list[Mutant]  # a test kills it: it is not equivalent
+    killed: int = 0
+    explained: list[Mutant] = field(default_factory=list)
+    unexplained: list[Mutant] = field(default_factory=list)
+    wrongly_explained: list[Mutant] = field(default_factory=list)  # a test kills it: it is not equivalent
 
     @property
-    def tried(self) -> int:
-        return self.killed + self.timed_out + len(self.explained) + len(self.unexplained)
-
-    @property
-    def caught(self) -> int:
-        return self.killed + self.timed_out
-
-    @property
-    def holds(self) -> bool:
-        return not (self.unexplained or self.wrongly_explained)
+    def row(self) -> tuple[str, ...]:
+        """Mutants, killed, equivalent, survived, killed of those that can be."""
+        able = self.killed + len(self.unexplained)
+        figures = (able + len(self.explained), self.killed, len(self.explained), len(self.unexplained))
+        return (*map(str, figures), f"{100.0 * self.killed / able:.2f} %" if able else "-")
 
 
-def judge(results: Iterable[tuple[Mutant, Verdict]], explained: Mapping[Key, str]) -> Judgement:
+def judge(results: Iterable[tuple[Mutant, str]], explained: Mapping[Key, str]) -> Judgement:
     """Killed, explained, or missing a test."""
-    judgement = Judgement(0, 0, [], [], [])
-    for mutant, verdict in results:
-        if verdict.outcome in (KILLED, TIMED_OUT):
-            judgement.killed += verdict.outcome == KILLED
-            judgement.timed_out += verdict.outcome == TIMED_OUT
+    judgement = Judgement()
+    for mutant, killer in results:
+        if killer:
+            judgement.killed += 1
             if mutant.key in explained:
                 judgement.wrongly_explained.append(mutant)
-        elif mutant.key in explained:
-            judgement.explained.append(mutant)
         else:
-            judgement.unexplained.append(mutant)
+            (judgement.explained if mutant.key in explained else judgement.unexplained).append(mutant)
     return judgement
+
+
+_HEAD = """# Do the tests notice? Mutation testing of supervisor and gate
+
+Generated by `make mutation`; not edited by hand.
+
+A mutant is the code with one small mistake in it: a `<` that became `<=`, a time that is 1 ns longer, a condition that
+is always true, a row or a field that is missing, a neighbour's enum member, a bound that no longer counts. A mutant is
+killed when a test of `tests/core` fails. One that survives is a missing test or dead code, unless nobody can tell it
+from the code as it is: those are listed below with the reason.
+
+Lines and branches that no test takes fail the same command: it demands 100 % of both for `core/supervision`,
+`core/bridge.py` and `core/limits.py`, and no comment in the code can switch a line off.
+
+## Figures
+"""
+
+
+def page(judgements: Mapping[str, Judgement], mutants: Iterable[Mutant], why: Mapping[Key, str], digest: str) -> str:
+    """The whole document."""
+    rows = [f"| `{name.rpartition('.')[2]}` | {' | '.join(one.row)} |" for name, one in judgements.items()]
+    kinds = Counter(mutant.operator for mutant in mutants)
+    return "\n".join(
+        (
+            _HEAD,
+            f"Of the sources and tests with the digest `{digest}`.",
+            "",
+            "| module | mutants | killed | equivalent | survived | killed of those that can be |",
+            "|---|---|---|---|---|---|",
+            *rows,
+            "",
+            "The mistakes: " + ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())) + ".",
+            "",
+            "The tests: " + ", ".join(f"`{name}`" for name in KILLERS) + ".",
+            "",
+            "## Equivalent mutants",
+            "",
+            listed(why),
+        )
+    )
+
+
+def listed(explained: Mapping[Key, str]) -> str:
+    """The survivors with their reasons, grouped by reason."""
+    reasons: dict[tuple[str, str], list[Key]] = {}
+    for key, why in explained.items():
+        reasons.setdefault((key[0], why), []).append(key)
+    parts = []
+    for (place, why), keys in reasons.items():
+        lines: list[str] = []
+        before = ""
+        for _, minus, plus, nth in keys:
+            if minus != before:
+                lines += [f"- {line}" for line in minus.splitlines()]
+            before = minus
+            lines += [f"+ {line}" for line in plus.splitlines() or ["(nothing)"]]
+            if nth > 1:
+                lines[-1] += f"    (place {nth} of this line)"
+        parts.append("\n".join((f"### {place}", "", why, "", "```diff", *lines, "```", "")))
+    return "\n".join(parts)

@@ -9,19 +9,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from fsai_hil.simulator.as_machine import STANDING_RPM
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.images import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus, WheelSpeeds
+from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
 
 CODEC = Codec(revision("2026"))
 HOUR_NS = 3600 * 1_000_000_000
 AI_STATUS = min(AI_IDS)
 _VCU_STATUS, _WHEELS = 0x520, 0x525
-_COMMS_LOST_NS = 100_000_000  # interface specification v4.0: AI_COMMS_LOST
 _BUFFER_BYTES = 16 << 20
 _POLL_S = 0.05
 
@@ -103,7 +102,7 @@ class BusWatch:
         self._reading.close()
 
 
-class Car:
+class CarService:
     """The simulated car as a service whose switches are typed."""
 
     def __init__(self, unit: str, fifo: Path) -> None:
@@ -168,11 +167,11 @@ def car_was_deaf(frames: Sequence[Frame]) -> bool:
     lost = next((frame for frame in frames if frame.can_id == _VCU_STATUS and _comms_lost(frame)), None)
     if lost is None:
         return False
-    since_ns = lost.t_ns - _COMMS_LOST_NS
+    since_ns = lost.t_ns - COMMS_LOST_NS
     before = [frame for frame in frames if since_ns <= frame.t_ns < lost.t_ns]
     for can_id in AI_IDS:
         times = [since_ns, *(frame.t_ns for frame in before if frame.can_id == can_id), lost.t_ns]
-        if max(later - earlier for earlier, later in pairwise(times)) >= _COMMS_LOST_NS // 2:
+        if max(later - earlier for earlier, later in pairwise(times)) >= COMMS_LOST_NS // 2:
             return False
     return _echoed([CODEC.decode(frame).image for frame in before])
 

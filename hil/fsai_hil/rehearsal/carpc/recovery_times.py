@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
 from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.runtime.loop import EDGE_HUNG_NS
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 _TIMES = BridgeConfig()
-_VCU_PATIENCE_NS = 100_000_000  # interface specification v4.0: AI_COMMS_LOST
 # What comes on top of each of them: at most one cycle, and what the machine may be held up without being excused.
 _CYCLE_S = (FALLBACK_AFTER_NS + STOOD_STILL_NS) / 1e9
 
@@ -31,4 +31,4 @@ TORQUE_OF_A_DEAD_BRIDGE_S = _CYCLE_S
 TORQUE_WITHOUT_COMMANDS_S = _TIMES.command_stale_ns / 1e9 + _CYCLE_S
 TORQUE_WITHOUT_DATA_S = _TIMES.sensor_stale_ns / 1e9 + _CYCLE_S
 # The car's own: what it needs to see that nobody speaks.
-CAR_STOPS_ITSELF_S = _VCU_PATIENCE_NS / 1e9 + _CYCLE_S
+CAR_STOPS_ITSELF_S = COMMS_LOST_NS / 1e9 + _CYCLE_S

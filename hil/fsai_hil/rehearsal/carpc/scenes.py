@@ -23,7 +23,7 @@ from fsai_hil.rehearsal.carpc import probe, wifi
 from fsai_hil.rehearsal.carpc.bus_watch import (
     HOUR_NS,
     BusWatch,
-    Car,
+    CarService,
     Said,
     brakes,
     car_was_deaf,
@@ -49,9 +49,9 @@ from fsai_hil.rehearsal.carpc.recovery_times import (
     TORQUE_WITHOUT_DATA_S,
     UNPLUGGED_S,
 )
-from fsai_hil.rehearsal.stall_monitor import RUNS, Outcome, StallMonitor, Watcher, describe, judge_run
+from fsai_hil.rehearsal.stall_monitor import RUNS, RunValidity, StallMonitor, Watcher, describe, judge_run
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.images import AiStatus
+from fsai_vcu.interface.messages import AiStatus
 from fsai_vcu.runtime.lock import holder_pid
 
 RESULTS = Path("/results")
@@ -86,7 +86,7 @@ class Rehearsal:
         self.bridge = f"fsai-bridge@{interface}"
         self.recorder = f"fsai-recorder@{interface}"
         self.bench_car = f"fsai-simulated-car@{interface}"
-        self.car = Car("fsai-typed-car", FIFO)
+        self.car = CarService("fsai-typed-car", FIFO)
         self.services = (*NODES, self.bridge, self.recorder)
         report = RESULTS / "report.json"
         self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
@@ -142,10 +142,10 @@ class Rehearsal:
     def scene(self, name: str, play: Callable[[], None]) -> None:
         """Play it; again where it failed while the machine stood still or was slow, for then it has shown nothing."""
         for run in range(1, RUNS + 1):
-            if self.judged(name, play, run) is not Outcome.AGAIN:
+            if self.judged(name, play, run) is not RunValidity.AGAIN:
                 return
 
-    def judged(self, name: str, play: Callable[[], None], run: int) -> Outcome:
+    def judged(self, name: str, play: Callable[[], None], run: int) -> RunValidity:
         """One run of a scene, and what it is worth."""
         since_ns, first = time.monotonic_ns(), len(self.steps)
         self.watched = None
@@ -157,11 +157,11 @@ class Rehearsal:
             failed = not all(step["passed"] for step in self.steps[first:])
         why = self.disturbed(since_ns) if failed else ""
         outcome = judge_run(failed, why, run)
-        if outcome is Outcome.AGAIN:
+        if outcome is RunValidity.AGAIN:
             for step in self.steps[first:]:
                 step["counts"] = False
             self.note(f"{name}: run {run} shows nothing: {why}", None)
-        elif outcome is Outcome.NEVER_UNDISTURBED:
+        elif outcome is RunValidity.NEVER_UNDISTURBED:
             self.note(f"{name}: never undisturbed", None, passed=False, words=f"in run {run} too {why}")
         return outcome
 
@@ -512,7 +512,7 @@ class Rehearsal:
             with self.drive("rebooted") as watch:
                 self.shut_down(watch)
 
-        again = self.judged("rebooted", play, run) is Outcome.AGAIN
+        again = self.judged("rebooted", play, run) is RunValidity.AGAIN
         if AGAIN.exists():
             AGAIN.write_text(f"{run + 1 if again else 1}\n")
         elif again:  # it had not come to driving

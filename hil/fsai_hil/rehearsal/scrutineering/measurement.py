@@ -317,7 +317,7 @@ class Measurement:
         car = self._car
         assert car is not None
         car_bits = car_bits_per_s(self._revision, *self._decimation)
-        ended = stops = ""
+        ended = stood = stops = ""
         with loaded(stack, condition, self._folder / "disk-load", car_bits, force_disk=not self._slow_place):
             car.measure(condition.name)
             before, began_ns, began_wall_ns = self._traffic(), time.monotonic_ns(), time.time_ns()
@@ -327,7 +327,11 @@ class Measurement:
                 stack.check_alive(*watched, car.name)
                 shown, why = state()
                 stops = why or stops
-                if shown != condition.stance.value:
+                if shown == AsState.AS_FINISHED.label and condition.stance is Stance.DRIVING:
+                    # A stop is how it should end where the nodes get no time: the bridge goes on answering.
+                    drove_s = (time.monotonic_ns() - began_ns) / 1e9
+                    stood = stood or f"drove {drove_s:.0f} s, then stood" + (f": {stops}" if stops else "")
+                elif shown != condition.stance.value:
                     ended = f"the car went to {shown}" + (f" ({stops})" if stops else "")
                     break
             after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
@@ -341,8 +345,10 @@ class Measurement:
             "bus_load_pct": round(100.0 * bits / took_s / BUS_BITS_PER_S, 1),
             "machine_stalls_ms": [round(stall.late_ns / 1e6, 1) for stall in stalls],
             "ended_early": ended,
+            "stood": stood,
         }
-        self._say(f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{ended and f'; {ended}'}")
+        note = f"; {ended or stood}" if ended or stood else ""
+        self._say(f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{note}")
 
     def _start_log(self, stack: Stack) -> None:
         """One log for each power-up of the car, from before its first frame: the rules need what was before."""

@@ -7,7 +7,8 @@ from typing import Any
 
 from fsai_hil.rehearsal.scrutineering.load import FILL_ID
 from fsai_hil.rehearsal.scrutineering.machine import scheduling_in_words
-from fsai_hil.simulator.profiles import MS, SPECIFICATION
+from fsai_hil.simulator.profiles import SPECIFICATION
+from fsai_vcu.interface.units import MS
 
 ECHO_LIMIT_MS = SPECIFICATION.echo_timeout_ns // MS
 MESSAGE_LIMIT_MS = SPECIFICATION.message_timeout_ns // MS
@@ -174,7 +175,7 @@ def _table(rows: Sequence[Mapping[str, Any]], key: str) -> str:
 
 def _legend(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = [
-        f"- **{row['name']}**: {row['words']}" + (f" ({row['ended_early']})" if row["ended_early"] else "")
+        f"- **{row['name']}**: {row['words']}" + (f" ({note})" if (note := row["ended_early"] or row["stood"]) else "")
         for row in rows
     ]
     notes = []

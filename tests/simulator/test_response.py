@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vcu_bench import Bench
 
 from fsai_hil.rules.response import BINS_MS, THRESHOLDS_MS, ResponseTimes
-from fsai_hil.simulator.profiles import MS, S
+from fsai_vcu.interface.units import MS, S
 
 TIMES = st.lists(st.integers(min_value=0, max_value=10 * S), max_size=300)
 

@@ -1,0 +1,85 @@
+"""What the bridge counts for its report: nothing that is sent depends on it, so it is no part of the bridge's state."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.supervisor import Decision
+from fsai_vcu.interface.specification import READY_WAIT_NS
+
+_OTHER_REVISION_FROM = 10  # frames in a row: interface specification v4.0 counts a loss in tens as well
+_PROBLEMS_KEPT = 100  # distinct texts: a fuzzed bus must not fill the memory
+_OTHER_PROBLEMS = "other problems"
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counted since the start. Times are of the monotonic clock, None: never."""
+
+    active: frozenset[Reason] = frozenset()  # in the last cycle
+    counts: Counter[str] = field(default_factory=Counter)
+    details: dict[str, str] = field(default_factory=dict)
+    problems: Counter[str] = field(default_factory=Counter)
+    rx: Counter[int] = field(default_factory=Counter)
+    intruders: dict[int, tuple[int, str]] = field(default_factory=dict)  # by id: when last received, and with what
+    other_revision: str = ""
+    other_revision_frames: int = 0  # in a row
+    cycles: int = 0
+    incomplete_cycles: int = 0
+    vcu_gaps: int = 0
+    loop_faults: int = 0
+    unanswered_ns: int | None = None  # the oldest 0x520 that no cycle has answered
+    response_ns: int | None = None
+    response_max_ns: int | None = None
+
+    def note(self, reason: Reason, detail: str = "") -> None:
+        """Something that happened once."""
+        self.counts[reason.slug] += 1
+        self.details[reason.slug] = detail
+
+    def activate(self, decision: Decision, reasons: frozenset[Reason]) -> None:
+        """The reasons active in this cycle; each is counted when it comes up, not for as long as it lasts."""
+        for reason, detail in decision.details:
+            self.details[reason.slug] = detail
+        if reasons != self.active:
+            for reason in reasons - self.active:
+                self.counts[reason.slug] += 1
+            self.active = reasons
+
+    def problem(self, problem: str) -> None:
+        """A received frame, or a call, that is not in order."""
+        if problem not in self.problems and len(self.problems) >= _PROBLEMS_KEPT:
+            problem = _OTHER_PROBLEMS
+        self.problems[problem] += 1
+
+    def on_revision(self, heard: str, means: str, ours: str) -> None:
+        """A frame that only revision `heard` sends: another than ours is believed when it comes again and again."""
+        if heard == ours:
+            self.other_revision_frames = 0
+            return
+        self.other_revision_frames += 1
+        if self.other_revision_frames == _OTHER_REVISION_FROM:
+            self.other_revision = f"the car speaks interface revision {heard} ({means}), this bridge {ours}"
+            self.problem(self.other_revision)
+
+    def answered(self, now_ns: int) -> None:
+        """A cycle was made, which answers every 0x520 before it."""
+        self.cycles += 1
+        if self.unanswered_ns is not None:
+            self.response_ns = max(0, now_ns - self.unanswered_ns)
+            self.response_max_ns = max(self.response_ns, self.response_max_ns or 0)
+            self.unanswered_ns = None
+
+    def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
+        """What should not be on the bus, in words."""
+        # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
+        heard = [
+            f"an intruder sends on our ids: {words}"
+            for t_ns, words in self.intruders.values()
+            if now_ns - t_ns < READY_WAIT_NS
+        ]
+        if self.other_revision_frames >= _OTHER_REVISION_FROM:
+            heard.append(self.other_revision)
+        return tuple(heard)

@@ -1,0 +1,315 @@
+"""What a search tells apart in a bridge's state, and a state of the bridge made of it again.
+
+`Abstraction.apart` maps over the fields of `BridgeState` and of the supervisor's and the gate's within it: one whose
+name ends in `_ns` is a time and becomes an age, any other stays as it is. A new field is so part of what is searched;
+a new time also needs its line in `_edges`, at which ages it matters, or nothing runs.
+
+What is not mapped so is written out, each with its reason: `_OF_ITSELF` is left out or follows from the rest, and
+`_supervisor`, `_gate`, `_command` and `_said` forget what nothing looks at any more, because it must not tell states
+apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields
+from operator import attrgetter
+from typing import Any, Final, cast
+
+from fsai_hil.evidence.car_frames import (
+    brake_frame,
+    front_frame,
+    marks_of,
+    rear_frame,
+    speeds_frame,
+    status_frame,
+    steer_frame,
+)
+from fsai_hil.rules.numbers import CYCLE_NS, S
+from fsai_vcu.core.bridge import BridgeConfig, BridgeState
+from fsai_vcu.core.command import VehicleCommand
+from fsai_vcu.core.supervision.gate import GateState
+from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck
+from fsai_vcu.core.supervision.supervisor import STEERS_WHILE_STOPPING, Asked, Latch, SupervisorState
+from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, WheelBelief
+from fsai_vcu.core.vehicle.odometry import standing_start
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.immutable import replace
+from fsai_vcu.interface.messages import VehicleState
+
+NOW: Final = 1_000 * S  # every state is looked at as if it were now
+NEVER: Final = -1
+
+Content = tuple[object, ...]
+
+_NO_TIME: Final = cast(int, None)  # for a time whose type knows no None
+_RUN: Final = 2  # every run in hand has this number
+_NO_TIMES: Final[Mapping[str, str]] = {
+    "ready_waited_ns": "a duration",
+    "zero_since_ns": "compared with the time of one 0x524 only: `_said` keeps whether that is newer",
+}
+_OF_ITSELF: Final[Mapping[str, str]] = {
+    "supervisor": "mapped field by field",
+    "gate": "mapped field by field",
+    "pulses": "turn as the supervisor's `turning_ns` says: counts are not sent",
+    "odometry": "fills a logging field",
+    "gps": "is looked at by odometry alone",
+    "decision": "each cycle makes its own",
+    "asked": "each cycle makes its own",
+    "speeds_doubt": "words",
+    "belief": "follows from the wheel speeds believed last: counts are not sent",
+    "vehicle": "what the bridge looks at of it: `_said`; the supervisor knows when 0x520 and 0x525 came",
+    "steering": "since when it is implausible: the check is the environment's choice",
+    "wheels": "since when one is implausible: the check is the environment's choice",
+    "command": "what may still be obeyed of it: `_command`",
+}
+_STEERED_STOP, _HELD_STOP = Latch(Asked.MISSION_DONE, 0), Latch(Asked.MANUAL, 0)
+_EMERGENCY: Final = Latch(Asked.OPERATOR, 0)
+_SPENT: Final = (0.0, 0.0, 0.0, 0.0, False, False)  # a command that can only be lost
+_ZERO_NS, _ECHO_NS = 0, 1  # an echo that is newer than the first zero cycle, both long ago
+_INSIDE: Final = ("stop", "steering", "wheels", "steer", "axles")  # times that are written out
+
+
+def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
+    """The ages at which each time matters. A gap that is seen when a frame comes has its edge a cycle earlier too."""
+    vcu = (c.vcu_stale_ns, c.vcu_lost_ns)
+    jump = (c.wheel_jump_ns - CYCLE_NS, c.wheel_jump_ns)
+    implausible = (c.implausible_ns, c.implausible_lost_ns)
+    return {
+        "status_ns": vcu,
+        "heard_ns": (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns),
+        "ready_since_ns": (c.ready_wait_ns,),
+        "driving_since_ns": (
+            c.launch_wait_ns,
+            c.launch_wait_ns + c.command_stale_ns,
+            c.launch_wait_ns + c.command_lost_ns,
+        ),
+        "speeds_ns": (c.feedback_stale_ns - CYCLE_NS, c.feedback_stale_ns, c.feedback_lost_ns, *jump),
+        "still_since_ns": (c.standstill_ns,),
+        "turning_ns": (c.standstill_ns,),
+        "stop_window_ns": (c.stop_window_ns,),
+        "both_pedals_since_ns": (c.both_pedals_ns,),
+        "cycle_ns": (),
+        "command_ns": (c.command_stale_ns, c.command_lost_ns),
+        "listening_since_ns": (c.listen_first_ns,),
+        "reopened_ns": (c.vcu_lost_ns,),
+        "last_complete_ns": (c.send_lost_ns,),
+        "stop": (c.stop_timeout_ns,),
+        "steering": implausible,
+        "wheels": implausible,
+        "steer": (c.feedback_stale_ns, c.feedback_lost_ns),
+        "axles": (c.feedback_stale_ns,),
+    }
+
+
+class _Fields:
+    """The fields of a dataclass that are mapped: times, and others."""
+
+    def __init__(self, made: type[Any]) -> None:
+        specs = [spec for spec in fields(made) if spec.name not in _OF_ITSELF]
+        times = [spec for spec in specs if spec.name.endswith("_ns") and spec.name not in _NO_TIMES]
+        self.others = tuple(spec.name for spec in specs if spec not in times)
+        self.others_of = attrgetter(*self.others)
+        self.times = tuple(spec.name for spec in times)
+        self.times_of = attrgetter(*self.times) if len(times) > 1 else lambda value: (getattr(value, self.times[0]),)
+        self._names = (*self.others, *self.times)
+        self._never = [None if spec.default is MISSING else spec.default for spec in times]
+
+    def values(self, others: Sequence[object], times: Iterable[int | None]) -> dict[str, Any]:
+        """Everything by its name; a time that never was is what it is before it ever is."""
+        been = [never if time is None else time for never, time in zip(self._never, times, strict=True)]
+        return dict(zip(self._names, (*others, *been), strict=True))
+
+
+_SUPERVISOR, _GATE, _BRIDGE = _Fields(SupervisorState), _Fields(GateState), _Fields(BridgeState)
+CLOCKS: Final = (*_SUPERVISOR.times, *_GATE.times, *_BRIDGE.times, *_INSIDE)
+
+
+class Abstraction:
+    """For one configuration. `sends_fail`, `data_may_be_lost`: what the environment may do besides."""
+
+    def __init__(self, config: BridgeConfig, *, sends_fail: bool, data_may_be_lost: bool) -> None:
+        edges = _edges(config)
+        if set(edges) != set(CLOCKS):
+            raise ValueError(f"at which ages does it matter? {sorted(set(edges) ^ set(CLOCKS))}")
+        self.edges = tuple(edges[name] for name in CLOCKS)
+        self._config = config
+        self._sends_fail = sends_fail
+        self._data_may_be_lost = data_may_be_lost
+
+    def apart(self, state: BridgeState, bit: bool, now: int) -> tuple[Content, list[int]]:
+        """What is no time, and the ages by `CLOCKS`, not yet rounded. `bit`: the handshake that the VCU sends now."""
+        s, vehicle = state.supervisor, state.vehicle
+        driving, stop = s.driving, s.stop
+        over = driving and stop is not None and s.emergency is not None  # nothing else happens in this run
+        command_ns, content = self._command(state, over, now)
+        supervising = self._supervisor(s, command_ns, over, now)
+        complete_ns = state.last_complete_ns
+        if complete_ns is not None and not (driving and self._sends_fail):
+            complete_ns = now
+        bridge = replace(
+            state,
+            status_doubt="it cannot be read" if state.status_doubt else "",
+            bus_lost=None if state.bus_lost is None else "the interface is gone",
+            command_ns=_NO_TIME if command_ns is None else command_ns,
+            last_complete_ns=complete_ns,
+        )
+        steer, axle = vehicle.steer, vehicle.drive_rear
+        times = (
+            *_SUPERVISOR.times_of(supervising),
+            *_GATE.times_of(state.gate),
+            *_BRIDGE.times_of(bridge),
+            None if stop is None else now if over else stop.since_ns,
+            None if over else state.steering.implausible_since_ns,
+            None if over else state.wheels.implausible_since_ns,
+            None if steer is None else steer.t_rx_ns if driving and not over else now,
+            None if axle is None else axle.t_rx_ns if driving and stop is None else now,
+        )
+        disc = (
+            _SUPERVISOR.others_of(supervising),
+            _GATE.others_of(self._gate(state, driving)),
+            (*_BRIDGE.others_of(bridge), vehicle.handshake != bit, content),
+            _said(state),
+        )
+        return disc, [NEVER if time is None else now - time if time < now else 0 for time in times]
+
+    def whole(self, content: Content, ages: Sequence[int]) -> BridgeState:
+        """The state as it was taken apart, at `NOW`, where the VCU sends a handshake of 0."""
+        supervising, gating, (*others, handshake, ordered), said = cast(Any, content)
+        times = [None if age < 0 else NOW - age for age in ages]
+        first, second, third = len(_SUPERVISOR.times), len(_GATE.times), len(_BRIDGE.times)
+        s = _SUPERVISOR.values(supervising, times[:first])
+        g = _GATE.values(gating, times[first : first + second])
+        b = _BRIDGE.values(others, times[first + second : first + second + third])
+        stop_ns, steering_ns, wheels_ns, *said_ns = times[first + second + third :]
+        if s["stop"] is not None:
+            s["stop"] = replace(s["stop"], since_ns=stop_ns)
+        if s["still_since_ns"] is not None:
+            s["still_since_ns"] += s["speeds_ns"] - NOW
+        said_ns = [s["status_ns"], s["speeds_ns"], *said_ns]
+        vehicle = _vehicle(said, said_ns, handshake, known=not b["status_doubt"])
+        return BridgeState(
+            supervisor=SupervisorState(**s),
+            gate=GateState(**g, pulses=NO_PULSES if s["turning_ns"] is None else Pulses(turning_ns=s["turning_ns"])),
+            odometry=_AT_REST,
+            vehicle=vehicle,
+            belief=WheelBelief(vehicle.speeds, s["speeds_ns"]),
+            steering=_FITS[0] if steering_ns is None else SteeringCheck(implausible_since_ns=steering_ns),
+            wheels=_FITS[1] if wheels_ns is None else WheelCheck(implausible_since_ns=wheels_ns),
+            command=None if ordered is None else VehicleCommand(b["command_ns"], _RUN, *ordered),
+            **b,
+        )
+
+    def _supervisor(self, s: SupervisorState, command_ns: int | None, over: bool, now: int) -> SupervisorState:
+        c, driving, stop = self._config, s.driving, s.stop
+        still_since_ns, speeds_ns = s.still_since_ns, s.speeds_ns
+        if still_since_ns is not None:  # it counts up to the last wheel speeds, while those are fresh
+            assert speeds_ns is not None
+            fresh = now - speeds_ns < c.feedback_stale_ns
+            still_since_ns = still_since_ns + now - speeds_ns if fresh else None
+        driving_since_ns = s.driving_since_ns
+        if driving_since_ns is not None and now - driving_since_ns >= c.launch_wait_ns:
+            # How long supervision has run counts only while no command ever came.
+            in_time = command_ns is not None and now - command_ns < CYCLE_NS and not self._data_may_be_lost
+            if stop is not None or in_time:
+                driving_since_ns = now - c.launch_wait_ns
+        turned = s.turning_ns is not None and now - s.turning_ns >= c.standstill_ns
+        window_rpm = None if stop is None or over else s.stop_window_rpm  # it is measured anew by each stop
+        if stop is not None:
+            # Which causes let the planner steer matters, and no longer once the emergency is asked for.
+            stop = _STEERED_STOP if not over and stop.cause in STEERS_WHILE_STOPPING else _HELD_STOP
+        return replace(
+            s,
+            go=s.go and driving,
+            fault=s.fault and driving,
+            ready_waited_ns=c.ready_wait_ns if s.ready_waited_ns >= c.ready_wait_ns else 0,
+            driving_since_ns=driving_since_ns,
+            still_since_ns=still_since_ns,
+            turning_ns=None if turned else s.turning_ns,
+            run_id=_RUN,
+            power_up=s.power_up and c.autonomous_at_power_up,
+            stop=stop,
+            emergency=None if s.emergency is None else _EMERGENCY,
+            stop_window_ns=_NO_TIME if window_rpm is None else s.stop_window_ns,
+            stop_window_rpm=window_rpm,
+            both_pedals_since_ns=None if stop is not None else s.both_pedals_since_ns,
+        )
+
+    def _gate(self, state: BridgeState, driving: bool) -> GateState:
+        g = state.gate
+        return replace(
+            g,
+            brake=g.brake if driving else 0.0,
+            zero_since_ns=_ZERO_NS,
+            tried_torque=g.tried_torque and g.awaiting,
+            tried_brake=g.tried_brake and g.awaiting,
+            tried_selected=g.tried_selected and g.awaiting,
+            acknowledged_run_id=_RUN if g.acknowledged_run_id == state.supervisor.run_id else None,
+            run_id=_RUN,
+        )
+
+    def _command(self, state: BridgeState, over: bool, now: int) -> tuple[int | None, Content | None]:
+        """When the command in the slot, and its data, count as handed in, and what may still be obeyed of it.
+
+        A command is used in AS_DRIVING only, and there each cycle may bring a new one. Its own age and that of its data
+        count together: data of 500 ms ages like a command of 100 ms.
+        """
+        s, command, c = state.supervisor, state.command, self._config
+        if command is None or not s.driving or command.run_id != s.run_id:
+            return None, None
+        handed_in_ns = min(state.command_ns, command.t_sensor_ns + c.sensor_stale_ns - c.command_stale_ns)
+        if now - handed_in_ns >= c.command_lost_ns or over:
+            return handed_in_ns, _SPENT
+        if s.stop is None:
+            return handed_in_ns, (
+                command.steering_rad, command.throttle, command.brake, command.speed_limit_mps,
+                command.mission_finished, command.estop_request,
+            )  # fmt: skip
+        # Of a stop's command only the steering counts, and a wish for an emergency.
+        steering_rad = command.steering_rad if s.stop.cause in STEERS_WHILE_STOPPING else 0.0
+        return handed_in_ns, (steering_rad, 0.0, 0.0, 0.0, False, command.estop_request)
+
+
+_FITS: Final = (SteeringCheck(), WheelCheck())
+_AT_REST: Final = standing_start(0)
+
+
+def _said(state: BridgeState) -> Content:
+    """What the bridge looks at of the car's messages."""
+    vehicle, gate = state.vehicle, state.gate
+    driving = state.supervisor.driving
+    status, speeds, steer, axle, brake = (
+        vehicle.status, vehicle.speeds, vehicle.steer, vehicle.drive_rear, vehicle.brake,
+    )  # fmt: skip
+    echo: bool | None = None  # of a brake, in a 0x524 newer than the first zero cycle; another says nothing
+    if brake is not None and gate.zero_cycles == 1 and brake.t_rx_ns > gate.zero_since_ns:
+        echo = brake.rear_request_pct != 0.0
+    return (
+        None if status is None else (
+            status.as_state, status.go_signal and driving, status.fault and driving, marks_of(status),
+        ),
+        None if speeds is None else speeds.all_rpm,
+        None if steer is None else steer.angle_max_deg,
+        None if axle is None else axle.torque_max_nm,  # of both: they come together
+        echo,
+    )  # fmt: skip
+
+
+def _vehicle(said: Content, times: Sequence[int | None], handshake: bool, *, known: bool) -> VehicleState:
+    status, rpm, angle_max_deg, torque_max_nm, echo = cast(Any, said)
+    status_ns, speeds_ns, steer_ns, axle_ns = cast(Sequence[int], times)
+    images: dict[str, Any] = {}
+    if status is not None:
+        as_state, go, fault, marks = status
+        frame = status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, marks, status_ns)
+        images["status"] = frame.decoded.image
+    if rpm is not None:
+        images["speeds"] = speeds_frame(rpm, speeds_ns).decoded.image
+    if angle_max_deg is not None:
+        images["steer"] = steer_frame(angle_max_deg, steer_ns).decoded.image
+    if torque_max_nm is not None:
+        images["drive_front"] = front_frame(torque_max_nm, axle_ns).decoded.image
+        images["drive_rear"] = rear_frame(torque_max_nm, axle_ns).decoded.image
+    if echo is not None:
+        images["brake"] = brake_frame(echo, _ECHO_NS).decoded.image
+    return VehicleState(handshake=handshake, status_known=known, **images)
