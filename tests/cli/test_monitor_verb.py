@@ -268,6 +268,7 @@ def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> N
     terminal.read("nothing is heard on this bus")
     os.kill(terminal.process.pid, signal.SIGTSTP)
     terminal.read(LEAVE)
+    os.waitpid(terminal.process.pid, os.WUNTRACED)  # until it has stopped
     os.kill(terminal.process.pid, signal.SIGCONT)
     terminal.read(ENTER)
     terminal.process.send_signal(signal.SIGINT)

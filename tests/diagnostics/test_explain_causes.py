@@ -119,7 +119,7 @@ def turned(feedback: CarFeedback) -> CarFeedback:
 
 def spinning(feedback: CarFeedback) -> CarFeedback:
     fl, fr, rl, rr = feedback.wheel_rpm
-    return replace(feedback, wheel_rpm=(3.0 * fl + 200.0, fr, rl, rr))
+    return replace(feedback, wheel_rpm=(1.5 * fl + 100.0, fr, rl, rr))
 
 
 def both(*acts: Act) -> Act:

@@ -122,11 +122,11 @@ SEEDED: dict[str, tuple[str, Callable[[], tuple[tuple[Any, str, object], ...]]]]
             ("a fault of the loop only stops", "loop_late:late=51"),
             ("Go off is only reported", "status_go_off:duration=500"),
             ("an AS switch that falls is only reported", "status_as_switch_off:duration=500"),
-            ("a fault bit that rises is only reported", "status_one_fault_bit:duration=500,bit=bms"),
+            ("a fault bit that rises is only reported", "status_one_fault_bit:duration=500,bit=BMS_FAULT"),
             ("an AS_STATE that nobody knows is only reported", "status_undefined_as_state:duration=80,state=9"),
             ("a pulse count contradicts no wheel speed", "wheels_dead:duration=2000"),
             ("a lost command is only held", "controller_silent:duration=1500"),
-            ("odd wheels never ask for the emergency", "wheel_offset:wheel=fl,size=400"),
+            ("odd wheels never ask for the emergency", "wheel_offset:wheel=fl,size=290"),
             ("a stop without effect goes unnoticed", "brakes_failing"),
             ("no command is out of order", "controller_nan:field=throttle,value=nan,duration=1500"),
             ("torque rises right after the brake", "controller_pumping:duration=2000,period=40"),
@@ -171,7 +171,7 @@ SEEDED: dict[str, tuple[str, Callable[[], tuple[tuple[Any, str, object], ...]]]]
     ),
     "steering turns as fast as it is asked to": (
         "controller_swinging:duration=1500,period=300",
-        lambda: ((gating, "_steering", _limited(steer_rate_degps=1e6)(gating._steering)),),
+        lambda: ((bridge, "gate", _limited(steer_rate_degps=1e6)(gating.gate)),),
     ),
     "0x520 lasts 70 ms": (
         "status_lost:duration=84",
