@@ -163,7 +163,7 @@ def test_only_the_command_line_and_the_nodes_know_ros() -> None:
     assert all(below(module, "fsai_vcu.cli") for module in knowing)
 
 
-def test_every_verb_of_the_command_line_has_its_file_and_an_example() -> None:
+def test_every_verb_has_its_file_and_an_example() -> None:
     from fsai_vcu.cli.main import all_verbs, module_of
 
     assert set(all_verbs()) >= {"drive", "vcu", "hil", "campaign", "scrutineering", "decode", "explain"}

@@ -30,7 +30,7 @@ DRIVE_KEYS = {
 }
 
 
-def test_the_last_line_of_a_drive_with_json_is_one_object_with_the_promised_keys(
+def test_drive_json_ends_with_one_object_of_the_promised_keys(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["drive", "--mission", "static_inspection_b", "--seed", "3", "--json"]) == 0

@@ -56,7 +56,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "calls"
 
 
-def test_one_command_makes_the_keystore_and_the_keys_of_our_policy_for_the_services_alone(
+def test_one_command_makes_a_keystore_only_services_can_read(
     calls: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     keystore = tmp_path / "keystore"
@@ -99,15 +99,13 @@ def test_keys_are_made_for_the_cars_domain(
     assert "ROS domain 7" in said and named in said, "whatever way it was named by"
 
 
-def test_a_keystore_that_is_there_is_kept_and_its_keys_are_made_for_the_policy_of_today(
-    calls: Path, tmp_path: Path
-) -> None:
+def test_an_existing_keystore_is_kept_with_keys_of_todays_policy(calls: Path, tmp_path: Path) -> None:
     (tmp_path / "keystore" / "enclaves").mkdir(parents=True)
     assert main(["enclaves", "--keystore", str(tmp_path / "keystore")]) == 0
     assert not any("create_keystore" in line for line in calls.read_text().splitlines())
 
 
-def test_a_ros2_of_ones_own_on_the_path_is_taken_with_the_environment_that_it_has(
+def test_a_ros2_on_the_path_is_used_with_its_own_environment(
     calls: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "jazzy").rename(tmp_path / "own")
@@ -119,7 +117,7 @@ def test_a_ros2_of_ones_own_on_the_path_is_taken_with_the_environment_that_it_ha
     assert any("generate_artifacts" in line for line in calls.read_text().splitlines())
 
 
-def test_without_the_distributions_tools_one_line_says_what_to_install(
+def test_missing_ros2_tools_give_one_line_with_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -137,7 +135,7 @@ def test_a_keystore_that_cannot_be_made_is_one_clear_line(capsys: pytest.Capture
 
 
 @pytest.mark.usefixtures("calls")
-def test_tools_that_fail_fail_the_command_and_a_policy_that_is_not_there_is_named(
+def test_failing_tools_and_a_missing_policy_are_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["enclaves", "--keystore", str(tmp_path / "k"), "--policy", str(tmp_path / "absent.xml")]) != 0

@@ -127,7 +127,7 @@ def test_bad_input_is_one_clear_line(
     assert said.out == ""
 
 
-def test_a_broken_log_is_shown_as_far_as_it_can_be_read_and_fails(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broken_log_is_shown_as_far_as_readable_and_fails(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     with Path(log).open("a") as file:
         file.write("garbage\n")
     assert main(["monitor", log, "--plain"]) == 1

@@ -25,7 +25,7 @@ def test_committed_reference_is_current_on_any_terminal(monkeypatch: pytest.Monk
     assert committed == markdown(), "write it anew with: fsai-vcu reference -o docs/reference.md"
 
 
-def test_the_reference_has_every_verb_with_every_option_and_what_it_means() -> None:
+def test_the_reference_explains_every_verb_and_option() -> None:
     text = markdown()
     for verb in all_verbs():
         _, _, chapter = text.partition(f"\n## fsai-vcu {verb}\n")
@@ -71,7 +71,7 @@ def test_every_example_is_one_that_its_own_parser_takes(verb: str) -> None:
 
 
 @pytest.mark.parametrize("verb", all_verbs())
-def test_every_help_works_and_shows_an_example_whatever_the_width(
+def test_every_help_has_an_example_at_any_terminal_width(
     verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for columns in ("40", "200"):

@@ -55,7 +55,7 @@ def test_frames_that_no_filter_lets_through_tell_too(tmp_path: Path, capsys: pyt
     assert "OP_STATE" not in said.out and SAID in said.err
 
 
-def test_a_log_that_several_processes_decode_tells_before_it_is_shared(
+def test_a_log_is_checked_for_its_revision_before_it_is_split(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "run.log"
@@ -78,9 +78,7 @@ def test_figures_and_tables_are_those_of_the_revision(tmp_path: Path, capsys: py
     assert SAID in said.err
 
 
-def test_databases_that_are_named_decode_whatever_the_frames_tell(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_given_databases_decode_frames_of_any_revision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = Path(__file__).parents[2] / "dbc" / "ads_dv_2026.dbc"
     assert main(["decode", written(tmp_path / "run.log", STATUS, OF_2021), "--dbc", str(own)]) == 0
     said = capsys.readouterr()

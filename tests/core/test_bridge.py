@@ -52,7 +52,7 @@ def brake_to_rest(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("revision_name", ["2021", "2026"])
-def test_a_run_from_as_off_to_as_finished_goes_without_one_reason(revision_name: str) -> None:
+def test_a_run_from_as_off_to_as_finished_reports_no_reason(revision_name: str) -> None:
     rig = Rig(revision_name=revision_name).ready()
     assert rig.sent.brake_requested and rig.sent.direction is Direction.NEUTRAL
     rig.say_state(DRIVING, go_signal=True)
@@ -144,7 +144,7 @@ def test_on_start_a_process_listens_for_200_ms_and_then_sends() -> None:
     assert rig.cycle() is not None
 
 
-def test_a_process_that_finds_the_car_in_as_driving_brakes_it_to_rest_and_finishes() -> None:
+def test_started_in_as_driving_it_brakes_the_car_to_rest() -> None:
     rig = Rig()
     rig.say_state(DRIVING, go_signal=True)
     rig.rpm = (300, 300, 300, 300)
@@ -170,7 +170,7 @@ def test_a_process_that_only_listens_never_sends() -> None:
     assert not done and "listen_only" in message
 
 
-def test_a_process_that_only_listens_takes_no_other_bridge_for_an_intruder() -> None:
+def test_a_listener_reports_no_intruder() -> None:
     rig = Rig(BridgeConfig(listen_only=True)).wake()
     rig.hear(Frame(0x510, bytes(8), rig.now_ns))
     assert "intruder" not in rig.report.reason_counts
@@ -192,7 +192,7 @@ def test_autonomous_at_power_up_needs_nobody() -> None:
 # ---------------------------------------------------------------- the handshake (rule 9)
 
 
-def test_the_handshake_is_echoed_at_once_even_from_a_0x520_that_is_not_believed() -> None:
+def test_the_handshake_of_an_invalid_0x520_is_echoed_at_once() -> None:
     rig = Rig().wake()
     frame = rig.codec.encode(replace(rig.status, handshake=True, as_state=AsState.AS_OFF))
     broken = bytearray(frame.data)
@@ -278,7 +278,7 @@ def test_what_is_lost_is_answered_in_its_time(
     assert latency_ns == latency_ms * MS
 
 
-def test_a_lost_command_stops_the_car_in_manual_and_finishes_at_rest() -> None:
+def test_a_lost_command_stops_the_car_and_ends_in_manual_at_rest() -> None:
     rig = Rig().driving(rpm=300)
     rig.command = None
     rig.alive = brake_to_rest
@@ -317,7 +317,7 @@ def test_data_that_grows_old_behind_fresh_commands_stops_the_car() -> None:
     assert rig.latency_ns(frozen_ns, braking) == 700 * MS
 
 
-def test_a_stop_without_deceleration_asks_for_the_emergency_brake() -> None:
+def test_a_stop_without_deceleration_becomes_an_emergency() -> None:
     rig = Rig().driving(rpm=300)
     rig.bridge.set_mode("manual", rig.now_ns)
     began_ns = rig.now_ns + CYCLE
@@ -326,7 +326,7 @@ def test_a_stop_without_deceleration_asks_for_the_emergency_brake() -> None:
     assert "stop_ineffective" in rig.report.reason_counts
 
 
-def test_a_stop_that_takes_more_than_3_s_asks_for_the_emergency_brake() -> None:
+def test_a_stop_of_more_than_3_s_becomes_an_emergency() -> None:
     rig = Rig().driving(rpm=1100)
 
     def slowly(rig: Rig) -> None:
@@ -340,7 +340,7 @@ def test_a_stop_that_takes_more_than_3_s_asks_for_the_emergency_brake() -> None:
     assert rig.latency_ns(began_ns, estop) == 3 * S
 
 
-def test_throttle_with_brake_brakes_and_after_100_ms_asks_for_the_emergency_brake() -> None:
+def test_throttle_with_brake_brakes_then_becomes_an_emergency() -> None:
     rig = Rig().driving()
     since_ns = rig.now_ns + CYCLE
     rig.command = replace(rig.command, brake=0.2)  # type: ignore[type-var]
@@ -351,7 +351,7 @@ def test_throttle_with_brake_brakes_and_after_100_ms_asks_for_the_emergency_brak
     assert rig.report.reason_counts["both_pedals"] == 1
 
 
-def test_a_steering_that_sticks_stops_the_car_and_then_asks_for_the_emergency_brake() -> None:
+def test_a_stuck_steering_stops_the_car_then_is_an_emergency() -> None:
     rig = Rig().driving()
     rig.steer_deg = 0.0
     rig.command = replace(rig.command, steering_rad=math.radians(20.0))  # type: ignore[type-var]
@@ -364,7 +364,7 @@ def test_a_steering_that_sticks_stops_the_car_and_then_asks_for_the_emergency_br
     assert "steering_implausible" in rig.report.reason_counts
 
 
-def test_a_wheel_that_reads_wrong_stops_the_car_and_then_asks_for_the_emergency_brake() -> None:
+def test_an_odd_wheel_stops_the_car_then_is_an_emergency() -> None:
     rig = Rig().driving(rpm=300)
     rig.run_ms(1000)  # the holding brake is long forgotten
     rig.rpm = (0, 300, 300, 300)
@@ -608,7 +608,7 @@ def test_frames_that_waited_are_reported(driving: bool, age_ns: int, told: bool)
 
 
 @pytest.mark.parametrize("can_id", [0x510, 0x511, 0x512, 0x513, 0x514])
-def test_an_intruder_is_an_emergency_with_its_first_frame_and_is_named(can_id: int) -> None:
+def test_the_first_frame_of_an_intruder_is_an_emergency(can_id: int) -> None:
     rig = Rig().driving()
     rig.hear(Frame(can_id, b"\x01\x02", rig.now_ns))
     rig.step()
@@ -617,14 +617,14 @@ def test_an_intruder_is_an_emergency_with_its_first_frame_and_is_named(can_id: i
     assert rig.report.reason_counts["intruder"] == 1
 
 
-def test_an_intruder_outside_as_driving_is_named_and_latches_nothing() -> None:
+def test_an_intruder_outside_as_driving_is_only_reported() -> None:
     rig = Rig().ready()
     rig.hear(Frame(0x512, bytes(4), rig.now_ns))
     rig.step()
     assert rig.report.emergency is None and rig.report.reason_details == {"intruder": "0x512 [00 00 00 00]"}
 
 
-def test_an_intruder_stands_between_now_and_driving_for_as_long_as_he_is_heard_and_5_s_after() -> None:
+def test_an_intruder_prevents_driving_for_5_s_after_its_frame() -> None:
     rig, words = Rig().ready(), "an intruder sends on our ids: 0x512 [00 00 00 00]"
     heard_ns = rig.now_ns
     rig.hear(Frame(0x512, bytes(4), heard_ns))
@@ -655,7 +655,7 @@ def plain_status(as_state: AsState, t_ns: int) -> Frame:
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
-def test_a_car_of_another_revision_is_named_from_its_tenth_frame_until_it_speaks_ours(ours: str, theirs: str) -> None:
+def test_another_revision_is_named_from_its_tenth_frame_to_ours(ours: str, theirs: str) -> None:
     bridge, words = bridge_of(ours), f"the car speaks interface revision {theirs}"
 
     def said(t_ns: int) -> bool:
@@ -688,7 +688,7 @@ def test_a_frame_of_another_length_tells_no_revision(can_id: int, data: bytes) -
 
 
 @pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
-def test_nine_frames_of_another_revision_between_frames_of_ours_name_no_other(ours: str, theirs: str) -> None:
+def test_nine_frames_of_another_revision_among_ours_name_none(ours: str, theirs: str) -> None:
     bridge = bridge_of(ours)
     for frame in range(1, 100):
         bridge.on_frame(telling_of(ours if frame % 10 == 0 else theirs, frame * CYCLE))
@@ -708,7 +708,7 @@ def test_what_is_no_frame_of_ours_is_no_intruder(frame: Frame) -> None:
 
 
 @pytest.mark.parametrize("back", [AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY])
-def test_a_vcu_that_reboots_gets_zeros_at_once_and_needs_the_whole_sequence(back: AsState) -> None:
+def test_a_rebooted_vcu_gets_zeros_and_needs_the_whole_sequence(back: AsState) -> None:
     rig = Rig().driving()
     rig.say_state(back)
     rig.step()
@@ -728,7 +728,7 @@ def test_gaps_of_0x520_are_counted() -> None:
         assert rig.report.vcu_gaps == gaps
 
 
-def test_a_power_cycle_of_the_car_latches_nothing_and_clears_what_was_latched() -> None:
+def test_a_power_cycle_of_the_car_clears_the_latch_and_sets_none() -> None:
     rig = Rig().driving()
     rig.off = True
     rig.run_ms(900)
@@ -758,7 +758,7 @@ def test_the_wall_clock_is_nobodys_business() -> None:
 # ---------------------------------------------------------------- the loop and the bus
 
 
-def test_a_fault_of_the_loop_is_an_emergency_while_driving_and_only_counted_elsewhere() -> None:
+def test_a_loop_fault_is_an_emergency_in_as_driving_only() -> None:
     rig = Rig().ready()
     rig.bridge.loop_fault("60 ms late", rig.now_ns)
     rig.step()
@@ -770,7 +770,7 @@ def test_a_fault_of_the_loop_is_an_emergency_while_driving_and_only_counted_else
     assert rig.report.emergency == "the loop failed or missed its deadline by 50 ms: 60 ms late"
 
 
-def test_an_incomplete_cycle_is_counted_and_the_next_one_tries_again() -> None:
+def test_an_incomplete_cycle_is_counted_and_the_next_tries_again() -> None:
     rig = Rig().driving()
     rig.complete = False
     rig.run_ms(40)
@@ -810,7 +810,7 @@ def test_a_bus_that_takes_nothing_in_as_ready_breaks_nothing() -> None:
     assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
 
 
-def test_a_lost_bus_is_silence_and_back_in_as_driving_the_car_is_braked_to_rest() -> None:
+def test_a_bus_lost_in_as_driving_brakes_the_car_once_back() -> None:
     rig = Rig().driving()
     rig.bridge.bus_lost("can0 is down", rig.now_ns)
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns, rig.bridge.run.run_id), rig.now_ns) == (
@@ -831,7 +831,7 @@ def test_a_lost_bus_is_silence_and_back_in_as_driving_the_car_is_braked_to_rest(
     assert not any(asked.torque_requested for t, asked in rig.log[-240:])
 
 
-def test_a_bus_that_is_back_without_the_car_is_answered_after_100_ms() -> None:
+def test_a_bus_back_without_the_car_is_answered_after_100_ms() -> None:
     rig = Rig().driving()
     rig.bridge.bus_lost("can0 is down", rig.now_ns)
     rig.bridge.bus_back(rig.now_ns)
@@ -843,7 +843,7 @@ def test_a_bus_that_is_back_without_the_car_is_answered_after_100_ms() -> None:
     assert rig.sent.estop_request
 
 
-def test_a_bus_lost_in_as_ready_does_not_launch_the_car_when_it_is_back() -> None:
+def test_a_bus_lost_in_as_ready_does_not_launch_once_back() -> None:
     rig = Rig().ready()
     rig.bridge.bus_lost("can0 is down", rig.now_ns)
     rig.bridge.bus_back(rig.now_ns)
@@ -855,7 +855,7 @@ def test_a_bus_lost_in_as_ready_does_not_launch_the_car_when_it_is_back() -> Non
     assert rig.sent.mission_status is MissionStatus.FINISHED
 
 
-def test_a_cycle_of_which_nobody_says_that_it_went_out_counts_as_broken() -> None:
+def test_a_cycle_not_confirmed_as_sent_counts_as_broken() -> None:
     rig = Rig().launched()
     rig.command = VehicleCommand(0, 0, throttle=0.5, speed_limit_mps=5.0)
     rig.run_ms(2980)
@@ -882,7 +882,7 @@ def test_manual_while_driving_is_a_controlled_stop() -> None:
     assert rig.report.stopping == "manual mode was asked for" and dict(rig.report.reason_counts) == {}
 
 
-def test_autonomous_is_refused_while_driving_and_an_unknown_mode_always() -> None:
+def test_autonomous_in_as_driving_and_unknown_modes_are_refused() -> None:
     rig = Rig().driving()
     done, message = rig.bridge.set_mode("autonomous", rig.now_ns)
     assert not done and "AS_DRIVING" in message
@@ -921,7 +921,7 @@ def test_an_emergency_on_a_lost_bus_is_latched_and_says_so() -> None:
     assert rig.sent.estop_request
 
 
-def test_an_emergency_asked_for_on_a_lost_bus_goes_out_when_it_is_back_however_long_that_took() -> None:
+def test_an_emergency_requested_on_a_lost_bus_is_sent_when_back() -> None:
     rig = Rig().autonomous()
     rig.off = True
     rig.bridge.bus_lost("unplugged", rig.now_ns)
@@ -935,7 +935,7 @@ def test_an_emergency_asked_for_on_a_lost_bus_goes_out_when_it_is_back_however_l
     assert rig.sent.estop_request
 
 
-def test_the_cars_own_power_cycle_is_seen_round_a_short_loss_of_the_bus() -> None:
+def test_a_power_cycle_is_seen_around_a_short_bus_loss() -> None:
     rig = Rig().autonomous()
     rig.bridge.emergency_brake("now", rig.now_ns)
     rig.off = True
@@ -950,7 +950,7 @@ def test_the_cars_own_power_cycle_is_seen_round_a_short_loss_of_the_bus() -> Non
 
 
 @pytest.mark.parametrize("lost_ms", [350, 800, 4000])
-def test_back_in_as_driving_the_car_is_braked_to_rest_even_before_its_wheels_are_heard_again(lost_ms: int) -> None:
+def test_back_in_as_driving_it_brakes_before_wheel_speeds_return(lost_ms: int) -> None:
     rig = Rig().driving(rpm=300)
     rig.off = True
     rig.bridge.bus_lost("unplugged", rig.now_ns)
@@ -966,7 +966,7 @@ def test_back_in_as_driving_the_car_is_braked_to_rest_even_before_its_wheels_are
 
 
 @pytest.mark.parametrize("rpm", [0, 200])
-def test_a_car_that_enters_as_driving_while_the_software_ends_is_not_sent_forward_unbraked(rpm: int) -> None:
+def test_as_driving_entered_during_shutdown_is_never_unbraked(rpm: int) -> None:
     """Orderly stop: at rest zeros and NEUTRAL; moving, FORWARD with torque 0, brake and ESTOP_REQUEST."""
     rig = Rig().ready()
     rig.run_ms(600)
@@ -985,7 +985,7 @@ def test_a_car_that_enters_as_driving_while_the_software_ends_is_not_sent_forwar
 
 
 @pytest.mark.parametrize("role", ["planner", "controller"])
-def test_a_planner_or_controller_that_is_restarted_in_a_drive_does_not_resume_it(role: str) -> None:
+def test_a_restarted_planner_or_controller_does_not_resume(role: str) -> None:
     """Safety rule 10: however quickly it is back, the run it knew nothing of is over; the next one needs no restart."""
     rig = Rig().driving()
     rig.bridge.on_reset_confirmed(role, rig.bridge.run.run_id)
@@ -1016,7 +1016,7 @@ def test_a_second_confirmation_before_as_driving_changes_nothing() -> None:
     assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
 
 
-def test_a_stranger_who_confirms_a_reset_is_reported_and_changes_nothing() -> None:
+def test_a_reset_confirmed_by_an_unknown_role_is_only_reported() -> None:
     rig = Rig()
     rig.confirming = False
     rig.wake()
@@ -1041,7 +1041,7 @@ def test_a_stranger_who_confirms_a_reset_is_reported_and_changes_nothing() -> No
         ({"t_sensor_ns": 10**15}, "ms in the future"),
     ],
 )
-def test_a_command_that_is_not_in_order_is_refused_whole_and_reported(changes: dict[str, Any], words: str) -> None:
+def test_an_invalid_command_is_refused_whole_and_reported(changes: dict[str, Any], words: str) -> None:
     rig = Rig().driving()
     before = rig.sent
     problems = rig.bridge.on_command(
@@ -1072,7 +1072,7 @@ def test_a_sensor_stamp_may_lie_a_little_ahead() -> None:
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns + 20 * MS + 1, run_id), rig.now_ns) != ()
 
 
-def test_a_command_of_another_run_is_refused_and_is_a_reason_only_while_driving() -> None:
+def test_a_command_of_another_run_is_a_reason_only_in_as_driving() -> None:
     rig = Rig().ready()
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) == ("run_id 1 is not the run in hand (2)",)
     assert dict(rig.report.reason_counts) == {}
@@ -1118,7 +1118,7 @@ def test_a_missing_torque_limit_is_no_torque_until_it_is_back() -> None:
 # ---------------------------------------------------------------- the official simulator
 
 
-def test_against_the_official_simulator_a_whole_run_never_asks_for_the_hydraulic_brake() -> None:
+def test_the_official_simulator_gets_no_hydraulic_brake_in_a_run() -> None:
     rig = Rig(official_simulator()).driving(rpm=300)
     rig.bridge.set_mode("manual", rig.now_ns)
 
@@ -1136,7 +1136,7 @@ def test_against_the_official_simulator_a_whole_run_never_asks_for_the_hydraulic
 # ---------------------------------------------------------------- the end
 
 
-def test_on_stop_at_rest_zeros_and_neutral_go_out_five_times_and_then_silence() -> None:
+def test_on_stop_at_rest_five_cycles_of_zeros_then_silence() -> None:
     rig = Rig().ready()
     rig.bridge.begin_stop(rig.now_ns)
     rig.bridge.begin_stop(rig.now_ns)
@@ -1151,7 +1151,7 @@ def test_on_stop_at_rest_zeros_and_neutral_go_out_five_times_and_then_silence() 
     )
 
 
-def test_on_stop_while_moving_the_car_is_left_to_its_emergency_brake() -> None:
+def test_on_stop_while_moving_the_car_is_left_to_its_own_brake() -> None:
     rig = Rig().driving(rpm=400)
     rig.bridge.begin_stop(rig.now_ns)
     seen = []
@@ -1184,7 +1184,7 @@ def test_what_has_not_sent_yet_ends_in_silence(config: BridgeConfig) -> None:
 # ---------------------------------------------------------------- frames and the snapshot
 
 
-def test_frames_are_counted_and_what_is_wrong_with_them_by_its_words() -> None:
+def test_frames_and_their_problems_are_counted() -> None:
     rig = Rig().wake()
     for _ in range(2):
         rig.hear(Frame(0x525, b"\x01", rig.now_ns))
@@ -1332,7 +1332,7 @@ def happen(rig: Rig, what: str, value: Any) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.tuples(EVENTS, st.integers(1, 12)), min_size=5, max_size=40))
-def test_whatever_happens_in_whatever_order_no_cycle_breaks_a_rule(
+def test_no_order_of_events_makes_a_cycle_break_a_rule(
     happenings: list[tuple[tuple[str, Any], int]],
 ) -> None:
     rig = Rig().wake()

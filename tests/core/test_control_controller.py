@@ -153,7 +153,7 @@ def test_the_car_beside_the_path_steers_back_to_it() -> None:
     assert ask(plan_of(moved(STRAIGHT, 0.0, -0.5))).steering_rad < -0.05
 
 
-def test_a_plan_is_carried_from_the_sensors_instant_to_the_present() -> None:
+def test_a_plan_is_carried_from_its_sensor_stamp_to_the_present() -> None:
     """Half a second at 6 m/s is 3 m: the bend that was 4 m ahead when it was seen is 1 m ahead now."""
     bend = bend_after(4.0, 5.0)
     controller = Controller(CAR)
@@ -181,7 +181,7 @@ def test_a_bend_ahead_is_braked_for_in_time() -> None:
     assert ask(plan_of(far), speed_mps=6.5).brake == 0.0
 
 
-def test_a_corner_is_driven_no_faster_than_the_lateral_acceleration_allows() -> None:
+def test_corner_speed_keeps_to_the_lateral_acceleration() -> None:
     corner = arc(6.0)
     allowed = math.sqrt(SETTINGS.lateral_mps2 * 6.0)
     demand = speed_demand(corner, np.arange(len(corner)) * 0.5, 5.0, 20.0, None, SETTINGS)
@@ -195,7 +195,7 @@ def test_curvature_is_that_of_the_circle() -> None:
     assert curvature_along(STRAIGHT[:2]) == pytest.approx(np.zeros(2))
 
 
-def test_the_brake_once_used_is_held_until_it_is_needed_much_less() -> None:
+def test_the_brake_is_held_until_much_less_is_needed() -> None:
     """Between the two thresholds it stays as it was, so that it does not chatter."""
     controller = Controller(CAR)
     controller.reset(RUN)
@@ -209,7 +209,7 @@ def test_the_brake_once_used_is_held_until_it_is_needed_much_less() -> None:
 
 
 @pytest.mark.parametrize("path", [None, np.zeros((0, 2)), STRAIGHT[:2], np.full((20, 2), np.nan)])
-def test_without_a_usable_path_the_car_is_braked_gently_with_its_steering_held(path: np.ndarray | None) -> None:
+def test_without_a_path_it_brakes_gently_with_steering_held(path: np.ndarray | None) -> None:
     controller = Controller(CAR)
     controller.reset(RUN)
     steering = ask(plan_of(arc(8.0)), 4.0, controller).steering_rad
@@ -231,21 +231,19 @@ def test_a_plan_that_lies_behind_the_car_is_no_path() -> None:
 @pytest.mark.parametrize(
     ("age_s", "throttle", "brake"), [(0.39, True, False), (0.41, False, False), (0.81, False, True)]
 )
-def test_on_an_old_plan_there_is_first_no_throttle_and_then_the_brake(
-    age_s: float, throttle: bool, brake: bool
-) -> None:
+def test_an_old_plan_first_ends_the_throttle_and_then_brakes(age_s: float, throttle: bool, brake: bool) -> None:
     command = ask(plan_of(STRAIGHT, 0), speed_mps=1.0, now_ns=round(age_s * 1000) * MS)
     assert (command.throttle > 0.0, command.brake > 0.0) == (throttle, brake)
 
 
-def test_a_command_carries_the_stamp_of_the_sensor_data_behind_it_and_its_run() -> None:
+def test_a_command_carries_its_sensor_stamp_and_its_run() -> None:
     command = ask(plan_of(STRAIGHT, 70 * MS), now_ns=100 * MS)
     assert (command.t_sensor_ns, command.run_id) == (70 * MS, RUN.run_id)
     command = ask(None, motion=Motion(t_ns=90 * MS), now_ns=100 * MS)
     assert command.t_sensor_ns == 90 * MS
 
 
-def test_laps_and_cones_are_passed_on_and_kept_while_plans_are_missing() -> None:
+def test_laps_and_cones_are_passed_on_and_kept_without_plans() -> None:
     controller = Controller(CAR)
     controller.reset(RUN)
     plan = plan_of(STRAIGHT, laps=2, cones_count_actual=7, cones_count_all=90)
@@ -254,7 +252,7 @@ def test_laps_and_cones_are_passed_on_and_kept_while_plans_are_missing() -> None
         assert (command.laps, command.cones_count_actual, command.cones_count_all) == (2, 7, 90)
 
 
-def test_the_mission_is_finished_at_the_stopping_place_and_stays_so() -> None:
+def test_a_mission_finished_at_the_stopping_place_stays_finished() -> None:
     controller = Controller(CAR)
     controller.reset(RUN)
     assert not ask(plan_of(STRAIGHT, finished=True, stop_distance_m=10.0), 5.0, controller).mission_finished
@@ -266,7 +264,7 @@ def test_the_mission_is_finished_at_the_stopping_place_and_stays_so() -> None:
     assert command.throttle == 0.0
 
 
-def test_the_way_driven_since_the_plan_counts_towards_the_stopping_place() -> None:
+def test_distance_since_the_plan_counts_to_the_stopping_place() -> None:
     controller = Controller(CAR)
     controller.reset(RUN)
     plan = plan_of(STRAIGHT, 0, finished=True, stop_distance_m=2.0)
@@ -280,11 +278,11 @@ def test_after_the_finish_there_is_no_throttle() -> None:
     assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 3.0).throttle == 0.0
 
 
-def test_a_car_nearly_at_rest_after_the_finish_is_finished_wherever_it_is() -> None:
+def test_nearly_at_rest_after_the_finish_is_finished_anywhere() -> None:
     assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=19.0), 0.3).mission_finished
 
 
-def test_another_run_makes_the_controller_forget_that_it_was_finished() -> None:
+def test_another_run_clears_the_finished_state() -> None:
     controller = Controller(CAR)
     controller.reset(RUN)
     assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.0), 1.0, controller).mission_finished
@@ -303,7 +301,7 @@ def test_another_run_makes_the_controller_forget_that_it_was_finished() -> None:
     mission=st.sampled_from(list(Ami)),
     may_move=st.booleans(),
 )
-def test_whatever_the_plan_the_command_is_in_order_and_never_asks_for_throttle_and_brake(
+def test_every_command_is_valid_and_never_has_throttle_and_brake(
     data: list[tuple[float, float]],
     speed: float,
     yaw_rate: float,

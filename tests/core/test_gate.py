@@ -99,7 +99,7 @@ def asks(
 # ---------------------------------------------------------------- values
 
 
-def test_a_command_in_order_becomes_torque_on_the_driven_axle_only() -> None:
+def test_a_valid_command_becomes_torque_on_the_driven_axle_only() -> None:
     asked, reasons = asks()
     assert (asked.front_torque_nm, asked.rear_torque_nm) == (0.0, 195.0)
     assert (asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm) == (0, 1318)
@@ -141,12 +141,12 @@ def test_the_handshake_is_the_last_one_received() -> None:
         (1250, 50.0),
     ],
 )
-def test_above_each_wheel_speed_the_constant_power_schedule_allows_less(rpm: int, torque_nm: float) -> None:
+def test_constant_power_allows_less_above_each_wheel_speed(rpm: int, torque_nm: float) -> None:
     assert constant_power_nm(rpm) == torque_nm
     assert asks(vehicle=car(rpm=rpm))[0].rear_torque_nm == torque_nm
 
 
-def test_the_fastest_wheel_of_the_axle_decides_and_the_other_axle_does_not() -> None:
+def test_the_fastest_wheel_of_the_same_axle_limits_the_torque() -> None:
     front_fast = car(speeds=WheelSpeeds(900, 900, 100, 100, t_rx_ns=NOW))
     assert asks(vehicle=front_fast)[0].rear_torque_nm == 195.0
     for speeds in (WheelSpeeds(0, 0, 701, 0, t_rx_ns=NOW), WheelSpeeds(0, 0, 0, 701, t_rx_ns=NOW)):
@@ -185,7 +185,7 @@ def test_without_fresh_wheel_speeds_there_is_no_torque(speeds: WheelSpeeds | Non
     assert asked.rear_torque_nm == 195.0
 
 
-def test_a_torque_limit_that_is_unknown_is_no_reason_while_no_torque_is_asked_for() -> None:
+def test_an_unknown_torque_limit_is_no_reason_without_torque() -> None:
     for what, order in ((decision(Phase.HOLDING), command()), (decision(), command(throttle=0.0))):
         asked, reasons = asks(what=what, order=order, vehicle=car(drive_rear=None))
         assert (asked.rear_torque_nm, reasons) == (0.0, frozenset())
@@ -256,7 +256,7 @@ def test_logging_fields_saturate() -> None:
     assert asks()[0].speed_actual_kmh == 0
 
 
-def test_laps_stay_on_the_bus_when_the_planner_falls_silent_and_end_with_the_run() -> None:
+def test_laps_stay_on_the_bus_until_the_run_ends() -> None:
     order = command(run_id=7, laps=3, cones_count_actual=5, cones_count_all=44)
     state, _, _ = gate(CAR, FREE, decision(run_id=7), order, car(), NOW)
     for as_state, silent in ((AsState.AS_DRIVING, None), (AsState.AS_FINISHED, None), (AsState.AS_FINISHED, order)):
@@ -267,13 +267,13 @@ def test_laps_stay_on_the_bus_when_the_planner_falls_silent_and_end_with_the_run
     assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
 
 
-def test_before_anything_has_run_the_logging_fields_are_zero_whatever_the_number_of_the_run() -> None:
+def test_the_logging_fields_are_zero_before_the_first_run() -> None:
     for run_id in (0, 1, 7):
         _, asked, _ = gate(CAR, START, decision(Phase.IDLE, run_id=run_id), None, VehicleState(), NOW)
         assert (asked.lap_counter, asked.cones_count_actual, asked.cones_count_all) == (0, 0, 0)
 
 
-def test_the_speed_demanded_is_logged_while_the_car_drives_by_command() -> None:
+def test_the_demanded_speed_is_logged_only_while_commanded() -> None:
     assert asks(order=command(speed_limit_mps=10.0))[0].speed_demand_kmh == 36
     assert asks(what=decision(Phase.HOLDING), order=command(speed_limit_mps=10.0))[0].speed_demand_kmh == 0
     assert gate(CAR, FREE, decision(), None, car(), NOW)[1].speed_demand_kmh == 0
@@ -286,7 +286,7 @@ def steered(degrees: float, state: GateState = FREE, now_ns: int = NOW, **change
     return asks(state, order=command(steering_rad=math.radians(degrees)), vehicle=car(**changes), now_ns=now_ns)[0]
 
 
-def test_the_steering_turns_at_the_actuators_rate_and_that_is_no_reason() -> None:
+def test_steering_held_to_the_actuator_rate_gives_no_reason() -> None:
     asked, reasons = asks(order=command(steering_rad=math.radians(20.0)))
     assert (asked.steer_deg, reasons) == (0.4, frozenset())
     assert steered(-20.0).steer_deg == -0.4
@@ -294,7 +294,7 @@ def test_the_steering_turns_at_the_actuators_rate_and_that_is_no_reason() -> Non
     assert steered(20.0, replace(FREE, cycle_ns=NOW - 8 * MS)).steer_deg == 0.3
 
 
-def test_the_steering_turns_no_faster_than_its_rate_from_cycle_to_cycle() -> None:
+def test_steering_keeps_to_the_rate_from_cycle_to_cycle() -> None:
     state = replace(FREE, cycle_ns=None)
     for n in range(10):
         now_ns = NOW + n * 10 * MS
@@ -324,7 +324,7 @@ def test_after_a_pause_the_steering_does_not_jump() -> None:
         assert state.steer_deg == 0.0
 
 
-def test_steering_stays_within_the_revision_the_live_angle_max_and_reports_what_is_beyond() -> None:
+def test_steering_beyond_revision_or_angle_max_is_clamped() -> None:
     turned = replace(FREE, steer_deg=20.8)
     assert steered(21.0, turned).steer_deg == 21.0
     asked, reasons = asks(turned, order=command(steering_rad=math.radians(25.0)), config=CAR_2021)
@@ -336,7 +336,7 @@ def test_steering_stays_within_the_revision_the_live_angle_max_and_reports_what_
     assert (asked.steer_deg, reasons) == (20.9, frozenset())
 
 
-def test_half_the_signals_resolution_beyond_the_limit_is_nobodys_fault() -> None:
+def test_half_a_signal_step_beyond_angle_max_is_no_reason() -> None:
     for degrees, reasons in ((0.049, frozenset()), (0.05, frozenset()), (0.051, {Reason.STEER_CLAMPED})):
         order = command(steering_rad=math.radians(degrees))
         assert math.degrees(order.steering_rad) == degrees
@@ -361,7 +361,7 @@ def test_without_an_angle_max_the_steering_stays_straight(steer: VcuSteer | None
 
 
 @pytest.mark.parametrize("as_state", [state for state in AsState if state is not AsState.AS_DRIVING])
-def test_outside_as_driving_the_steering_is_zero_at_once_whatever_was_decided(as_state: AsState) -> None:
+def test_outside_as_driving_the_steering_is_zero_at_once(as_state: AsState) -> None:
     asked, _ = asks(replace(FREE, steer_deg=12.0), decision(steer=Steer.HELD), vehicle=car(as_state))
     assert asked.steer_deg == 0.0
     asked, _ = asks(replace(FREE, steer_deg=12.0), decision(steer=Steer.COMMAND), vehicle=car(as_state))
@@ -379,7 +379,7 @@ def test_steering_held_stays_where_it_was() -> None:
 # ---------------------------------------------------------------- torque (rule 2)
 
 
-def test_torque_the_supervisor_lets_through_is_still_held_back_by_what_the_gate_sees() -> None:
+def test_the_gate_blocks_torque_that_the_supervisor_allows() -> None:
     blocked = [
         (decision(), car(AsState.AS_READY)),
         (decision(), car(AsState.EMERGENCY_BRAKE)),
@@ -442,7 +442,7 @@ def test_brake_wins_over_throttle() -> None:
         (Phase.HOLDING, 40.0),
     ],
 )
-def test_each_phase_brakes_with_its_own_share_and_holding_keeps_the_last(phase: Phase, percent: float) -> None:
+def test_each_phase_has_its_own_brake_share_and_holding_the_last(phase: Phase, percent: float) -> None:
     asked, _ = asks(replace(FREE, brake=0.4), decision(phase), vehicle=car(rpm=0))
     assert (asked.front_brake_pct, asked.rear_brake_pct) == (percent, percent)
 
@@ -451,7 +451,7 @@ def test_each_phase_brakes_with_its_own_share_and_holding_keeps_the_last(phase: 
 
 
 @pytest.mark.parametrize("phase", [Phase.STOPPED, Phase.FINISHED, Phase.READY, Phase.IDLE])
-def test_in_as_driving_neutral_and_finished_are_never_said_while_a_wheel_may_turn(phase: Phase) -> None:
+def test_moving_in_as_driving_never_sends_neutral_or_finished(phase: Phase) -> None:
     for speeds in (None, WheelSpeeds(0, 0, 10, 0, NOW), WheelSpeeds(0, 0, 0, 0, NOW - 100 * MS)):
         asked, reasons = asks(what=decision(phase), vehicle=car(speeds=speeds))
         assert (asked.direction, asked.mission_status) == (Direction.FORWARD, MissionStatus.RUNNING)
@@ -485,13 +485,13 @@ def cycle(
     return (state if complete is None else sent(state, complete, now_ns)), asked
 
 
-def test_after_a_start_the_vcu_may_hold_anything_so_the_first_cycle_is_all_zeros() -> None:
+def test_after_a_start_the_first_cycle_is_all_zeros() -> None:
     for what in (decision(), BRAKING):
         _, asked = cycle(replace(START, run_id=1), what, NOW)
         assert not asked.torque_requested and not asked.brake_requested
 
 
-def test_after_a_start_one_whole_cycle_of_zeros_frees_the_brake_and_with_its_echo_the_torque() -> None:
+def test_zeros_after_a_start_free_brake_and_with_echo_torque() -> None:
     for what in (decision(), BRAKING):
         state, _ = cycle(replace(START, run_id=1), what, NOW)
         _, asked = cycle(state, what, NOW + 10 * MS)
@@ -505,19 +505,19 @@ def test_a_brake_that_nobody_ever_asked_for_is_not_kept() -> None:
         assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
 
 
-def test_a_gate_begins_with_nothing_but_the_torque_that_may_be_there() -> None:
+def test_a_new_gate_assumes_torque_at_the_vcu_and_nothing_else() -> None:
     begun = START
     assert (begun.torque_there, begun.torque_running, begun.awaiting) == (True, False, False)
     assert (begun.tried_torque, begun.tried_brake, begun.zero_cycles, begun.zero_since_ns) == (False, False, 0, 0)
     assert (begun.steer_deg, begun.brake, begun.cycle_ns, begun.run_id) == (0.0, 0.0, None, 0)
 
 
-def test_being_told_of_a_cycle_that_was_never_made_counts_nothing() -> None:
+def test_a_sent_report_without_a_cycle_changes_nothing() -> None:
     for complete in (True, False):
         assert sent(START, complete, NOW) == START
 
 
-def test_torque_rises_after_one_complete_zero_cycle_that_0x524_has_echoed() -> None:
+def test_torque_rises_after_one_zero_cycle_echoed_by_0x524() -> None:
     state, asked = cycle(FREE, BRAKING, NOW)
     assert asked.brake_requested
     state, asked = cycle(state, decision(), NOW + 10 * MS)
@@ -535,7 +535,7 @@ def test_torque_rises_after_one_complete_zero_cycle_that_0x524_has_echoed() -> N
         VcuBrake(t_rx_ns=NOW + 10 * MS),  # from before the zeros could be seen
     ],
 )
-def test_without_the_echo_torque_rises_after_two_complete_zero_cycles(brake: VcuBrake | None) -> None:
+def test_without_the_echo_torque_rises_after_two_zero_cycles(brake: VcuBrake | None) -> None:
     state, _ = cycle(FREE, BRAKING, NOW)
     state, _ = cycle(state, decision(), NOW + 10 * MS, brake=brake)
     state, asked = cycle(state, decision(), NOW + 20 * MS, brake=brake)
@@ -573,7 +573,7 @@ def test_the_brake_rises_after_one_complete_cycle_without_torque() -> None:
 
 
 @pytest.mark.parametrize("complete", [False, None])
-def test_the_brake_waits_for_a_cycle_without_torque_that_was_sent_whole(complete: bool | None) -> None:
+def test_the_brake_waits_for_a_complete_cycle_without_torque(complete: bool | None) -> None:
     state, _ = cycle(FREE, decision(), NOW)
     for n in range(1, 6):
         state, asked = cycle(state, BRAKING, NOW + n * 10 * MS, complete)
@@ -607,7 +607,7 @@ def test_a_broken_cycle_of_zeros_takes_nothing_back(complete: bool | None) -> No
 
 @pytest.mark.parametrize("complete", [False, None])
 @pytest.mark.parametrize("phase", [Phase.DRIVING, Phase.STOPPING])
-def test_what_was_tried_in_a_broken_cycle_must_be_followed_by_whole_zeros(phase: Phase, complete: bool | None) -> None:
+def test_complete_zeros_must_follow_what_a_broken_cycle_tried(phase: Phase, complete: bool | None) -> None:
     """However many whole cycles of zeros went before."""
     state, _ = cycle(FREE, decision(phase), NOW, complete)
     state, _ = cycle(state, decision(Phase.EMERGENCY_MOVING), NOW + 10 * MS, False)
@@ -624,7 +624,7 @@ def test_a_cycle_that_was_told_broken_stays_so() -> None:
 
 
 @pytest.mark.parametrize("axle", ["front", "rear"])
-def test_the_least_torque_that_the_signal_can_say_counts_as_one_on_either_axle(axle: str) -> None:
+def test_the_smallest_torque_step_counts_on_either_axle(axle: str) -> None:
     config = replace(CAR_2021, driven_front=axle == "front", driven_rear=axle == "rear")
     state, asked, _ = gate(config, FREE, decision(), command(throttle=0.1 / 195.0), car(), NOW)
     assert asked.front_torque_nm + asked.rear_torque_nm == 0.1
@@ -641,7 +641,7 @@ def test_the_least_brake_waits_for_the_torque_to_be_gone() -> None:
     assert gate(CAR, sent(state, True, NOW), decision(), command(brake=0.005), car(), NOW)[1].rear_brake_pct == 0.5
 
 
-def test_torque_back_at_zero_in_a_broken_cycle_rises_only_after_a_whole_one() -> None:
+def test_torque_zeroed_in_a_broken_cycle_waits_for_a_whole_one() -> None:
     state, _ = cycle(FREE, decision(), NOW)
     state, asked = cycle(state, decision(Phase.HOLDING), NOW + 10 * MS, complete=False)
     assert not asked.torque_requested
@@ -669,7 +669,7 @@ def test_the_least_brake_that_the_signal_can_say_counts_as_one() -> None:
     assert not cycle(state, decision(), NOW + 10 * MS)[1].torque_requested
 
 
-def test_a_gate_that_goes_on_saying_zero_comes_to_rest_in_one_state() -> None:
+def test_a_gate_that_sends_zeros_settles_in_one_state() -> None:
     """An exhaustive search visits every state: there must be an end of them."""
     state, states = replace(START, run_id=1), set()
     for _ in range(10):
@@ -691,7 +691,7 @@ def test_a_gate_that_goes_on_saying_zero_comes_to_rest_in_one_state() -> None:
         max_size=40,
     )
 )
-def test_torque_and_brake_never_meet_at_the_vcu_whichever_frames_of_a_cycle_arrive(steps: list[Any]) -> None:
+def test_torque_and_brake_never_meet_whichever_frames_arrive(steps: list[Any]) -> None:
     """The VCU keeps what it saw last; of a broken cycle any of the frames may have arrived."""
     state = replace(START, run_id=1)
     torque_at_vcu, brake_at_vcu = {True, False}, {True, False}  # what may be there
@@ -719,13 +719,13 @@ def test_torque_and_brake_never_meet_at_the_vcu_whichever_frames_of_a_cycle_arri
 MOTOR = gate_config(official_simulator(), revision("2026"), ADS_DV_2026)
 
 
-def test_for_the_official_simulator_a_stop_is_torque_against_a_speed_limit_of_zero() -> None:
+def test_the_official_simulator_stops_by_torque_at_speed_zero() -> None:
     asked, reasons = asks(what=BRAKING, config=MOTOR)
     assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm, asked.brake_requested) == (195.0, 0, False)
     assert reasons == frozenset()
 
 
-def test_for_the_official_simulator_a_brake_command_is_a_share_of_the_torque() -> None:
+def test_the_official_simulator_brakes_by_a_share_of_torque() -> None:
     asked, _ = asks(order=command(throttle=0.0, brake=0.5), config=MOTOR)
     assert (asked.rear_torque_nm, asked.rear_motor_speed_max_rpm) == (97.5, 0)
     assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
@@ -737,7 +737,7 @@ def test_for_the_official_simulator_throttle_drives_as_anywhere() -> None:
     assert (asked.front_brake_pct, asked.rear_brake_pct) == (0.0, 0.0)
 
 
-def test_for_the_official_simulator_nothing_ever_asks_for_the_hydraulic_brake() -> None:
+def test_the_official_simulator_gets_no_hydraulic_brake() -> None:
     for phase in Phase:
         for as_state in AsState:
             asked, _ = asks(what=decision(phase), vehicle=car(as_state, rpm=0), config=MOTOR)
@@ -768,7 +768,7 @@ def test_the_motors_brake_only_where_the_car_is_known_to_drive() -> None:
     limits=st.tuples(st.floats(0, 30), st.floats(0, 195)),
     held=st.floats(-30, 30),
 )
-def test_whatever_is_decided_and_commanded_the_codec_takes_what_the_gate_gives(
+def test_the_codec_takes_whatever_the_gate_gives(
     phase: Phase,
     steer: Steer,
     brake: Brake,

@@ -9,7 +9,7 @@ import pytest
 from fsai_vcu.core.limits import UNLIMITED, LimitsError, OperationalLimits, parse_limits
 
 
-def test_limits_given_are_taken_and_what_is_left_out_is_not_limited() -> None:
+def test_given_limits_are_taken_and_missing_ones_do_not_limit() -> None:
     limits = parse_limits({"max_speed_mps": 5, "max_steer_deg": 12.5})
     assert limits == OperationalLimits(max_speed_mps=5.0, max_axle_torque_nm=math.inf, max_steer_deg=12.5)
 

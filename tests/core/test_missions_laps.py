@@ -63,7 +63,7 @@ def test_a_passage_is_counted_once() -> None:
 
 @pytest.mark.parametrize("gate", [True, False])
 @pytest.mark.parametrize("drift", [0.0, 3.0, -3.0])
-def test_ten_laps_are_ten_with_drift_and_without_with_a_gate_and_without(gate: bool, drift: float) -> None:
+def test_ten_laps_are_ten_with_or_without_drift_and_gate(gate: bool, drift: float) -> None:
     assert circling(10.5, drift, gate).laps == 10
 
 

@@ -50,7 +50,7 @@ def test_the_staged_cars_nose_is_15_m_before_the_crossing() -> None:
     assert (x, y, yaw) == pytest.approx((-17.17, 0.0, 0.0))
 
 
-def test_progress_never_goes_back_and_is_not_lost_where_the_path_crosses_itself() -> None:
+def test_progress_never_decreases_nor_is_lost_at_the_crossing() -> None:
     state = staged_on(COURSE, Motion())
     driven = 0.0
     while driven < COURSE.finish_m - COURSE.staged_at_m:

@@ -76,7 +76,7 @@ class InTheAir:
 
 @BOTH
 @pytest.mark.parametrize(("inertia", "friction"), [(1.0, 1.0), (2.0, 3.0), (4.0, 12.0)])
-def test_inspection_a_sweeps_spins_up_in_10_s_rests_in_5_s_and_finishes(
+def test_inspection_a_spins_up_in_10_s_and_rests_in_5_s(
     car: VehicleParameters, inertia: float, friction: float
 ) -> None:
     stand = InTheAir(car, Ami.STATIC_INSPECTION_A, inertia, friction)
@@ -97,7 +97,7 @@ def test_inspection_a_sweeps_spins_up_in_10_s_rests_in_5_s_and_finishes(
 
 
 @BOTH
-def test_inspection_b_reaches_50_rpm_and_then_asks_for_the_emergency_brake(car: VehicleParameters) -> None:
+def test_inspection_b_reaches_50_rpm_then_requests_the_emergency(car: VehicleParameters) -> None:
     stand = InTheAir(car, Ami.STATIC_INSPECTION_B)
     stand.run(20.0)
     assert stand.commands[-1].estop_request
@@ -125,7 +125,7 @@ def test_the_sweep_is_slower_than_the_actuator(car: VehicleParameters) -> None:
     assert max(rates) < 0.6 * car.steer_rate_radps
 
 
-def test_a_steering_that_does_not_follow_does_not_keep_the_inspection_for_ever() -> None:
+def test_a_stuck_steering_does_not_block_an_inspection() -> None:
     stand = InTheAir(ADS_DV_2026, Ami.STATIC_INSPECTION_A, steer_stuck=True)
     stand.run(40.0)
     assert stand.commands[-1].mission_finished
@@ -137,7 +137,7 @@ def test_a_sweep_that_is_done_stays_done() -> None:
     assert advance_sweep(done, view, 0.5, SETTINGS) == done
 
 
-def test_wheels_that_do_not_turn_end_the_inspection_without_more_than_a_quarter_of_the_torque() -> None:
+def test_blocked_wheels_end_it_within_a_quarter_of_the_torque() -> None:
     stand = InTheAir(ADS_DV_2026, Ami.STATIC_INSPECTION_A, friction_nm=100.0)
     stand.run(40.0)
     assert max(command.throttle for command in stand.commands) <= 0.25
@@ -161,7 +161,7 @@ def test_inspections_do_not_mind_what_odometry_says() -> None:
     assert results[0] == results[1]
 
 
-def test_the_slowest_driven_wheel_counts_unless_a_differential_leaves_it_behind() -> None:
+def test_the_slowest_driven_wheel_counts_but_for_a_differential() -> None:
     assert driven_rpm(ADS_DV_2026, (0.0, 0.0, 190.0, 210.0)) == 190.0
     assert driven_rpm(ADS_DV_2026, (0.0, 0.0, 0.0, 400.0)) == 300.0
     assert driven_rpm(ADS_DV_2021, (100.0, 210.0, 190.0, 200.0)) == pytest.approx(157.5)
@@ -172,7 +172,7 @@ def nowhere() -> Track:
 
 
 @BOTH
-def test_the_demo_accelerates_stops_and_accelerates_each_within_10_m_and_ends_with_the_emergency_brake(
+def test_the_demo_takes_10_m_per_phase_and_ends_in_an_emergency(
     car: VehicleParameters,
 ) -> None:
     rig = Rig(nowhere(), Ami.AUTONOMOUS_DEMO, car, Planner(car), Controller(car))
@@ -226,6 +226,6 @@ def test_whatever_the_wheels_do_the_command_is_in_order(
 
 
 @pytest.mark.parametrize(("name", "value"), [("trackdrive_laps", 0), ("demo_length_m", math.nan), ("lap_min_m", -1.0)])
-def test_a_setting_that_is_not_a_positive_number_is_refused_by_name(name: str, value: float) -> None:
+def test_a_setting_that_is_not_a_positive_number_is_named(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         MissionSettings(**{name: value})

@@ -104,21 +104,21 @@ def test_time_that_runs_backwards_changes_nothing() -> None:
     assert odometry.update(state(5.0, 0.0, 500 * MS), GpsImu()) == before
 
 
-def test_spinning_driven_wheels_do_not_count_on_a_car_with_free_ones() -> None:
+def test_free_wheels_are_used_when_driven_ones_spin() -> None:
     odometry = Odometry(ADS_DV_2026)
     speeds = WheelSpeeds(100, 100, 700, 700, t_rx_ns=10 * MS)
     motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
 
 
-def test_one_spinning_wheel_does_not_count_on_a_car_that_drives_them_all() -> None:
+def test_one_spinning_wheel_of_four_driven_does_not_count() -> None:
     odometry = Odometry(ADS_DV_2021)
     speeds = WheelSpeeds(100, 100, 100, 700, t_rx_ns=10 * MS)
     motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
 
 
-def test_spinning_front_wheels_do_not_count_on_a_car_that_drives_those_alone() -> None:
+def test_spinning_front_wheels_do_not_count_with_front_drive() -> None:
     odometry = Odometry(replace(ADS_DV_2026, driven_front=True, driven_rear=False))
     speeds = WheelSpeeds(700, 700, 100, 100, t_rx_ns=10 * MS)
     motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
@@ -133,7 +133,7 @@ def test_locked_wheels_do_not_count_while_braking() -> None:
     assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(300))
 
 
-def test_a_reading_that_rests_at_9_rpm_without_wheel_pulses_is_a_standing_car() -> None:
+def test_a_constant_9_rpm_without_wheel_pulses_is_standstill() -> None:
     odometry = Odometry(CAR)
     for step in range(1, 101):
         now = step * 10 * MS
@@ -259,7 +259,7 @@ def test_a_yaw_rate_that_cannot_be_is_not_believed(value: float) -> None:
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_yaw_rate_far_from_what_steering_and_wheels_say_is_not_believed(side: float) -> None:
+def test_a_yaw_rate_far_from_steering_and_wheels_is_invalid(side: float) -> None:
     """Beyond its margin and what rounded wheel speeds make of it."""
     margin = SETTINGS.yaw_rate_disagreement_radps
     near, far = BY_STEERING + side * (margin - 0.03), BY_STEERING + side * (margin + 0.06)
@@ -269,7 +269,7 @@ def test_a_yaw_rate_far_from_what_steering_and_wheels_say_is_not_believed(side: 
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_a_car_that_slides_straight_on_turns_as_sensor_and_wheels_say(share: float) -> None:
+def test_a_sliding_car_turns_as_gyro_and_wheels_measure(share: float) -> None:
     """Steered by 20 deg, its wheels roll as if it were steered by 5: anything between the two can be."""
     now = 10 * MS
     sliding = VehicleState(speeds=wheels(CAR, 8.0, 5.0, now), steer=VcuSteer(20.0, t_rx_ns=now))
@@ -291,7 +291,7 @@ def test_the_sensors_bias_is_learnt_at_rest_and_survives_a_reset() -> None:
     assert abs(motion.yaw_rate_radps) < math.radians(0.05)
 
 
-def test_a_reading_is_learnt_from_once_however_often_it_is_looked_at() -> None:
+def test_a_reading_changes_the_bias_only_once() -> None:
     odometry = Odometry(CAR)
     for step in range(1, 11):
         odometry.update(state(0.0, 0.0, step * MS), GpsImu(rotation_b=RotationB(2.0, 1)))
@@ -318,7 +318,7 @@ def test_a_motion_is_carried_along_its_arc_both_ways() -> None:
     assert (back.x_m, back.y_m, back.yaw_rad) == pytest.approx((1.0, 2.0, math.pi / 2))
 
 
-def test_history_interpolates_between_motions_across_the_turn_of_the_angle() -> None:
+def test_history_interpolates_across_the_wrap_of_the_angle() -> None:
     history = MotionHistory()
     history.add(Motion(t_ns=0, x_m=0.0, yaw_rad=3.1, distance_m=0.0))
     history.add(Motion(t_ns=100, x_m=1.0, yaw_rad=-3.1, distance_m=1.0))

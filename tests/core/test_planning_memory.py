@@ -74,7 +74,7 @@ def test_two_cones_side_by_side_stay_two() -> None:
     assert len(memory.around(HERE).xy_m) == 2
 
 
-def test_the_colour_is_the_one_seen_most_and_colourless_sightings_do_not_outvote_it() -> None:
+def test_the_most_seen_colour_outvotes_colourless_sightings() -> None:
     memory = ConeMemory(SETTINGS)
     for color in (1, 0, 1, 2, 0, 1, 0):
         memory.add(np.array([[6.0, 1.5]]), colors(color), HERE)
@@ -92,7 +92,7 @@ def test_a_cone_never_seen_with_a_colour_has_none() -> None:
     assert cones.side[0] == 0.0
 
 
-def test_what_the_lane_says_of_a_colourless_cone_is_remembered_but_never_as_sure_as_a_colour() -> None:
+def test_a_side_from_the_lane_is_kept_but_weaker_than_a_colour() -> None:
     memory = ConeMemory(SETTINGS)
     for _ in range(12):
         memory.add(np.array([[6.0, 1.5]]), colors(0), HERE)

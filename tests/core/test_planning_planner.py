@@ -71,7 +71,7 @@ def test_an_autocross_is_one_lap_and_a_stop_within_30_m() -> None:
     assert 5.0 < rig.motion.distance_m - at < 28.0
 
 
-def test_laps_are_counted_without_any_gate_by_coming_back_to_the_start() -> None:
+def test_laps_without_a_gate_count_at_the_return_to_the_start() -> None:
     line = oval()
     track = along_midline(line, HALF_WIDTH_M, 4.0)
     gateless = track.color != ConeColor.BIG_ORANGE
@@ -80,7 +80,7 @@ def test_laps_are_counted_without_any_gate_by_coming_back_to_the_start() -> None
     assert_clean(result, line, laps=3)
 
 
-def test_a_gate_beyond_the_border_of_the_lane_is_not_this_lanes_gate() -> None:
+def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
     """A second lane passes the gate's far side, as on tracks whose two sides lie back to back."""
     xy, color = [], []
     for x in np.arange(0.0, 60.0, 3.0):
@@ -112,14 +112,14 @@ def test_the_acceleration_is_straight_and_ends_within_100_m(car: VehicleParamete
     assert 77.5 < rig.x < 77.5 + 100.0
 
 
-def test_the_acceleration_goes_straight_although_the_car_stands_askew() -> None:
+def test_acceleration_goes_straight_from_an_oblique_start() -> None:
     track = replace(straight_lane(), start=(0.0, 0.2, 0.03))
     _, result = driven(track, Ami.ACCELERATION, WORN, seconds=40.0)
     assert result.hits == set()
     assert max(abs(y) for x, y in result.path_m if x > 30.0) < 0.4
 
 
-def test_the_acceleration_is_driven_with_full_throttle_to_the_finish() -> None:
+def test_acceleration_has_full_throttle_to_the_finish() -> None:
     _, result = driven(straight_lane(), Ami.ACCELERATION, WORN, seconds=40.0)
     for command, (x, _) in zip(result.commands, result.path_m, strict=True):
         if 0.5 < x < 75.0:
@@ -143,7 +143,7 @@ def test_cones_that_close_the_exit_lane_are_not_driven_over() -> None:
 
 @pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026], ids=lambda car: car.name)
 @pytest.mark.parametrize("eyes", [WORN, BLIND_TO_COLOR], ids=["colors", "no colors"])
-def test_the_skidpad_is_two_laps_right_two_laps_left_and_a_stop_within_25_m(car: VehicleParameters, eyes: Eyes) -> None:
+def test_skidpad_is_two_laps_right_two_left_and_a_stop_in_25_m(car: VehicleParameters, eyes: Eyes) -> None:
     rig, result = driven(figure_of_eight(), Ami.SKIDPAD, eyes, car=car, seconds=90.0)
     assert result.hits == set()
     assert (result.finished, result.stands, result.laps) == (True, True, 4)
@@ -157,7 +157,7 @@ def test_the_skidpad_is_two_laps_right_two_laps_left_and_a_stop_within_25_m(car:
 
 
 @pytest.mark.parametrize("staged_m", [-20.0, -14.5])
-def test_the_skidpad_is_found_although_the_car_is_not_staged_where_it_should(staged_m: float) -> None:
+def test_skidpad_is_found_from_a_displaced_start(staged_m: float) -> None:
     rig, result = driven(figure_of_eight(staged_m), Ami.SKIDPAD, WORN, seconds=90.0)
     assert result.hits == set()
     assert result.laps == 4
@@ -205,7 +205,7 @@ def planner_for(mission: Ami) -> Planner:
 
 
 @pytest.mark.parametrize("mission", [Ami.AUTOCROSS, Ami.TRACKDRIVE, Ami.ACCELERATION, Ami.SKIDPAD])
-def test_a_plan_carries_the_observations_stamp_its_run_and_its_mission(mission: Ami) -> None:
+def test_a_plan_carries_stamp_run_and_mission(mission: Ami) -> None:
     plan = planner_for(mission).on_cones(observation(LANE, t_ns=123), Motion(t_ns=100))
     assert plan is not None
     assert (plan.t_sensor_ns, plan.run_id, plan.mission) == (123, 3, mission)
@@ -222,7 +222,7 @@ def test_an_observation_without_any_good_cone_does_no_harm(mission: Ami, xy: lis
         assert np.isfinite(plan.path_m).all()
 
 
-def test_the_last_path_is_kept_for_a_second_when_the_cones_are_gone() -> None:
+def test_the_last_path_is_kept_for_one_second_without_cones() -> None:
     planner = planner_for(Ami.AUTOCROSS)
     second = 1_000_000_000
     for step in range(3):
@@ -255,7 +255,7 @@ def test_odometry_that_begins_anew_makes_the_planner_forget() -> None:
     assert plan.cones_count_all == 0
 
 
-def test_another_run_id_or_mission_resets_and_the_same_run_does_not() -> None:
+def test_another_run_or_mission_resets_and_the_same_run_does_not() -> None:
     planner = planner_for(Ami.TRACKDRIVE)
     for step in range(3):
         planner.on_cones(observation(LANE, step), Motion(t_ns=step))
@@ -269,7 +269,7 @@ def test_another_run_id_or_mission_resets_and_the_same_run_does_not() -> None:
     assert (plan.mission, plan.cones_count_all) == (Ami.AUTOCROSS, 0)
 
 
-def test_the_staging_place_is_where_the_car_stands_when_it_starts_however_it_was_pushed_there() -> None:
+def test_the_staging_place_is_where_the_pushed_car_starts() -> None:
     planner = planner_for(Ami.ACCELERATION)
     pushed = Motion(t_ns=5, x_m=40.0, y_m=30.0, yaw_rad=1.0, distance_m=60.0)
     planner.on_cones(observation([], 5), pushed)

@@ -66,7 +66,7 @@ def run(actuator: Actuator, cycles: int, stuck_from: int | None = None, angle_de
 @pytest.mark.parametrize(
     "actuator", [(50, 40.0, 0.9), (30, 40.0, 0.0), (70, 40.0, 0.9), (50, 60.0, 0.9), (50, 32.0, 0.9)]
 )
-def test_a_steering_that_follows_within_delay_rate_and_backlash_is_plausible(
+def test_steering_within_delay_rate_and_backlash_is_plausible(
     actuator: tuple[int, float, float],
 ) -> None:
     check = run(Actuator(*actuator), 3000)
@@ -82,13 +82,13 @@ def test_whole_degrees_are_plausible() -> None:
         assert check.implausible_since_ns is None
 
 
-def test_a_steering_that_sticks_is_implausible_within_a_fifth_of_a_second() -> None:
+def test_stuck_steering_is_implausible_within_200_ms() -> None:
     check = run(Actuator(), 3000, stuck_from=1020)
     assert check.implausible_since_ns is not None
     assert 1020 * CYCLE < check.implausible_since_ns <= 1040 * CYCLE
 
 
-def test_a_steering_without_a_request_that_turns_by_itself_is_implausible() -> None:
+def test_steering_that_turns_without_a_request_is_implausible() -> None:
     check = SteeringCheck()
     for n in range(10):
         check = check_steering(CONFIG, CAR, check, 0.0, VcuSteer(0.0, 30.0, 0.0, n * CYCLE), n * CYCLE)
@@ -98,7 +98,7 @@ def test_a_steering_without_a_request_that_turns_by_itself_is_implausible() -> N
         assert check_steering(CONFIG, CAR, check, 0.0, measured, 11 * CYCLE).implausible_since_ns == since_ns
 
 
-def test_implausible_since_is_the_first_moment_and_ends_with_a_good_one() -> None:
+def test_implausible_since_is_the_first_time_until_a_good_one() -> None:
     check = SteeringCheck()
     for n, angle in ((0, 0.0), (1, 9.0), (2, 9.0)):
         check = check_steering(CONFIG, CAR, check, 0.0, VcuSteer(angle, 30.0, 0.0, n * CYCLE), n * CYCLE)
@@ -107,7 +107,7 @@ def test_implausible_since_is_the_first_moment_and_ends_with_a_good_one() -> Non
     assert check.implausible_since_ns is None
 
 
-def test_a_steering_that_is_turned_at_the_start_has_the_time_to_come_straight() -> None:
+def test_steering_turned_at_the_start_has_time_to_straighten() -> None:
     check, angle = SteeringCheck(), 4.9
     for n in range(100):
         if n >= 5:
@@ -117,7 +117,7 @@ def test_a_steering_that_is_turned_at_the_start_has_the_time_to_come_straight() 
 
 
 @pytest.mark.parametrize("measured", [None, VcuSteer(9.0, 30.0, 0.0, 0)])
-def test_without_fresh_feedback_nothing_is_compared_and_the_model_begins_anew(measured: VcuSteer | None) -> None:
+def test_without_fresh_feedback_the_steering_model_starts_anew(measured: VcuSteer | None) -> None:
     before = SteeringCheck(((0, 3.0),), 2.0, 2.0, 2.0, 90 * MS, 50 * MS)
     after = check_steering(CONFIG, CAR, before, 3.0, measured, 100 * MS)
     assert (after.implausible_since_ns, after.slow_deg, after.target_deg) == (None, None, 2.0)
@@ -137,14 +137,14 @@ def test_the_model_begins_where_the_steering_is_measured() -> None:
     assert check == SteeringCheck(((10 * MS, 7.0),), 0.0, 3.0, 3.0, 10 * MS, None)
 
 
-def test_until_the_first_request_has_passed_the_dead_time_the_steering_is_expected_to_go_straight() -> None:
+def test_steering_is_expected_straight_until_the_dead_time() -> None:
     check = check_steering(CONFIG, CAR, SteeringCheck(), 20.0, measured(0.2, 0), 0)
     check = check_steering(CONFIG, CAR, check, 20.0, measured(0.2, 10 * MS), 10 * MS)
     assert (check.slow_deg, check.fast_deg) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("dead_s", [0.05, 2.0])
-def test_a_request_acts_when_the_dead_time_is_over_and_not_before(dead_s: float) -> None:
+def test_a_request_acts_exactly_after_the_dead_time(dead_s: float) -> None:
     car = replace(CAR, steer_dead_time_s=dead_s)
     dead_ns = round(dead_s * 1000) * MS
     begun = SteeringCheck(((0, 3.0), (10 * MS, 5.0), (20 * MS, 9.0)), 1.0, 1.0, 1.0, 0)
@@ -182,7 +182,7 @@ def test_feedback_is_compared_until_it_is_100_ms_old() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_model_turns_between_three_quarters_and_five_quarters_of_the_cars_rate(sign: float) -> None:
+def test_the_steering_model_spans_75_to_125_percent_of_the_rate(sign: float) -> None:
     begun = SteeringCheck(((0, sign * 90.0),), sign * 90.0, sign * 10.0, sign * 20.0, 0)
     check = check_steering(CONFIG, CAR, begun, sign * 90.0, measured(0.0, 1000 * MS), 1000 * MS)
     assert check.slow_deg == pytest.approx(sign * 40.0, abs=1e-9)
@@ -253,7 +253,7 @@ def test_torque_explains_a_driven_wheel_that_spins_and_no_other() -> None:
     assert odd(DRIVING, (300, 300, 0, 300)) != ""
 
 
-def test_braking_explains_any_wheel_that_locks_and_none_that_spins() -> None:
+def test_braking_explains_a_locked_wheel_but_no_spinning_one() -> None:
     for wheel in range(4):
         speeds = [500, 500, 500, 500]
         speeds[wheel] = 0
@@ -262,12 +262,12 @@ def test_braking_explains_any_wheel_that_locks_and_none_that_spins() -> None:
         assert odd(BRAKING, tuple(speeds)) != ""  # type: ignore[arg-type]
 
 
-def test_a_motor_held_by_its_speed_limit_explains_a_driven_wheel_that_is_slow() -> None:
+def test_a_motor_at_its_limit_explains_a_slow_driven_wheel() -> None:
     assert odd(DRAGGING, (300, 300, 50, 300)) == ""
     assert odd(DRAGGING, (50, 300, 300, 300)) != ""
 
 
-def test_a_motor_is_held_only_above_its_speed_limit_and_only_by_torque() -> None:
+def test_a_motor_is_held_only_above_its_limit_and_by_torque() -> None:
     for limit_rpm, held in ((1049, True), (1050, False)):  # 300 rpm of the wheel are 1050 of the motor
         dragging = AiCommand(rear_torque_nm=50.0, rear_motor_speed_max_rpm=limit_rpm)
         assert (odd(dragging, (300, 300, 50, 300)) == "") is held
@@ -323,7 +323,7 @@ def test_a_wheel_is_held_against_the_middle_of_the_other_three() -> None:
     assert odd(COASTING, (300, 420, 420, 700)).startswith("rear right 700 rpm")
 
 
-def test_too_fast_and_too_slow_are_told_apart_however_little_it_is() -> None:
+def test_too_fast_and_too_slow_differ_at_any_margin() -> None:
     strict = BridgeConfig(wheel_margin_rpm=0.0, wheel_margin_fraction=0.0)
     for asked, rpm, explained in (
         (DRIVING, (300, 300, 301, 300), True),
@@ -335,12 +335,12 @@ def test_too_fast_and_too_slow_are_told_apart_however_little_it_is() -> None:
         assert (check.implausible_since_ns is None) is explained
 
 
-def test_wheels_that_turn_alike_are_never_odd_whatever_the_steering_reads() -> None:
+def test_equal_wheel_speeds_are_plausible_at_any_steering() -> None:
     assert odd(COASTING, (1000, 1000, 1060, 1000), 30.0) == ""
     assert odd(COASTING, (1000, 1000, 1061, 1000), 30.0).startswith("rear left 1061 rpm of 1000, 1000, 1061, 1000")
 
 
-def test_without_steering_feedback_the_wheels_are_taken_to_roll_straight() -> None:
+def test_without_steering_feedback_wheels_are_taken_as_straight() -> None:
     for rpm, named in ((710, False), (711, True)):
         for wheel in range(4):
             speeds = [500, 500, 500, 500]
@@ -356,7 +356,7 @@ def test_wheels_on_their_own_circles_are_plausible(steer_deg: float) -> None:
     assert odd(COASTING, rolling, steer_deg) == ""  # type: ignore[arg-type]
 
 
-def test_on_a_left_turn_the_right_wheels_go_farther_and_the_front_more_than_the_rear() -> None:
+def test_in_a_left_turn_right_and_front_wheels_go_further() -> None:
     front_left, front_right, rear_left, rear_right = wheel_factors(CAR, 20.0)
     assert rear_left < 1.0 < rear_right and front_left < front_right
     assert front_left > rear_left and front_right > rear_right
@@ -381,7 +381,7 @@ def test_each_wheel_rolls_on_the_circle_that_ackermann_gives_it(steer_deg: float
     )
 
 
-def test_an_odd_wheel_counts_from_its_first_moment_and_stale_speeds_change_nothing() -> None:
+def test_stale_speeds_do_not_change_the_start_of_an_odd_wheel() -> None:
     check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(0, 500, 500, 500, T), None, T)
     later = check_wheels(CONFIG, CAR, check, COASTING, WheelSpeeds(0, 500, 500, 500, T), None, T + 99 * MS)
     assert later.implausible_since_ns == T
@@ -392,16 +392,14 @@ def test_an_odd_wheel_counts_from_its_first_moment_and_stale_speeds_change_nothi
     assert good.implausible_since_ns is None
 
 
-def test_the_brake_that_follows_from_an_odd_wheel_does_not_explain_it() -> None:
+def test_an_odd_wheel_is_not_explained_by_the_brake_it_causes() -> None:
     check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(0, 500, 500, 500, T), None, T)
     later = check_wheels(CONFIG, CAR, check, BRAKING, WheelSpeeds(0, 400, 400, 400, T), None, T + 50 * MS)
     assert later.implausible_since_ns == T
 
 
 @pytest.mark.parametrize(("asked", "rpm"), [(DRIVING, (300, 300, 1200, 300)), (DRAGGING, (300, 300, 50, 300))])
-def test_torque_that_comes_after_a_wheel_was_odd_does_not_explain_it(
-    asked: AiCommand, rpm: tuple[int, int, int, int]
-) -> None:
+def test_an_odd_wheel_is_not_explained_by_torque_after_it(asked: AiCommand, rpm: tuple[int, int, int, int]) -> None:
     """Neither as wheelspin nor as a motor held by its speed limit; with torque before it, both would have."""
     speeds = WheelSpeeds(*rpm, t_rx_ns=T)
     assert check_wheels(CONFIG, CAR, WheelCheck(), asked, speeds, None, T).implausible_since_ns is None
@@ -409,7 +407,7 @@ def test_torque_that_comes_after_a_wheel_was_odd_does_not_explain_it(
     assert check_wheels(CONFIG, CAR, check, asked, speeds, None, T + 50 * MS).implausible_since_ns == T
 
 
-def test_outside_as_driving_an_odd_wheel_is_forgotten_but_not_what_explains_slip() -> None:
+def test_outside_as_driving_only_slip_causes_are_kept() -> None:
     check = WheelCheck(T, "front left", 1, 2, 3)
     assert forget_wheels(check) == WheelCheck(None, "", 1, 2, 3)
     assert forget_wheels(WheelCheck()) == WheelCheck()

@@ -241,7 +241,7 @@ def test_a_go_that_falls_in_as_driving_is_named() -> None:
     assert said(rig, "Go is off (GO_SIGNAL 0)")
 
 
-def test_brake_states_that_the_official_simulator_leaves_at_zero_stop_nothing() -> None:
+def test_brake_states_zero_in_official_simulator_stop_nothing() -> None:
     rig = Rig(revision_name="2021").autonomous()
     rig.say(VcuBrake(brake_status=None, ebs_status=None))
     assert not said(rig, "EBS")
@@ -325,7 +325,7 @@ def test_in_as_ready_the_rest_of_5_s_is_told() -> None:
         assert answer(state={"ready_since_ns": since_ns}) == (*left, GO)
 
 
-def test_in_as_driving_the_rest_of_3_s_is_told_and_then_what_holds_the_torque() -> None:
+def test_in_as_driving_the_rest_of_3_s_is_reported_first() -> None:
     for since_ns, held in (
         (NOW - 3 * S, NO_COMMAND),
         (NOW - 3 * S + 1, "standing still after AS_DRIVING: 0.0 s of 3 s left"),
@@ -349,7 +349,7 @@ def test_a_stop_and_an_emergency_say_all_about_the_torque() -> None:
 
 
 @pytest.mark.parametrize("as_state", [AsState.AS_READY, AsState.AS_DRIVING])
-def test_a_sequence_that_was_not_seen_is_named_in_as_ready_and_as_driving(as_state: AsState) -> None:
+def test_a_sequence_not_seen_is_named_in_as_ready_and_as_driving(as_state: AsState) -> None:
     unseen = (
         f"this process did not see AS_OFF, AS_READY and AS_DRIVING follow one another (the car is in "
         f"{as_state.label}): it takes AS_OFF first"
@@ -400,7 +400,7 @@ def test_a_silence_is_named_from_100_ms_on() -> None:
     assert answer(state={"status_ns": NOW - 100 * MS}) == ("0x520 is missing for 0.1 s", GO)
 
 
-def test_the_phase_of_driving_means_driving_only_where_frames_go_out() -> None:
+def test_the_driving_phase_is_driving_only_if_frames_go_out() -> None:
     driving = Circumstances(Phase.DRIVING)
     assert answer(AsState.AS_DRIVING, now=driving) == ()
     for now, config, words in (
@@ -452,7 +452,7 @@ def test_brakes_that_are_not_ready_are_named(status: BrakeStatus | None) -> None
 
 
 @pytest.mark.parametrize("ts_state", [None, *TsState])
-def test_a_tractive_system_that_does_not_run_is_named_where_it_is_told(ts_state: TsState | None) -> None:
+def test_a_tractive_system_off_is_named_where_it_is_reported(ts_state: TsState | None) -> None:
     runs = ts_state in (None, TsState.TS_RUNNING)
     stands = () if runs or ts_state is None else (f"the tractive system does not run ({ts_state.label})",)
     assert answer(status={"ts_state": ts_state}) == (*stands, GO)

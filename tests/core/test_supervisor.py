@@ -162,7 +162,7 @@ def test_the_output_table_is_that_of_the_safety_rules(phase: Phase, row: str) ->
     assert isinstance(out.steer, Steer) and isinstance(out.brake, Brake)
 
 
-def test_every_phase_is_told_in_words_that_begin_with_its_as_state() -> None:
+def test_the_words_of_every_phase_begin_with_its_as_state() -> None:
     begins = {
         Phase.IDLE: "no AS state yet, AS_INIT or AS_OFF",
         Phase.READY: "AS_READY",
@@ -175,7 +175,7 @@ def test_every_phase_is_told_in_words_that_begin_with_its_as_state() -> None:
         assert phase.value.startswith(begins.get(phase, "AS_DRIVING, ")), phase
 
 
-def test_every_stop_and_emergency_that_somebody_asked_for_is_told_in_a_sentence() -> None:
+def test_every_requested_stop_and_emergency_has_a_sentence() -> None:
     assert len(Asked) == 5
     for cause in Asked:
         assert len(cause.value.split()) >= 4, cause
@@ -216,7 +216,7 @@ def test_a_process_that_has_heard_nothing_begins_with_nothing() -> None:
     assert supervisor.Latch(Reason.GO_OFF, T0).words == Reason.GO_OFF.words
 
 
-def test_every_reason_has_a_sentence_that_can_be_found_by_its_short_name() -> None:
+def test_every_reason_is_found_by_its_short_name() -> None:
     assert all(words_of(reason.slug) == reason.words and len(reason.words) > 10 for reason in Reason)
     assert Reason("go_off") is Reason.GO_OFF
 
@@ -257,7 +257,7 @@ def test_each_as_state_is_answered_with_its_row(
 
 
 @pytest.mark.parametrize("as_state", [INIT, OFF])
-def test_selected_is_said_only_if_autonomous_with_a_mission_and_both_resets_confirmed(as_state: AsState) -> None:
+def test_selected_needs_autonomous_a_mission_and_both_resets(as_state: AsState) -> None:
     good = hear(chosen(), as_state, T0)
     assert decide(good, Inputs(T0)).mission_status is MissionStatus.SELECTED
     for lacking in (
@@ -270,7 +270,7 @@ def test_selected_is_said_only_if_autonomous_with_a_mission_and_both_resets_conf
         assert decide(lacking, Inputs(T0)).mission_status is MissionStatus.NOT_SELECTED
 
 
-def test_in_as_ready_selected_waits_for_the_confirmation_of_another_mission() -> None:
+def test_in_as_ready_selected_waits_for_another_missions_resets() -> None:
     state = hear(chosen(), READY, T0)
     assert decide(state, Inputs(T0)).mission_status is MissionStatus.SELECTED
     state = hear(state, READY, T0, ami=Ami.AUTOCROSS)
@@ -278,7 +278,7 @@ def test_in_as_ready_selected_waits_for_the_confirmation_of_another_mission() ->
     assert decide(confirmed(state), Inputs(T0)).mission_status is MissionStatus.SELECTED
 
 
-def test_a_confirmation_of_another_run_or_by_a_stranger_says_nothing() -> None:
+def test_a_reset_of_another_run_or_unknown_role_does_not_count() -> None:
     state = hear(SupervisorState(), OFF, T0)
     assert supervisor.confirm(state, "planner", state.run_id - 1) == state
     assert supervisor.confirm(state, "planner", state.run_id + 1) == state
@@ -289,7 +289,7 @@ def test_a_confirmation_of_another_run_or_by_a_stranger_says_nothing() -> None:
 # ---------------------------------------------------------------- runs
 
 
-def test_the_ami_is_followed_in_as_off_and_as_ready_with_a_new_run_each_time() -> None:
+def test_each_ami_change_in_as_off_or_as_ready_begins_a_run() -> None:
     state = hear(SupervisorState(), OFF, T0, ami=Ami.NOT_SELECTED)
     assert (state.run_id, state.mission) == (1, Ami.NOT_SELECTED)
     state = confirmed(hear(state, OFF, T0, ami=Ami.SKIDPAD))
@@ -316,12 +316,12 @@ def test_each_entry_into_as_off_begins_a_new_run(before: AsState, off: AsState) 
     assert hear(entered, off, T0).run_id == entered.run_id
 
 
-def test_as_init_and_as_off_are_one_and_going_between_them_is_no_entry() -> None:
+def test_as_init_and_as_off_count_as_one_state() -> None:
     state = hear(SupervisorState(), INIT, T0)
     assert hear(state, OFF, T0).run_id == state.run_id
 
 
-def test_a_power_cycle_begins_a_new_run_even_from_as_off_to_as_off() -> None:
+def test_a_power_cycle_from_as_off_to_as_off_begins_a_new_run() -> None:
     state = hear(SupervisorState(), OFF, T0)
     assert hear(state, OFF, T0 + 1 * S - 1).run_id == state.run_id
     assert hear(state, OFF, T0 + 1 * S).run_id == state.run_id + 1
@@ -367,7 +367,7 @@ def test_without_the_whole_sequence_the_car_is_stopped(path: tuple[AsState, ...]
 
 
 @pytest.mark.parametrize("back", [OFF, INIT])
-def test_after_a_fall_back_the_sequence_is_seen_anew_and_drives_again(back: AsState) -> None:
+def test_after_a_fall_back_the_sequence_counts_anew_and_drives(back: AsState) -> None:
     state = launched()
     for as_state in (back, READY, DRIVING):
         state = hear(state, as_state, LAUNCH)
@@ -381,7 +381,7 @@ def test_a_silence_of_a_power_cycle_breaks_the_sequence() -> None:
     assert hear(ready, READY, T0 + 1 * S).sequence is Sequence.NONE
 
 
-def test_a_silence_in_as_driving_begins_the_three_seconds_anew_and_is_no_drive() -> None:
+def test_a_silence_in_as_driving_restarts_the_3_s_of_rest() -> None:
     state = hear(launched(), DRIVING, LAUNCH + 1 * S)
     assert (state.sequence, state.driving_since_ns) == (Sequence.NONE, LAUNCH + 1 * S)
 
@@ -394,7 +394,7 @@ def test_a_bus_loss_breaks_the_sequence() -> None:
     assert hear(ready, OFF, T0).sequence is Sequence.OFF_SEEN
 
 
-def test_a_mission_that_changes_with_the_entry_into_as_driving_is_not_driven() -> None:
+def test_a_mission_changed_on_entering_as_driving_is_not_driven() -> None:
     state = hear(hear(chosen(), READY, T0), DRIVING, T0, ami=Ami.ACCELERATION)
     assert (state.sequence, state.mission) == (Sequence.NONE, Ami.TRACKDRIVE)
 
@@ -536,7 +536,7 @@ def test_one_wheel_at_ten_rpm_is_not_standing() -> None:
         assert not supervisor.standing(CONFIG, state, NOW)
 
 
-def test_standing_is_not_believed_when_wheel_speeds_are_100_ms_old() -> None:
+def test_wheel_speeds_100_ms_old_do_not_prove_standstill() -> None:
     assert supervisor.standing(CONFIG, stood(NOW), NOW + 100 * MS - 1)
     assert not supervisor.standing(CONFIG, stood(NOW), NOW + 100 * MS)
     assert not supervisor.standing(CONFIG, SupervisorState(), NOW)
@@ -550,7 +550,7 @@ def test_wheel_speeds_are_fresh_for_less_than_100_ms() -> None:
     assert not supervisor.wheels_fresh(CONFIG, SupervisorState(), NOW)
 
 
-def test_standing_is_not_put_together_from_before_and_after_a_gap() -> None:
+def test_standstill_is_not_joined_across_a_gap() -> None:
     assert roll(stood(NOW), 0, NOW + 100 * MS - 1).still_since_ns == NOW - 500 * MS
     assert roll(stood(NOW), 0, NOW + 100 * MS).still_since_ns == NOW + 100 * MS
 
@@ -580,7 +580,7 @@ def aged_command(age_ns: int) -> tuple[SupervisorState, Inputs]:
     return state, replace(inputs, command_ns=NOW - age_ns)
 
 
-def test_a_command_of_100_ms_holds_the_torque_back_and_a_fresh_one_resumes() -> None:
+def test_a_command_100_ms_old_blocks_torque_until_a_fresh_one() -> None:
     assert decide(*aged_command(100 * MS - 1)).phase is Phase.DRIVING
     state, decision = supervise(CONFIG, *aged_command(100 * MS))
     assert (decision.phase, decision.reasons) == (Phase.HOLDING, {Reason.COMMAND_STALE})
@@ -617,7 +617,7 @@ def test_a_command_of_another_run_counts_as_none() -> None:
     assert decide(state, other).phase is Phase.STOPPING
 
 
-def test_without_any_command_the_reaction_counts_from_the_third_second_on() -> None:
+def test_without_any_command_the_reaction_counts_from_3_s_on() -> None:
     for after_ns, phase, mode in (
         (0, Phase.HOLDING, Mode.AUTONOMOUS),
         (300 * MS - 1, Phase.HOLDING, Mode.AUTONOMOUS),
@@ -692,7 +692,7 @@ def test_the_mode_survives_as_finished_and_a_power_cycle() -> None:
     assert hear(state, OFF, LAUNCH + 60 * S).mode is Mode.AUTONOMOUS
 
 
-def test_an_emergency_that_is_latched_is_named_when_autonomous_is_chosen() -> None:
+def test_a_latched_emergency_is_named_when_autonomous_is_chosen() -> None:
     state = supervisor.ask_emergency(hear(SupervisorState(), OFF, T0), Asked.OPERATOR, "smoke", T0)
     _, done, message = supervisor.set_mode(CONFIG, state, "autonomous", T0)
     assert done and message.endswith("the emergency brake is latched because the emergency brake was asked for: smoke")
@@ -722,7 +722,7 @@ def test_autonomous_at_power_up_acts_nowhere_else(as_state: AsState) -> None:
     assert supervise(POWER_UP, at_rest(as_state, T0), Inputs(T0))[0].mode is Mode.MANUAL
 
 
-def test_a_process_that_only_listens_never_becomes_autonomous_by_itself() -> None:
+def test_a_listener_never_becomes_autonomous_by_itself() -> None:
     config = BridgeConfig(autonomous_at_power_up=True, listen_only=True)
     assert supervise(config, at_rest(OFF, T0), Inputs(T0))[0].mode is Mode.MANUAL
 
@@ -790,7 +790,7 @@ def test_the_cars_own_power_cycle_clears_the_emergency(as_state: AsState, silenc
     assert (state.emergency is None) is cleared
 
 
-def test_a_power_cycle_that_comes_back_elsewhere_does_not_clear_the_emergency_later() -> None:
+def test_a_power_cycle_to_another_state_clears_no_emergency() -> None:
     state = hear(hear(latched(EMERGENCY), EMERGENCY, T0 + 5 * S), OFF, T0 + 5 * S)
     assert state.emergency is not None
 
@@ -800,7 +800,7 @@ def test_0x520_of_any_content_is_no_silence() -> None:
     assert hear(state, OFF, T0 + 1200 * MS).emergency is not None
 
 
-def test_a_power_cycle_is_remembered_past_frames_that_are_not_believed() -> None:
+def test_a_power_cycle_is_remembered_past_invalid_frames() -> None:
     state = supervisor.heard(CONFIG, latched(EMERGENCY), T0 + 2 * S)
     state = supervisor.heard(CONFIG, state, T0 + 2 * S + 10 * MS)
     assert hear(state, OFF, T0 + 2 * S + 20 * MS).emergency is None
@@ -829,7 +829,7 @@ def test_in_emergency_brake_neutral_waits_for_standstill() -> None:
 # ---------------------------------------------------------------- graded reactions
 
 
-def test_0x520_of_50_ms_holds_the_torque_back_and_of_100_ms_asks_for_the_emergency_brake() -> None:
+def test_0x520_silence_blocks_torque_and_then_is_an_emergency() -> None:
     for age_ns, phase in (
         (50 * MS - 1, Phase.DRIVING),
         (50 * MS, Phase.HOLDING),
@@ -865,7 +865,7 @@ def test_outside_as_driving_a_silent_car_latches_nothing(as_state: AsState) -> N
         ),
     ],
 )
-def test_feedback_that_fails_stops_the_car_and_then_asks_for_the_emergency_brake(reason: Reason, age: Any) -> None:
+def test_failing_feedback_stops_the_car_and_then_is_an_emergency(reason: Reason, age: Any) -> None:
     stale = reason in (Reason.WHEELS_STALE, Reason.STEERING_STALE)
     stop_ns, estop_ns = (100 * MS, 300 * MS) if stale else (300 * MS, 600 * MS)
     for age_ns, phase in (
@@ -881,7 +881,7 @@ def test_feedback_that_fails_stops_the_car_and_then_asks_for_the_emergency_brake
 
 
 @pytest.mark.parametrize("field", ["speeds_ns", "steer_ns"])
-def test_feedback_that_never_came_is_an_emergency_once_supervision_has_begun(field: str) -> None:
+def test_feedback_never_received_is_an_emergency_once_supervised(field: str) -> None:
     for now_ns, phase in ((LAUNCH + 3 * S - 1, Phase.LAUNCH_WAIT), (LAUNCH + 3 * S, Phase.ESTOP_ASKED)):
         state, inputs = driving(now_ns)
         if field == "speeds_ns":
@@ -898,7 +898,7 @@ def test_a_stop_by_failed_feedback_is_latched_but_the_mode_stays() -> None:
     assert decide(*refreshed(state, inputs, NOW)).phase is Phase.STOPPING
 
 
-def test_throttle_and_brake_together_are_reported_and_after_100_ms_an_emergency() -> None:
+def test_throttle_with_brake_for_100_ms_is_an_emergency() -> None:
     state, inputs = driving()
     assert inputs.command is not None
     both = replace(inputs, command=replace(inputs.command, brake=0.1))
@@ -918,7 +918,7 @@ def test_throttle_and_brake_in_turn_are_no_fault() -> None:
     assert decide(*refreshed(state, both, NOW + 100 * MS)).phase is Phase.DRIVING
 
 
-def test_both_pedals_in_the_first_three_seconds_count_from_the_third_on() -> None:
+def test_both_pedals_in_the_first_3_s_count_from_3_s_on() -> None:
     for after_ns, phase in ((99 * MS, Phase.DRIVING), (100 * MS, Phase.ESTOP_ASKED)):
         state, inputs = driving(LAUNCH + 2 * S)
         assert inputs.command is not None
@@ -941,7 +941,7 @@ def test_the_car_stopping_itself_stops_the_torque_at_once(changes: dict[str, boo
 
 
 @pytest.mark.parametrize("reason", [Reason.INTRUDER, Reason.LOOP_FAULT])
-def test_an_intruder_and_a_loop_fault_are_emergencies_in_as_driving_only(reason: Reason) -> None:
+def test_intruder_and_loop_fault_are_emergencies_when_driving(reason: Reason) -> None:
     state, inputs = driving()
     struck = supervisor.strike(state, reason, "what", NOW)
     assert struck.emergency is not None and struck.emergency.words == f"{reason.words}: what"
@@ -990,7 +990,7 @@ def test_the_deceleration_must_go_on() -> None:
     assert after_stop(300, 1000 * MS, state)[1].phase is Phase.ESTOP_ASKED
 
 
-def test_a_stop_that_is_still_moving_after_three_seconds_is_an_emergency() -> None:
+def test_a_stop_still_moving_after_3_s_is_an_emergency() -> None:
     state, _ = stopping()
     slow = replace(state, stop_window_ns=NOW + 2900 * MS, stop_window_rpm=100)
     assert after_stop(10, 3 * S - 1, slow)[1].phase is Phase.STOPPING
@@ -998,7 +998,7 @@ def test_a_stop_that_is_still_moving_after_three_seconds_is_an_emergency() -> No
     assert after_stop(9, 3 * S, slow)[1].phase is Phase.STOPPING
 
 
-def test_a_stop_whose_wheels_nobody_knows_is_an_emergency_after_three_seconds() -> None:
+def test_a_stop_without_wheel_speeds_is_an_emergency_after_3_s() -> None:
     state, inputs = stopping()
     silent = replace(state, speeds_ns=None, stop_window_rpm=None, driving_since_ns=NOW + 1 * S)
     for after_ns, phase in ((3 * S - 1, Phase.STOPPING), (3 * S, Phase.ESTOP_ASKED)):
@@ -1006,7 +1006,7 @@ def test_a_stop_whose_wheels_nobody_knows_is_an_emergency_after_three_seconds() 
         assert decide(fresh, replace(inputs, now_ns=NOW + after_ns)).phase is phase
 
 
-def test_a_wheel_speed_from_before_the_stop_does_not_count_as_its_beginning() -> None:
+def test_a_wheel_speed_before_the_stop_is_not_its_first() -> None:
     state = replace(launched(), sequence=Sequence.NONE, driving_since_ns=NOW)
     state, _ = supervise(CONFIG, replace(state, status_ns=NOW), Inputs(NOW))
     for ms in range(100, 700, 100):  # the first wheel speeds come after the stop has begun
@@ -1015,7 +1015,7 @@ def test_a_wheel_speed_from_before_the_stop_does_not_count_as_its_beginning() ->
         assert decision.phase is Phase.STOPPING
 
 
-def test_finished_is_said_only_after_half_a_second_of_standstill_and_stays() -> None:
+def test_finished_needs_half_a_second_of_standstill_and_stays() -> None:
     begun, inputs = stopping()
     at_ns = NOW + 500 * MS
     begun, inputs = refreshed(replace(begun, fastest_rpm=0, still_since_ns=NOW, speeds_ns=at_ns - 1), inputs, at_ns)
@@ -1030,7 +1030,7 @@ def test_finished_is_said_only_after_half_a_second_of_standstill_and_stays() -> 
     assert decide(hear(state, FINISHED, inputs.now_ns), inputs).mission_status is MissionStatus.FINISHED
 
 
-def test_a_car_that_rolls_again_after_finished_is_braked_in_forward_again() -> None:
+def test_rolling_after_finished_is_braked_in_forward_again() -> None:
     state, inputs = stopping()
     at_ns = NOW + 600 * MS
     state = replace(state, fastest_rpm=0, still_since_ns=NOW, speeds_ns=at_ns - 1)
@@ -1041,7 +1041,7 @@ def test_a_car_that_rolls_again_after_finished_is_braked_in_forward_again() -> N
     assert (decision.phase, decision.direction) == (Phase.STOPPING, Direction.FORWARD)
 
 
-def test_a_mission_that_is_done_stops_by_the_planners_steering_and_keeps_the_mode() -> None:
+def test_a_finished_mission_stops_with_steering_and_keeps_mode() -> None:
     state, inputs = driving()
     assert inputs.command is not None
     state, decision = supervise(CONFIG, state, replace(inputs, command=replace(inputs.command, mission_finished=True)))
@@ -1079,7 +1079,7 @@ def test_the_mission_may_end_with_an_emergency_brake() -> None:
     assert not decide(manual, wish).estop
 
 
-def test_a_stop_ends_with_as_driving_and_the_next_run_is_free_of_it() -> None:
+def test_a_stop_ends_with_as_driving_and_the_next_run_is_free() -> None:
     state, _ = stopping()
     for as_state in (FINISHED, OFF, READY, DRIVING):
         state = hear(state, as_state, NOW)
@@ -1108,7 +1108,7 @@ def test_an_orderly_end_at_rest_in_as_driving_finishes_the_run() -> None:
     assert state.stop is not None and state.stop.words == "this software was stopped"
 
 
-def test_an_orderly_end_while_moving_leaves_the_car_to_its_emergency_brake() -> None:
+def test_an_orderly_end_while_moving_leaves_the_car_to_its_brake() -> None:
     state, inputs = driving()
     decision = supervisor.ending(decide(supervisor.begin_end(CONFIG, state, NOW), inputs))
     assert (decision.estop, decision.direction, decision.brake) == (True, Direction.FORWARD, Brake.SERVICE)
@@ -1137,7 +1137,7 @@ def test_a_command_that_is_not_valid_any_more_asks_for_nothing(age: Any) -> None
         assert (after.stop is not None and after.stop.cause is Asked.MISSION_DONE) is obeyed
 
 
-def test_a_command_of_another_run_holds_the_torque_back_from_the_third_second_on() -> None:
+def test_a_command_of_another_run_blocks_torque_from_3_s_on() -> None:
     state, inputs = driving(LAUNCH + 3 * S)
     assert inputs.command is not None
     other = replace(inputs, command=replace(inputs.command, run_id=state.run_id - 1))
@@ -1145,7 +1145,7 @@ def test_a_command_of_another_run_holds_the_torque_back_from_the_third_second_on
     assert decide(state, inputs).phase is Phase.DRIVING
 
 
-def test_a_command_that_ended_before_the_third_second_counts_as_lost_only_from_there_on() -> None:
+def test_a_command_lost_before_3_s_counts_as_lost_from_3_s_on() -> None:
     for after_ns, phase in ((0, Phase.HOLDING), (300 * MS - 1, Phase.HOLDING), (300 * MS, Phase.STOPPING)):
         state, inputs = driving(LAUNCH + 3 * S + after_ns)
         assert decide(state, replace(inputs, command_ns=LAUNCH + 1 * S)).phase is phase
@@ -1172,7 +1172,7 @@ def both_pedals(inputs: Inputs) -> Inputs:
     return replace(inputs, command=replace(inputs.command, throttle=0.5, brake=0.1))
 
 
-def test_both_pedals_of_a_command_from_before_the_third_second_count_from_there_on() -> None:
+def test_both_pedals_of_a_command_before_3_s_count_from_3_s_on() -> None:
     for after_ns, phase in ((100 * MS - 1, Phase.DRIVING), (100 * MS, Phase.ESTOP_ASKED)):
         state, inputs = driving(LAUNCH + 3 * S)
         state, _ = supervise(CONFIG, state, replace(both_pedals(inputs), command_ns=LAUNCH + 3 * S - 50 * MS))
@@ -1202,7 +1202,7 @@ def test_both_pedals_of_the_last_run_do_not_count_in_the_next() -> None:
     assert (decision.phase, decision.reasons) == (Phase.DRIVING, {Reason.BOTH_PEDALS})
 
 
-def test_both_pedals_give_no_torque_back_that_something_else_holds() -> None:
+def test_both_pedals_do_not_release_torque_that_others_block() -> None:
     state, inputs = driving()
     decision = decide(replace(state, status_ns=NOW - 60 * MS), both_pedals(inputs))
     assert (decision.phase, decision.reasons) == (Phase.HOLDING, {Reason.VCU_SILENT, Reason.BOTH_PEDALS})
@@ -1297,13 +1297,13 @@ def test_who_has_not_confirmed_is_named() -> None:
         assert after.stop is not None and after.stop.words.endswith(f": run {state.run_id} by the {names}")
 
 
-def test_a_stop_without_effect_tells_how_fast_the_wheels_still_turn() -> None:
+def test_a_stop_without_effect_reports_the_wheel_speed() -> None:
     state, _ = after_stop(400, 500 * MS)
     assert state.emergency is not None
     assert state.emergency.words == "the service brake does not stop the car: 400 rpm"
 
 
-def test_an_end_while_moving_tells_that_the_car_was_not_known_to_stand() -> None:
+def test_an_end_while_moving_reports_unknown_standstill() -> None:
     state = supervisor.begin_end(CONFIG, driving()[0], NOW)
     assert state.emergency is not None
     assert state.emergency.words == "this software was stopped: the car was in AS_DRIVING and not known to stand"
@@ -1332,7 +1332,7 @@ def test_what_led_to_a_stop_is_not_found_again_in_it() -> None:
         assert decide(state, inputs).reasons == frozenset()
 
 
-def test_a_process_that_finds_the_car_in_as_driving_knows_its_mission() -> None:
+def test_started_in_as_driving_it_knows_the_mission_of_the_car() -> None:
     state = hear(SupervisorState(), DRIVING, T0, ami=Ami.SKIDPAD)
     assert (state.mission, state.run_id) == (Ami.SKIDPAD, 2)
 
@@ -1360,14 +1360,14 @@ def test_outside_as_driving_nothing_may_move() -> None:
         assert not decide(state, Inputs(LAUNCH + 5 * S)).may_move
 
 
-def test_manual_asked_for_before_the_car_was_seen_at_rest_stays_manual() -> None:
+def test_manual_before_the_car_was_seen_at_rest_stays_manual() -> None:
     state, _, _ = supervisor.set_mode(POWER_UP, at_rest(OFF, T0), "manual", T0)
     state = hear(state, OFF, T0)
     assert supervise(POWER_UP, state, Inputs(T0))[0].mode is Mode.MANUAL
 
 
 @pytest.mark.parametrize("by_whom", ["itself", "somebody"])
-def test_a_mode_that_was_lost_does_not_come_back_by_itself_before_the_next_power_up(by_whom: str) -> None:
+def test_a_lost_mode_returns_only_at_the_next_power_up(by_whom: str) -> None:
     state = at_rest(OFF, T0)
     if by_whom == "itself":
         state, _ = supervise(POWER_UP, state, Inputs(T0))
@@ -1378,7 +1378,7 @@ def test_a_mode_that_was_lost_does_not_come_back_by_itself_before_the_next_power
     assert supervise(POWER_UP, lost, Inputs(T0))[0].mode is Mode.MANUAL
 
 
-def test_in_as_ready_selected_stays_whatever_the_mode_and_the_emergency() -> None:
+def test_in_as_ready_selected_stays_in_any_mode_and_emergency() -> None:
     ready = hear(chosen(), READY, T0)
     for state in (replace(ready, mode=Mode.MANUAL), supervisor.ask_emergency(ready, Asked.OPERATOR, "", T0)):
         assert decide(state, Inputs(T0)).mission_status is MissionStatus.SELECTED
@@ -1413,9 +1413,7 @@ def test_in_as_ready_selected_stays_whatever_the_mode_and_the_emergency() -> Non
         (Asked.SHUTDOWN, Steer.HELD),
     ],
 )
-def test_a_stop_follows_the_planner_only_where_neither_it_nor_the_steering_failed(
-    cause: Reason | Asked, steer: Steer
-) -> None:
+def test_a_stop_steers_unless_planner_or_steering_failed(cause: Reason | Asked, steer: Steer) -> None:
     state, inputs = driving()
     state = replace(state, stop=supervisor.Latch(cause, NOW))
     assert decide(state, inputs).steer is steer
@@ -1426,7 +1424,7 @@ def test_a_stop_follows_the_planner_only_where_neither_it_nor_the_steering_faile
 # ---------------------------------------------------------------- standing still, and a stop that shows no effect
 
 
-def test_a_car_that_comes_to_rest_is_seen_standing_half_a_second_later() -> None:
+def test_standstill_is_seen_half_a_second_after_coming_to_rest() -> None:
     state = roll(roll(SupervisorState(), 100, T0), 0, T0 + 10 * MS)
     for n in range(1, 51):
         assert not supervisor.standing(CONFIG, state, state.speeds_ns or 0)
@@ -1434,7 +1432,7 @@ def test_a_car_that_comes_to_rest_is_seen_standing_half_a_second_later() -> None
     assert supervisor.standing(CONFIG, state, T0 + 510 * MS)
 
 
-def test_a_stop_whose_wheels_fell_silent_at_rest_is_an_emergency_after_three_seconds_too() -> None:
+def test_a_stop_that_loses_speeds_is_an_emergency_after_3_s() -> None:
     state, inputs = stopping()
     silent = replace(state, fastest_rpm=0, driving_since_ns=NOW + 1 * S)
     for after_ns, phase in ((3 * S - 1, Phase.STOPPING), (3 * S, Phase.ESTOP_ASKED)):
@@ -1442,7 +1440,7 @@ def test_a_stop_whose_wheels_fell_silent_at_rest_is_an_emergency_after_three_sec
         assert decide(fresh, replace(inputs, now_ns=NOW + after_ns)).phase is phase
 
 
-def test_wheel_speeds_that_are_too_old_prove_no_missing_deceleration() -> None:
+def test_stale_wheel_speeds_prove_no_missing_deceleration() -> None:
     state, inputs = stopping()
     later_ns = NOW + 500 * MS
     silent = replace(state, driving_since_ns=NOW + 1 * S, status_ns=later_ns, speeds_ns=later_ns - 100 * MS)
@@ -1453,7 +1451,7 @@ def test_wheel_speeds_that_are_too_old_prove_no_missing_deceleration() -> None:
     }
 
 
-def test_the_deceleration_of_a_stop_is_measured_from_its_own_beginning() -> None:
+def test_the_deceleration_of_a_stop_counts_from_its_own_start() -> None:
     state, inputs = driving(rpm=400)
     state = replace(state, stop_window_ns=NOW - 60 * S, stop_window_rpm=100)  # of a stop in an earlier run
     state, _, _ = supervisor.set_mode(CONFIG, state, "manual", NOW)
@@ -1465,7 +1463,7 @@ def test_the_deceleration_of_a_stop_is_measured_from_its_own_beginning() -> None
 # ---------------------------------------------------------------- the bus goes and comes back
 
 
-def test_a_silence_that_lasted_before_the_bus_was_lost_is_a_power_cycle_all_the_same() -> None:
+def test_a_silence_of_1_s_before_a_bus_loss_is_a_power_cycle() -> None:
     for silence_ns, cleared in ((1 * S - 1, False), (1 * S, True)):
         state = supervisor.bus_lost(CONFIG, latched(EMERGENCY), "unplugged", T0 + silence_ns)
         state = supervisor.bus_back(state, T0 + silence_ns)
@@ -1493,7 +1491,7 @@ def test_the_time_without_a_bus_is_no_part_of_a_stop() -> None:
     assert decide(*refreshed(state, inputs, back_ns + 500 * MS)).phase is Phase.ESTOP_ASKED
 
 
-def test_after_a_bus_loss_the_feedback_has_three_seconds_to_come_back() -> None:
+def test_after_a_bus_loss_the_feedback_has_3_s_to_return() -> None:
     state, _ = driving()
     back_ns = NOW + 60 * S
     state = supervisor.bus_back(supervisor.bus_lost(CONFIG, state, "unplugged", NOW), back_ns)
@@ -1509,7 +1507,7 @@ def test_after_a_bus_loss_the_feedback_has_three_seconds_to_come_back() -> None:
 
 
 @pytest.mark.parametrize("role", supervisor.ROLES)
-def test_who_confirms_the_run_once_more_in_as_driving_was_restarted_and_stops_it(role: str) -> None:
+def test_a_reset_confirmed_again_in_as_driving_stops_the_car(role: str) -> None:
     state, inputs = driving()
     state = supervisor.confirm(state, role, state.run_id)
     state, decision = supervise(CONFIG, state, inputs)
@@ -1518,7 +1516,7 @@ def test_who_confirms_the_run_once_more_in_as_driving_was_restarted_and_stops_it
     assert (state.stop.detail, state.stop.since_ns) == (role, NOW)
 
 
-def test_elsewhere_a_restarted_process_stops_nothing_and_the_first_confirmation_never_does() -> None:
+def test_a_first_confirmation_or_one_elsewhere_stops_nothing() -> None:
     for state in (SupervisorState(), chosen(), hear(chosen(), READY, T0), hear(launched(), EMERGENCY, LAUNCH)):
         assert supervisor.confirm(confirmed(state), "planner", state.run_id) == confirmed(state)
     late, _ = driving()
@@ -1543,7 +1541,7 @@ def test_a_configuration_that_makes_no_sense_is_refused(values: dict[str, Any], 
     assert str(refused.value) == words
 
 
-def test_for_the_official_simulator_nothing_but_the_motors_brakes() -> None:
+def test_the_official_simulator_is_braked_by_the_motors_only() -> None:
     config = official_simulator()
     assert config.motor_brakes and config.held_brake_pct == 0.0
     assert official_simulator(BridgeConfig(autonomous_at_power_up=True)).autonomous_at_power_up

@@ -14,7 +14,7 @@ def test_cars_are_found_by_their_revision() -> None:
     assert CARS["2026"] is ADS_DV_2026
 
 
-def test_the_2021_car_drives_both_axles_and_the_2026_car_the_rear_one() -> None:
+def test_the_2021_car_drives_both_axles_and_2026_the_rear() -> None:
     assert (ADS_DV_2021.driven_front, ADS_DV_2021.driven_rear, ADS_DV_2021.driven_axles) == (True, True, 2)
     assert (ADS_DV_2026.driven_front, ADS_DV_2026.driven_rear, ADS_DV_2026.driven_axles) == (False, True, 1)
 

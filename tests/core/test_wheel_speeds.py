@@ -164,7 +164,7 @@ def test_each_wheels_reading_is_held_against_its_own_count(wheel: int) -> None:
         assert wheels.doubts[-1].startswith(f"the {names[wheel]} wheel")
 
 
-def test_a_wheel_that_starts_to_read_alone_is_held_against_its_count() -> None:
+def test_a_lone_wheel_that_starts_to_turn_must_match_its_count() -> None:
     wheels = Wheels().roll(200)
     for _ in range(20):
         wheels.step(0)

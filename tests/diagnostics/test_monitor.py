@@ -94,9 +94,7 @@ def test_a_driving_car_shows_what_is_asked_and_what_is_given() -> None:
     assert {m.freshness for m in picture.messages if m.can_id in EXPECTED} == {Freshness.FRESH}
 
 
-def test_an_emergency_brake_is_told_with_its_cause_and_remedy_for_as_long_as_it_stands(
-    go_off: Ended, asms_off: Ended
-) -> None:
+def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_off: Ended) -> None:
     for ended, said in ((go_off, "Go went off"), (asms_off, "ASMS was turned off")):
         view = View("can0")
         pictures = []
@@ -121,7 +119,7 @@ def test_an_emergency_brake_that_was_there_before_is_said_to_be() -> None:
     assert words(picture) == ["the car is in EMERGENCY_BRAKE, and was before this began to listen"]
 
 
-def test_in_as_off_every_unmet_condition_is_named_first_what_must_be_put_right_first() -> None:
+def test_in_as_off_unmet_conditions_are_in_order_of_remedy() -> None:
     picture = seen(*in_chunks(branch(off(), lambda run: None, 0.5).frames))
     assert picture.as_state == "AS_OFF"
     assert words(picture)[0] == "no mission is chosen on the AMI"
@@ -129,7 +127,7 @@ def test_in_as_off_every_unmet_condition_is_named_first_what_must_be_put_right_f
     assert [one.follows for one in picture.why_not_driving] == sorted(one.follows for one in picture.why_not_driving)
 
 
-def test_in_as_ready_the_5_s_are_counted_down_and_then_go_is_waited_for() -> None:
+def test_in_as_ready_5_s_count_down_before_waiting_for_go() -> None:
     early = seen(*in_chunks(branch(ready(), lambda run: None, 0.5).frames))
     assert re.fullmatch(r"waiting in AS_READY: [34]\.\d s of 5 s left", words(early)[0])
     assert words(early)[1] == "waiting for Go"
@@ -142,7 +140,7 @@ def test_in_as_ready_the_5_s_are_counted_down_and_then_go_is_waited_for() -> Non
 # ---------------------------------------------------------------- ages
 
 
-def test_a_value_is_gone_when_its_message_counts_as_lost_and_not_a_nanosecond_before() -> None:
+def test_a_value_disappears_exactly_when_its_message_is_lost() -> None:
     frames = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), (0x523, STEER), *AI)
     others = every_cycle(S, 2 * S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
     last_ns = int(frames.t_ns[frames.can_id == 0x523][-1])
@@ -157,7 +155,7 @@ def test_a_value_is_gone_when_its_message_counts_as_lost_and_not_a_nanosecond_be
     assert freshness == {0: Freshness.LATE, 1: Freshness.LOST}
 
 
-def test_a_car_that_fell_silent_keeps_none_of_its_last_words_but_says_which_they_were() -> None:
+def test_a_silent_car_shows_no_values_but_its_last_state() -> None:
     frames = every_cycle(0, S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI)
     last_ns = int(frames.t_ns[frames.can_id == 0x520][-1])
     fresh, lost = (seen(frames, now_ns=last_ns + age_ns) for age_ns in (100 * MS - 1, 100 * MS))
@@ -167,7 +165,7 @@ def test_a_car_that_fell_silent_keeps_none_of_its_last_words_but_says_which_they
     assert words(lost) == ["0x520 is missing for 100 ms: the car is silent"]
 
 
-def test_the_ai_computers_silence_is_told_as_what_it_is_to_the_vcu() -> None:
+def test_silence_of_the_ai_computer_is_shown_as_the_vcu_sees_it() -> None:
     both = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
     alone = every_cycle(S, 2 * S, (0x520, status(AsState.AS_OFF)))
     picture = seen(both, alone)
@@ -178,7 +176,7 @@ def test_the_ai_computers_silence_is_told_as_what_it_is_to_the_vcu() -> None:
     assert partly.link[0].startswith("AI2VCU_Steer (0x513) is missing for 1.0")
 
 
-def test_rates_are_those_of_the_last_seconds_and_what_is_never_heard_is_named() -> None:
+def test_rates_are_recent_and_missing_messages_are_named() -> None:
     frames = every_cycle(0, 5 * S, (0x520, status(AsState.AS_OFF)), (0x7AA, "01"))
     picture = seen(*in_chunks(frames))
     found = {message.can_id: message for message in picture.messages}
@@ -190,7 +188,7 @@ def test_rates_are_those_of_the_last_seconds_and_what_is_never_heard_is_named() 
     assert {m.can_id: (m.rate_hz, m.freshness) for m in gone.messages}[0x7AA] == (0.0, Freshness.LOST)
 
 
-def test_extended_remote_and_error_frames_and_wrong_lengths_are_told_apart() -> None:
+def test_extended_remote_error_and_wrong_length_are_distinct() -> None:
     status_ns = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), (0x514, "000000"))
     strange = frames_of(
         [
@@ -218,7 +216,7 @@ def test_a_second_sender_on_the_ai_computers_ids_is_named() -> None:
     assert [text for text in picture.link if text.startswith("somebody else sends on the AI computer's ids: 0x510")]
 
 
-def test_an_echo_that_does_not_come_is_told_while_it_is_waited_for() -> None:
+def test_a_missing_echo_is_shown_while_it_is_awaited() -> None:
     toggled = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI)
     waiting = every_cycle(S, S + 80 * MS, (0x520, status(AsState.AS_OFF, bits=1)), *AI)
     picture = seen(toggled, waiting)
@@ -251,7 +249,7 @@ def hours(begin_ns: int, count: int, data: bytes) -> Frames:
     )
 
 
-def test_after_an_hour_it_is_still_known_that_the_car_was_not_switched_off_since_its_last_run() -> None:
+def test_a_missing_power_cycle_is_known_an_hour_after_the_run() -> None:
     run = every_cycle(0, S, (0x520, status(AsState.AS_FINISHED)), *AI)
     hour = hours(S, 360_000, status(AsState.AS_OFF))
     view = View("can0")
@@ -269,7 +267,7 @@ def test_after_an_hour_it_is_still_known_that_the_car_was_not_switched_off_since
     )
 
 
-def test_a_silence_of_less_than_a_second_is_no_power_cycle_wherever_it_falls() -> None:
+def test_a_silence_of_less_than_1_s_is_never_a_power_cycle() -> None:
     for shift in range(0, 500, 50):
         begin_ns = S + shift * MS
         run = every_cycle(0, begin_ns, (0x520, status(AsState.AS_FINISHED)), *AI)
@@ -322,7 +320,7 @@ SIZES = [(80, 24), (40, 10), (20, 5), (1, 1), (132, 43), (250, 80)]
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
-def test_no_line_is_wider_and_no_picture_higher_than_the_terminal(width: int, height: int, go_off: Ended) -> None:
+def test_a_picture_never_exceeds_the_terminal(width: int, height: int, go_off: Ended) -> None:
     strange = frames_of([LogFrame(int(go_off.frames.t_ns[-1]), "can0", can_id) for can_id in range(0x700, 0x740)])
     for picture in (
         seen(go_off.frames),
@@ -369,7 +367,7 @@ def test_where_not_all_messages_fit_those_that_are_not_well_do() -> None:
     assert any("… and " in line for line in lines)
 
 
-def test_control_characters_in_foreign_names_never_reach_the_terminal() -> None:
+def test_control_characters_in_names_never_reach_the_terminal() -> None:
     view = View("\x1b]0;evil\x07bus")
     assert all(
         "\x1b]" not in line and "\x07" not in line for line in screen_lines(view.picture(0), 80, 24, color=False)

@@ -81,7 +81,7 @@ def test_whatever_happens_from_any_station_on_no_rule_is_broken(
     assert not problems, "\n".join(described(Failure(case, problems[0])))
 
 
-def test_a_mission_that_drives_with_faults_upon_faults_breaks_no_rule() -> None:
+def test_a_mission_with_repeated_faults_breaks_no_rule() -> None:
     drive = Drive("ci")
     assert drive.run() == [], drive.notes
 
@@ -96,7 +96,7 @@ def played(*events: FuzzEvent, setup: str = "2026", station: str = "moving") -> 
 
 
 @pytest.mark.parametrize("role", ["planner", "controller"])
-def test_a_planner_or_controller_back_within_700_ms_does_not_resume_the_drive(role: str) -> None:
+def test_a_planner_or_controller_back_in_700_ms_does_not_resume(role: str) -> None:
     after = played(
         event("command", age_ms=550.0),
         event("run", cycles=5),
@@ -113,7 +113,7 @@ def test_commands_with_stamps_of_the_future_move_nothing(age_ms: float) -> None:
 
 
 @pytest.mark.parametrize("ms", [10.0, 400.0, 1500.0])
-def test_an_emergency_asked_for_on_a_lost_bus_is_sent_when_it_is_back(ms: float) -> None:
+def test_an_emergency_requested_on_a_lost_bus_is_sent_when_back(ms: float) -> None:
     told_of: list[str] = []
     run = at_station("2026", "moving")
     run.say = told_of.append
@@ -176,7 +176,7 @@ def test_delta_debugging_leaves_only_what_is_needed() -> None:
     assert [one.values["cycles"] for one in kept] == [7, 20]
 
 
-def test_fresh_and_changed_cases_are_of_known_setups_and_stations() -> None:
+def test_generated_cases_use_known_setups_and_stations() -> None:
     from random import Random
 
     for seed in range(50):
@@ -207,7 +207,7 @@ def test_a_fault_put_into_the_rules_is_found_on_the_wire(name: str) -> None:
     assert problem is not None, f"not found in {tally.cases} cases"
 
 
-def test_an_exception_of_the_process_is_found_cut_down_told_and_kept(tmp_path: Path) -> None:
+def test_an_exception_is_found_reduced_reported_and_stored(tmp_path: Path) -> None:
     def breaks(bridge: Bridge, command: Any, now_ns: int) -> tuple[str, ...]:
         if command.throttle == 1.0:
             raise ZeroDivisionError("seeded")
@@ -228,7 +228,7 @@ def test_an_exception_of_the_process_is_found_cut_down_told_and_kept(tmp_path: P
     assert read_case(text).events == small.case.events
 
 
-def test_replay_tells_and_its_status_says_whether_a_rule_is_broken(
+def test_replay_reports_and_exits_by_whether_a_rule_is_broken(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "case.txt"

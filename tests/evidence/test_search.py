@@ -46,7 +46,7 @@ class Counter:
         return state == 10
 
 
-def test_the_search_visits_every_state_and_knows_the_longest_way_to_a_safe_end() -> None:
+def test_the_search_visits_every_state_and_the_longest_safe_way() -> None:
     found = explore(Counter())
     assert (found.states, found.transitions, found.depth) == (11, 22, 5)
     assert found.bounds_ns == {"counting on": 10}
@@ -61,7 +61,7 @@ def test_the_first_problem_found_has_a_shortest_trace() -> None:
     assert not found.holds
 
 
-def test_a_state_from_which_no_safe_end_comes_is_a_problem_and_so_is_one_that_comes_too_late() -> None:
+def test_a_state_with_no_safe_end_or_a_late_one_is_a_problem() -> None:
     stuck = explore(Counter(stuck=True))
     assert [problem.rule for problem in stuck.problems] == ["safe end"]
     assert stuck.trace[-1].target == 4
@@ -96,7 +96,7 @@ def reached(model: Composition, most: int) -> list[State]:
     return states
 
 
-def test_in_a_reduced_scope_every_rule_holds_in_every_state_and_a_safe_end_is_reached_from_each() -> None:
+def test_in_a_reduced_scope_rules_hold_and_states_end_safely() -> None:
     model = Composition(reduced())
     found = explore(model, bounds_ns=dict.fromkeys(ENDINGS, 5_000_000_000))
     assert found.problems == ()
@@ -110,7 +110,7 @@ def test_in_a_reduced_scope_every_rule_holds_in_every_state_and_a_safe_end_is_re
     )
 
 
-def test_the_search_drives_the_car_and_sees_timers_at_their_edge_and_one_ns_before() -> None:
+def test_the_search_drives_and_sees_both_sides_of_each_timer() -> None:
     model = Composition(reduced())
     moves = [move for state in reached(model, 1000) for move in model.moves(state)]
     waits = {move.duration_ns for move in moves}
@@ -127,13 +127,13 @@ def test_every_time_of_the_searched_state_says_when_it_matters(monkeypatch: pyte
         Composition(reduced())
 
 
-def test_every_scope_has_endings_each_with_a_time_bound_or_says_why_it_has_none() -> None:
+def test_every_scope_has_timed_endings_or_says_why_not() -> None:
     for one in all_scopes():
         assert one.endings.keys() <= one.bounds_ns.keys(), one.name
         assert bool(one.endings) is not bool(one.endless), one.name
 
 
-def test_where_the_car_never_leaves_as_driving_the_end_is_that_it_has_been_told_to_stop() -> None:
+def test_if_as_driving_is_never_left_a_stop_request_is_the_end() -> None:
     found = explore(Composition(scope("power-up, any car")), bounds_ns=scope("power-up, any car").bounds_ns)
     assert found.holds
     assert len(found.bounds_ns) == 2
@@ -218,14 +218,14 @@ def test_the_quick_seeds_are_seeds() -> None:
     assert set(_QUICK) <= {seed.name for seed in SEEDS}
 
 
-def test_a_lost_bus_ends_the_run_by_two_guards_of_which_either_is_enough() -> None:
+def test_a_lost_bus_ends_the_run_by_either_of_two_guards() -> None:
     """So the one that is only reported cannot be seen from outside; both together are a seed."""
     reported = {**supervisor.REACTIONS, Reason.BUS_LOST: (supervisor.Step(None, supervisor.Consequence.REPORT),)}
     with patched(supervisor, "REACTIONS", reported):
         assert explore(Composition(scope("trouble"))).holds
 
 
-def test_there_is_a_seed_for_every_rule_and_every_seed_names_a_scope_that_exists() -> None:
+def test_every_rule_has_a_seed_and_every_seed_an_existing_scope() -> None:
     assert {seed.rule for seed in SEEDS} == set(RULES) - {"interval"}  # the times of sends are not searched
     assert {seed.scope for seed in SEEDS if seed.scope or not seed.shows_in_fuzz} <= {one.name for one in all_scopes()}
     assert len({seed.name for seed in SEEDS}) == len(SEEDS)
@@ -234,7 +234,7 @@ def test_there_is_a_seed_for_every_rule_and_every_seed_names_a_scope_that_exists
 # ---------------------------------------------------------------- the command
 
 
-def test_the_command_prints_figures_and_ends_with_0_where_everything_holds(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_figures_and_exits_0_if_all_holds(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--scope", "listen only"]) == 0
     out = capsys.readouterr().out
     assert "listen only" in out
@@ -243,7 +243,7 @@ def test_the_command_prints_figures_and_ends_with_0_where_everything_holds(capsy
     assert "Every rule holds in every state." in out
 
 
-def test_the_trace_of_the_first_seed_of_each_rule_is_told_and_of_every_seed_on_demand(
+def test_the_first_seed_of_each_rule_is_traced_and_all_on_demand(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = [
@@ -267,7 +267,7 @@ def test_a_scope_without_an_end_says_why(capsys: pytest.CaptureFixture[str]) -> 
     assert "none in 'listen only': a process that never sends" in capsys.readouterr().out
 
 
-def test_the_command_ends_with_1_where_a_rule_breaks_and_tells_the_way(
+def test_the_command_exits_1_with_the_trace_where_a_rule_breaks(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from fsai_vcu.core.supervision import gate

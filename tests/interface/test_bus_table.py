@@ -17,7 +17,7 @@ OTHER_SPELLINGS = {"PCAN": "PCAN_GPS"}  # the 2021 database's name of the same d
 
 
 @pytest.mark.parametrize("revision", REVISIONS.values(), ids=REVISIONS)
-def test_the_table_holds_every_message_of_a_revision_and_no_other(revision: Revision) -> None:
+def test_the_table_holds_exactly_the_messages_of_a_revision(revision: Revision) -> None:
     database = load_database(dbc_dir() / name for name in revision.dbc_files)
     listed = {message.name: message for message in BUS_TABLE if revision.name in message.period_ns}
     assert set(listed) == {message.name for message in database.messages}
@@ -60,7 +60,7 @@ def test_messages_between_others_are_not_supervised() -> None:
 # ---------------------------------------------------------------- identifiers
 
 
-def test_the_ai_computer_sends_510_to_514_and_they_are_not_reserved() -> None:
+def test_the_ai_computer_sends_510_to_514_unreserved() -> None:
     assert AI_IDS == (0x510, 0x511, 0x512, 0x513, 0x514)
     assert not RESERVED_IDS & {*AI_IDS, OPTIONAL_AI_ID}
     assert tuple(message.can_id for message in BUS_TABLE if message.flow is Flow.TO_VCU) == AI_IDS

@@ -249,7 +249,7 @@ def test_the_default_command_is_all_zeros(codec: Codec) -> None:
 
 
 @pytest.mark.parametrize("codec", CODECS.values(), ids=CODECS)
-def test_acceleration_and_yaw_rate_for_the_log_have_their_own_scales(codec: Codec) -> None:
+def test_logged_acceleration_and_yaw_rate_have_their_own_scales(codec: Codec) -> None:
     assert str(codec.encode(LogDynamics2(1.0, -1.0, 90.0))) == "501#000200FE002D"
     image = codec.decode(frame("501#000200FE002D")).image
     assert isinstance(image, LogDynamics2)

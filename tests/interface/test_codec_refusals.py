@@ -100,7 +100,7 @@ def test_the_steering_limit_is_that_of_the_revision() -> None:
     assert CODEC_2026.encode(AiSteer(21.1)).data == bytes.fromhex("D300")
 
 
-def test_an_edge_value_that_suffered_a_floats_rounding_is_still_in_range() -> None:
+def test_an_edge_value_with_a_rounding_error_is_in_range() -> None:
     assert CODEC_2021.encode(AiSteer(0.1 * 3 * 70)).data == bytes.fromhex("D200")
     assert CODEC_2026.encode(AiDriveFront(torque_nm=195.00000000000003)).data[:2] == bytes.fromhex("9E07")
     assert CODEC_2026.encode(AiDriveFront(torque_nm=-1e-12)).data[:2] == bytes.fromhex("0000")
@@ -199,7 +199,7 @@ def test_error_remote_and_extended_frames_are_no_messages(codec: Codec) -> None:
 @BOTH
 @pytest.mark.parametrize("bit", [0, 1])
 @pytest.mark.parametrize("raw", [6, 7, 9, 15])
-def test_an_unknown_as_state_is_not_believed_but_its_handshake_is(codec: Codec, raw: int, bit: int) -> None:
+def test_an_unknown_as_state_leaves_its_handshake_valid(codec: Codec, raw: int, bit: int) -> None:
     decoded = status(codec, f"0{bit}000{raw:X}0000000000")
     assert decoded.image is None
     assert decoded.handshake is bool(bit)
@@ -207,7 +207,7 @@ def test_an_unknown_as_state_is_not_believed_but_its_handshake_is(codec: Codec, 
 
 
 @BOTH
-def test_the_handshake_is_told_of_a_good_0x520_and_of_no_other_message(codec: Codec) -> None:
+def test_only_a_valid_0x520_gives_a_handshake(codec: Codec) -> None:
     assert status(codec, "0100010000000000").handshake is True
     assert status(codec, "0000010000000000").handshake is False
     assert codec.decode(Frame(0x510, bytes.fromhex("0100000000000000"))).handshake is None
@@ -254,7 +254,7 @@ def test_shutdown_cause_11_is_the_brake_plausibility_fault(codec: Codec) -> None
 
 
 @pytest.mark.parametrize("raw", [5, 9, 14, 15])
-def test_15_and_any_unknown_value_of_op_ts_and_ebs_state_is_a_fault(raw: int) -> None:
+def test_15_or_an_unknown_op_ts_or_ebs_state_is_a_fault(raw: int) -> None:
     decoded = status(CODEC_2026, f"{raw:X}00001{raw:X}0{raw:X}0000000")
     assert isinstance(decoded.image, VcuStatus)
     assert decoded.image.op_state is OpState.OP_FAULT

@@ -74,7 +74,7 @@ def test_the_files_hold_all_messages_of_the_interface() -> None:
 
 
 @pytest.mark.parametrize("message", EVERY_MESSAGE)
-def test_every_message_names_its_sender_receivers_period_and_meaning(message: Message) -> None:
+def test_every_message_has_sender_receivers_period_and_meaning(message: Message) -> None:
     assert len(message.senders) == 1
     assert message.cycle_time is not None
     assert message.cycle_time >= 5
@@ -160,7 +160,7 @@ def test_0x522_keeps_the_names_of_each_revision() -> None:
     assert names("2026") == ["REAR_AXLE_TRQ_Nm", "REAR_AXLE_TRQ_REQUEST_Nm", "REAR_AXLE_TRQ_MAX_Nm"]
 
 
-def test_a_name_too_long_for_a_dbc_symbol_is_whole_again_after_loading() -> None:
+def test_a_name_too_long_for_dbc_is_whole_after_loading() -> None:
     names = [signal.name for signal in DATABASES["2021"].get_message_by_name("VCU_STATUS").signals]
     assert "R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR" in names
 
@@ -174,7 +174,7 @@ def test_the_steering_range_is_the_limit_of_the_revision(revision: Revision) -> 
     assert live.maximum == revision.steer_limit_deg
 
 
-def test_the_pcan_gps_file_reads_in_the_encoding_that_dbc_files_have() -> None:
+def test_the_pcan_gps_file_reads_in_the_encoding_of_dbc_files() -> None:
     database = load("pcan_gps.dbc")
 
     def unit(message: str, signal: str) -> str | None:

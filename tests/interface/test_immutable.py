@@ -47,7 +47,7 @@ class Checked(Immutable):
             raise ValueError("a share is 0 to 1")
 
 
-def test_a_copy_differs_in_what_is_named_and_checks_what_its_class_checks() -> None:
+def test_a_copy_changes_the_named_fields_and_is_checked() -> None:
     value = Quick(1, third=(3,))
     assert quick_replace(value, second="x") == Quick(1, "x", (3,))
     assert value == Quick(1, "two", (3,))
@@ -90,7 +90,7 @@ def test_wrong_arguments_are_refused(args: tuple[int, ...], kwargs: dict[str, in
 
 
 @pytest.mark.parametrize("kind", IMAGES, ids=lambda kind: kind.__name__)
-def test_no_field_of_an_image_can_be_set_or_deleted_once_it_is_made(kind: type) -> None:
+def test_no_field_of_an_image_can_be_set_or_deleted(kind: type) -> None:
     image = kind()
     for one in fields(kind):
         with pytest.raises(FrozenInstanceError):
@@ -107,7 +107,7 @@ def test_a_value_with_conditions_still_checks_them() -> None:
         replace(Checked(0.5), share=-1.0)
 
 
-def test_replacing_copying_and_pickling_give_equal_values_and_a_deep_copy_the_value_itself() -> None:
+def test_copies_and_pickles_are_equal_a_deep_copy_identical() -> None:
     frame = Frame(0x520, b"\x01\x02", 7)
     assert replace(frame, t_ns=8) == Frame(0x520, b"\x01\x02", 8)
     assert copy.copy(frame) == frame

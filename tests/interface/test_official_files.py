@@ -255,7 +255,7 @@ def test_0x522_reads_alike_in_both_revisions() -> None:
     assert Codec(revision("2026")).decode(wire).image == VcuDriveRear(19.5, 0.5, 100.0)
 
 
-def test_the_first_of_two_files_that_describe_an_identifier_counts(tmp_path: Path) -> None:
+def test_the_first_of_two_files_that_describe_an_identifier_wins(tmp_path: Path) -> None:
     first = tmp_path / "first.dbc"
     first.write_text(OURS.replace('(0.1,0) [-30|30] "deg" VCU', '(0.2,0) [-30|30] "deg" VCU'))
     codec = Codec(REVISION, [first, dbc_dir() / "ads_dv_2026.dbc"])
@@ -408,9 +408,7 @@ def test_a_database_without_a_needed_signal_is_refused(
 
 
 @pytest.mark.parametrize("can_id", [0x501, 0x080, 0x123, 0x7FF, 0x515])
-def test_no_database_can_make_the_ai_computer_send_on_another_identifier(
-    codec_of: Callable[[str], Codec], can_id: int
-) -> None:
+def test_no_database_changes_the_ids_of_the_ai_computer(codec_of: Callable[[str], Codec], can_id: int) -> None:
     text = OURS
     for message in load_database([dbc_dir() / "ads_dv_2026.dbc"]).messages:
         if message.frame_id == can_id:

@@ -21,7 +21,7 @@ def test_the_documented_wiring_is_the_default(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])
-def test_a_mapping_finds_each_wheel_in_the_signal_that_carries_it(name: str) -> None:
+def test_a_mapping_assigns_each_wheel_its_signal(name: str) -> None:
     codec = Codec(revision(name), mapping=CROSSED)
     assert codec.decode(Frame(0x525, bytes.fromhex("0100020003000400"))).image == WheelSpeeds(
         fl_rpm=4, fr_rpm=1, rl_rpm=2, rr_rpm=3

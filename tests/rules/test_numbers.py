@@ -7,7 +7,7 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import AXLE_TORQUE_MAX_NM, MOTOR_SPEED_MAX_RPM, constant_power_nm
 
 
-def test_the_bridge_is_delivered_with_the_times_that_the_evidence_holds_against_it() -> None:
+def test_the_bridge_has_the_times_of_the_evidence() -> None:
     config = BridgeConfig()
     times = (
         (config.listen_first_ns, numbers.LISTEN_FIRST_NS),
@@ -40,7 +40,7 @@ def test_the_bridge_is_delivered_with_the_times_that_the_evidence_holds_against_
     assert numbers.DOUBT_OPEN_TURNS < config.wheel_doubt_turns < numbers.DOUBT_SURE_TURNS
 
 
-def test_the_gate_has_the_limits_that_the_evidence_holds_against_it() -> None:
+def test_the_gate_has_the_limits_of_the_evidence() -> None:
     assert (AXLE_TORQUE_MAX_NM, MOTOR_SPEED_MAX_RPM) == (numbers.MOST_TORQUE_NM, numbers.MOST_MOTOR_RPM)
     for rpm in range(1251):
         assert constant_power_nm(rpm) == numbers.constant_power_nm(rpm)

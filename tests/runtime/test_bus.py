@@ -39,7 +39,7 @@ def test_an_unknown_kind_of_bus_is_one_clear_line() -> None:
 
 
 @pytest.mark.parametrize("can_id", sorted(RESERVED_IDS | {0x501, 0x520, 0x515}))
-def test_a_bus_opened_for_the_ai_computer_refuses_every_other_id_before_the_wire(can_id: int) -> None:
+def test_a_bus_of_the_ai_computer_refuses_every_other_id(can_id: int) -> None:
     with (
         open_bus("loopback:refusals", may_send=AI_IDS) as bus,
         pytest.raises(ValueError, match="must never be transmitted"),
@@ -64,7 +64,7 @@ class SilentBus(can.BusABC):
         raise AssertionError("nothing is sent here")
 
 
-def test_a_wall_clock_that_is_set_back_does_not_make_a_wait_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wall_clock_set_back_does_not_lengthen_a_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_s = itertools.count(2e9, -3600.0)
     monkeypatch.setattr("can.bus.time", lambda: next(wall_s))
     silent = SilentBus()
@@ -73,7 +73,7 @@ def test_a_wall_clock_that_is_set_back_does_not_make_a_wait_longer(monkeypatch: 
     assert all(wait is not None and wait <= 0.02 for wait in silent.waits), silent.waits
 
 
-def test_when_no_file_can_be_opened_any_more_it_says_so_and_leaves_nothing_open(
+def test_out_of_file_descriptors_is_reported_and_the_bus_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Opened(SilentBus):
@@ -97,7 +97,7 @@ def test_when_no_file_can_be_opened_any_more_it_says_so_and_leaves_nothing_open(
     assert Opened.closed
 
 
-def test_a_bus_off_is_a_loss_of_the_bus_and_other_error_frames_are_not() -> None:
+def test_bus_off_is_a_bus_loss_and_other_error_frames_are_not() -> None:
     with open_bus("loopback:errors") as controller, open_bus("loopback:errors") as bus:
         controller.send(Frame(0x004, bytes(8), error=True))  # a problem of the controller, which goes on
         heard = bus.recv(1.0)
@@ -116,7 +116,7 @@ def test_a_bus_off_is_a_loss_of_the_bus_and_other_error_frames_are_not() -> None
         (can.CanOperationError("No such device", errno.ENODEV), True),
     ],
 )
-def test_a_full_queue_drops_the_frame_and_an_interface_that_is_gone_is_a_loss(
+def test_a_missing_interface_is_a_bus_loss_a_full_queue_is_not(
     error: can.CanError, lost: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -236,7 +236,7 @@ def test_no_bus_can_be_opened_that_would_let_a_reserved_id_out(can_id: int) -> N
         open_bus("loopback:reserved", may_send=[*AI_IDS, can_id])
 
 
-def test_a_bus_that_would_let_a_reserved_id_out_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_would_send_a_reserved_id_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(can, "Bus", lambda **_: pytest.fail("opened, and nobody would close it"))
     with pytest.raises(ValueError, match="reserved for the car"):
         open_bus("loopback:reserved", may_send=[min(RESERVED_IDS)])

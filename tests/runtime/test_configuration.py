@@ -116,9 +116,7 @@ def locked(tmp_path: Path) -> Iterator[Path]:
     folder.chmod(0o700)
 
 
-def test_what_the_car_keeps_from_this_user_is_said_with_the_way_out_and_never_taken_for_nothing(
-    locked: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unreadable_configuration_is_an_error_with_its_remedy(locked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with somebody_else(), pytest.raises(ConfigurationError, match=r"toml: may not be read by this user$"):
         read_configuration(locked / "fsai.toml")
     monkeypatch.setattr(module, "USUAL_PATH", locked / "fsai.toml")
@@ -131,13 +129,13 @@ def test_what_the_car_keeps_from_this_user_is_said_with_the_way_out_and_never_ta
         raise AssertionError("looked for the nodes in the wrong place")
 
 
-def test_what_is_named_and_may_not_be_looked_at_is_refused_like_what_is_not_there(locked: Path) -> None:
+def test_a_path_without_access_is_refused_like_a_missing_one(locked: Path) -> None:
     with somebody_else():
         (problem,) = problems(f"[ros]\nkeystore = '{locked}/keystore'\n")
     assert problem == f"{NAMED}, line 2: [ros] keystore: {locked}/keystore: Permission denied"
 
 
-def test_a_file_that_is_not_there_or_no_text_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_or_one_that_is_no_text_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"absent\.toml: cannot be read: No such file"):
         read_configuration(tmp_path / "absent.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
@@ -151,7 +149,7 @@ def test_an_empty_file_is_the_defaults_and_every_key_can_be_said() -> None:
     assert len({(key.table, key.name) for key in KEYS}) == len(KEYS)
 
 
-def test_the_installed_configuration_is_right_but_for_the_place_of_its_limits(tmp_path: Path) -> None:
+def test_the_installed_configuration_is_valid(tmp_path: Path) -> None:
     text = (CHECKOUT / "systemd" / "etc" / "fsai.toml").read_text()
     limits = CHECKOUT / "systemd" / "etc" / "limits.toml"
     configuration = parsed(text.replace("/etc/fsai/limits.toml", str(limits)))
@@ -181,7 +179,7 @@ def test_a_service_is_told_its_own_interface() -> None:
 
 
 @pytest.mark.parametrize(("limit", "speed"), [("3.5", 3.5), ("12", 6.0), ("0.1", 0.5)])
-def test_the_controller_plans_with_the_speed_that_the_limits_leave_it(limit: str, speed: float, tmp_path: Path) -> None:
+def test_the_controller_plans_with_the_speed_limit(limit: str, speed: float, tmp_path: Path) -> None:
     (tmp_path / "limits.toml").write_text(f"max_speed_mps = {limit}\n")
     configuration = parsed(f"[limits]\nfile = '{tmp_path}/limits.toml'\n[missions]\nmax_speed_mps = 6\n")
     controller = configuration.parameters()["vehicle_controller"]
@@ -208,7 +206,7 @@ def test_a_wrong_limit_is_refused_with_its_file_and_line(tmp_path: Path) -> None
         read_limits(file)
 
 
-def test_dds_stays_on_this_machine_unless_the_configuration_opens_it(tmp_path: Path) -> None:
+def test_dds_stays_on_this_machine_unless_configured(tmp_path: Path) -> None:
     environment = parsed("[ros]\ndomain_id = 42\n").environment()
     assert environment["ROS_DOMAIN_ID"] == "42"
     profile = Path(environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
@@ -218,7 +216,7 @@ def test_dds_stays_on_this_machine_unless_the_configuration_opens_it(tmp_path: P
     assert opened["ROS_SECURITY_STRATEGY"] == "Enforce" and opened["ROS_SECURITY_KEYSTORE"] == str(tmp_path)
 
 
-def test_the_operators_commands_look_where_the_car_is_and_the_callers_own_word_goes_first(
+def test_the_callers_environment_precedes_the_configured_domain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "fsai.toml"
@@ -243,7 +241,7 @@ def test_a_key_is_found_on_its_line_whatever_stands_around_it() -> None:
     assert lines.of("car", "q") == 12 and lines.of("nothing") is None
 
 
-def test_every_key_that_becomes_a_parameter_has_its_nodes_default_and_range() -> None:
+def test_every_parameter_key_has_its_nodes_default_and_range() -> None:
     pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
     import sys
 

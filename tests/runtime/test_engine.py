@@ -82,9 +82,7 @@ def test_the_rest_of_a_cycle_that_lost_a_frame_is_not_sent(engine: Engine, bridg
     assert engine.incomplete_cycles == bridge.report(315 * MS).incomplete_cycles == 1
 
 
-def test_how_long_no_cycle_went_out_whole_is_known_and_ends_with_the_first_that_does(
-    engine: Engine, wire: Wire
-) -> None:
+def test_time_without_a_complete_cycle_ends_with_the_next_one(engine: Engine, wire: Wire) -> None:
     assert engine.unsent_ns(300 * MS) == 0
     wire.takes = 0
     for now_ns in range(315 * MS, 346 * MS, 10 * MS):
@@ -95,7 +93,7 @@ def test_how_long_no_cycle_went_out_whole_is_known_and_ends_with_the_first_that_
     assert engine.unsent_ns(355 * MS) == 0
 
 
-def test_a_bus_that_never_took_a_cycle_is_counted_from_the_first_try(bridge: Bridge, wire: Wire) -> None:
+def test_a_bus_that_never_took_a_cycle_counts_from_the_first_try(bridge: Bridge, wire: Wire) -> None:
     made = Engine(bridge, CODEC, wire.send, 0)
     wire.takes = 0
     for now_ns in range(0, 201 * MS, 10 * MS):
@@ -111,7 +109,7 @@ def test_a_bus_that_breaks_in_the_middle_of_a_cycle_is_told_on(engine: Engine, w
         engine.poll(315 * MS)
 
 
-def test_the_next_cycle_keeps_its_distance_from_when_the_frames_really_left(bridge: Bridge, wire: Wire) -> None:
+def test_the_next_cycle_keeps_its_gap_from_the_actual_send(bridge: Bridge, wire: Wire) -> None:
     engine = Engine(bridge, CODEC, wire.send, 0, lambda: 304 * MS)
     for now_ns in range(0, 301 * MS, 10 * MS):
         engine.on_frame(Frame(0x520, STATUS.data, now_ns))

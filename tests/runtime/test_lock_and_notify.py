@@ -13,7 +13,7 @@ from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock, holder_pid
 from fsai_vcu.runtime.notify import Notifier
 
 
-def test_a_second_bridge_on_the_same_interface_is_refused_and_told_who_holds_it() -> None:
+def test_a_second_bridge_is_refused_with_the_holder_of_the_lock() -> None:
     lock = InterfaceLock("test-if")
     try:
         with pytest.raises(AlreadyRunning, match=rf"another bridge \(process {os.getpid()}\) already drives 'test-if'"):
@@ -42,12 +42,12 @@ def test_one_interface_has_one_lock_however_it_is_spelt() -> None:
         lock.release()
 
 
-def test_a_lock_that_cannot_be_had_at_all_is_not_put_down_to_another_bridge() -> None:
+def test_a_lock_that_cannot_be_made_is_not_blamed_on_a_bridge() -> None:
     with pytest.raises(BusError, match=r"cannot lock CAN interface 'loopback:x+': .*too long"):
         InterfaceLock("loopback:" + "x" * 120)
 
 
-def test_the_lock_is_free_again_after_its_release_and_other_interfaces_never_matter() -> None:
+def test_a_lock_is_free_after_release_and_per_interface() -> None:
     first = InterfaceLock("test-if")
     other = InterfaceLock("test-if2")
     first.release()
@@ -67,7 +67,7 @@ def test_the_lock_dies_with_its_process() -> None:
     InterfaceLock("test-child").release()
 
 
-def test_systemd_hears_ready_and_the_watchdog_period_is_half_of_what_it_allows(tmp_path: Path) -> None:
+def test_systemd_gets_ready_and_half_the_watchdog_period_is_used(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
         notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "2000000"})

@@ -161,7 +161,7 @@ def test_it_comes_back_by_itself_when_the_bus_does(
         status_heard(car)
 
 
-def test_an_exception_in_the_loop_ends_it_with_an_emergency_request_on_the_wire(
+def test_an_exception_in_the_loop_sends_an_emergency_request(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with open_bus(spec) as car:
@@ -198,9 +198,7 @@ def test_whatever_keeps_it_from_starting_the_lock_is_free_again(spec: str, monke
     assert kept.value
 
 
-def test_a_failure_before_the_first_turn_is_told_and_leaves_the_bus_closed(
-    spec: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_at_the_start_is_reported_and_closes_the_bus(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> tuple[str, ...]:
         raise RuntimeError("no such call")
 
@@ -212,9 +210,7 @@ def test_a_failure_before_the_first_turn_is_told_and_leaves_the_bus_closed(
     loop.stop()
 
 
-def test_what_real_time_scheduling_refuses_is_told_and_the_loop_goes_on(
-    spec: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refused_real_time_scheduling_is_only_reported(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop_module, "go_real_time", lambda: ("not allowed",))
     loop = ThreadedLoop(spec, real_time=True)
     loop.start()
@@ -225,7 +221,7 @@ def test_what_real_time_scheduling_refuses_is_told_and_the_loop_goes_on(
 
 
 @pytest.mark.parametrize("listen_only", [False, True])
-def test_a_full_garbage_collection_is_rare_whether_it_sends_or_only_listens(
+def test_full_garbage_collections_are_rare_in_any_mode(
     spec: str, monkeypatch: pytest.MonkeyPatch, listen_only: bool
 ) -> None:
     collected: list[int] = []
@@ -239,7 +235,7 @@ def test_a_full_garbage_collection_is_rare_whether_it_sends_or_only_listens(
     assert collected.count(2) == 1, "only the one before the first turn"
 
 
-def test_a_cycle_that_was_made_in_time_and_leaves_late_is_a_fault_of_the_loop(
+def test_a_cycle_made_in_time_but_sent_late_is_a_loop_fault(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
@@ -299,7 +295,7 @@ def test_after_its_end_a_request_is_answered_at_once(loop: ThreadedLoop, monkeyp
     assert loop.emergency_brake("late") == (False, "the CAN loop does not run: nothing is sent")
 
 
-def test_the_emergency_request_goes_out_before_anything_is_logged(
+def test_the_emergency_request_goes_out_before_any_logging(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
@@ -321,7 +317,7 @@ def test_the_emergency_request_goes_out_before_anything_is_logged(
     assert order == ["request", "log"]
 
 
-def test_while_the_bus_is_gone_the_watchdog_is_fed_and_a_stop_does_not_hang(
+def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
@@ -360,7 +356,7 @@ def test_while_the_bus_is_gone_the_watchdog_is_fed_and_a_stop_does_not_hang(
         assert not loop.running and loop.failure == ""
 
 
-def test_it_does_not_open_a_lost_bus_again_before_two_sends_may_follow_each_other(
+def test_a_lost_bus_is_opened_again_only_after_the_minimum_gap(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     times: list[int] = []
@@ -382,7 +378,7 @@ def test_it_does_not_open_a_lost_bus_again_before_two_sends_may_follow_each_othe
     assert opened_ns - lost_ns >= MIN_GAP_NS
 
 
-def test_a_queue_that_stays_full_is_a_lost_bus_opened_again_ever_more_seldom_until_a_cycle_goes_out(
+def test_a_queue_that_stays_full_reopens_the_bus_ever_less_often(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     opened: list[int] = []
@@ -413,7 +409,7 @@ def test_a_queue_that_stays_full_is_a_lost_bus_opened_again_ever_more_seldom_unt
     assert eventually(lambda: loop.report().bus_lost is None and loop.loop._pause_s == loop_module._REOPEN_FIRST_S)
 
 
-def test_a_single_full_queue_is_dropped_and_counted_and_the_bus_stays_open(
+def test_a_single_full_queue_is_counted_and_the_bus_stays_open(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dropped: list[int] = []
@@ -451,7 +447,7 @@ def test_others_on_our_ids_are_received_and_own_frames_not(loop: ThreadedLoop, s
         assert eventually(lambda: loop.report().reason_details.get("intruder") == "0x513 [00 00]")
 
 
-def test_a_stop_while_moving_leaves_the_car_to_its_emergency_brake_and_then_is_silent(spec: str) -> None:
+def test_a_stop_while_moving_requests_emergency_then_is_silent(spec: str) -> None:
     loop = make_loop(spec)
     loop.start()
     over = threading.Event()
@@ -506,7 +502,7 @@ def test_a_hang_is_told_before_the_first_cycle_after_it(loop: ThreadedLoop, monk
     assert order[order.index("hung") + 1] == "fault"
 
 
-def test_the_watchdog_is_not_fed_by_cycles_that_missed_their_deadline(
+def test_cycles_past_their_deadline_do_not_feed_the_watchdog(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:

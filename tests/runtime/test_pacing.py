@@ -26,24 +26,24 @@ def test_a_status_frame_is_answered_at_once() -> None:
     assert pacing.due_ns() == 10 * MS
 
 
-def test_an_answer_waits_until_eight_milliseconds_after_the_last_send() -> None:
+def test_an_answer_waits_until_8_ms_after_the_last_send() -> None:
     pacing = settled(0)
     pacing.on_status(3 * MS)
     assert pacing.due_ns() == MIN_GAP_NS
 
 
-def test_a_second_status_frame_does_not_postpone_a_pending_answer() -> None:
+def test_a_second_status_frame_does_not_delay_a_pending_answer() -> None:
     pacing = settled(0)
     pacing.on_status(3 * MS)
     pacing.on_status(7 * MS)
     assert pacing.due_ns() == MIN_GAP_NS
 
 
-def test_without_status_frames_the_first_send_of_its_own_is_after_fifteen_milliseconds() -> None:
+def test_without_status_frames_the_first_send_is_after_15_ms() -> None:
     assert settled(0).due_ns() == FALLBACK_AFTER_NS
 
 
-def test_in_fallback_it_sends_every_ten_milliseconds_on_a_grid_that_lateness_does_not_shift() -> None:
+def test_fallback_keeps_its_10_ms_grid_in_spite_of_lateness() -> None:
     pacing = settled(0)
     pacing.on_sent(FALLBACK_AFTER_NS + MS)  # 1 ms late
     assert pacing.due_ns() == FALLBACK_AFTER_NS + PERIOD_NS
@@ -51,7 +51,7 @@ def test_in_fallback_it_sends_every_ten_milliseconds_on_a_grid_that_lateness_doe
     assert pacing.due_ns() == FALLBACK_AFTER_NS + 2 * PERIOD_NS
 
 
-def test_after_a_long_delay_fallback_does_not_catch_up_with_a_burst() -> None:
+def test_fallback_does_not_burst_after_a_long_delay() -> None:
     pacing = settled(0)
     pacing.on_sent(200 * MS)
     assert pacing.due_ns() == 210 * MS
@@ -66,7 +66,7 @@ def test_the_first_status_frame_ends_the_fallback() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 30 * MS), st.booleans()), max_size=200))
-def test_two_sends_are_never_closer_than_eight_milliseconds_and_never_later_than_fifteen(
+def test_sends_are_8_to_15_ms_apart(
     events: list[tuple[int, bool]],
 ) -> None:
     """Whatever arrives when, a loop that polls on time sends neither too often nor too seldom."""

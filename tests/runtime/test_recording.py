@@ -55,7 +55,7 @@ def test_a_time_to_record_that_is_none_is_refused_in_one_line(
     assert not log.exists()
 
 
-def test_a_log_that_cannot_be_written_is_one_line_and_leaves_no_bus_open(
+def test_an_unwritable_log_is_one_line_with_the_bus_closed(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     assert main(["record", "-i", "loopback:record", "-o", "/nonexistent/run.log"]) == 1
@@ -116,7 +116,7 @@ def numbers(*paths: Path) -> list[int]:
     return found
 
 
-def test_a_recorder_that_is_killed_has_all_but_the_last_second_on_the_disk_and_resumes(
+def test_a_killed_recorder_loses_at_most_1_s_and_resumes(
     bus: CanBus, recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
@@ -158,7 +158,7 @@ def test_a_recorder_that_is_killed_has_all_but_the_last_second_on_the_disk_and_r
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_a_recorder_that_is_asked_to_end_has_everything_on_the_disk(
+def test_a_recorder_asked_to_end_has_everything_on_disk(
     ending: signal.Signals, bus: CanBus, recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     path = tmp_path / "run.log"
@@ -173,7 +173,7 @@ def test_a_recorder_that_is_asked_to_end_has_everything_on_the_disk(
     assert json.loads(path.with_suffix(".json").read_text())["frames"] == len(kept)
 
 
-def test_the_operational_limits_and_the_revision_are_kept_beside_the_log(tmp_path: Path) -> None:
+def test_limits_and_revision_are_stored_beside_the_log(tmp_path: Path) -> None:
     limits = tmp_path / "limits.toml"
     limits.write_text("max_speed_mps = 5.0  # the paddock\n")
     argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--revision", "2021"]

@@ -32,9 +32,7 @@ def test_the_longest_time_of_all_is_never_hidden_by_a_percentile() -> None:
 
 
 @given(TIMES, st.sampled_from([0.0, 0.5, 0.9, 0.99, 0.999, 1.0]))
-def test_at_least_the_share_of_all_times_do_not_exceed_their_percentile_and_fewer_do_any_smaller(
-    times_ns: list[int], share: float
-) -> None:
+def test_a_percentile_is_the_smallest_time_that_covers_its_share(times_ns: list[int], share: float) -> None:
     found = ResponseTimes(times_ns).quantile_ns(share)
     if not times_ns:
         assert found is None
@@ -46,7 +44,7 @@ def test_at_least_the_share_of_all_times_do_not_exceed_their_percentile_and_fewe
 
 
 @given(TIMES, TIMES)
-def test_merged_is_as_if_counted_together_and_the_other_stays_as_it_is(one: list[int], other: list[int]) -> None:
+def test_merged_times_equal_counting_together_and_keep_the_other(one: list[int], other: list[int]) -> None:
     merged, rest = ResponseTimes(one), ResponseTimes(other)
     merged.quantile_ns(0.5)  # what has been asked before must not matter
     merged.merge(rest)
@@ -66,7 +64,7 @@ def test_each_time_is_in_exactly_one_bin(times_ns: list[int]) -> None:
         lower = upper
 
 
-def test_a_limit_itself_is_kept_and_a_nanosecond_more_is_above_it() -> None:
+def test_a_time_at_the_limit_is_kept_and_1_ns_more_is_above() -> None:
     times = ResponseTimes([10 * MS - 1, 10 * MS, 10 * MS + 1])
     assert times.count_above(10 * MS) == 1
     assert times.share_above(10 * MS) == pytest.approx(1 / 3)
@@ -90,7 +88,7 @@ def test_what_is_no_share_is_refused(share: float) -> None:
 # ------------------------------------------------------------ what the simulated VCU counts
 
 
-def test_each_loss_of_the_ai_computer_is_counted_once_however_long_it_lasts() -> None:
+def test_each_loss_of_the_ai_computer_is_counted_once() -> None:
     bench = Bench().power_up()
     bench.run(S)
     assert bench.vcu.comms_losses == 0
