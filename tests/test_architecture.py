@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -169,3 +170,28 @@ def test_every_verb_has_its_file_and_an_example() -> None:
     assert set(all_verbs()) >= {"drive", "vcu", "hil", "campaign", "scrutineering", "decode", "explain"}
     for verb in all_verbs():
         assert module_of(verb).EXAMPLE
+
+
+@cache
+def tests_of_files() -> dict[str, list[str]]:
+    """The names of the test functions of each test file, as often as they are defined."""
+    tests = CHECKOUT / "tests"
+    return {
+        str(path.relative_to(tests)): [
+            node.name
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
+        ]
+        for path in tests.rglob("test_*.py")
+    }
+
+
+def test_test_names_have_at_most_60_characters() -> None:
+    assert {name for names in tests_of_files().values() for name in names if len(name) > 60} == set()
+
+
+def test_no_test_name_is_defined_twice_in_a_file() -> None:
+    twice = {
+        file: [name for name, times in Counter(names).items() if times > 1] for file, names in tests_of_files().items()
+    }
+    assert {file: names for file, names in twice.items() if names} == {}

@@ -166,6 +166,7 @@ def test_cones_on_one_spot_or_one_line_do_no_harm() -> None:
 
 @pytest.mark.parametrize("radius", [6.0, -6.0])
 def test_in_a_bend_the_path_of_the_rear_axle_lies_further_inside(radius: float) -> None:
+    """So the nose stays in the lane."""
     cones = lane_cones(radius, colored=True, spacing=2.5)
     middle = find_lane(cones, 1.0 / radius, HALF, 0.0, SETTINGS).path_m
     led = find_lane(cones, 1.0 / radius, HALF, 2.17, SETTINGS).path_m
