@@ -127,7 +127,7 @@ def test_every_time_of_the_searched_state_says_when_it_matters(monkeypatch: pyte
         Composition(reduced())
 
 
-def test_every_scope_has_timed_endings_or_says_why_not() -> None:
+def test_every_scope_has_timed_endings_or_gives_the_reason() -> None:
     for one in all_scopes():
         assert one.endings.keys() <= one.bounds_ns.keys(), one.name
         assert bool(one.endings) is not bool(one.endless), one.name
