@@ -59,7 +59,7 @@ def test_a_condition_that_ended_early_is_no_pass() -> None:
 
 
 def test_a_car_braked_to_rest_is_measured_on_and_it_is_said() -> None:
-    whole = measured(row("driving-busy", stood="drove 6 s, then stood: the command is stale"))
+    whole = told(row("driving-busy", stood="drove 6 s, then stood: the command is stale"))
     assert verdict(whole).startswith("PASS") and not_measured(whole) == []
     assert "(drove 6 s, then stood: the command is stale)" in markdown(whole)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -36,9 +37,9 @@ def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
         assert lockstep.now_ns < 60 * S, "the car never drove"
 
 
-@pytest.mark.parametrize("revision", ["2021", "2026"])
-@pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
+@pytest.mark.parametrize(("mission", "revision"), zip(MISSIONS, itertools.cycle(("2026", "2021"))))
 def test_every_mission_passes_by_the_rules_with_no_guard_acting(mission: Ami, revision: str) -> None:
+    """In one revision each; the campaign's full-length runs drive all of them in both."""
     laps = 2 if mission is Ami.TRACKDRIVE else None
     track = load_track("small_oval") if mission in (Ami.TRACKDRIVE, Ami.AUTOCROSS) else None
     result = Lockstep(WorldSetup(missions=[mission], revision=revision, laps=laps, track=track)).run()
@@ -67,7 +68,7 @@ def test_a_second_mission_follows_without_a_restart(revision: str, power_cycles:
 
 
 def test_the_same_seed_is_the_same_run_and_another_seed_another() -> None:
-    runs = [Lockstep(oval(seed=seed)).run().as_dict() for seed in (3, 3, 4)]
+    runs = [Lockstep(WorldSetup(missions=[Ami.ACCELERATION], seed=seed)).run().as_dict() for seed in (3, 3, 4)]
     for run in runs:
         del run["wall_time_s"]
     assert runs[0] == runs[1]
@@ -119,5 +120,6 @@ def test_max_speed_is_kept_by_each_kind_of_control(mission: Ami) -> None:
         return command
 
     lockstep.computer.command_filter = watch
-    lockstep.run()
+    while lockstep.now_ns < 45 * S:
+        lockstep.step()
     assert 2.5 < max(speeds) < 3.0 * 1.03

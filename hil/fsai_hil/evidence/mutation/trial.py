@@ -58,9 +58,6 @@ KILLERS: Final = (
     "test_limits.py",
     "test_bridge.py",
 )
-TOO_SLOW: Final = "test_no_order_of_events_makes_a_cycle_break_a_rule"
-"""Two thirds of the killers' time in one property: what only it would kill lacks a test that says what is wrong."""
-
 _MEMORY: Final = 6 << 30  # a mutant may fill it in a loop
 _LEAST_CPU_S: Final = 20.0
 _STUCK_S: Final = 900.0  # without any verdict: a child has died
@@ -182,7 +179,7 @@ def _arguments(files: Iterable[str]) -> list[str]:
     # Nobody reads why a test failed, so its asserts need not be rewritten to say it.
     fixed = ["-x", "--assert=plain", "-p", "no:cacheprovider", "--rootdir", str(CHECKOUT)]
     fixed += ["-c", str(CHECKOUT / "pyproject.toml"), "-o", "addopts=--strict-markers"]
-    return [*fixed, "--deselect", f"tests/core/test_bridge.py::{TOO_SLOW}", *(str(folder / name) for name in files)]
+    return [*fixed, *(str(folder / name) for name in files)]
 
 
 def measure() -> Baseline:
