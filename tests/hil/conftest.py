@@ -47,6 +47,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = [item for item in items if item.get_closest_marker("long")]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in left_out]
+    for item in items:
+        if item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.timeout(0))  # the suite's own time limit holds
     if "FSAI_CAN_INTERFACE" not in os.environ:
         here = [item for item in items if Path(__file__).parent in item.path.parents]
         for item in here:
