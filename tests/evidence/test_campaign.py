@@ -41,6 +41,7 @@ SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--w
 ONE_CAR = [*SHORT, "--revisions", "2026"]
 
 
+@pytest.mark.timeout(3600)  # minutes on a quiet machine, many on a busy one
 def test_every_kind_of_fault_ends_as_the_safety_rules_demand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
