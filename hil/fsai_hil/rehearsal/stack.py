@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from fsai_vcu.runtime.transport import loopback_environment
@@ -87,6 +86,12 @@ class RunningProcess:
 
     def last_words(self, lines: int = 15) -> str:
         return "\n".join("    " + line for line in self.log().splitlines()[-lines:])
+
+    def type(self, line: str) -> None:
+        """A line on its standard input, which is a pipe."""
+        assert self.popen.stdin is not None
+        self.popen.stdin.write(line.encode() + b"\n")
+        self.popen.stdin.flush()
 
     def signal(self, number: signal.Signals) -> None:
         if self.alive:
@@ -181,9 +186,7 @@ class Stack:
     def __enter__(self) -> Stack:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 

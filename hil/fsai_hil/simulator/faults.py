@@ -1,8 +1,8 @@
 """Faults between the simulated car and the AI computer: frames that vanish, freeze, lie, come late or from nowhere.
 
 A fault looks at one frame and says what becomes of it: nothing, itself, something else, several, some of them later.
-New kinds are one class each, in force while their `Window` is open and for the frames they choose; `KINDS` names them
-for scenarios. Faults of switches, sensors and people are elsewhere (`switches.py`): these are the wire's.
+New kinds are one class each, in force while their `Window` is open and for the frames they choose. Faults of switches,
+sensors and people are elsewhere (`switches.py`): these are the wire's.
 
 Pure: time is the frames' own, chance comes from a seed.
 """
@@ -10,9 +10,8 @@ Pure: time is the frames' own, chance comes from a seed.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 from fsai_vcu.interface.codec import Codec
@@ -202,21 +201,6 @@ class Intruder(FrameFault):
             sent.append(replace(self.frame, t_ns=self._next_ns))
             self._next_ns += self.period_ns
         return sent
-
-
-KINDS: Final[Mapping[str, Callable[..., FrameFault]]] = MappingProxyType(
-    {
-        "drop": Drop,
-        "freeze": Freeze,
-        "delay": Delay,
-        "flip_bits": FlipBits,
-        "wrong_length": WrongLength,
-        "overwrite": Overwrite,
-        "wrong_values": WrongValues,
-        "repeat": Repeat,
-        "intruder": Intruder,
-    }
-)
 
 
 class FaultyWire:

@@ -76,7 +76,7 @@ class PathSample(Immutable):
 
 
 @dataclass
-class _Run:
+class Run:
     """One mission of the sequence."""
 
     mission: Ami
@@ -96,6 +96,8 @@ class World:
     def __init__(self, setup: WorldSetup, codec: Codec | None = None) -> None:
         if not setup.missions:
             raise ValueError("no mission to drive")
+        if setup.laps is not None and setup.laps < 1:
+            raise ValueError(f"laps is {setup.laps}, but must be 1 or more")
         if setup.seed < 0:
             raise ValueError(f"seed is {setup.seed}, but must be 0 or more")
         self.setup = setup
@@ -109,8 +111,7 @@ class World:
             self.vcu.outgoing.add(fault)
         for fault in setup.incoming_faults:
             self.vcu.incoming.add(fault)
-        self.model = car_model(setup.revision, profile.simulators_car)
-        self.car = Car(self.model, now_ns=setup.start_ns)
+        self.car = Car(car_model(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
         self.operator = Operator.auto(setup.revision, setup.missions, setup.at) if setup.auto else Operator(at=setup.at)
         self._sensor_settings = setup.sensor or SensorSettings(noise_level=setup.noise_level)
         self._judge_settings = _judge_settings(setup)
@@ -119,7 +120,7 @@ class World:
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
         self.verdicts: list[JudgeVerdict] = []  # of the runs that are over
-        self.runs: list[_Run] = []
+        self.runs: list[Run] = []
         self._spoken_to = False
         # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
         self.actuator_faults: list[Callable[[Actuation, int], Actuation]] = []
@@ -190,15 +191,16 @@ class World:
         if over or (ami is not run.mission and ami is not Ami.NOT_SELECTED and not run.judge.done):
             self._run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
 
-    def _stage(self, mission: Ami) -> _Run:
+    def _stage(self, mission: Ami) -> Run:
         track = self._first_track
         again = bool(self.runs)
         if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
             track = load_track(MISSION_TRACK[mission])
-        judge = Judge(track, mission, self.model, self._judge_settings, self._now_ns, self.setup.start_ns)
+        facts = self.car.model.facts
+        judge = Judge(track, mission, facts, self._judge_settings, self._now_ns, self.setup.start_ns)
         sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
-        self.car.place(track.staging(mission, self.model.nose_m), mission in STATIC_INSPECTIONS)
-        run = _Run(mission, track, judge, sensor)
+        self.car.place(track.staging(mission, facts.nose_ahead_of_rear_axle_m), mission in STATIC_INSPECTIONS)
+        run = Run(mission, track, judge, sensor)
         if again and self.runs[-1].judge.waiting:
             self.runs.pop()  # nobody drove it
         self.runs.append(run)

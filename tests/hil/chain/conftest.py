@@ -52,9 +52,7 @@ class CarRun:
 
     def type(self, line: str) -> None:
         """A command typed at the interactive simulated car."""
-        assert self.vcu.popen.stdin is not None
-        self.vcu.popen.stdin.write(line.encode() + b"\n")
-        self.vcu.popen.stdin.flush()
+        self.vcu.type(line)
 
     def verdict(self) -> dict[str, Any]:
         """The judge's, once the car's process has ended."""

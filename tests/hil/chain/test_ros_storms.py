@@ -39,9 +39,7 @@ class Programs:
     def _heard(self, what: str) -> int:
         """The process id of a program that has heard since it was told `what`."""
         before = self._lines("heard")
-        assert self._process.popen.stdin is not None
-        self._process.popen.stdin.write(what.encode() + b"\n")
-        self._process.popen.stdin.flush()
+        self._process.type(what)
         await_that(lambda: len(self._lines("heard")) > len(before), "a program hears the bridge")
         return int(self._lines("heard")[-1])
 

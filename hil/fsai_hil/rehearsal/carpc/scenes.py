@@ -179,18 +179,11 @@ class Rehearsal:
             self.clock_stepped(watch)
             self.disk_filled(watch)
             self.recorder_killed(watch)
-            self.struck(
-                watch,
-                "fsai-detector killed",
-                "fsai-detector",
-                signal.SIGKILL,
-                AsState.AS_FINISHED,
-                TORQUE_WITHOUT_DATA_S,
-            )
+            self.struck(watch, "fsai-detector killed", "fsai-detector", torque_s=TORQUE_WITHOUT_DATA_S)
 
     def node_killed(self, service: str, torque_s: float) -> None:
         with self.drive(service) as watch:
-            self.struck(watch, f"{service} killed", service, signal.SIGKILL, AsState.AS_FINISHED, torque_s)
+            self.struck(watch, f"{service} killed", service, torque_s=torque_s)
 
     def edge_struck(self, number: signal.Signals, what: str) -> None:
         """The service's main process: its loop stops the car, and goes silent when the car has finished."""
@@ -200,9 +193,9 @@ class Rehearsal:
                 f"bridge {what}",
                 self.bridge,
                 number,
-                AsState.EMERGENCY_BRAKE,
-                TORQUE_WITHOUT_COMMANDS_S,
+                torque_s=TORQUE_WITHOUT_COMMANDS_S,
                 first=AsState.AS_FINISHED,
+                ends_in=AsState.EMERGENCY_BRAKE,
             )
 
     def loop_struck(self, number: signal.Signals, what: str) -> None:
@@ -213,8 +206,8 @@ class Rehearsal:
                 f"CAN loop {what}",
                 self.bridge,
                 number,
-                AsState.EMERGENCY_BRAKE,
-                TORQUE_OF_A_DEAD_BRIDGE_S,
+                torque_s=TORQUE_OF_A_DEAD_BRIDGE_S,
+                ends_in=AsState.EMERGENCY_BRAKE,
                 process=holder_pid(self.interface),
             )
 
@@ -420,10 +413,10 @@ class Rehearsal:
         watch: BusWatch,
         what: str,
         service: str,
-        number: signal.Signals,
-        ends_in: AsState,
-        torque_s: float,
+        number: signal.Signals = signal.SIGKILL,
         *,
+        torque_s: float,
+        ends_in: AsState = AsState.AS_FINISHED,
         first: AsState | None = None,
         process: int | None = None,
     ) -> None:

@@ -67,9 +67,7 @@ class _Car:
 
     def type(self, line: str) -> None:
         self._stack.check_alive(self.name)
-        assert self._process.popen.stdin is not None
-        self._process.popen.stdin.write(line.encode() + b"\n")
-        self._process.popen.stdin.flush()
+        self._process.type(line)
 
     def state(self) -> str:
         """The AS state, as the car says it when it is asked."""
