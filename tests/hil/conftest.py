@@ -28,6 +28,16 @@ from fsai_vcu.runtime.bus import CanBus, open_bus
 SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
 LOG_BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
 LOG_DRAINED_S = 0.1
+VERB = (sys.executable, "-m", "fsai_vcu.cli.main")
+FRAMES = (  # one of each kind
+    Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),
+    Frame(0x510, bytes.fromhex("0100200000000000")),
+    Frame(0x514, b"\x0a\xff"),
+    Frame(0x080),
+    Frame(0x18FF0001, b"\x7f", extended=True),
+    Frame(0x123, extended=True, data=b"\x01\x02\x03"),
+    Frame(0x523, bytes(6), remote=True),
+)
 STALL_MONITOR = pytest.StashKey[StallMonitor]()
 _LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
@@ -187,7 +197,6 @@ def verb() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs a verb of the command line to its end: `verb("mode", "autonomous")`."""
 
     def run(*arguments: str, timeout_s: float = 30.0) -> subprocess.CompletedProcess[str]:
-        argv = [sys.executable, "-m", "fsai_vcu.cli.main", *arguments]
-        return subprocess.run(argv, capture_output=True, text=True, timeout=timeout_s, check=False)
+        return subprocess.run([*VERB, *arguments], capture_output=True, text=True, timeout=timeout_s, check=False)
 
     return run

@@ -22,6 +22,7 @@ from fsai_hil.simulator.tracks import load_track
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.bus import BusLost, open_bus
 
 
@@ -162,7 +163,6 @@ def test_an_auto_run_ends_when_the_time_is_up_and_fails(capsys: pytest.CaptureFi
         (["-i", "loopback:t", "--track", "gone.csv"], "gone.csv: cannot be read"),
         (["-i", "loopback:t", "--mission", "rally"], "unknown mission 'rally'"),
         (["-i", "loopback:t", "--mission", "skidpad", "--track", "autocross"], "needs a track of kind skidpad"),
-        (["-i", "loopback:t", "--laps", "0"], "--laps is 0"),
         (["-i", "loopback:t", "--truth", "70000"], "--truth is 70000"),
         (["-i", "loopback:t", "--timeout", "nan"], "--timeout is nan"),
         (["-i", "loopback:t", "--timeout", "inf"], "--timeout is inf"),
@@ -218,6 +218,36 @@ def test_the_process_sends_frames_and_truth_and_ends_cleanly(tmp_path: Path) -> 
     assert saved["path"]
     assert len(saved["cones"]) == len(load_track("skidpad").cones_xy_m)
     assert " 520#" in log.read_text()
+
+
+def test_a_measurement_covers_one_mark_to_the_next() -> None:
+    vcu = made(FakeBus())
+    assert process.result_of(vcu)["measurements"] == []
+    answered, late = vcu.world.vcu.response_times_ns, vcu.status_late_ns
+    answered += [90 * MS]  # before anybody measured
+    assert vcu.command("measure idle") == "measuring: idle"
+    answered += [1 * MS, 2 * MS]
+    late += [3 * MS]
+    vcu.held_up_ns += 60 * MS
+    assert vcu.command("measure") == "measuring: 2"
+    answered += [40 * MS]
+    vcu.world.vcu.comms_losses += 1
+    idle, second = process.result_of(vcu)["measurements"]
+    assert (idle["name"], idle["response"]["count"], idle["response"]["max_ms"]) == ("idle", 2, 2.0)
+    assert (idle["status_late"]["max_ms"], idle["held_up_ms"], idle["comms_losses"]) == (3.0, 60.0, 0)
+    assert (second["name"], second["response"]["max_ms"], second["comms_losses"]) == ("2", 40.0, 1)
+    assert second["held_up_ms"] == 0.0
+
+
+def test_each_status_that_was_sent_tells_how_late_it_was() -> None:
+    bus = FakeBus()
+    vcu = made(bus, "--timeout", "0.6")
+    vcu.command("on")
+    vcu.loop()
+    sent = [frame for frame in bus.sent if frame.can_id == 0x520]
+    assert len(sent) > 0
+    assert len(vcu.status_late_ns) == len(sent)
+    assert min(vcu.status_late_ns) >= 0
 
 
 # ------------------------------------------------------------ pictures

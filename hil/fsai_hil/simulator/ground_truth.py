@@ -19,7 +19,7 @@ from fsai_hil.simulator.car import Pose
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 25_510
 MOST_BYTES: Final = 4096
-_TYPES: Final = {"int": int, "float": (int, float), "str": str}
+_TYPES: Final[dict[str, type | tuple[type, ...]]] = {"int": int, "float": (int, float), "str": str}
 
 
 @dataclass(frozen=True, slots=True)

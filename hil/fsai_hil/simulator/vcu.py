@@ -647,10 +647,12 @@ class SimulatedVcu:
         return BrakeStatus.SHUTDOWN_COMPLETE if self.shut_down else BrakeStatus.SHUTTING_DOWN
 
     def _speeds_image(self, t_ns: int) -> WheelSpeeds:
-        return WheelSpeeds(*(round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm), t_ns)
+        fl, fr, rl, rr = (round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm)
+        return WheelSpeeds(fl, fr, rl, rr, t_ns)
 
     def _counts_image(self, t_ns: int) -> WheelCounts:
-        return WheelCounts(*(count & 0xFFFF for count in self._feedback.pulses), t_ns)
+        fl, fr, rl, rr = (count & 0xFFFF for count in self._feedback.pulses)
+        return WheelCounts(fl, fr, rl, rr, t_ns)
 
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
         link, warned = self._link, self._warnings()

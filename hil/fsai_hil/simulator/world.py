@@ -115,7 +115,7 @@ class World:
         self.operator = Operator.auto(setup.revision, setup.missions, setup.at) if setup.auto else Operator(at=setup.at)
         self._sensor_settings = setup.sensor or SensorSettings(noise_level=setup.noise_level)
         self._judge_settings = _judge_settings(setup)
-        self._first_track = setup.track or load_track(MISSION_TRACK[_a_mission(setup.missions[0])])
+        self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
         self._now_ns = setup.start_ns
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
@@ -285,12 +285,6 @@ class World:
     def faults(self) -> tuple[str, ...]:
         """The fault bits that the car shows now, by name."""
         return self.vcu.faults.names
-
-
-def _a_mission(mission: Ami) -> Ami:
-    if mission is Ami.NOT_SELECTED:
-        raise ValueError("NOT_SELECTED is no mission")
-    return mission
 
 
 def _judge_settings(setup: WorldSetup) -> JudgeSettings:
