@@ -13,7 +13,7 @@ from typing import Literal
 import pytest
 
 from fsai_hil.vcan import VcanError, choose_place, native, run_in_uml, uml
-from fsai_hil.vcan.errors import TIMED_OUT
+from fsai_hil.vcan.network import TIMED_OUT
 
 CHECKOUT = Path(__file__).parents[2]
 ENVIRONMENT = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "SAID": 'it\'s "quoted" $HOME'}
@@ -73,7 +73,7 @@ def test_a_command_in_uml_keeps_environment_folder_and_status(
 @needs_uml
 def test_every_clock_in_uml_goes_by_the_pace(tmp_path: Path) -> None:
     """By the kernel's clock, by the one that programs are given, by the wall clock, and for timers."""
-    pace = 3.0
+    pace = 2.0
     inside = (
         "import subprocess, sys, time; "
         "kernel = [sys.executable, '-S', '-c', 'import time; print(time.monotonic())']; "
@@ -210,7 +210,7 @@ def test_a_native_command_too_long_is_ended_with_its_children(tmp_path: Path, mo
 def test_without_vcan_one_line_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, wanted: Literal["auto", "native"], words: str
 ) -> None:
-    monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: False)
+    monkeypatch.setattr("fsai_hil.vcan.native_vcan_available", lambda: False)
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     with pytest.raises(VcanError, match=words) as refused:
         choose_place(wanted)
@@ -218,7 +218,7 @@ def test_without_vcan_one_line_says_what_to_install(
 
 
 def test_the_kernels_own_vcan_is_preferred(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fsai_hil.vcan.choice.native_vcan_available", lambda: True)
+    monkeypatch.setattr("fsai_hil.vcan.native_vcan_available", lambda: True)
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     assert choose_place().name == "native"
 

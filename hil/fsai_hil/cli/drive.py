@@ -104,7 +104,7 @@ def _drive(args: argparse.Namespace) -> int:
 
 
 def _drive_with_fault(args: argparse.Namespace) -> int:
-    """One case of the fault campaign, told to a person. Exit status 1: worse than the safety rules allow."""
+    """One case of the fault campaign, reported to a person. Exit status 1: worse than the safety rules allow."""
     from fsai_hil.evidence.campaign.cases import case_from_spec
     from fsai_hil.evidence.campaign.explain import ScenarioNarrator
     from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up

@@ -58,7 +58,7 @@ class RunningProcess:
             stdout=self._log,
             stderr=subprocess.STDOUT,
             env=dict(environ),
-            # A Ctrl-C at the terminal is for the one who started the rehearsal; it ends the others in order.
+            # A Ctrl-C at the terminal is for the one who started the rehearsal; it ends the others properly.
             start_new_session=True,
         )
 

@@ -171,7 +171,7 @@ class OnboardComputer:
             if not self.confine_failures:
                 raise
             self.failures.append((self._now_ns, process, f"{type(error).__name__}: {error}"))
-            # Of the bridge: the loop's last words fail too, or come too late to matter: silence.
+            # Of the bridge: the loop's last frames fail too, or come too late to matter: silence.
             setattr(self, f"{process}_running", False)
 
     def due_ns(self) -> int:
@@ -216,7 +216,7 @@ class OnboardComputer:
         self._hung_until_ns = self._edge_hung_until_ns = None
 
     def lose_bus(self, why: str, now_ns: int) -> None:
-        """Bus-off, or the interface is down: nothing is heard and nothing sent until `find_bus`."""
+        """Bus-off, or the interface is down: nothing is received and nothing sent until `find_bus`."""
         self._bus_up = False
         self._unread.clear()
         if self.bridge_running:

@@ -1,6 +1,6 @@
 """The ground truth as a side channel: where the simulated car really is, for simulated sensors in other processes.
 
-A real camera looks at the world; a simulated one has to be told. The process that simulates the car sends datagrams
+A real camera looks at the world; a simulated one has to be given it. The process that simulates the car sends datagrams
 to a port of this machine's loopback address, a sensor simulator listens there. It is not part of the car: nothing of
 the AI side but the sensor simulator may read it.
 """
@@ -89,7 +89,7 @@ class _Socket:
 
 
 class TruthSender(_Socket):
-    """Sends to whoever listens; nobody listening is no error."""
+    """Sends to the one who listens; nobody listening is no error."""
 
     def __init__(self, port: int = DEFAULT_PORT) -> None:
         super().__init__(0)  # bound: else an answer would be taken from any network

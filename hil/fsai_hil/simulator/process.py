@@ -1,6 +1,6 @@
 """`fsai-vcu vcu`: the simulated VCU and car as a process on a bus, in real time.
 
-One thread waits on the bus until the car next has something to say. Frames that wait are heard before time moves on,
+One thread waits on the bus until the car next has something to send. Frames that wait are read before time moves on,
 and a process that was held up for long lets the car's time stand still meanwhile: it must not take its own slowness for
 the AI computer's. It needs no AI computer: without one it says what a car says, and waits.
 """
@@ -217,14 +217,14 @@ class VcuProcess:
             return
         try:
             frame = bus.recv(max(0, until_ns - self._now_ns()) / 1e9)
-            heard = 0
+            received = 0
             while frame is not None:
                 self.frames_in += 1
                 if self._log is not None:
                     self._log.write(frame)
                 self.world.on_frame(replace(frame, t_ns=frame.t_ns - self.held_up_ns))
-                heard += 1
-                if heard >= 100 or (self._now_ns() >= until_ns and heard >= 20):
+                received += 1
+                if received >= 100 or (self._now_ns() >= until_ns and received >= 20):
                     return  # a flooded bus must not stop the clock
                 frame = bus.recv(0.0)
         except BusLost as error:
@@ -295,7 +295,7 @@ class VcuProcess:
         if not vcu.powered:
             words.append("low voltage off")
         elif not self.frames_in:
-            words.append("no AI computer heard yet")
+            words.append("no frame of the AI computer yet")
         elif vcu.comms_lost:
             words.append("AI computer lost")
         if vcu.state is AsState.EMERGENCY_BRAKE:
@@ -323,7 +323,7 @@ class VcuProcess:
             self._stdin = None
             return
         if not data:
-            self._stdin = None  # nobody types; the car goes on until it is told to end
+            self._stdin = None  # nobody types; the car goes on until it is ended
             return
         *lines, self._typed = (self._typed + data).split(b"\n")
         for line in lines:
@@ -399,7 +399,7 @@ class VcuProcess:
 
 @contextlib.contextmanager
 def _signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """Ctrl-C and a polite kill end the loop in order."""
+    """Ctrl-C and a polite kill end the loop properly."""
 
     def handler(number: int, frame: FrameType | None) -> None:
         stop(f"ended by {signal.Signals(number).name}")

@@ -1,4 +1,4 @@
-"""The car's vehicle control unit, simulated: what it hears from the AI computer, decides, orders and says.
+"""The car's vehicle control unit, simulated: what it receives from the AI computer, decides, orders and sends.
 
 Pure: frames and sensor readings in, frames and orders out, time an argument in integer nanoseconds. The state machine
 is the table of `as_machine.py`, the link's supervision `ai_link.py`, the power-up `power.py`, and how a VCU may differ
@@ -108,7 +108,7 @@ class SimulatedVcu:
 
     Set `switches`, hand it the AI computer's frames, call `step` at least once a millisecond (or at `next_due_ns()`)
     with what the car's sensors read; do what `actuation` orders. Faults of the wire go into `outgoing` (what the VCU
-    and the PCAN-GPS say) and `incoming` (what it hears).
+    and the PCAN-GPS say) and `incoming` (what it receives).
 
     `gps_decimation` and `log_decimation` stretch the periods of the PCAN-GPS's and the logging frames on machines that
     cannot carry them all. Raises ValueError for an interface revision whose power-up is not known.
@@ -159,7 +159,7 @@ class SimulatedVcu:
         self._ai_faults = ai_faults(profile)
         self._settled_until_ns = self._now_ns
 
-    # ------------------------------------------------------------ what it hears
+    # ------------------------------------------------------------ what it receives
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of the AI computer has arrived, at its `t_ns`."""
@@ -538,7 +538,7 @@ class SimulatedVcu:
             live,
         )
 
-    # ------------------------------------------------------------ what it says
+    # ------------------------------------------------------------ what it sends
 
     def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_CyclicMessage, ...]:
         """Everything that is sent in this revision, 0x520 first."""

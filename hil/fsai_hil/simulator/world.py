@@ -1,6 +1,6 @@
 """The whole far side of the bus in virtual time: car, VCU, track, cone sensor, judge and the person with the switches.
 
-Pure: frames in, frames out, the time an argument. The same object runs in lockstep and, told the monotonic clock, as a
+Pure: frames in, frames out, the time an argument. The same object runs in lockstep and, given the monotonic clock, as a
 process on a bus. Deterministic: the same setup and the same frames at the same times give the same run.
 """
 

@@ -36,9 +36,8 @@ from pathlib import Path
 from typing import IO
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
-from fsai_hil.vcan.errors import TIMED_OUT, VcanError
 from fsai_hil.vcan.native import end_group
-from fsai_hil.vcan.network import bring_up
+from fsai_hil.vcan.network import TIMED_OUT, VcanError, bring_up
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048

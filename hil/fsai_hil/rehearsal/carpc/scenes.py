@@ -266,8 +266,8 @@ class Rehearsal:
             passed = len(wrong) == 1 and wrong[0].startswith("bus: the VCU is silent")
             self.note("doctor finds nothing wrong but a silent car", None, passed=passed, words="; ".join(wrong))
         else:
-            heard = any(each["topic"] == "bus" and each["level"] == "right" for each in findings)
-            self.note("doctor finds nothing wrong", None, passed=heard and not wrong, words="; ".join(wrong))
+            received = any(each["topic"] == "bus" and each["level"] == "right" for each in findings)
+            self.note("doctor finds nothing wrong", None, passed=received and not wrong, words="; ".join(wrong))
 
     # ------------------------------------------------------------ who else may do what
 
@@ -383,8 +383,8 @@ class Rehearsal:
         on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
         gap_s = longest_gap_s(watch.since(since_ns))
         fill.unlink()
-        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
-        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder says {told}"
+        said = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder reports {said}"
         self.note("the disk full: drives on", FULL_S, passed=on, words=words)
         self.step(
             "with room again the recorder writes again",
@@ -392,8 +392,8 @@ class Rehearsal:
             30.0,
             RECORDS_AGAIN_S,
         )
-        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
-        self.note("it has said so in one line", None, passed=len(told) == 1, words="; ".join(told))
+        said = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        self.note("it has said so in one line", None, passed=len(said) == 1, words="; ".join(said))
         self.note("and the car drives on", None, passed=self.undisturbed(watch))
 
     def recorder_killed(self, watch: BusWatch) -> None:
