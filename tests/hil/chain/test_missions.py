@@ -45,13 +45,6 @@ def test_every_node_topic_and_service_has_its_name(chain: Chain) -> None:
     assert "/emergency_brake" in services and "/reset" in services
 
 
-def test_an_unknown_mode_is_refused_with_the_valid_ones(chain: Chain) -> None:
-    accepted, message = chain.operator.set_mode("sport")
-    assert not accepted
-    assert "sport" in message and "manual" in message and "autonomous" in message
-    chain.stack.check_alive(*NODES)
-
-
 def test_the_operators_verbs_show_the_bridges_answer(
     chain: Chain, verb: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
