@@ -48,8 +48,8 @@ def main() -> int:
     try:
         _check(args)
     except (ValueError, OSError) as error:
-        known = isinstance(error, OSError) and error.filename
-        print(f"demo: {f'{error.filename}: {error.strerror}' if known else error}", file=sys.stderr)
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        print(f"demo: {text}", file=sys.stderr)
         return 1
     inside = _in_own_vcan(args)
     if inside is not None:
