@@ -135,15 +135,6 @@ def test_a_lost_message_or_echo_in_as_driving_stops_the_car(
     assert bench.status().faults.ai_comms_lost
 
 
-@pytest.mark.parametrize("way", ["to_ready", "to_finished"])
-def test_ai_silence_is_an_emergency_in_as_ready_and_as_finished(way: str) -> None:
-    bench: Bench = getattr(Bench(), way)()
-    bench.talks = False
-    bench.run(150 * MS)
-    assert bench.state is AsState.EMERGENCY_BRAKE
-    assert bench.vcu.shutdown_cause is ShutdownCause.AI_COMMS_FAULT
-
-
 @pytest.mark.parametrize("name", ["2021", "2026"])
 def test_in_as_off_a_lost_link_is_reported_and_recovers(name: str) -> None:
     bench = Bench(name).power_up()

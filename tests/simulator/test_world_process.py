@@ -75,6 +75,8 @@ def test_typed_commands_move_switches_and_answer_in_words() -> None:
     assert switches.ami is Ami.SKIDPAD
     vcu.command("go")
     assert switches.go
+    assert vcu.command("go") == "go: off and on again", "only a rising edge starts the car"
+    assert not switches.go
     vcu.command("estop")
     assert switches.remote_estop
     vcu.command("estop off")
@@ -85,13 +87,6 @@ def test_typed_commands_move_switches_and_answer_in_words() -> None:
     assert "quit" in vcu.command("help")
     vcu.command("quit")
     assert vcu.interrupted == "asked to quit"
-
-
-def test_a_go_that_is_on_already_is_taken_back_first() -> None:
-    vcu = made(FakeBus())
-    vcu.command("go")
-    assert vcu.command("go") == "go: off and on again"
-    assert not vcu.world.vcu.switches.go
 
 
 @pytest.mark.parametrize("line", ["fly", "asms maybe", "ami rally", "torque_limit_nm on", "__class__"])
