@@ -14,7 +14,7 @@ import pytest
 from fsai_hil.evidence.campaign.cases import LEGS_MS, Selection, Since, case_from_spec, case_of, drawn
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
 from fsai_hil.evidence.campaign.demands import MAY_STOP_ITSELF, NOTHING, Demand, End
-from fsai_hil.evidence.campaign.injections import no_number
+from fsai_hil.evidence.campaign.injections import At, no_number
 from fsai_hil.simulator.faults import Delay, Drop, FlipBits, Freeze, Repeat, WrongLength
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.interface.enums import Ami
@@ -128,7 +128,8 @@ def test_drawn_out_of_range_values_are_so_for_every_car() -> None:
     assert seen == set(product(("steering_rad", "throttle", "brake"), ("nan", "inf", "beyond", "negative")))
     command = VehicleCommand(0, 1, 0.1, 0.2)
     for field, value in seen:
-        assert no_number(command, {"field": field, "value": value}, rng, 0).problems(math.radians(30.0)), (field, value)
+        changed: Any = no_number(command, At({"field": field, "value": value}, rng, 0, 0))
+        assert replace(command, **changed).problems(math.radians(30.0)), (field, value)
 
 
 def test_each_drawn_clock_step_changes_the_age_of_50_ms_old_data() -> None:

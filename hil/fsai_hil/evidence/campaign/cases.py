@@ -12,7 +12,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.catalogue import ROWS, FaultKind, kind_named
+from fsai_hil.evidence.campaign.catalogue import EVERY_MISSION, ROWS, FaultKind, kind_named
 from fsai_vcu.interface.enums import Ami, AsState
 
 WORLD_SEEDS: Final = 3  # cone noise and the rest of a run's chance; the campaign's variety lies in the faults
@@ -30,30 +30,14 @@ class Since(Enum):
     @property
     def state(self) -> AsState | None:
         """The AS state that begins it; None: the run's beginning."""
-        return _STATES[self]
+        return None if self is Since.START else AsState[f"AS_{self.name}"]
 
-
-_STATES: Final[Mapping[Since, AsState | None]] = MappingProxyType(
-    {
-        Since.START: None,
-        Since.READY: AsState.AS_READY,
-        Since.DRIVING: AsState.AS_DRIVING,
-        Since.FINISHED: AsState.AS_FINISHED,
-    }
-)
 
 # Snapshots: so long in AS_DRIVING, in ms. A mission is under way for at least LEG_MS after its last one.
 LEG_MS: Final = 6000
+LONG_MISSIONS: Final = (Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE)
 LEGS_MS: Final[Mapping[Ami, tuple[int, ...]]] = MappingProxyType(
-    {
-        Ami.ACCELERATION: (3000,),
-        Ami.SKIDPAD: (3000, 14000, 25000),
-        Ami.AUTOCROSS: (3000, 14000, 25000),
-        Ami.TRACKDRIVE: (3000, 14000, 25000),
-        Ami.STATIC_INSPECTION_A: (3000,),
-        Ami.STATIC_INSPECTION_B: (3000,),
-        Ami.AUTONOMOUS_DEMO: (3000,),
-    }
+    {ami: (3000, 14000, 25000) if ami in LONG_MISSIONS else (3000,) for ami in EVERY_MISSION}
 )
 
 # Full-length runs: where in a run the fault may begin, in ms after a moment.

@@ -6,12 +6,15 @@ them; what an observer may measure on top of them is `SLACK_MS`.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Any, Final
 
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS
+
+Params = Mapping[str, Any]  # what was drawn for a fault, by name
 
 # Safety rules, graded reactions.
 COMMAND_STALE_MS: Final = 100
@@ -120,10 +123,34 @@ def estop(after_ms: float, torque_ms: float | None = None) -> Demand:
     )
 
 
-def by_age(age_ms: float, *steps: tuple[float, Demand]) -> Demand:
-    """The demand of the last step that an age has reached; below the first, nothing."""
-    demand = NOTHING
-    for after_ms, next_demand in steps:
-        if age_ms >= after_ms:
-            demand = next_demand
-    return demand
+def implausible(onset: Onset, brake_ms: float = IMPLAUSIBLE_MS, estop_ms: float = IMPLAUSIBLE_LOST_MS) -> Demand:
+    """A stop, then ESTOP_REQUEST, so long after `onset`; before it nothing is demanded."""
+    allowed = frozenset((End.ON, End.HELD, End.STOP, End.ESTOP))
+    return Demand(allowed, brake_ms=brake_ms + SLACK_MS, estop_ms=estop_ms + SLACK_MS, onset=onset)
+
+
+@dataclass(frozen=True, slots=True)
+class Must:
+    """What a kind of fault demands: in words, and as a function of what was drawn."""
+
+    words: str
+    demand: Callable[[Params], Demand]
+
+
+def always(words: str, demand: Demand) -> Must:
+    return Must(words, lambda p: demand)
+
+
+@dataclass(frozen=True, slots=True)
+class Graded:
+    """What the age of something demands: from each of `steps` (age in ms) on another; below the first, nothing."""
+
+    words: str
+    steps: tuple[tuple[float, Demand], ...] = ()
+
+    def by(self, name: str, before: str = "") -> Must:
+        """The demand by the age that the parameter `name` makes of a message; `before`: what is said first."""
+        return Must(before + self.words, lambda p: self.at(p[name]))
+
+    def at(self, age_ms: float) -> Demand:
+        return next((demand for after_ms, demand in reversed(self.steps) if age_ms >= after_ms), NOTHING)
