@@ -20,9 +20,8 @@ import pytest
 from fsai_hil.evidence.campaign import runner
 from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
-from fsai_hil.evidence.campaign.cluster import ClusterError, on_cluster
 from fsai_hil.evidence.campaign.record import read
-from fsai_hil.evidence.campaign.runner import CampaignPlan, batches, drive_batch
+from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, batches, drive_batch, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.campaign.sources import digest
 from fsai_hil.evidence.model import patched
@@ -322,14 +321,14 @@ def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest
     plan = CampaignPlan(1, 1)
     monkeypatch.setattr(runner, "digest", lambda: "other")
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
-        next(on_cluster(cluster, plan, batches(plan, plan.tasks())))
+        next(on_cluster(plan, batches(plan, plan.tasks()), cluster))
 
 
 def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fsai_hil.evidence.campaign.cluster.CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(runner, "CONNECT_TIMEOUT_S", 0.5)
     plan = CampaignPlan(1, 1)
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        next(on_cluster("tcp://127.0.0.1:9", plan, batches(plan, plan.tasks())))
+        next(on_cluster(plan, batches(plan, plan.tasks()), "tcp://127.0.0.1:9"))
 
 
 # ---------------------------------------------------------------- wrong use

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +37,13 @@ from fsai_vcu.interface.revisions import revision
 MS = 1_000_000
 CODEC = Codec(revision("2026"))
 OFF, READY, DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
-EXACT = {"in_flight_ns": 0, "handshake_in_flight_ns": 0, "clock_slack_ns": 0, "car": CARS["2026"], "from_start": True}
+EXACT: dict[str, Any] = {
+    "in_flight_ns": 0,
+    "handshake_in_flight_ns": 0,
+    "clock_slack_ns": 0,
+    "car": CARS["2026"],
+    "from_start": True,
+}
 IDLE = AiCommand()
 SELECTED = AiCommand(mission_status=MissionStatus.SELECTED)
 RUNNING = AiCommand(mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD)
@@ -360,7 +367,7 @@ class Case(NamedTuple):
         return (self.rule, self.what, start, keeps, breaks)
 
 
-CASES = [
+CASES: list[tuple[str, str, Make, End, End]] = [
     Case("1", "both in one cycle").of(driving, drive(), braked(drive())),
     Case("1", "torque after one quiet cycle").of(
         Sender, lambda s: quiet(s, echoed=True), lambda s: quiet(s, echoed=False)
@@ -626,7 +633,7 @@ CASES = [
     ),
     *(
         Case("4", f"constant power above {rpm - 1} rpm").of(
-            Sender, lambda s, a=(rpm, nm): fast(s, *a), lambda s, a=(rpm, nm + 0.1): fast(s, *a)
+            Sender, partial(fast, rpm=rpm, torque_nm=nm), partial(fast, rpm=rpm, torque_nm=nm + 0.1)
         )
         for rpm, nm in ((301, 150.0), (401, 120.0), (501, 100.0), (600, 100.0))
     ),

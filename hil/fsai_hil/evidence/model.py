@@ -27,6 +27,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.evidence.abstraction import CLOCKS, NEVER, NOW, Abstraction, Content
@@ -228,30 +229,28 @@ class SearchedBridge(Bridge):
         return steering, wheels
 
 
+@dataclass(slots=True)
 class _Vcu:
     """The other end: the real transition table, what was heard last, and the handshake."""
 
-    __slots__ = (
-        "ai_ns", "bit", "brake", "direction", "echo_ns", "estop", "front", "go_before", "heard", "needs_power_cycle",
-        "rear", "since_ns", "state", "status", "steer",
-    )  # fmt: skip
+    state: AsState
+    heard: bool = False
+    go_before: bool = True
+    needs_power_cycle: bool = False
+    estop: bool = False
+    status: MissionStatus = MissionStatus.NOT_SELECTED
+    direction: Direction = Direction.NEUTRAL
+    front: bool = False
+    rear: bool = False
+    steer: bool = False
+    brake: bool = False
+    since_ns: int = NOW
+    ai_ns: int | None = None  # the last complete cycle
+    echo_ns: int | None = None  # since when the echo is awaited
+    bit: bool = False
 
-    def __init__(self, first: AsState) -> None:
-        self.switch_off(first)
 
-    def switch_off(self, first: AsState) -> None:
-        self.state = first
-        self.since_ns = NOW
-        self.heard = False
-        self.ai_ns: int | None = None  # the last complete cycle
-        self.echo_ns: int | None = None  # since when the echo is awaited
-        self.bit = False
-        self.go_before = True
-        self.needs_power_cycle = False
-        self.estop = False
-        self.status = MissionStatus.NOT_SELECTED
-        self.direction = Direction.NEUTRAL
-        self.front = self.rear = self.steer = self.brake = False
+_asked_of = attrgetter("estop", "status", "direction", "front", "rear", "steer", "brake")
 
 
 @contextmanager
@@ -405,7 +404,7 @@ class Composition:
             content,
             # VCU
             (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
-             v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake),
+             *_asked_of(v)),
             wire,
         )  # fmt: skip
         vcu_age = NEVER
@@ -429,16 +428,9 @@ class Composition:
     def _load(self, state: State, bridge: BridgeState | None = None) -> None:
         """Put the composition back as it was saved, at `NOW`; `bridge` is the bridge's half where it is known."""
         (_, vcu, wire), ages = cast(Any, state)
-        v = self._vcu
         self._bridge.state = bridge or self.bridge_of(state)
-        t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) :]]
-
-        (v.state, v.heard, v.go_before, v.needs_power_cycle, v.estop, v.status, v.direction, v.front, v.rear, v.steer,
-         v.brake) = vcu  # fmt: skip
-        v.bit = False
-        v.since_ns = NOW if t[0] is None else t[0]
-        v.ai_ns, v.echo_ns = t[1], t[2]
-
+        t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) : -len(EDGES)]]
+        self._vcu = _Vcu(*vcu, NOW if t[0] is None else t[0], *t[1:])
         self._checker.load((wire, ages[-len(EDGES) :]), NOW)
 
     # ------------------------------------------------------------ moves
@@ -513,7 +505,7 @@ class Composition:
             self._checker.restarted()
         checker = self._checker
         if choice.car_off:
-            self._vcu.switch_off(self.scope.setting.first_state)
+            self._vcu = _Vcu(self.scope.setting.first_state)
         else:
             self._look(choice, now)
             self._car_speaks(choice, now)
@@ -714,7 +706,7 @@ class Composition:
         checker.cycle_over(now)
         if not choice.car_off:
             for number in range(choice.frames):
-                before = (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake)
+                before = _asked_of(v)
                 v.heard = True
                 match number:
                     case 0:
@@ -732,7 +724,7 @@ class Composition:
                         v.ai_ns = now
                 if v.ai_ns is None:
                     v.ai_ns = now
-                if before != (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake):
+                if before != _asked_of(v):
                     self._look(choice, now)
         b.on_sent(choice.frames == 5, now)
 

@@ -291,7 +291,10 @@ def all_scopes() -> tuple[Scope, ...]:
             _each(GO, {"rpm": IMPOSSIBLE}, {"counting": True}),
             _each(
                 GO,
-                *({"rpm": rpm} for rpm in (MOVING, TOO_FAST, (200, 200, 1251, 200), (200, 200, 1200, 200))),
+                {"rpm": MOVING},
+                {"rpm": TOO_FAST},
+                {"rpm": (200, 200, 1251, 200)},
+                {"rpm": (200, 200, 1200, 200)},
                 {"command": "finished"},
                 {"command": "finished", "counting": True},
             ),

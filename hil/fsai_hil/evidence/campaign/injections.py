@@ -301,7 +301,7 @@ def wrong_pulses(count: int, before: int, at: At) -> int:
         case "double":
             return (2 * count - before) & 0xFFFF
         case "running":
-            return (before + round(at.p["rate"] * at.since_ns / 1e9)) & 0xFFFF
+            return (before + round(float(at.p["rate"]) * at.since_ns / 1e9)) & 0xFFFF
         case _:
             return at.rng.randrange(0x10000)
 

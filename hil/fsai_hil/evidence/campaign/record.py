@@ -41,7 +41,8 @@ def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
     first = next(lines, None)
     if first is None or first.pop("campaign", None) != 1:
         raise RecordError(f"{path} is not the record of a fault campaign")
-    header = Header(**{name: tuple(value) if isinstance(value, list) else value for name, value in first.items()})
+    said: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
+    header = Header(**said)
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
     return header, list(runs.values())
