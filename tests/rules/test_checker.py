@@ -63,6 +63,7 @@ class Sender:
     """Car and AI computer by hand, a cycle every 10 ms; the checker sees what the AI computer sees."""
 
     answer_ns = 0  # how long after the car
+    dense = 40  # where nothing happens for longer, 0x520 every 80 ms is enough until so many cycles are left
 
     def __init__(self, **options: Any) -> None:
         self.now_ns = 1000 * MS
@@ -108,7 +109,7 @@ class Sender:
             if car:
                 self.hears_the_car()
             self.says(command, frames)
-            step = 8 if cycles > 100 else 1  # where nothing happens for long, 0x520 every 80 ms is enough
+            step = 8 if cycles > self.dense else 1
         return self
 
     def says(self, command: AiCommand, frames: int = 5) -> None:
@@ -754,7 +755,7 @@ def test_the_vcu_keeps_the_torque_of_a_process_that_died() -> None:
 
 
 def test_response_times_run_from_each_toggle_to_its_echo() -> None:
-    sender = Sender(in_flight_ns=20 * MS, handshake_in_flight_ns=4 * MS).has(answer_ns=MS).cycle(IDLE, 100)
+    sender = Sender(in_flight_ns=20 * MS, handshake_in_flight_ns=4 * MS).has(answer_ns=MS, dense=100).cycle(IDLE, 100)
     sender.has(answer_ns=3 * MS).cycle(IDLE, 2)
     sender.now_ns += 2_000 * MS  # silence of the AI computer is no response time
     report = sender.cycle(IDLE, 50).checker.report()
