@@ -9,6 +9,7 @@ import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -111,17 +112,22 @@ class Selection:
     within_ms: int = LEG_MS  # of a snapshot a fault begins
 
     def kinds(self) -> tuple[FaultKind, ...]:
-        chosen = tuple(kind_named(name) for name in self.faults) or ROWS
-        usable = tuple(kind for kind in chosen if self.missions_of(kind) and self.revisions_of(kind))
-        if not usable:
-            raise ValueError("none of these faults applies to these missions and revisions")
-        return usable
+        return _usable(self)
 
     def missions_of(self, kind: FaultKind) -> tuple[Ami, ...]:
         return tuple(ami for ami in Ami if ami in kind.missions and (not self.missions or ami in self.missions))
 
     def revisions_of(self, kind: FaultKind) -> tuple[str, ...]:
         return tuple(name for name in kind.revisions if not self.revisions or name in self.revisions)
+
+
+@cache
+def _usable(selection: Selection) -> tuple[FaultKind, ...]:
+    chosen = tuple(kind_named(name) for name in selection.faults) or ROWS
+    usable = tuple(kind for kind in chosen if selection.missions_of(kind) and selection.revisions_of(kind))
+    if not usable:
+        raise ValueError("none of these faults applies to these missions and revisions")
+    return usable
 
 
 def drawn(kind: FaultKind, rng: random.Random, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
