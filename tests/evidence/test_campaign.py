@@ -21,7 +21,7 @@ from fsai_hil.evidence.campaign import runner
 from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.record import read
-from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, batches, drive_batch, on_cluster
+from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, batches, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.campaign.sources import digest
 from fsai_hil.evidence.model import patched
@@ -314,11 +314,3 @@ def test_wrong_use_is_one_clear_line(
     assert main(["campaign", *arguments, "--out", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert complaint in error and error.count("\n") == 1
-
-
-def test_a_batch_of_a_plan_can_be_driven_anywhere() -> None:
-    """What a cluster's worker is sent is picklable, and small."""
-    import pickle
-
-    plan = CampaignPlan(1, 10_000, 300)
-    assert len(pickle.dumps((drive_batch, plan, [(False, 7)]))) < 2000

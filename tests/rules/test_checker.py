@@ -780,16 +780,15 @@ def test_error_frames_are_counted_and_break_no_rule() -> None:
     assert report.ok and report.error_frames == 1
 
 
-def candump(frames: Iterable[Frame], suffix: str = "") -> str:
-    return "".join(f"({one.t_ns / 1e9:.6f}) vcan0 {one}{suffix}\n" for one in frames)
+def candump(frames: Iterable[Frame]) -> str:
+    return "".join(f"({one.t_ns / 1e9:.6f}) vcan0 {one}\n" for one in frames)
 
 
-@pytest.mark.parametrize("suffix", ["", " R", " T"], ids=["candump", "received", "sent"])
-def test_a_candump_log_is_checked_like_the_bus(tmp_path: Path, suffix: str) -> None:
+def test_a_candump_log_is_checked_like_the_bus(tmp_path: Path) -> None:
     sender = logged().car(go_signal=False).cycle(drive(), 20)
     log = tmp_path / "run.log.gz"
     with gzip.open(log, "wt") as out:
-        out.write(candump(sender.frames, suffix))
+        out.write(candump(sender.frames))
     report = check_candump(log, CODEC)
     assert (report.frames, report.cycles, report.incomplete_cycles) == (len(sender.frames), sender.cycles, 0)
     assert [name for _, name in report.as_states] == ["AS_OFF", "AS_READY", "AS_DRIVING"]
