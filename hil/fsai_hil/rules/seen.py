@@ -3,34 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from operator import attrgetter
 from typing import Final, NamedTuple
 
-from fsai_hil.rules.numbers import (
-    COMMAND_FRESH_NS,
-    COMMAND_LOST_NS,
-    COUNTED_NS,
-    CYCLE_NS,
-    FEEDBACK_LOST_NS,
-    FEEDBACK_STALE_NS,
-    LAUNCH_NS,
-    LISTEN_FIRST_NS,
-    ODD_LOST_NS,
-    ODD_NS,
-    PEDALS_NS,
-    POWER_CYCLE_NS,
-    READY_SEEN_NS,
-    SEND_LOST_NS,
-    SPEED_JUMP_NS,
-    SPEEDS_FRESH_NS,
-    STATUS_FRESH_NS,
-    STATUS_LOST_NS,
-    STILL_NS,
-    STOP_CYCLES,
-    STOP_TIMEOUT_NS,
-)
+from fsai_hil.rules import numbers as n
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
 
@@ -58,8 +36,8 @@ class Process:
     listen_only: bool = False
     autonomous_at_power_up: bool = False
     service_brake_pct: float = 80.0  # what a stop is made with
-    stop_cycles: int = STOP_CYCLES
-    stop_timeout_ns: int = STOP_TIMEOUT_NS
+    stop_cycles: int = n.STOP_CYCLES
+    stop_timeout_ns: int = n.STOP_TIMEOUT_NS
     nothing_hidden: bool = False
 
 
@@ -130,36 +108,32 @@ class Seen:
 
 # The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
 TIMES: Final[Mapping[str, tuple[int, ...]]] = {
-    "status_ns": (STATUS_FRESH_NS, STATUS_LOST_NS),
-    "heard_ns": (POWER_CYCLE_NS - CYCLE_NS, POWER_CYCLE_NS),
-    "ready_ns": (READY_SEEN_NS,),
-    "driving_ns": (LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS),
-    "steer_ns": (FEEDBACK_STALE_NS, FEEDBACK_LOST_NS),
-    "front_ns": (FEEDBACK_STALE_NS,),
-    "rear_ns": (FEEDBACK_STALE_NS,),
-    "command_ns": (COMMAND_FRESH_NS, COMMAND_LOST_NS),
-    "pedals_ns": (PEDALS_NS,),
-    "steer_odd_ns": (ODD_NS, ODD_LOST_NS),
-    "wheel_odd_ns": (ODD_NS, ODD_LOST_NS),
-    "back_ns": (STATUS_LOST_NS, FEEDBACK_LOST_NS),
-    "began_ns": (LISTEN_FIRST_NS,),
-    "complete_ns": (SEND_LOST_NS,),
+    "status_ns": (n.STATUS_FRESH_NS, n.STATUS_LOST_NS),
+    "heard_ns": (n.POWER_CYCLE_NS - n.CYCLE_NS, n.POWER_CYCLE_NS),
+    "ready_ns": (n.READY_SEEN_NS,),
+    "driving_ns": (n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS),
+    "steer_ns": (n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS),
+    "front_ns": (n.FEEDBACK_STALE_NS,),
+    "rear_ns": (n.FEEDBACK_STALE_NS,),
+    "command_ns": (n.COMMAND_FRESH_NS, n.COMMAND_LOST_NS),
+    "pedals_ns": (n.PEDALS_NS,),
+    "steer_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
+    "wheel_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
+    "back_ns": (n.STATUS_LOST_NS, n.FEEDBACK_LOST_NS),
+    "began_ns": (n.LISTEN_FIRST_NS,),
+    "complete_ns": (n.SEND_LOST_NS,),
     "steered_ns": (),
 }
 EDGES: Final = (
     *TIMES.values(),
-    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
-    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
-    (STILL_NS,),
-    (COUNTED_NS,),
+    (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
+    (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
+    (n.STILL_NS,),
+    (n.COUNTED_NS,),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""
-PLAIN: Final = (
-    "as_state", "go", "fault", "unknown", "silent", "marks", "handshake", "mission", "waited", "path", "angle_max_deg",
-    "front_max_nm", "rear_max_nm", "autonomous", "power_up", "confirmed", "acknowledged", "latched", "order", "alarm",
-    "stopped", "restarted", "bus_gone", "reopening", "ended", "torque_nm", "brake_pct", "braked_pct",
-    "torque_may_be_there", "torque_runs", "zeros", "echoed", "steer_deg", "whole",
-)  # fmt: skip
+_OF_ITSELF: Final = ("turned", "angle_deg", "stopped_ns")  # of a log, or where stops may be hidden
+PLAIN: Final = tuple(one.name for one in fields(Seen) if one.name not in (*TIMES, *_OF_ITSELF))
 plain_of, times_of = attrgetter(*PLAIN), attrgetter(*TIMES)
 put_plain = [getattr(Seen, name).__set__ for name in PLAIN]
 put_times = [getattr(Seen, name).__set__ for name in TIMES]
