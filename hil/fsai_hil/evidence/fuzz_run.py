@@ -52,6 +52,7 @@ MAX_CYCLES: Final = 1_500  # of the car, after a station: longer runs show nothi
 READY_CYCLES: Final = 495  # of AS_READY with Go off, before a drive counts as valid
 SPOKEN: Final = (VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds, WheelCounts)
 """What the car sends in each of its cycles: 0x520 to 0x526."""
+
 Rpm = tuple[int, int, int, int]
 
 
@@ -449,7 +450,6 @@ class Run:
 
 
 # ---------------------------------------------------------------- stations
-
 
 # The way of an ordinary car, operator and controller: each station with the one before it.
 STATIONS: Final = {
