@@ -249,7 +249,7 @@ class Rig:
 
     def copied(self) -> Rig:
         """Another rig in the same state, which goes on by itself."""
-        return copy.deepcopy(self, {id(self.codec): self.codec})
+        return copy.deepcopy(self)
 
     def latency_ns(self, since_ns: int, condition: Callable[[AiCommand], bool]) -> int | None:
         """How long after `since_ns` a cycle first met `condition`."""

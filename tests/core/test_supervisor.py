@@ -187,6 +187,8 @@ def test_every_reaction_gets_graver_with_time() -> None:
         after = [0 if step.after is None else getattr(CONFIG, step.after) for step in steps]
         assert after == sorted(after), reason
         assert [step.consequence for step in steps] == sorted(step.consequence for step in steps), reason
+        takes_over = any(step.consequence is Consequence.STOP_MANUAL for step in steps)
+        assert takes_over is (reason is Reason.COMMAND_STALE), "only a command that is lost makes the mode manual"
 
 
 def test_a_process_that_starts_knows_and_does_nothing() -> None:
