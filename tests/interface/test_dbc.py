@@ -69,29 +69,15 @@ def test_the_files_hold_all_messages_of_the_interface() -> None:
 
 
 @pytest.mark.parametrize("message", EVERY_MESSAGE)
-def test_every_message_has_sender_receivers_period_and_meaning(message: Message) -> None:
-    assert len(message.senders) == 1
-    assert message.cycle_time is not None
-    assert message.cycle_time >= 5
-    assert message.comment
+def test_every_message_and_signal_is_described_whole(message: Message) -> None:
+    """Sender, receivers, period and meaning; little-endian, flags unsigned, and room for every named value."""
+    (sender,) = message.senders
+    assert message.cycle_time is not None and message.cycle_time >= 5 and message.comment
     for signal in message.signals:
-        assert signal.receivers
-        assert signal.receivers != ["Vector__XXX"]
-        assert message.senders[0] not in signal.receivers
-
-
-@pytest.mark.parametrize("message", EVERY_MESSAGE)
-def test_every_signal_is_little_endian_and_every_flag_unsigned(message: Message) -> None:
-    for signal in message.signals:
+        assert signal.receivers and signal.receivers != ["Vector__XXX"] and sender not in signal.receivers
         assert signal.byte_order == "little_endian"
         if signal.length == 1:
-            assert not signal.is_signed
-            assert (signal.minimum, signal.maximum) == (0, 1)
-
-
-@pytest.mark.parametrize("message", EVERY_MESSAGE)
-def test_every_named_value_fits_its_signal(message: Message) -> None:
-    for signal in message.signals:
+            assert (signal.is_signed, signal.minimum, signal.maximum) == (False, 0, 1)
         for raw in signal.choices or {}:
             assert 0 <= raw < 1 << signal.length
             assert signal.maximum is None or raw <= signal.maximum
