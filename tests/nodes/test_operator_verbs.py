@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from itertools import count
 
 import pytest
 
@@ -21,17 +19,11 @@ from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 
 LONG_S = 60.0
-_numbers = count()
 
 
 def verb(*arguments: str) -> subprocess.CompletedProcess[str]:
     argv = [sys.executable, "-m", "fsai_vcu.cli.main", *arguments]
     return subprocess.run(argv, capture_output=True, text=True, timeout=LONG_S)
-
-
-@pytest.fixture
-def bus() -> str:
-    return f"loopback:verbs-{os.getpid()}-{next(_numbers)}"
 
 
 @pytest.fixture

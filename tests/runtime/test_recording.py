@@ -14,7 +14,6 @@ from pathlib import Path
 
 import can
 import pytest
-from mcap.reader import NonSeekingReader
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.log.reader import open_log, read_log
@@ -126,22 +125,11 @@ def test_a_killed_recorder_loses_at_most_1_s_and_resumes(
     later_s = time.monotonic() + 1.5 * LOSS_MOST_S  # not just after something was written: that would show nothing
     sent += talk(bus, lambda: time.monotonic() > later_s, first=len(sent))
     process.send_signal(signal.SIGKILL)
-    killed_s, killed_wall_ns = time.monotonic(), time.time_ns()
+    killed_s = time.monotonic()
     process.wait()
     kept = numbers(first_log)
     assert kept == list(range(kept[0], kept[-1] + 1)), "there is a hole in it"
     assert kept[-1] >= max((number for number, at_s in sent if at_s < killed_s - LOSS_MOST_S), default=0)
-    with first_mcap.open("rb") as file:
-        streamed = []
-        try:
-            for _, _, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-                streamed.append(message)
-        except Exception as error:  # it has no end
-            assert streamed, error
-    stamps = {message.log_time for message in streamed}
-    logged, _ = read_log(first_log)
-    assert {t_ns for t_ns in logged.t_ns.tolist() if t_ns < killed_wall_ns - LOSS_MOST_S * 1e9} <= stamps
-
     with first_log.open("ab") as file:
         file.write(b"(17000")  # what a power cut may do besides
     process = recorder("-o", str(folder), "--mcap")
