@@ -6,7 +6,7 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.lines import LineWriter
     from fsai_vcu.diagnostics.log.files import Problems
     from fsai_vcu.diagnostics.log.filters import FrameFilter
+    from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.interface.revisions import Revision
 
-SOURCE_HELP: Final = "a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input) or a CAN interface"
+LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
+SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 _PROBLEMS_SHOWN = 5
-_FEW_BYTES = 1 << 16  # some two seconds of the car's bus
 
 
 def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
@@ -105,16 +106,25 @@ class Decoding:
         if not self.told and len(frames):
             self._learn(told_revision(frames))
 
-    def hear_log(self, path: Path) -> None:
-        """The same from the beginning of a candump log: as much of it as it takes."""
-        from fsai_vcu.diagnostics.decode.quick_lines import payloads
+    def hear_frames(self, frames: Iterable[LogFrame]) -> None:
+        """The same without numpy."""
         from fsai_vcu.diagnostics.decode.revision import revision_of
-        from fsai_vcu.diagnostics.decode.sharing import pieces_of
 
-        for block in pieces_of(path, _FEW_BYTES):
-            if self.told:
-                return
-            self._learn(revision_of(payloads(block)))
+        plain = [frame for frame in frames if not (frame.extended or frame.error or frame.remote)]
+        if not self.told:
+            words = {(each.can_id, len(each.data), int.from_bytes(each.data[:8], "little")) for each in plain}
+            self._learn(revision_of(words))
+
+    def hear_log(self, path: str) -> None:
+        """The same from the beginning of a log: as much of it as it takes."""
+        from fsai_vcu.diagnostics.log.reader import open_log
+
+        if not self.told:
+            with open_log(path) as log:
+                for frames in log.chunks():
+                    self.hear(frames)
+                    if self.told:
+                        return
 
     def _learn(self, found: tuple[Revision, str] | None) -> None:
         if found is None:
@@ -287,7 +297,7 @@ class Output:
         sys.stdout.flush()
         self._out = sys.stdout.buffer
 
-    def write(self, block: bytes, *, at_once: bool = False) -> None:
+    def write(self, block: bytes | bytearray, *, at_once: bool = False) -> None:
         from fsai_vcu.cli.main import UserError
 
         try:

@@ -18,9 +18,8 @@ from pathlib import Path
 
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.decode.printing import Printer
-from fsai_vcu.diagnostics.decode.sharing import PIECE_BYTES, pieces_of
-from fsai_vcu.diagnostics.log.reader import read_log
+from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.log.reader import open_log, read_log
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
 
 
@@ -92,10 +91,10 @@ def _command(argv: Sequence[str], log: Path, output: Path) -> None:
 
 def _lines(databases: Databases, log: Path) -> None:
     """Every line that `decode` prints, by one process, without its start."""
-    printer = Printer(databases)
-    with Path(os.devnull).open("wb") as sink:
-        for block in pieces_of(log, PIECE_BYTES):
-            sink.write(printer(block).text)
+    writer = LineWriter(Decoder(databases))
+    with Path(os.devnull).open("wb") as sink, open_log(log) as opened:
+        for frames in opened.chunks():
+            sink.write(writer.block(frames))
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4.
+"""Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4, TRC, and SavvyCAN's CSV.
 
 The format is told by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
 log, with its place, and never an exception. Only a log that cannot be opened at all raises `LogError`.
@@ -11,19 +11,20 @@ import gzip
 import io
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-import numpy as np
-
-from fsai_vcu.diagnostics.log.candump import MAX_SECONDS, parse_block
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, parse_line, read_line
 from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of, last_line
-from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.frame import LogFrame
+from fsai_vcu.diagnostics.log.gvret import GvretLines
 
 if TYPE_CHECKING:
     import can
+
+    from fsai_vcu.diagnostics.log.frames import Frames
 
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 19  # what fits a processor's cache is read fastest
@@ -45,49 +46,70 @@ class Log:
         self._pipe = path is None
         self._broken = False
         self._announced_bytes = 0
-        self._channels: list[str] = []
+        self._lines = 0
         self.kind = kind_of(_head(stream))
 
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
-        if self.kind == "candump":
-            yield from self._text_chunks()
+        import numpy as np
+
+        from fsai_vcu.diagnostics.log.candump import parse_block
+        from fsai_vcu.diagnostics.log.frames import frames_of
+
+        channels: list[str] = []
+        if self.kind != "candump":
+            frames = self.frames()
+            while batch := list(islice(frames, _BATCH)):
+                yield frames_of(batch, channels)
             return
-        messages = self._messages()
-        while batch := list(islice(messages, _BATCH)):
-            yield frames_of(batch, self._channels)
+        for block in self._blocks():
+            columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
+            for problem in unreadable:
+                self._unreadable(problem.line, problem.reason)
+            self._lines += lines
+            if len(columns):
+                yield columns
 
     def frames(self) -> Iterator[LogFrame]:
-        """All frames one by one."""
-        for chunk in self.chunks():
-            yield from chunk
+        """All frames one by one; of text without numpy."""
+        if self.kind == "candump":
+            yield from self._text_frames(parse_line)
+        elif self.kind == "GVRET":
+            yield from self._text_frames(GvretLines())
+        else:
+            yield from self._messages()
 
     # ------------------------------------------------------------ text
 
-    def _text_chunks(self) -> Iterator[Frames]:
-        lines_before = 0
+    def _text_frames(self, parse: Callable[[str], LogFrame | None]) -> Iterator[LogFrame]:
+        for block in self._blocks():
+            for line in block.split(b"\n")[:-1]:
+                try:
+                    frame = read_line(line.removesuffix(b"\r"), parse)
+                except UnreadableError as error:
+                    self._unreadable(0, str(error))
+                else:
+                    if frame is not None:
+                        yield frame
+                self._lines += 1
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Whole lines, many at a time."""
         carried = b""
-        while True:
-            read = self._read_block()
-            block = carried + read if carried else read
-            if read:
-                cut = block.rfind(b"\n") + 1
-                carried = block[cut:]
-                if not cut:
-                    continue
-                block = block[:cut]
-            elif carried and not self._broken:  # else where it breaks off is said already
-                block, carried = self._last_line(carried, lines_before), b""
-            else:
-                return
-            frames, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), self._channels)
-            for problem in unreadable:
-                self.problems.add(f"{self.name}: line {lines_before + problem.line + 1}: {problem.reason}")
-            lines_before += lines
-            if len(frames):
-                yield frames
-            if not read:
-                return
+        while read := self._read_block():
+            whole, end, carried = (carried + read).rpartition(b"\n")
+            if end:
+                yield whole + end
+        if carried and not self._broken:  # else where it breaks off is reported already
+            line, reason = last_line(carried)
+            if reason is not None:
+                self._unreadable(0, reason)
+            if line:
+                yield line
+
+    def _unreadable(self, line: int, reason: str) -> None:
+        """`line`: how many come between those that are done and this one."""
+        self.problems.add(f"{self.name}: line {self._lines + line + 1}: {reason}")
 
     def _read_block(self) -> bytes:
         """As much as makes a block; from a pipe what there is, so that its reader need not wait."""
@@ -105,12 +127,6 @@ class Log:
             parts.append(part)
             size += len(part)
         return b"".join(parts)
-
-    def _last_line(self, line: bytes, lines_before: int) -> bytes:
-        whole, reason = last_line(line)
-        if reason is not None:
-            self.problems.add(f"{self.name}: line {lines_before + 1}: {reason}")
-        return whole
 
     # ------------------------------------------------------------ other formats, through python-can
 
@@ -138,11 +154,12 @@ class Log:
             reader = BLFReader(self._stream)  # type: ignore[arg-type]
             self._announced_bytes = reader.file_size
             return iter(reader)
-        if self.kind == "ASC":
+        if self.kind in ("ASC", "TRC"):
             from can.io.asc import ASCReader
+            from can.io.trc import TRCReader
 
             text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
-            return iter(ASCReader(text, relative_timestamp=False))
+            return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
         return self._mf4_reader()
 
     def _mf4_reader(self) -> Iterator[can.Message]:
@@ -170,7 +187,7 @@ class Log:
             return False  # of a packed log the unpacking tells
         with self._path.open("rb") as file:
             length = file.seek(0, io.SEEK_END)
-            if self.kind == "ASC":
+            if self.kind in ("ASC", "TRC"):
                 file.seek(max(0, length - 1))
                 return file.read(1) != b"\n"
         return length < self._announced_bytes
@@ -199,6 +216,8 @@ def open_log(path: Path | str) -> Log:
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
+    from fsai_vcu.diagnostics.log.frames import joined
+
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
 
