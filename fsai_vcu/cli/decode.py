@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument, report_problems
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future
+    from concurrent.futures import Executor, Future
 
-    from fsai_vcu.diagnostics.log.frames import Frames
+Given = TypeVar("Given")
+Done = TypeVar("Done")
 
 EXAMPLE = "fsai-vcu decode run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
-_AT_ONCE = 60_000  # frames: many of one message are decoded together, and their text still fits a processor's cache
+_AT_ONCE = 3  # blocks of a log
 _SHORT_BYTES = 1 << 16  # printed frame by frame sooner than numpy is loaded
 
 
@@ -29,17 +32,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     decoding = Decoding("decode", args)
-    if _is_candump(args.log):
-        if Path(args.log).stat().st_size <= _SHORT_BYTES:
-            return _short(args, decoding)
-        decoding.hear_log(args.log)
+    if _is_short(Path(args.log)):
+        return _short(args, decoding)
     sources = Sources("decode", [args.log], decoding)
     output = Output()
     if sources.live or args.log == "-":
         for frames in sources.chunks():
             output.write(decoding.writer.block(frames), at_once=True)
-    else:
-        _long(sources, decoding, output)
+        return sources.status
+    from concurrent.futures import ThreadPoolExecutor
+
+    sources.learn()
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for text in sources.mapped(decoding.writer.block, partial(_in_order, pool)):
+            output.write(text)
     output.flush()
     return sources.status
 
@@ -58,40 +64,23 @@ def _short(args: argparse.Namespace, decoding: Decoding) -> int:
     return report_problems("decode", log.name, len(frames), log.problems)
 
 
-def _long(sources: Sources, decoding: Decoding, output: Output) -> None:
-    """The next frames are read while the last ones become text."""
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor(1) as pool:
-        texts: deque[Future[bytearray]] = deque()
-        for frames in _windows(sources):
-            texts.append(pool.submit(decoding.writer.block, frames))
-            if len(texts) > 1:
-                output.write(texts.popleft().result())
-        for text in texts:
-            output.write(text.result())
+def _in_order(pool: Executor, work: Callable[[Given], Done], several: Iterable[Given]) -> Iterator[Done]:
+    """As `map`: a few at once, and no more of them in memory."""
+    waiting: deque[Future[Done]] = deque()
+    for each in several:
+        waiting.append(pool.submit(work, each))
+        if len(waiting) > _AT_ONCE:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
 
 
-def _windows(sources: Sources) -> Iterator[Frames]:
-    from fsai_vcu.diagnostics.log.frames import joined
-
-    waiting: list[Frames] = []
-    count = 0
-    for chunk in sources.chunks():
-        waiting.append(chunk)
-        count += len(chunk)
-        if count >= _AT_ONCE:
-            yield joined(waiting)
-            waiting, count = [], 0
-    yield joined(waiting)
-
-
-def _is_candump(name: str) -> bool:
-    """Whether this is a file in one of candump's formats."""
+def _is_short(path: Path) -> bool:
+    """Whether this is a file in one of candump's formats, and a small one."""
     from fsai_vcu.diagnostics.log.files import kind_of
 
     try:
-        with Path(name).open("rb") as file:
-            return Path(name).is_file() and kind_of(file.read(16)) == "candump"
+        with path.open("rb") as file:
+            return os.fstat(file.fileno()).st_size <= _SHORT_BYTES and kind_of(file.read(16)) == "candump"
     except OSError:
         return False

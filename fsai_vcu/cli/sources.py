@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.filters import FrameFilter
     from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
+    from fsai_vcu.diagnostics.log.reader import Log
     from fsai_vcu.interface.revisions import Revision
+
+Done = TypeVar("Done")
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
@@ -115,17 +118,6 @@ class Decoding:
             words = {(each.can_id, len(each.data), int.from_bytes(each.data[:8], "little")) for each in plain}
             self._learn(revision_of(words))
 
-    def hear_log(self, path: str) -> None:
-        """The same from the beginning of a log: as much of it as it takes."""
-        from fsai_vcu.diagnostics.log.reader import open_log
-
-        if not self.told:
-            with open_log(path) as log:
-                for frames in log.chunks():
-                    self.hear(frames)
-                    if self.told:
-                        return
-
     def _learn(self, found: tuple[Revision, str] | None) -> None:
         if found is None:
             return
@@ -207,23 +199,48 @@ class Sources:
             self.status = 1
         return joined(parts)
 
-    def _log_chunks(self) -> Iterator[Frames]:
-        from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+    def learn(self) -> None:
+        """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
+        for name, _ in self._rules:
+            with self._opened(name) as log:
+                for frames in log.chunks():
+                    if self._decoding is None or self._decoding.told:
+                        return
+                    self._decoding.hear(frames)
 
+    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
+        """What `work` makes of the frames of each chunk of the logs; for `in_order` see Log.mapped."""
         for name, rule in self._rules:
-            try:
-                log = open_log(name)
-            except LogError as error:
-                raise UserError(str(error)) from error
             count = 0
-            with log:
+
+            def done(frames: Frames, rule: FrameFilter = rule) -> tuple[Done, int]:
+                return work(_passing(frames, rule)), len(frames)
+
+            with self._opened(name) as log:
+                for what, frames in log.mapped(done, in_order):
+                    count += frames
+                    yield what
+            self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _log_chunks(self) -> Iterator[Frames]:
+        for name, rule in self._rules:
+            count = 0
+            with self._opened(name) as log:
                 for frames in log.chunks():
                     count += len(frames)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
                     yield _passing(frames, rule)
             self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _opened(self, name: str) -> Log:
+        from fsai_vcu.cli.main import UserError
+        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+
+        try:
+            return open_log(name)
+        except LogError as error:
+            raise UserError(str(error)) from error
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError

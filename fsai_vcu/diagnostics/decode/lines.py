@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from threading import Lock
 from typing import Final
 
 import numpy as np
@@ -33,7 +34,7 @@ _TABLE_BITS: Final = 16  # a signal of up to so many bits has a table of its val
 
 
 class LineWriter:
-    """Writes frames with their signals.
+    """Writes frames with their signals, in several threads at once if need be.
 
     as_json: one object per line. words: names of values instead of numbers, where the database has them.
     """
@@ -42,11 +43,10 @@ class LineWriter:
         self._decoder = decoder
         self._text = FrameText(decoder.databases, as_json=as_json, words=words)
         self._tables: dict[str, _Texts] = {}
-        self._room = bytearray()
 
     def block(self, frames: Frames) -> bytearray:
         """All lines of `frames`, each with its line end."""
-        return self._written(frames, self._heads(frames), self._text.line)
+        return self._written(frames, self._heads(frames), self._text.line) if len(frames) else bytearray()
 
     def tails(self, frames: Frames) -> list[bytes]:
         """For each frame what it says, to stand behind the frame itself; with the line end."""
@@ -71,18 +71,15 @@ class LineWriter:
             widths[rows] = heads.shape[1] + tails.shape[1]
         lines = [(row, singly(frames.frame(row)).encode()) for row in np.flatnonzero(unusual).tolist()]
         for row, line in lines:
-            widths[row] = len(line)
+            widths[row] = max(heads.shape[1], len(line))
         ends = np.cumsum(widths)
         begins = ends - widths
-        out, size = self._room, int(ends[-1]) if len(ends) else 0
-        if len(out) < size:
-            out = self._room = bytearray(size + size // 8)  # kept: fresh memory costs as much as to write the text
-        out[size:] = bytes(len(out) - size)
+        out = bytearray(int(ends[-1]) if len(ends) else 0)
+        _put(out, begins, heads)
         for rows, tails in parts:
-            _put(out, begins[rows], np.take(heads, rows, axis=0))
             _put(out, begins[rows] + heads.shape[1], tails)
         for row, line in lines:
-            out[begins[row] : ends[row]] = line
+            out[begins[row] : ends[row]] = line.ljust(widths[row], b"\0")
         return out.translate(None, b"\0")
 
     def _unknown(self, can_ids: npt.NDArray[np.uint32]) -> Characters:
@@ -92,18 +89,12 @@ class LineWriter:
     def _usual(self, layout: MessageLayout, words: Words) -> Characters:
         """What the frames of a plain message say, from their payloads."""
         text = self._text.message(layout)
-        template, places = b"", []
+        parts: list[Part] = []
         for before, signal in zip(text.before, text.signals, strict=True):
-            values = self._tables.setdefault(signal.kind, _Texts(signal)).of(words >> np.uint64(signal.layout.start))
-            template += before.encode()
-            places.append((len(template), values))
-            template += bytes(values.shape[1])
-        template += text.end.encode()
-        matrix = np.empty((len(words), len(template)), np.uint8)
-        matrix[:] = np.frombuffer(template, np.uint8)
-        for at, values in places:
-            matrix[:, at : at + values.shape[1]] = values
-        return matrix
+            table = self._tables.get(signal.kind) or self._tables.setdefault(signal.kind, _Texts(signal))
+            values = table.of(words >> np.uint64(signal.layout.start))
+            parts += before.encode(), values
+        return matrix_of([*parts, text.end.encode()], len(words))
 
     def _heads(self, frames: Frames) -> Characters:
         """Everything up to what a frame says: candump's line, or the object up to the message's name."""
@@ -126,21 +117,21 @@ class _Texts:
     def __init__(self, signal: SignalText) -> None:
         self._signal = signal
         self._layout = signal.layout._replace(start=0)
-        self._table: Characters = np.zeros((0, 1), np.uint8)  # by the bits of a value
-        self._known = np.zeros(0, np.bool_)
+        self._lock = Lock()
+        values = 1 << self._layout.length if self._layout.length <= _TABLE_BITS else 0
+        self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
+        self._known = np.zeros(values, np.bool_)
 
     def of(self, words: Words) -> Characters:
         """A row of characters for the lowest bits of each word, NUL behind."""
         bits = (words & np.uint64((1 << self._layout.length) - 1)).view(np.int64)
-        if self._layout.length > _TABLE_BITS:
+        if not len(self._known):
             distinct, where = np.unique(bits, return_inverse=True)
             return np.take(self._written(distinct), where, axis=0)
-        if not len(self._known):
-            self._known = np.zeros(1 << self._layout.length, np.bool_)
-            self._table = np.zeros((len(self._known), 1), np.uint8)
         known = np.take(self._known, bits)
         if not known.all():
-            self._learn(np.unique(bits[~known]))
+            with self._lock:
+                self._learn(np.unique(bits[~known]))
         return np.take(self._table, bits, axis=0)
 
     def _learn(self, fresh: Ints) -> None:
@@ -148,7 +139,7 @@ class _Texts:
         if new.shape[1] > self._table.shape[1]:
             self._table = np.pad(self._table, ((0, 0), (0, new.shape[1] - self._table.shape[1])))
         self._table[fresh, : new.shape[1]] = new
-        self._known[fresh] = True
+        self._known[fresh] = True  # last: others look there without the lock
 
     def _written(self, bits: Ints) -> Characters:
         return _characters(self._signal.texts(raw_of(self._layout, bits.view(np.uint64)).tolist()))

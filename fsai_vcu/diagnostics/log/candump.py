@@ -327,12 +327,16 @@ Part = bytes | Characters
 
 def matrix_of(parts: Sequence[Part], count: int) -> Characters:
     """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters pad."""
-    widths = [len(part) if isinstance(part, bytes) else part.shape[1] for part in parts]
-    matrix = np.empty((count, sum(widths)), np.uint8)
+    template = b"".join(part if isinstance(part, bytes) else bytes(part.shape[1]) for part in parts)
+    matrix = np.empty((count, len(template)), np.uint8)
+    matrix[:] = np.frombuffer(template, np.uint8)
     at = 0
-    for part, width in zip(parts, widths, strict=True):
-        matrix[:, at : at + width] = np.frombuffer(part, np.uint8) if isinstance(part, bytes) else part
-        at += width
+    for part in parts:
+        if isinstance(part, bytes):
+            at += len(part)
+        else:
+            matrix[:, at : at + part.shape[1]] = part
+            at += part.shape[1]
     return matrix
 
 
@@ -382,10 +386,11 @@ def hex_text(frames: Frames) -> npt.NDArray[np.uint8]:
     return kept
 
 
-def channel_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def channel_text(frames: Frames) -> Part:
+    if len(frames.channels) == 1:
+        return frames.channels[0].encode("utf-8", "replace")
     names = np.array([name.encode("utf-8", "replace") for name in frames.channels] or [b"-"])
-    table = names.view(np.uint8).reshape(len(names), -1)
-    return table[frames.channel]
+    return np.take(names.view(np.uint8).reshape(len(names), -1), frames.channel, axis=0)
 
 
 def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:

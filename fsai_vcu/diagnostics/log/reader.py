@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
 from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, parse_line, read_line
 from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of, last_line
@@ -24,11 +24,17 @@ from fsai_vcu.diagnostics.log.gvret import GvretLines
 if TYPE_CHECKING:
     import can
 
+    from fsai_vcu.diagnostics.log.candump import Unreadable
     from fsai_vcu.diagnostics.log.frames import Frames
 
+Done = TypeVar("Done")
+
 STDIN: Final = "-"
-_BLOCK_BYTES: Final = 1 << 19  # what fits a processor's cache is read fastest
+_BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
+# glibc gives freed memory back to the kernel, to fetch it again for the next block, until so much was freed at once
+# (M_MMAP_THRESHOLD in mallopt(3)). Nothing is written there, so that it costs nothing.
+_FREED_BYTES: Final = 31 << 20
 
 
 class LogError(Exception):
@@ -44,31 +50,41 @@ class Log:
         self._stream = stream
         self._path = path
         self._pipe = path is None
-        self._broken = False
+        self._broken: str | None = None  # why it cannot be read to its end
+        self._cut_off: str | None = None  # what is wrong with its last line
         self._announced_bytes = 0
         self._lines = 0
         self.kind = kind_of(_head(stream))
 
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
+        return (frames for frames in self.mapped(lambda frames: frames) if len(frames))
+
+    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
+        """What `work` makes of each chunk. `in_order` is a `map`; it may do several at once."""
         import numpy as np
 
         from fsai_vcu.diagnostics.log.candump import parse_block
         from fsai_vcu.diagnostics.log.frames import frames_of
 
+        np.empty(_FREED_BYTES, np.uint8)
         channels: list[str] = []
         if self.kind != "candump":
             frames = self.frames()
-            while batch := list(islice(frames, _BATCH)):
-                yield frames_of(batch, channels)
+            batches = iter(lambda: list(islice(frames, _BATCH)), [])
+            yield from in_order(lambda batch: work(frames_of(batch, channels)), batches)
             return
-        for block in self._blocks():
+
+        def done(block: bytes) -> tuple[Done, list[Unreadable], int]:
             columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
+            return work(columns), unreadable, lines
+
+        for what, unreadable, lines in in_order(done, self._blocks()):
             for problem in unreadable:
                 self._unreadable(problem.line, problem.reason)
             self._lines += lines
-            if len(columns):
-                yield columns
+            yield what
+        self._end()
 
     def frames(self) -> Iterator[LogFrame]:
         """All frames one by one; of text without numpy."""
@@ -92,6 +108,7 @@ class Log:
                     if frame is not None:
                         yield frame
                 self._lines += 1
+        self._end()
 
     def _blocks(self) -> Iterator[bytes]:
         """Whole lines, many at a time."""
@@ -100,12 +117,17 @@ class Log:
             whole, end, carried = (carried + read).rpartition(b"\n")
             if end:
                 yield whole + end
-        if carried and not self._broken:  # else where it breaks off is reported already
-            line, reason = last_line(carried)
-            if reason is not None:
-                self._unreadable(0, reason)
+        if carried and self._broken is None:
+            line, self._cut_off = last_line(carried)
             if line:
                 yield line
+
+    def _end(self) -> None:
+        """What is wrong with the end, after all that comes before it."""
+        if self._broken is not None:
+            self.problems.add(f"{self.name}: cannot be read to its end: {self._broken}")
+        if self._cut_off is not None:
+            self._unreadable(0, self._cut_off)
 
     def _unreadable(self, line: int, reason: str) -> None:
         """`line`: how many come between those that are done and this one."""
@@ -115,12 +137,11 @@ class Log:
         """As much as makes a block; from a pipe what there is, so that its reader need not wait."""
         parts: list[bytes] = []
         size = 0
-        while size < _BLOCK_BYTES and not (self._pipe and parts) and not self._broken:
+        while size < _BLOCK_BYTES and not (self._pipe and parts) and self._broken is None:
             try:
                 part = self._stream.read1(_BLOCK_BYTES - size)  # type: ignore[attr-defined]
             except (OSError, EOFError, zlib.error) as error:
-                self.problems.add(f"{self.name}: cannot be read to its end: {_why(error)}")
-                self._broken = True
+                self._broken = _why(error)
                 break
             if not part:
                 break
