@@ -18,15 +18,8 @@ import numpy.typing as npt
 from fsai_vcu.diagnostics.decode.decoder import Decoder, raw_of
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.decode.text import FrameText, SignalText
-from fsai_vcu.diagnostics.log.candump import (
-    Characters,
-    Part,
-    channel_text,
-    hex_text,
-    log_parts,
-    matrix_of,
-    time_text,
-)
+from fsai_vcu.diagnostics.log.candump import channel_text, hex_text, log_parts, time_text
+from fsai_vcu.diagnostics.log.characters import Characters, Part, matrix_of, put
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Ints, LogFrame, Words
 
 _EXTENDED_SHIFT: Final = EXTENDED_KEY.bit_length() - EXTENDED.bit_length()
@@ -75,9 +68,9 @@ class LineWriter:
         ends = np.cumsum(widths)
         begins = ends - widths
         out = bytearray(int(ends[-1]) if len(ends) else 0)
-        _put(out, begins, heads)
+        put(out, begins, heads)
         for rows, tails in parts:
-            _put(out, begins[rows] + heads.shape[1], tails)
+            put(out, begins[rows] + heads.shape[1], tails)
         for row, line in lines:
             out[begins[row] : ends[row]] = line.ljust(widths[row], b"\0")
         return out.translate(None, b"\0")
@@ -149,12 +142,3 @@ def _characters(texts: Sequence[str], end: str = "") -> Characters:
     """One text and `end` a row, NUL behind."""
     array = np.array([text + end.encode() for text in "\n".join(texts).encode().split(b"\n")])
     return array.view(np.uint8).reshape(len(array), -1)
-
-
-def _put(out: bytearray, places: Ints, rows: Characters) -> None:
-    """Copy each row of characters to its place."""
-    width = rows.shape[1]
-    if width and len(rows):
-        # An item of the width of a row at every byte.
-        window = np.ndarray((len(out) - width + 1,), f"V{width}", buffer=out, strides=(1,))
-        window[places] = np.ascontiguousarray(rows).view(f"V{width}").ravel()

@@ -24,6 +24,7 @@ from fsai_vcu.diagnostics.log.candump_line import (
     parse_line,
     read_line,
 )
+from fsai_vcu.diagnostics.log.characters import Characters, Part, assembled
 from fsai_vcu.diagnostics.log.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -320,29 +321,6 @@ _ID3: Final = _packed([f"{n:03X}" for n in range(0x800)], "<u4")
 _BYTE: Final = _packed([f"{n:02X}" for n in range(256)], "<u4")
 _TWO_BYTES: Final = (_BYTE[np.newaxis, :] << np.uint32(16) | _BYTE[:, np.newaxis]).T.ravel()  # first byte: the lower
 _KEEP_HEX: Final = np.array([[_KEEP[min(2 * n, 8)], _KEEP[max(2 * n - 8, 0)]] for n in range(9)], "<u8")
-
-Characters = npt.NDArray[np.uint8]
-Part = bytes | Characters
-
-
-def matrix_of(parts: Sequence[Part], count: int) -> Characters:
-    """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters pad."""
-    template = b"".join(part if isinstance(part, bytes) else bytes(part.shape[1]) for part in parts)
-    matrix = np.empty((count, len(template)), np.uint8)
-    matrix[:] = np.frombuffer(template, np.uint8)
-    at = 0
-    for part in parts:
-        if isinstance(part, bytes):
-            at += len(part)
-        else:
-            matrix[:, at : at + part.shape[1]] = part
-            at += part.shape[1]
-    return matrix
-
-
-def assembled(parts: Sequence[Part], count: int) -> list[bytes]:
-    """The same as one text a row, without the padding."""
-    return matrix_of([*parts, b"\n"], count).tobytes().translate(None, b"\0").split(b"\n")[:-1]
 
 
 def time_text(t_ns: Ints, width: int = 1) -> npt.NDArray[np.uint8]:
