@@ -43,7 +43,6 @@ Measuring
     judge(bus), verdict(findings)                 # what is not as it should be; whether all is well
     wire_bits(frames)                           # statistics/wire_bits.py: exact length on the wire, stuff bits included
     quantile(ordered, share)                 # statistics/quantiles.py: one meaning of p50 and p99 everywhere
-    decode.bench.speed(log)                              # beside cantools' own command line, in the same run
 
 Watching, sending
     view = View(); view.update(frames); view.picture(now_ns)      # monitor/: one moment of a bus, and its drawing
