@@ -84,7 +84,7 @@ class _Lines:
         self._zero_ns: int | None = None
         self._last_ns: int | None = None
 
-    def block(self, frames: Frames) -> bytes:
+    def block(self, frames: Frames) -> bytes | bytearray:
         from fsai_vcu.diagnostics.log.candump import log_lines, screen_lines
         from fsai_vcu.diagnostics.log.frames import EXTENDED
 

@@ -6,9 +6,9 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
@@ -16,12 +16,16 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.lines import LineWriter
     from fsai_vcu.diagnostics.log.files import Problems
     from fsai_vcu.diagnostics.log.filters import FrameFilter
+    from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
+    from fsai_vcu.diagnostics.log.reader import Log
     from fsai_vcu.interface.revisions import Revision
 
-SOURCE_HELP: Final = "a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input) or a CAN interface"
+Done = TypeVar("Done")
+
+LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
+SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 _PROBLEMS_SHOWN = 5
-_FEW_BYTES = 1 << 16  # some two seconds of the car's bus
 
 
 def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
@@ -105,16 +109,14 @@ class Decoding:
         if not self.told and len(frames):
             self._learn(told_revision(frames))
 
-    def hear_log(self, path: Path) -> None:
-        """The same from the beginning of a candump log: as much of it as it takes."""
-        from fsai_vcu.diagnostics.decode.quick_lines import payloads
+    def hear_frames(self, frames: Iterable[LogFrame]) -> None:
+        """The same without numpy."""
         from fsai_vcu.diagnostics.decode.revision import revision_of
-        from fsai_vcu.diagnostics.decode.sharing import pieces_of
 
-        for block in pieces_of(path, _FEW_BYTES):
-            if self.told:
-                return
-            self._learn(revision_of(payloads(block)))
+        plain = [frame for frame in frames if not (frame.extended or frame.error or frame.remote)]
+        if not self.told:
+            words = {(each.can_id, len(each.data), int.from_bytes(each.data[:8], "little")) for each in plain}
+            self._learn(revision_of(words))
 
     def _learn(self, found: tuple[Revision, str] | None) -> None:
         if found is None:
@@ -197,23 +199,48 @@ class Sources:
             self.status = 1
         return joined(parts)
 
-    def _log_chunks(self) -> Iterator[Frames]:
-        from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+    def learn(self) -> None:
+        """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
+        for name, _ in self._rules:
+            with self._opened(name) as log:
+                for frames in log.chunks():
+                    if self._decoding is None or self._decoding.told:
+                        return
+                    self._decoding.hear(frames)
 
+    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
+        """What `work` makes of the frames of each chunk of the logs; for `in_order` see Log.mapped."""
         for name, rule in self._rules:
-            try:
-                log = open_log(name)
-            except LogError as error:
-                raise UserError(str(error)) from error
             count = 0
-            with log:
+
+            def done(frames: Frames, rule: FrameFilter = rule) -> tuple[Done, int]:
+                return work(_passing(frames, rule)), len(frames)
+
+            with self._opened(name) as log:
+                for what, frames in log.mapped(done, in_order):
+                    count += frames
+                    yield what
+            self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _log_chunks(self) -> Iterator[Frames]:
+        for name, rule in self._rules:
+            count = 0
+            with self._opened(name) as log:
                 for frames in log.chunks():
                     count += len(frames)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
                     yield _passing(frames, rule)
             self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _opened(self, name: str) -> Log:
+        from fsai_vcu.cli.main import UserError
+        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+
+        try:
+            return open_log(name)
+        except LogError as error:
+            raise UserError(str(error)) from error
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError
@@ -287,7 +314,7 @@ class Output:
         sys.stdout.flush()
         self._out = sys.stdout.buffer
 
-    def write(self, block: bytes, *, at_once: bool = False) -> None:
+    def write(self, block: bytes | bytearray, *, at_once: bool = False) -> None:
         from fsai_vcu.cli.main import UserError
 
         try:

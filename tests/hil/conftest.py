@@ -22,6 +22,7 @@ import pytest
 from fsai_hil.rehearsal.stack import Stack, await_condition
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rehearsal.undisturbed import Undisturbed
+from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
@@ -39,7 +40,6 @@ FRAMES = (  # one of each kind
     Frame(0x523, bytes(6), remote=True),
 )
 STALL_MONITOR = pytest.StashKey[StallMonitor]()
-_LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -142,10 +142,8 @@ class BusLog:
 
     def frames(self) -> list[Frame]:
         """The frames so far, in order; `t_ns` is the wall clock's."""
-        frames = []
-        for seconds, micros, can_id, data in _LOG_LINE.findall(self.path.read_text()):
-            frames.append(Frame(int(can_id, 16), bytes.fromhex(data), (int(seconds) * 1_000_000 + int(micros)) * 1000))
-        return frames
+        with open_log(self.path) as log:
+            return [Frame(one.can_id, one.data, one.t_ns) for one in log.frames()]
 
     def _drain(self) -> None:
         """Wait until the log has come as far as now, or nothing comes any more."""

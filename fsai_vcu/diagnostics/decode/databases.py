@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
@@ -26,6 +26,10 @@ _INT64 = 1 << 63
 
 class DatabasesError(ValueError):
     """A database that cannot be used; the message is one clear line."""
+
+
+class UndecodableError(ValueError):
+    """The bits of a frame mean nothing in its message; the message says why."""
 
 
 class Databases:
@@ -51,6 +55,19 @@ class Databases:
     @cached_property
     def _messages(self) -> Mapping[int, Message]:
         return self._load()
+
+    def decoded(
+        self, layout: MessageLayout, data: bytes, *, scaling: bool = True, choices: bool = False
+    ) -> dict[str, Any]:
+        """One frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
+
+        Raises UndecodableError.
+        """
+        message = self.message(layout.key)
+        try:
+            return dict(message.decode_simple(data, choices, scaling, allow_truncated=True, allow_excess=True))
+        except Exception as error:  # cantools lets several unrelated kinds of errors through
+            raise UndecodableError(" ".join(str(error).split()) or type(error).__name__) from error
 
     def by_name(self, name: str) -> MessageLayout | None:
         return next((layout for layout in self.layouts.values() if layout.name == name), None)

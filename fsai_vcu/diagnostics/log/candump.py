@@ -1,20 +1,30 @@
-"""candump's text formats: a whole block of lines taken apart at once, and single lines where they are unusual.
+"""candump's text formats as columns: a whole block of lines read and written at once.
 
-Fast is what `candump -L`, `candump -l` and python-can write for classic data frames. Lines of one shape (digits of the
-time, channel, width of the id) are read together: eight characters at a time as one 64-bit number, each step for all
-lines. Whatever does not pass every check there is read by the patterns of this module, or reported.
+Lines of one shape (the constant text around time, identifier and payload) are read together: eight characters at a time
+as one 64-bit number, each step for all lines. Whatever does not pass every check there is read by candump_line.py.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fsai_vcu.diagnostics.log.candump_line import (
+    ERROR_FLAG,
+    MAX_EXTENDED_ID,
+    MAX_FD_BYTES,
+    MAX_SECONDS,
+    MAX_STANDARD_ID,
+    UnreadableError,
+    log_line,
+    parse_line,
+    read_line,
+)
+from fsai_vcu.diagnostics.log.characters import Characters, Part, assembled
 from fsai_vcu.diagnostics.log.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -30,29 +40,13 @@ from fsai_vcu.diagnostics.log.frames import (
     Words,
 )
 
-MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
-MAX_STANDARD_ID: Final = 0x7FF
-MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
-ERROR_FLAG: Final = 0x2000_0000  # linux/can.h, CAN_ERR_FLAG
-MAX_CLASSIC_DLC: Final = 8
-MAX_FD_BYTES: Final = 64
-
 _FRONT, _BACK = 16, 64  # bytes around a block, so that a window of eight may begin before it and end behind it
 _SHAPES = 40  # more kinds of lines than that in one block, and the rest is read one by one
 
-_SHAPE = re.compile(rb"\((\d{1,10})\.\d{6}\) (\S{1,15}) ([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#")
-_LOG_LINE = re.compile(
-    r"\s*\((?P<s>\d{1,11})\.(?P<f>\d{1,9})\)\s+(?P<ch>\S+)\s+(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
-    r"#(?:(?P<fd>#[0-9A-Fa-f])?(?P<data>(?:[0-9A-Fa-f]{2}|\.)*)(?P<raw_dlc>_[9A-Fa-f])?|(?P<remote>[Rr](?P<asked>[0-8]?)(?:_[9A-Fa-f])?))"
-    r"(?:\s+(?P<way>[RTrt])(?:\s.*)?)?\s*"
+_SHAPE = re.compile(
+    rb"(?P<before> *)(?:(?P<open>\()(?P<time>\d{1,10})\.\d{6}(?P<close>\) +))?(?P<between>(?P<channel>[^\s()]{1,15}) +"
+    rb"(?:(?P<way>[RT])X - -  )?)(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?P<behind>#| {1,8}\[)"
 )
-_SCREEN_LINE = re.compile(
-    r"\s*(?:\((?P<time>[^()]*)\)\s+)?(?P<ch>\S+)\s+(?:(?P<way>[RT]X)\s+(?P<brs>[B-])\s+(?P<esi>[E-])\s+)?"
-    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+(?P<open>[\[{])(?P<length>\d+)[\]}]"
-    r"(?:\s+(?P<data>remote request|[0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2})*))?(?:\s+.*)?"
-)
-_SECONDS = re.compile(r"(\d{1,11})\.(\d{1,9})")
-
 _U = np.uint64
 
 
@@ -68,9 +62,27 @@ class Unreadable(NamedTuple):
 
 
 class _Shape(NamedTuple):
+    """What lines of one kind have in common. digits: of the seconds; 0: no time. flags: of the direction."""
+
+    before: bytes
     digits: int
-    channel: bytes
+    between: bytes
+    channel: str
     id_width: int
+    behind: bytes
+    flags: int
+
+    @classmethod
+    def of(cls, found: re.Match[bytes]) -> _Shape:
+        return cls(
+            found["before"] + (found["open"] or b""),
+            len(found["time"] or b""),
+            (found["close"] or b"") + found["between"],
+            found["channel"].decode("ascii", "replace"),
+            len(found["id"]),
+            found["behind"],
+            {None: 0, b"R": RECEIVED, b"T": SENT}[found["way"]],
+        )
 
 
 def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Frames, list[Unreadable], int]:
@@ -144,8 +156,8 @@ def _next_shape(text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Int
     """The shape of the first of the remaining lines that has one."""
     for row in rest[:200]:
         found = _SHAPE.match(text[starts[row] : ends[row]].tobytes())
-        if found:
-            return _Shape(len(found[1]), found[2], len(found[3]))
+        if found and (found["behind"] != b"#" or (found["time"] and not found["way"])):
+            return _Shape.of(found)
     return None
 
 
@@ -158,67 +170,82 @@ def _read_shape(
     everything = len(rest) == len(starts)
     base = starts if everything else starts[rest]
     end = ends if everything else ends[rest]
-    dot = 1 + shape.digits
-    channel_at = dot + 8
-    hash_at = channel_at + 1 + len(shape.channel) + 1 + shape.id_width
-    ok: Mask = (end - base > hash_at) & (text[base] == ord("("))
+    dot = len(shape.before) + shape.digits
+    between_at = dot + (len(".uuuuuu") if shape.digits else 0)
+    behind_at = between_at + len(shape.between) + shape.id_width
+    payload_at = base + (behind_at + len(shape.behind))
+    ok: Mask = end >= payload_at
+    for at, constant in ((0, shape.before), (between_at, shape.between), (behind_at, shape.behind)):
+        ok &= _are(window, base + at, constant)
 
-    micros = window[base + dot]  # ".uuuuuu)"
-    ok &= (micros & _U(0xFF00_0000_0000_00FF)) == _U(0x2900_0000_0000_002E)
-    micros = ((micros >> _U(8)) << _U(16)) | _U(0x3030)
-    ok &= _are_digits(micros)
-    low_digits = min(shape.digits, 8)
-    seconds = _zeros_in_front(window[base + (dot - 8)], 8 - low_digits)
-    ok &= _are_digits(seconds)
-    t_s = _number(seconds)
-    if shape.digits > 8:
-        high = _zeros_in_front(window[base + (dot - 16)], 16 - shape.digits)
-        ok &= _are_digits(high)
-        t_s += _number(high) * _U(100_000_000)
-        ok &= t_s <= _U(MAX_SECONDS)
-    between = b" " + shape.channel + b" "
-    for at in range(0, len(between), 8):
-        piece = between[at : at + 8]
-        mask = _U((1 << (8 * len(piece))) - 1)
-        ok &= (window[base + (channel_at + at)] & mask) == _U(int.from_bytes(piece, "little"))
-    ok &= text[base + hash_at] == ord("#")
+    t_ns = np.zeros(len(base), np.int64)
+    if shape.digits:
+        micros = window[base + dot]  # ".uuuuuu)"
+        ok &= (micros & _U(0xFF)) == _U(ord("."))
+        micros = ((micros >> _U(8)) << _U(16)) | _U(0x3030)
+        seconds = _zeros_in_front(window[base + (dot - 8)], 8 - min(shape.digits, 8))
+        ok &= _are_digits(micros) & _are_digits(seconds)
+        t_s = _number(seconds)
+        if shape.digits > 8:
+            high = _zeros_in_front(window[base + (dot - 16)], 16 - shape.digits)
+            ok &= _are_digits(high)
+            t_s += _number(high) * _U(100_000_000)
+            ok &= t_s <= _U(MAX_SECONDS)
+        t_ns = ((t_s * _U(1_000_000) + _number(micros)) * _U(1000)).astype(np.int64)
 
-    id_text = _zeros_in_front(window[base + (hash_at - 8)], 8 - shape.id_width)
-    id_bytes, id_ok = _hex_bytes(id_text)
+    id_bytes, id_ok = _hex_bytes(_zeros_in_front(window[base + (behind_at - 8)], 8 - shape.id_width))
     ok &= id_ok
     can_id = id_bytes.astype(np.uint32).byteswap()  # the first byte is the highest
+    flags = np.full(len(base), shape.flags, np.uint8)
     if shape.id_width == 3:
         ok &= can_id <= MAX_STANDARD_ID
-        flags = np.zeros(len(base), np.uint8)
     else:
-        error = (can_id & np.uint32(ERROR_FLAG)) != 0
         ok &= (can_id & np.uint32(0xC000_0000)) == 0
+        flags |= np.where((can_id & np.uint32(ERROR_FLAG)) != 0, np.uint8(ERROR), np.uint8(EXTENDED))
         can_id = can_id & np.uint32(MAX_EXTENDED_ID)
-        flags = np.where(error, np.uint8(ERROR), np.uint8(EXTENDED))
 
-    payload_at = base + (hash_at + 1)
-    characters = end - payload_at
-    way = text[end - 1]
-    told = (text[end - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (characters >= 2)
-    if told.any():
-        characters = characters - 2 * told
-        flags |= np.where(told, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
+    if shape.behind == b"#":
+        way = text[end - 1]
+        told = (text[end - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (end - payload_at >= 2)
+        characters = end - payload_at
+        if told.any():
+            characters = characters - 2 * told
+            flags |= np.where(told, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
+        first, second = window[payload_at], window[payload_at + 8]
+    else:  # "n]  01 23 45": a space before each byte, and one more before the first
+        characters = (text[payload_at].astype(np.int64) - ord("0")) * 2
+        ok &= (characters >= 2) & (end - payload_at == 3 + characters // 2 * 3)
+        ok &= _are(window, payload_at + 1, b"]  ")
+        places = payload_at[:, np.newaxis] + np.arange(4, 28, 3)
+        pairs = np.where(places < end[:, np.newaxis], places, 0)
+        ok &= ((text[pairs - 1] == ord(" ")) | (pairs == 0)).all(axis=1)
+        digits = text[np.stack([pairs, pairs + 1], axis=2)].reshape(-1, 16).view("<u8")
+        first, second = digits[:, 0], digits[:, 1]
     ok &= (characters >= 0) & (characters <= 16) & (characters & 1 == 0)
     characters = np.clip(characters, 0, 16)
-    first, first_ok = _hex_bytes(_zeros_behind(window[payload_at], characters))
-    second, second_ok = _hex_bytes(_zeros_behind(window[payload_at + 8], characters - 8))
+    first, first_ok = _hex_bytes(_zeros_behind(first, characters))
+    second, second_ok = _hex_bytes(_zeros_behind(second, characters - 8))
     ok &= first_ok & second_ok
 
     rows: Ints | slice = slice(None) if everything and ok.all() else rest[ok]
     keep: Mask | slice = slice(None) if isinstance(rows, slice) else ok
-    t_ns = (t_s * _U(1_000_000) + _number(micros)) * _U(1000)
-    columns.t_ns[rows] = t_ns[keep].astype(np.int64)
+    columns.t_ns[rows] = t_ns[keep]
     columns.can_id[rows] = can_id[keep]
     columns.flags[rows] = flags[keep]
     columns.length[rows] = (characters[keep] >> 1).astype(np.uint8)
     columns.word[rows] = (first | (second << _U(32)))[keep]
-    columns.channel[rows] = columns.channel_index(shape.channel.decode("utf-8", "replace"))
+    columns.channel[rows] = columns.channel_index(shape.channel)
     columns.filled[rows] = True
+    return ok
+
+
+def _are(window: Words, places: Ints, constant: bytes) -> Mask:
+    """Where this text stands."""
+    ok: Mask = np.ones(len(places), np.bool_)
+    for at in range(0, len(constant), 8):
+        piece = constant[at : at + 8]
+        mask = _U((1 << (8 * len(piece))) - 1)
+        ok &= (window[places + at] & mask) == _U(int.from_bytes(piece, "little"))
     return ok
 
 
@@ -266,130 +293,19 @@ def _hex_bytes(word: Words) -> tuple[Words, Mask]:
     return (out | (out >> _U(16))) & _U(0xFFFF_FFFF), ok
 
 
-# ---------------------------------------------------------------- one line
-
-
 def _read_singly(
     columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints
 ) -> list[Unreadable]:
     unreadable = []
     for row in rest.tolist():
-        line = text[starts[row] : ends[row]].tobytes()
-        if not line.strip():
-            continue
         try:
-            columns.put(row, parse_line(line.decode("ascii")))
-        except (ValueError, UnicodeDecodeError) as error:
-            shown = line[:60].decode("ascii", "backslashreplace")
-            shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
-            what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
-            unreadable.append(Unreadable(row, f"{what}: '{shown}{'…' if len(line) > 60 else ''}'"))
+            frame = read_line(text[starts[row] : ends[row]].tobytes(), parse_line)
+        except UnreadableError as error:
+            unreadable.append(Unreadable(row, str(error)))
+        else:
+            if frame is not None:
+                columns.put(row, frame)
     return unreadable
-
-
-def parse_line(line: str) -> LogFrame:
-    """The frame on one line of `candump -L` or of candump's screen output. Raises ValueError."""
-    found = _LOG_LINE.fullmatch(line)
-    if found:
-        return _from_log_line(found)
-    found = _SCREEN_LINE.fullmatch(line)
-    if found:
-        return _from_screen_line(found)
-    raise ValueError("not a line of candump")
-
-
-def _from_log_line(found: re.Match[str]) -> LogFrame:
-    t_ns = _time_ns(found["s"], found["f"])
-    can_id, extended, error = _identifier(found["id"])
-    sent = {"T": True, "R": False}.get((found["way"] or "").upper())
-    channel = found["ch"]
-    if found["remote"]:
-        return LogFrame(t_ns, channel, can_id, b"", extended, True, error, sent=sent, length=int(found["asked"] or 0))
-    data = bytes.fromhex(found["data"].replace(".", ""))
-    bits = int(found["fd"][1], 16) if found["fd"] else 0
-    _check_length(len(data), found["fd"] is not None)
-    return LogFrame(
-        t_ns,
-        channel,
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=found["fd"] is not None,
-        brs=bool(bits & 1),  # linux/can.h, CANFD_BRS and CANFD_ESI
-        esi=bool(bits & 2),
-        sent=sent,
-    )
-
-
-def _from_screen_line(found: re.Match[str]) -> LogFrame:
-    can_id, extended, error = _identifier(found["id"])
-    length = int(found["length"])
-    text = found["data"] or ""
-    sent = {"TX": True, "RX": False}.get(found["way"] or "")
-    t_ns = _screen_time_ns(found["time"])
-    if text == "remote request":
-        return LogFrame(t_ns, found["ch"], can_id, b"", extended, True, error, sent=sent, length=length)
-    data = bytes.fromhex(text)
-    if len(data) < length:
-        raise ValueError(f"{len(data)} data bytes where {length} are announced")
-    data = data[:length]
-    fd = length > MAX_CLASSIC_DLC or found["brs"] == "B" or found["esi"] == "E"
-    _check_length(length, fd)
-    return LogFrame(
-        t_ns,
-        found["ch"],
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=fd,
-        brs=found["brs"] == "B",
-        esi=found["esi"] == "E",
-        sent=sent,
-    )
-
-
-def _identifier(text: str) -> tuple[int, bool, bool]:
-    number = int(text, 16)
-    if len(text) == 3:
-        if number > MAX_STANDARD_ID:
-            raise ValueError(f"no 11-bit identifier: {text}")
-        return number, False, False
-    if number & ERROR_FLAG and number <= ERROR_FLAG | MAX_EXTENDED_ID:
-        return number & MAX_EXTENDED_ID, False, True
-    if number > MAX_EXTENDED_ID:
-        raise ValueError(f"no 29-bit identifier: {text}")
-    return number, True, False
-
-
-def _check_length(length: int, fd: bool) -> None:
-    if length > (MAX_FD_BYTES if fd else MAX_CLASSIC_DLC):
-        raise ValueError(f"{length} data bytes")
-
-
-def _time_ns(seconds: str, fraction: str) -> int:
-    if int(seconds) > MAX_SECONDS:
-        raise ValueError(f"no time: {seconds}.{fraction}")
-    return int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
-
-
-def _screen_time_ns(text: str | None) -> int:
-    """0 where candump was told to write no times."""
-    if text is None:
-        return 0
-    found = _SECONDS.fullmatch(text.strip())
-    if found:
-        return _time_ns(found[1], found[2])
-    try:
-        date, _, fraction = text.strip().partition(".")
-        return int(datetime.strptime(date, "%Y-%m-%d %H:%M:%S").timestamp()) * 1_000_000_000 + int(
-            (fraction or "0").ljust(9, "0")[:9]
-        )
-    except (ValueError, OverflowError):
-        raise ValueError(f"no time: {text}") from None
 
 
 # ---------------------------------------------------------------- writing
@@ -405,28 +321,6 @@ _ID3: Final = _packed([f"{n:03X}" for n in range(0x800)], "<u4")
 _BYTE: Final = _packed([f"{n:02X}" for n in range(256)], "<u4")
 _TWO_BYTES: Final = (_BYTE[np.newaxis, :] << np.uint32(16) | _BYTE[:, np.newaxis]).T.ravel()  # first byte: the lower
 _KEEP_HEX: Final = np.array([[_KEEP[min(2 * n, 8)], _KEEP[max(2 * n - 8, 0)]] for n in range(9)], "<u8")
-
-Characters = npt.NDArray[np.uint8]
-Part = bytes | Characters
-
-
-def assembled(parts: Sequence[Part], count: int) -> list[bytes]:
-    """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters vanish."""
-    width = sum(len(part) if isinstance(part, bytes) else part.shape[1] for part in parts)
-    if not count or not width:
-        return [b""] * count
-    matrix = np.empty((count, width), np.uint8)
-    at = 0
-    for part in parts:
-        wide = len(part) if isinstance(part, bytes) else part.shape[1]
-        matrix[:, at : at + wide] = np.frombuffer(part, np.uint8) if isinstance(part, bytes) else part
-        at += wide
-    rows: list[bytes] = matrix.view(f"S{width}").ravel().tolist()  # numpy leaves out NULs at the end itself
-    # NULs only pad, so that they are in the first or the last column of a part if anywhere.
-    inner = any(not isinstance(part, bytes) and not part[:, [0, -1]].all() for part in parts[:-1] if len(part))
-    if inner:
-        return b"\n".join(rows).translate(None, b"\0").split(b"\n")
-    return rows
 
 
 def time_text(t_ns: Ints, width: int = 1) -> npt.NDArray[np.uint8]:
@@ -470,48 +364,25 @@ def hex_text(frames: Frames) -> npt.NDArray[np.uint8]:
     return kept
 
 
-def channel_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def channel_text(frames: Frames) -> Part:
+    if len(frames.channels) == 1:
+        return frames.channels[0].encode("utf-8", "replace")
     names = np.array([name.encode("utf-8", "replace") for name in frames.channels] or [b"-"])
-    table = names.view(np.uint8).reshape(len(names), -1)
-    return table[frames.channel]
+    return np.take(names.view(np.uint8).reshape(len(names), -1), frames.channel, axis=0)
+
+
+def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
+    """The columns of lines of `candump -L`; at least `time_digits` digits of seconds. Not of remote and FD frames."""
+    time, can_id = time_text(frames.t_ns, time_digits), id_text(frames)
+    return [b"(", time, b") ", channel_text(frames), b" ", can_id, b"#", hex_text(frames)]
 
 
 def log_lines(frames: Frames, time_digits: int = 1) -> list[bytes]:
-    """Each frame as a line of `candump -L`, without its line end; at least `time_digits` digits of seconds."""
-    if not len(frames):
-        return []
-    lines = assembled(
-        [
-            b"(",
-            time_text(frames.t_ns, time_digits),
-            b") ",
-            channel_text(frames),
-            b" ",
-            id_text(frames),
-            b"#",
-            hex_text(frames),
-        ],
-        len(frames),
-    )
-    for row in unusual_rows(frames):
-        head = lines[row].partition(b"#")[0]
-        lines[row] = head + b"#" + payload_text(frames.frame(row)).encode()
+    """Each frame as a line of `candump -L`, without its line end."""
+    lines = assembled(log_parts(frames, time_digits), len(frames))
+    for row in np.flatnonzero(frames.flags & (REMOTE | FD)).tolist():
+        lines[row] = log_line(frames.frame(row), time_digits).encode()
     return lines
-
-
-def unusual_rows(frames: Frames) -> list[int]:
-    """Rows whose payload is not simply up to eight bytes in hexadecimal."""
-    rows: list[int] = np.flatnonzero(frames.flags & (REMOTE | FD)).tolist()
-    return rows
-
-
-def payload_text(frame: LogFrame) -> str:
-    """What stands behind the '#' in a log of candump."""
-    if frame.remote:
-        return f"R{frame.length or ''}"
-    if frame.fd:
-        return f"#{int(frame.brs) | int(frame.esi) << 1:X}{frame.data.hex().upper()}"
-    return frame.data.hex().upper()
 
 
 def screen_lines(

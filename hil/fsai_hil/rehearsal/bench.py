@@ -31,6 +31,7 @@ import can
 import cantools
 
 from fsai_hil import CHECKOUT
+from fsai_hil.rehearsal.bench_logs import logs_us
 from fsai_hil.rehearsal.carpc.recovery_times import START_TO_FIRST_FRAME_S
 from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
 from fsai_hil.rehearsal.stack import RunningProcess
@@ -106,10 +107,12 @@ class Effort:
     turns: int  # of a comparison in each round
     starts: int  # of a process
     missions: tuple[str, ...]
+    log_frames: int
+    log_rounds: int
 
 
-FULL = Effort(rounds=15, turns=2000, starts=7, missions=MISSIONS)
-QUICK = Effort(rounds=5, turns=300, starts=2, missions=MISSIONS[:1])
+FULL = Effort(rounds=15, turns=2000, starts=7, missions=MISSIONS, log_frames=2_000_000, log_rounds=3)
+QUICK = Effort(rounds=5, turns=300, starts=2, missions=MISSIONS[:1], log_frames=50_000, log_rounds=1)
 
 
 def alternately(
@@ -257,6 +260,25 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Result:
     return result
 
 
+# ---------------------------------------------------------------- logs
+
+
+def bench_logs(effort: Effort) -> list[Result]:
+    """Logs by the command line; of a short log the start of the process is most of it."""
+    found = logs_us(effort.log_frames, effort.log_rounds, recorded=effort is FULL)
+    return [
+        Result.of(
+            f"{name}, wall",
+            "us/frame",
+            ours,
+            "cantools decode" if name.startswith("decode") else "",
+            found[name.replace("decode", "cantools")] if name.startswith("decode") else (),
+        )
+        for name, ours in found.items()
+        if not name.startswith("cantools")
+    ]
+
+
 # ---------------------------------------------------------------- lockstep
 
 
@@ -369,6 +391,7 @@ def run(effort: Effort, say: Callable[[str], None]) -> list[Result]:
             "starting the bridge node" if ros else "not measured: the bridge node; ROS 2 is not in this environment",
             lambda: bench_node(effort) if ros else [],
         ),
+        (f"reading logs of {effort.log_frames} frames", lambda: bench_logs(effort)),
         ("driving in lockstep", lambda: bench_missions(effort.missions)),
     )
     results: list[Result] = []

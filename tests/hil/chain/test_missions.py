@@ -10,12 +10,11 @@ import json
 import subprocess
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from chain.conftest import CODEC, DRIVE_S, MISSION, POWER_UP_S, START_S, STOP_S, Chain
 from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
 from fsai_hil.rehearsal.stack import NODES
-from fsai_hil.rules.checker import check_candump
+from fsai_hil.rules.checker import check_candump, read_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
@@ -74,7 +73,7 @@ def test_power_up_mission_set_mode_go_a_lap_and_finished(chain: Chain) -> None:
     assert chain.wire is not None and chain.wire.ok, chain.wire
     states = [name for _, name in chain.wire.as_states]
     assert states[-4:] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
-    no_reserved_id_and_every_handshake(_frames(run.log_path))
+    no_reserved_id_and_every_handshake([(frame.can_id, frame.data) for frame in read_candump(run.log_path)])
     # The short form of `fsai-vcu hil --soak`; it counts from the drive on, for nodes that have driven before.
     flatness = judge(sampler.samples, response_parts(run.log_path, CODEC, began_ns))
     assert flatness.flat, str(flatness)
@@ -134,10 +133,3 @@ def test_the_emergency_brake_service_stops_and_stays_latched(chain: Chain) -> No
         accepted, message = chain.operator.reset()
         assert not accepted and "EMERGENCY_BRAKE" in message
     assert chain.wire is not None and chain.wire.ok, chain.wire
-
-
-def _frames(path: Path) -> list[tuple[int, bytes]]:
-    """(id, payload) of each line of a candump log."""
-    words = (line.split()[2] for line in path.read_text().splitlines())
-    pairs = (word.split("#") for word in words)
-    return [(int(name, 16), bytes.fromhex(data)) for name, data in pairs]
