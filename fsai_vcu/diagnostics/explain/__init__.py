@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain.actuation import mismatches
 from fsai_vcu.diagnostics.explain.emergencies import emergencies
 from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
 from fsai_vcu.diagnostics.explain.record import Record, record_of
@@ -40,7 +41,7 @@ def tell(frames: Frames, revision: str | None = None, databases: Databases | Non
 
 def story_of(record: Record) -> Explanation:
     """The story of a log that is sorted already."""
-    incidents = [*emergencies(record), *refusals(record), *early_stops(record)]
+    incidents = [*emergencies(record), *refusals(record), *early_stops(record), *mismatches(record)]
     return Explanation(
         heading={
             "revision": record.revision.name,

@@ -126,6 +126,7 @@ def verdict(story: Explanation) -> str:
         (IncidentKind.EMERGENCY, "emergency brake", "emergency brakes"),
         (IncidentKind.ABORT, "drive cut off", "drives cut off"),
         (IncidentKind.REFUSAL, "refusal to start", "refusals to start"),
+        (IncidentKind.MISMATCH, "thing not as asked", "things not as asked"),
     ):
         count = sum(incident.bad for incident in story.incidents if incident.kind is kind)
         if count:
