@@ -62,11 +62,9 @@ def mismatches(record: Record) -> list[Incident]:
             times = record.times(0x513)
             times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
             if len(times) > STEER_TIME_NS // PERIOD_NS:
-                found += [
-                    _incident(one, times, *stay)
-                    for one in _all(record, CARS[name], times)
-                    for stay in _stays(one, times)
-                ]
+                for one in _all(record, CARS[name], times):
+                    if (stretch := _longest(one, times)) is not None:
+                        found.append(_incident(one, times, *stretch))
     return found
 
 
