@@ -28,7 +28,6 @@ from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
 from fsai_vcu.diagnostics.explain.signals import first_on, label, like_official_simulator
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
-from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
@@ -178,7 +177,7 @@ def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Cand
     found = link_losses(record, t_ns, sureness)
     if found:
         return found
-    if any(record.has(can_id) for can_id in AI_IDS):
+    if record.ai_speaks:
         words = "0x510 to 0x514 and the echo are all in this log, in time"
         return [candidate("ai_unheard", sureness, [ChainLink(t_ns, words, 0x510)])]
     words = "this log has no frame of the AI computer: it was silent, or only one direction was recorded"
@@ -324,7 +323,7 @@ def _asked_unsaid(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
 
 
 def _link_unsaid(record: Record, t_ns: int) -> list[Candidate]:
-    if not any(record.has(can_id) for can_id in AI_IDS):
+    if not record.ai_speaks:
         return []
     return [c for c in link_losses(record, t_ns, Sureness.SHOWN) if t_ns - c.t_ns <= BEHIND_NS]
 

@@ -86,7 +86,7 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
         length = "to the end of the log" if gap.end_ns is None else f"for {ms(gap.length_ns)}"
         words = f"the last {BY_ID[can_id]} before it is missing {length}, while others go on"
         found.append(candidate("ai_message_missing", said, [ChainLink(gap.begin_ns, words, can_id)]))
-    if record.has(0x510) or any(record.has(can_id) for can_id in AI_IDS):
+    if record.has(0x510) or record.ai_speaks:
         for can_id in AI_IDS:
             if not record.has(can_id):
                 begin = min(int(record.times(i)[0]) for i in AI_IDS if record.has(i))

@@ -21,6 +21,7 @@ from fsai_vcu.diagnostics.explain.incident import ChainLink
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, Flow
+from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS
@@ -161,6 +162,11 @@ class Record:
         """Whether the log has that message, whole."""
         return can_id in self._rows
 
+    @property
+    def ai_speaks(self) -> bool:
+        """Whether the log has any whole message of the AI computer."""
+        return any(map(self.has, AI_IDS))
+
     def times(self, can_id: int) -> Ints:
         """When that message came."""
         rows = self._rows.get(can_id)
@@ -250,7 +256,9 @@ class Record:
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:
         """Where somebody else sends on the AI computer's ids, in the order of time."""
-        return second_senders(self.frames)
+        layout = self.decoder.databases.by_name("AI2VCU_Status")
+        places = [1 << signal.start for signal in layout.signals if signal.name == "HANDSHAKE"] if layout else []
+        return second_senders(self.frames, sum(places))
 
 
 def record_of(frames: Frames, revision: Revision, reason: str = "given", databases: Databases | None = None) -> Record:

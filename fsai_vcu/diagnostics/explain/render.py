@@ -144,7 +144,7 @@ def verdict(story: Explanation) -> str:
 
 
 def json_lines(story: Explanation, name: str) -> Iterator[str]:
-    """One object per line: the log, each event, each incident, the verdict."""
+    """One object per line: the log, each event, each incident, the summary."""
     yield json.dumps({"type": "log", "log": name, **story.heading, "notes": list(story.problems)})
     for event in story.events:
         yield json.dumps(
@@ -163,7 +163,7 @@ def json_lines(story: Explanation, name: str) -> Iterator[str]:
         yield json.dumps(incident_dict(story, incident))
     yield json.dumps(
         {
-            "type": "verdict",
+            "type": "summary",
             "clean": story.clean,
             "emergency_brakes": sum(i.kind is IncidentKind.EMERGENCY for i in story.incidents),
             "refusals": sum(i.kind is IncidentKind.REFUSAL for i in story.incidents),

@@ -308,6 +308,8 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
             first, "bus", f"{name} with the wrong length ({count} frames): it counts as missing", weight, can_id
         )
     for t_ns, back_ns in record.set_back:
+        if back_ns < MS:
+            continue  # two frames stamped on two processors
         yield TimelineEntry(
             t_ns, "bus", f"the log's clock was set back by {ms(back_ns)}: what follows is moved on", Weight.WARNING
         )

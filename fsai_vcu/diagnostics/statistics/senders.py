@@ -25,7 +25,7 @@ AROUND: Final = 3  # frames before and after one that contradicts them
 EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender's would
 BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after another one: their stamps are not when they were sent
 REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
-APART: Final = 20  # raw steps: 2 degrees, 2 Nm; the noise of one sender's commands is below
+APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
 TOGETHER_NS: Final = 500 * MS
 
 
@@ -44,13 +44,16 @@ class SecondSender:
     def words(self) -> str:
         """What proves it, with the ids."""
         ids = ", ".join(f"0x{can_id:03X}" for can_id in self.can_ids)
-        said = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
-        return f"{ids}: {self.proof}{said}"
+        which = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
+        return f"{ids}: {self.proof}{which}"
 
 
-def second_senders(frames: Frames) -> list[SecondSender]:
-    """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards."""
-    found = [one for can_id in AI_IDS for one in _of_id(frames, can_id)]
+def second_senders(frames: Frames, handshake: int) -> list[SecondSender]:
+    """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards.
+
+    handshake: the echo's bit in the payload of 0x510; it follows the VCU, so it may well change and change back.
+    """
+    found = [one for can_id in AI_IDS for one in _of_id(frames, can_id, 0 if can_id != AI_IDS[0] else handshake)]
     joined: list[SecondSender] = []
     for one in sorted(found, key=lambda one: one.begin_ns):
         last = joined[-1] if joined else None
@@ -68,8 +71,8 @@ def second_senders(frames: Frames) -> list[SecondSender]:
     return joined
 
 
-def _of_id(frames: Frames, can_id: int) -> list[SecondSender]:
-    rows = np.flatnonzero((frames.can_id == can_id) & ((frames.flags & ~(RECEIVED | SENT)) == 0))
+def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
+    rows = np.flatnonzero((frames.can_id == can_id) & ((frames.flags | RECEIVED | SENT) == RECEIVED | SENT))
     if len(rows) < 2:
         return []
     flags = frames.flags[rows]
@@ -85,7 +88,7 @@ def _of_id(frames: Frames, can_id: int) -> list[SecondSender]:
         each_s = (upto - begins) / max((int(t_ns[upto]) - int(t_ns[begins])) / S, 1e-3)
         return _stretches(frames, rows, many, f"{each_s:.0f} frames a second, and one sender sends {S // PERIOD_NS}")
     proof = "a frame comes between two others and says something else than both"
-    return _stretches(frames, rows, _contradicting(frames, rows), proof, payloads=True)
+    return _stretches(frames, rows, _contradicting(frames, rows, ignored), proof, payloads=True)
 
 
 def _too_many(t_ns: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -101,24 +104,28 @@ def _too_many(t_ns: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return np.cumsum(covered[:-1]) > 0
 
 
-def _contradicting(frames: Frames, rows: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _contradicting(frames: Frames, rows: Ints, ignored: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Frames that are far from both neighbours while these agree, and for which there was no room."""
     t_ns, count = frames.t_ns[rows], len(rows)
     hits = np.zeros(count, np.bool_)
     if count < 2 * AROUND + 1:
         return hits
-    data = frames.data[rows].astype(np.int64)
-    halves = data[:, 0::2] + (data[:, 1::2] << 8)
-    halves = (halves + 0x8000) % 0x10000 - 0x8000
-    if (frames.length[rows] == 8).all():  # flags and counters of 0x510, not quantities
-        halves = data * APART
-    before = np.abs(halves[1:-1] - halves[:-2]).max(axis=1)
-    after = np.abs(halves[2:] - halves[1:-1]).max(axis=1)
-    across = np.abs(halves[2:] - halves[:-2]).max(axis=1)
+    words = frames.word[rows] & ~np.uint64(ignored)
+    data = words.astype("<u8", copy=False).view(np.uint8).reshape(-1, 8).astype(np.int64)
+    if ignored:  # flags and counters of 0x510, not quantities
+        said = data * APART
+    elif frames.can_id[rows[0]] == AI_IDS[-1]:  # two bytes of pressure; the others are numbers of 16 bits
+        said = data
+    else:
+        said = (data[:, 0::2] + (data[:, 1::2] << 8) + 0x8000) % 0x10000 - 0x8000
+    before = np.abs(said[1:-1] - said[:-2]).max(axis=1)
+    after = np.abs(said[2:] - said[1:-1]).max(axis=1)
+    across = np.abs(said[2:] - said[:-2]).max(axis=1)
     hits[1:-1] = np.minimum(before, after) > 3 * across + APART - 1
     if (np.diff(t_ns) < MS).mean() > BATCHED_SHARE:
         places = np.flatnonzero(hits)
-        alone = np.array([((np.abs(t_ns[places] - t_ns[place])) < LONG_NS).sum() < REPEATED for place in places])
+        near = [(np.abs(t_ns[places] - t_ns[place]) < LONG_NS).sum() for place in places]
+        alone = np.array(near, np.int64) < REPEATED
         hits[places[alone]] = False
         return hits
     low, high = np.maximum(np.arange(count) - AROUND, 0), np.minimum(np.arange(count) + AROUND, count - 1)
