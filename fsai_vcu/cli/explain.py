@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
     story = story_of(record)
     buses = measure(frames, record.decoder, revision=record.revision.name)
-    verdict = judge_log(record, story, buses)
+    verdict = judge_log(record, story, buses).between(args.from_s, args.to_s)
     shown = cut(story, args.from_s, args.to_s)
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):

@@ -79,7 +79,7 @@ def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
     t_ns = frames.t_ns[rows]
     if (flags & SENT).any() and (flags & RECEIVED).any():
         ours = int(((flags & SENT) != 0).sum())
-        proof = f"received beside {ours} frames that the computer which wrote this log sent itself"
+        proof = f"received, not sent, by the computer that wrote this log, beside {ours} of its own"
         return _stretches(frames, rows, (flags & RECEIVED) != 0, proof)
     many = _too_many(t_ns)
     if many.any():

@@ -7,20 +7,21 @@ verdict.status, verdict.line()                # 0 only where everything is known
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind
 from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import STATUS
 from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, Severity, judge
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS, S
 
-EPOCH_NS: Final = 946_684_800 * S  # 2000: earlier stamps count from something else than a calendar
 AT_ONCE_NS: Final = 30 * MS  # gaps that begin within this time are one pause
 MANY: Final = 3
 
@@ -58,6 +59,12 @@ class Verdict:
     def status(self) -> int:
         """The exit status of every verb that judges a log."""
         return 0 if self.ok else 1
+
+    def between(self, from_s: float | None, to_s: float | None) -> Verdict:
+        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays."""
+        low, high = -math.inf if from_s is None else from_s, math.inf if to_s is None else to_s
+        inside = (f for f in self.findings if f.t_ns is None or low <= (f.t_ns - self.begin_ns) / S <= high)
+        return replace(self, findings=tuple(inside))
 
     def line(self) -> str:
         """In one line, without findings."""
