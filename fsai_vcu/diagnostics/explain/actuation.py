@@ -6,7 +6,7 @@ Each check is a mask over the drive's cycles; one that holds for long enough is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -35,7 +35,9 @@ TORQUE_TIME_NS: Final = 300 * MS  # so long after a request at the latest the ac
 BRAKE_TIME_NS: Final = 500 * MS
 STEER_TIME_NS: Final = 1500 * MS  # … lock to lock at 40 deg/s, and its dead time
 START_TIME_NS: Final = 2 * S
+FRESH_NS: Final = 50 * MS
 LASTING_NS: Final = 500 * MS
+BRAKE_LASTING_NS: Final = 200 * MS
 
 CAR_TORQUE: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
 CAR_TORQUE_MAX: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"))
@@ -62,9 +64,12 @@ def mismatches(record: Record) -> list[Incident]:
             times = record.times(0x513)
             times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
             if len(times) > STEER_TIME_NS // PERIOD_NS:
+                seen: dict[str, Incident] = {}  # an axle that does not do it is enough
                 for one in _all(record, CARS[name], times):
-                    if (stretch := _longest(one, times)) is not None:
-                        found.append(_incident(one, times, *stretch))
+                    fresh = replace(one, holds=one.holds & _fresh(record, one.signal, times))
+                    if (stretch := _longest(fresh, times)) is not None:
+                        seen.setdefault(one.slug, _incident(one, times, *stretch))
+                found += seen.values()
     return found
 
 
@@ -73,6 +78,14 @@ def _incident(one: Mismatch, times: Ints, begin: int, end: int) -> Incident:
     words = f"{one.words((begin + end) // 2)}, for {ms(lasted_ns)}"
     cause = candidate(one.slug, Sureness.SHOWN, [one.signal.step(int(times[begin]), words)])
     return Incident(IncidentKind.MISMATCH, int(times[begin]), words, (cause,))
+
+
+def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
+    """Where the car has reported it all along lately: what is missing is not a wrong answer."""
+    received = record.times(signal.can_id)
+    newest = received[np.maximum(np.searchsorted(received, times, side="right") - 1, 0)]
+    late = (times - newest >= FRESH_NS).astype(np.float64)
+    return highest(late, START_TIME_NS) == 0.0
 
 
 def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
@@ -140,6 +153,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             given_signal,
             (low > BRAKE_PCT) & (given < BRAKE_SHARE * low),
             lambda row, a=axle, x=asked, y=given: f"{a} brake: {x[row]:.0f} % asked for, {y[row]:.0f} % measured",
+            least_ns=BRAKE_LASTING_NS,
         )
         yield Mismatch(
             "brake_unasked",

@@ -197,8 +197,24 @@ _ROOTS: Final = (
                 "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
             ),
             (Reason.NOT_SEEN, "start the software before the car leaves AS_OFF, then start anew from AS_OFF"),
+            (Reason.NO_MISSION, "choose a mission on the AMI before Go"),
+            (
+                Reason.AS_STATE_UNKNOWN,
+                "compare the VCU's interface revision with the database; look for a second sender of 0x520",
+            ),
             (Reason.VCU_REBOOT, "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted"),
         )
+    ),
+    Cause(
+        "vcu_hung",
+        "the VCU itself stood still: it sent nothing and received nothing",
+        "check the VCU's supply and connectors; if it happens again have its software looked at",
+        "the VCU's own log",
+    ),
+    Cause(
+        "frames_wrong",
+        "0x520 showed a state that the car cannot have been in",
+        "look for a second sender of 0x520 (a simulator, a replay); else have the VCU's software looked at",
     ),
     Cause(
         "ai_silent",

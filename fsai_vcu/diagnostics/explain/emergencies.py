@@ -11,6 +11,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
+from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
 from fsai_vcu.diagnostics.explain.evidence import found_before
@@ -35,7 +36,10 @@ AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of 
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
 BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off …
+REBOOT_NS: Final = 3 * S  # … unless it is back by then
+HUNG_NS: Final = 50 * MS
+BACK_NS: Final = 2 * S
 PLANNED: Final = (Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO)
 
 
@@ -65,6 +69,7 @@ def _emergency(record: Record, span: Span) -> Incident:
         candidates += CHAINS.get(slug, _plain)(record, t_ns, slug, sureness)
     for rule in CONDITIONS:
         candidates += rule(record, t_ns, set(said))
+    candidates += _impossible(record, span)
     if not candidates or (span.before is None and not said):
         candidates += _nothing_shown(record, span)
     planned = False
@@ -174,6 +179,10 @@ def _has_moved(record: Record, t_ns: int) -> bool:
 
 def _link(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """Why the link was lost."""
+    silence = next((g for g in record.gaps(sig.STATUS, HUNG_NS) if abs((g.end_ns or 0) - t_ns) <= HUNG_NS), None)
+    if silence is not None and not record.silence_in(silence):
+        words = f"the last 0x520 before {ms(silence.length_ns)} of silence; the first one after it reports the loss"
+        return [candidate("vcu_hung", sureness, [ChainLink(silence.begin_ns, words, sig.STATUS)])]
     found = link_losses(record, t_ns, sureness)
     if found:
         return found
@@ -347,15 +356,27 @@ Rule = Callable[[Record, int, set[str]], list[Candidate]]
 CONDITIONS: Final[tuple[Rule, ...]] = (_switch_off, _radio, _asked_unsaid, _simulators_brake)
 
 
+def _impossible(record: Record, span: Span) -> list[Candidate]:
+    """A state that the car shows for a moment in AS_DRIVING, and from which there is no way back to it."""
+    following = next((s for s in record.series(sig.AS_STATE).spans if s.begin_ns == span.end_ns), None)
+    if span.before != sig.DRIVING or following is None or following.value != sig.DRIVING:
+        return []
+    if span.end_ns - span.begin_ns > BACK_NS:
+        return []
+    words = f"AS_DRIVING again {ms(span.end_ns - span.begin_ns)} later: there is no such way back"
+    return [candidate("frames_wrong", Sureness.SHOWN, [sig.AS_STATE.step(span.begin_ns, words)])]
+
+
 def _nothing_shown(record: Record, span: Span) -> list[Candidate]:
     """What is left when neither the car nor the frames name a cause."""
     t_ns = span.begin_ns
     if span.before is None:
         step = sig.AS_STATE.step(t_ns, "the first 0x520 of the log says EMERGENCY_BRAKE already")
         return [candidate("before_the_log", Sureness.SHOWN, [step])]
-    checked = (
-        "ASMS and Go are on, no fault bit and no SHUTDOWN_CAUSE is set, the AI computer did not ask and was in time"
-    )
+    on = [name for name, signal in (("ASMS", sig.AS_SWITCH), ("Go", sig.GO)) if record.series(signal).at(t_ns)]
+    switches = f"{' and '.join(on)} {'is' if len(on) == 1 else 'are'} on, " if on else ""
+    asked = "the AI computer did not ask and was in time" if record.ai_speaks else "the AI computer is not in this log"
+    checked = f"{switches}no fault bit and no SHUTDOWN_CAUSE is set, {asked}"
     found = [candidate("sdc_open", Sureness.FITS, [ChainLink(t_ns, f"{checked}: what is left is the SDC", sig.STATUS)])]
     return [*found, candidate("unknown", Sureness.POSSIBLE, [ChainLink(t_ns, "something that this log does not have")])]
 
@@ -371,7 +392,7 @@ def _cut_off(record: Record, span: Span) -> Incident:
     silence = next((g for g in record.gaps(sig.STATUS, SILENT_NS) if g.end_ns == t_ns), None)
     if silence is not None and span.value in OFF_LIKE:
         words = f"the last 0x520 before {ms(silence.length_ns)} of silence"
-        slug = "vcu_reboot" if silence.length_ns < GONE_NS else "power_off"
+        slug = "vcu_reboot" if silence.length_ns < REBOOT_NS else "power_off"
         found.append(candidate(slug, Sureness.SHOWN, [ChainLink(silence.begin_ns, words, sig.STATUS)]))
     for s in record.series(sig.AS_SWITCH).changes(t_ns - JUST_BEFORE_NS, t_ns):
         if not s.value:
@@ -381,9 +402,11 @@ def _cut_off(record: Record, span: Span) -> Incident:
         if s.value == MissionStatus.NOT_SELECTED:
             step = sig.MISSION_STATUS.step(s.begin_ns, "MISSION_STATUS becomes NOT_SELECTED")
             found.append(candidate("not_selected_simulator", Sureness.SHOWN, [step]))
-    if not found:
-        found.append(candidate("unknown", Sureness.POSSIBLE, [end]))
-    chains = tuple(replace(c, steps=(*c.steps, end)) for c in ranked(found))
+    if "not in the interface" in label(sig.AS_STATE, span.value):
+        found.append(candidate(Reason.AS_STATE_UNKNOWN.slug, Sureness.SHOWN, [end]))
+    elif not found:
+        found += _impossible(record, span) or [candidate("unknown", Sureness.POSSIBLE, [end])]
+    chains = tuple(replace(c, steps=tuple(dict.fromkeys((*c.steps, end)))) for c in ranked(found))
     return Incident(IncidentKind.ABORT, t_ns, f"AS_DRIVING ended in {label(sig.AS_STATE, span.value)}", chains)
 
 

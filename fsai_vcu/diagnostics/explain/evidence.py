@@ -13,6 +13,7 @@ import numpy as np
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
@@ -21,7 +22,7 @@ from fsai_vcu.diagnostics.explain.record import Record, Signal, Values
 from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
@@ -29,6 +30,7 @@ CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
 BUS_NS: Final = 1 * S
 JUDGED_NS: Final = 30 * S  # implausibility is looked for over so much of the drive
+BELIEVED_NS: Final = 4 * S  # so much before is needed to compare wheel speeds with pulse counts
 SLACK_NS: Final = 25 * MS
 WHEELS: Final = ("FL", "FR", "RL", "RR")
 
@@ -66,6 +68,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
                 f"the last 0x{can_id:03X} before {_lasting(gap.end_ns, gap.length_ns)}",
                 can_id,
             )
+    found += _not_believed(record, t_ns, patience)
     found += dead_bus(record, t_ns, Sureness.SHOWN)
     found += _implausible(
         record, t_ns, drive_begin_ns, config.implausible_lost_ns if emergency else config.implausible_ns
@@ -100,6 +103,34 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
                     words = f"{signal.name} becomes {label(signal, span.value)}"
                     add(reason.slug, span.begin_ns, words, signal.can_id, signal.name)
     return found
+
+
+def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
+    """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
+    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    times, counts_ns = record.times(0x525), record.times(0x526)
+    first = max(int(np.searchsorted(times, t_ns - BELIEVED_NS)), 0)
+    rows = range(first, int(np.searchsorted(times, t_ns, side="right")))
+    speeds = [record.series(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")).values for name in WHEELS]
+    pulses = [record.series(Signal("VCU2AI_Wheel_counts", f"{name}_PULSE_COUNT")).values for name in WHEELS]
+    belief, believed_ns, doubt = WheelBelief(), None, ""
+    place = int(np.searchsorted(counts_ns, t_ns - BELIEVED_NS))
+    for row in rows:
+        now_ns = int(times[row])
+        while place < len(counts_ns) and counts_ns[place] <= now_ns and all(map(len, pulses)):
+            counts = WheelCounts(*(int(column[place]) for column in pulses), t_rx_ns=int(counts_ns[place]))
+            belief = on_counts(CONFIG, car, belief, counts)
+            place += 1
+        turning = WheelSpeeds(*(int(column[row]) for column in speeds), t_rx_ns=now_ns)
+        belief, why = on_speeds(CONFIG, belief, turning)
+        if why:
+            doubt = why
+        else:
+            believed_ns = now_ns
+    if not doubt or believed_ns is None or t_ns - believed_ns < patience_ns - SLACK_NS:
+        return []
+    words = f"{doubt}: 0x525 is not believed for {ms(t_ns - believed_ns)}"
+    return [candidate(Reason.WHEELS_STALE.slug, Sureness.SHOWN, [ChainLink(believed_ns, words, 0x525)])]
 
 
 def _lasting(end_ns: int | None, length_ns: int) -> str:

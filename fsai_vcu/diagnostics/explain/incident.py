@@ -39,7 +39,7 @@ class IncidentKind(Enum):
     ABORT = ("abort", "the drive was cut off", True)
     REFUSAL = ("refusal_to_start", "refusal to start", True)
     MISMATCH = ("not_as_asked", "the car does not do what it is asked", True)
-    STOP = ("early_stop", "stopped before the mission was done", False)
+    STOP = ("early_stop", "stopped before the mission was done", True)
 
     def __init__(self, slug: str, words: str, bad: bool) -> None:
         self.slug = slug

@@ -23,6 +23,7 @@ from fsai_vcu.interface.units import MS, S
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
+REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself
 GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 HEARD_NS: Final = 500 * MS
 
@@ -313,7 +314,12 @@ def _waited_in_vain(record: Record, span: Span, following: float | None) -> Inci
             if not s.value:
                 step = sig.AS_SWITCH.step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0")
                 candidates.append(candidate("given_up", Sureness.SHOWN, [step]))
-    if waited_ns >= NO_GO_NS:
+        for gap in record.gaps(sig.STATUS, ANSWER_NS):
+            if gap.end_ns == span.end_ns:
+                words = f"the last 0x520 before {ms(gap.length_ns)} of silence, then {label(sig.AS_STATE, following)}"
+                slug = "vcu_reboot" if gap.length_ns < REBOOT_NS else "power_off"
+                candidates.append(candidate(slug, Sureness.SHOWN, [ChainLink(gap.begin_ns, words, sig.STATUS)]))
+    if waited_ns >= NO_GO_NS and not candidates:
         held = record.series(sig.GO).span_at(end_ns)
         candidates += [c for c in unmet(TO_DRIVING, record, end_ns) if c.slug != "go_too_early"]
         if held is not None and held.value and held.begin_ns <= span.begin_ns:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.actuation import sampled
 from fsai_vcu.diagnostics.explain.evidence import CONFIG, found_before
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
@@ -22,11 +23,15 @@ from fsai_vcu.diagnostics.explain.incident import (
     candidate,
     ranked,
 )
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.link import ms
+from fsai_vcu.diagnostics.explain.record import Record, Span
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.specification import READY_WAIT_NS, STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
+IDLE_NS: Final = 8 * S  # 3 s of standing still, and as long again for the first torque
+NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 SLACK_NS: Final = 25 * MS
 
@@ -42,28 +47,62 @@ def early_stops(record: Record) -> list[Incident]:
             continue
         began_ns = _service_brake(record, span.begin_ns, span.end_ns)
         if began_ns is None or record.series(sig.ESTOP).at(began_ns):
+            found += _never_drove(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
-        in_the_air = record.series(sig.AMI).at(began_ns) == Ami.STATIC_INSPECTION_A
-        if in_the_air and stop.candidates[0].slug == "stop_asked":
-            continue  # this mission is done at speed: its wheels come to rest within 5 s
-        found.append(stop)
+        # Slow, or on stands, a mission that is done stops like this too: then only what the bus shows is a cause.
+        slow = (record.fastest_wheel().at(began_ns) or 0) < FAST_RPM
+        on_stands = record.series(sig.AMI).at(began_ns) == Ami.STATIC_INSPECTION_A
+        shown = any(one.slug not in NOT_SHOWN for one in stop.candidates)
+        if shown or not (slow or on_stands):
+            found.append(stop)
     return found
 
 
+def _never_drove(record: Record, span: Span) -> list[Incident]:
+    """AS_DRIVING without driving: the AI computer does not take it for a drive of its own, or it is over at once."""
+    inspected = record.series(sig.AMI).at(span.end_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+    wheels = record.fastest_wheel().between(span.begin_ns, span.end_ns).values
+    finished = any(s.begin_ns == span.end_ns and s.value == sig.FINISHED for s in record.series(sig.AS_STATE).spans)
+    asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
+    long = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
+    if inspected or span.before is None or not all(map(len, (wheels, *asked))):
+        return []
+    if wheels.max() >= STANDING_RPM or not (finished or long):
+        return []
+    candidates = []
+    if not record.series(sig.AMI).at(span.begin_ns):
+        step = sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen")
+        candidates.append(candidate(Reason.NO_MISSION.slug, Sureness.SHOWN, [step]))
+    ready = record.series(sig.AS_STATE).span_at(span.begin_ns - 1)
+    go = record.series(sig.GO).span_at(span.begin_ns)
+    if ready is not None and ready.value == sig.READY and span.begin_ns - ready.begin_ns < READY_WAIT_NS - SLACK_NS:
+        step = sig.AS_STATE.step(ready.begin_ns, f"AS_READY for {ms(span.begin_ns - ready.begin_ns)}: 5 s have to pass")
+        candidates.append(candidate(Reason.SEQUENCE_SHORT.slug, Sureness.SHOWN, [step]))
+    elif go is not None and go.value and ready is not None and go.begin_ns <= ready.begin_ns:
+        step = sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began: no Go was given in it")
+        candidates.append(candidate(Reason.SEQUENCE_SHORT.slug, Sureness.SHOWN, [step]))
+    over_ns = span.end_ns
+    if finished:
+        over = record.series(sig.MISSION_STATUS).span_at(span.end_ns)
+        over_ns = span.end_ns if over is None else over.begin_ns
+        candidates += found_before(record, over_ns, span.begin_ns, emergency=False)
+    if not candidates:
+        step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
+        candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
+    what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and no wheel turned"
+    return [Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))]
+
+
 def _service_brake(record: Record, begin_ns: int, end_ns: int) -> int | None:
-    """When the brake first went to the service-brake stop's pressure, at speed, with the motors' speed limit at 0."""
+    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on."""
     brake = record.series(sig.BRAKE_REQ_F).between(begin_ns, end_ns)
-    wheels = record.fastest_wheel()
-    if not len(brake) or not len(wheels):
+    limited = sampled(record.series(sig.SPEED_MAX_R), brake.t_ns) == 0
+    driven = np.flatnonzero(~limited)
+    if not len(driven):
         return None
-    for row in np.flatnonzero(np.abs(brake.values - CONFIG.stop_brake_pct) < 1.0):
-        t_ns = int(brake.t_ns[row])
-        if (wheels.at(t_ns) or 0) < FAST_RPM:
-            return None  # the first such brake is the one that counts
-        if record.series(sig.SPEED_MAX_R).at(t_ns) == 0:
-            return t_ns
-    return None
+    stopping = np.flatnonzero(np.abs(brake.values[driven[-1] :] - CONFIG.stop_brake_pct) < 1.0)
+    return int(brake.t_ns[driven[-1] + stopping[0]]) if len(stopping) else None
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:

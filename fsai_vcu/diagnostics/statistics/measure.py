@@ -460,10 +460,11 @@ def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
             )
         if handshake.stood_ms * MS >= COMMS_LOST_NS:
             yield BusFinding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
-    for signal, since_s, for_s in bus.frozen_counts:
-        yield BusFinding(
-            problem, "frozen", f"{signal} stood still for {for_s:.1f} s while its wheel turned", 0x526, since_s
-        )
+    if bus.frozen_counts:
+        names = ", ".join(name for name, _, _ in bus.frozen_counts)
+        _, since_s, for_s = max(bus.frozen_counts, key=lambda frozen: frozen[2])
+        text = f"{names} stood still for {for_s:.1f} s while the wheel turned"
+        yield BusFinding(problem, "frozen", text, 0x526, since_s)
 
 
 def _judge_message(message: MessageStatistics) -> Iterator[BusFinding]:

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.revision import told_revision
-from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind
+from fsai_vcu.diagnostics.explain import Explanation, Incident
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import STATUS
@@ -138,10 +138,8 @@ def judge_log(record: Record, story: Explanation, buses: Sequence[BusStatistics]
 
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
-    # Why it stopped early is a matter of the AI computer where nothing on the bus is wrong.
-    grave = incident.bad or (incident.kind is IncidentKind.STOP and first.slug != "stop_asked")
     return Finding(
-        Severity.PROBLEM if grave else Severity.NOTE,
+        Severity.PROBLEM,
         incident.kind.slug,
         f"{incident.what}, because {first.cause.words}",
         incident.t_ns,
