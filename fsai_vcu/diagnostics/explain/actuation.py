@@ -58,7 +58,7 @@ class Mismatch:
 def mismatches(record: Record) -> list[Incident]:
     """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
     name = "official-simulator" if like_official_simulator(record) else record.revision.name
-    found = []
+    found: list[Incident] = []
     for span in record.series(sig.AS_STATE).spans:
         if span.value == sig.DRIVING:
             times = record.times(0x513)
@@ -85,7 +85,8 @@ def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
     received = record.times(signal.can_id)
     newest = received[np.maximum(np.searchsorted(received, times, side="right") - 1, 0)]
     late = (times - newest >= FRESH_NS).astype(np.float64)
-    return highest(late, START_TIME_NS) == 0.0
+    fresh: Mask = highest(late, START_TIME_NS) == 0.0
+    return fresh
 
 
 def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
@@ -125,13 +126,13 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             "torque_not_given",
             given_signal,
             (low > TORQUE_NM) & (given < TORQUE_SHARE * low),
-            lambda row, a=axle, x=asked, y=given: f"{a} torque: {x[row]:.0f} Nm asked for, {y[row]:.0f} Nm given",
+            asked_and_given(f"{axle} torque", "Nm", asked, given),
         )
         yield Mismatch(
             "torque_unasked",
             given_signal,
             given > high + TORQUE_NM,
-            lambda row, a=axle, x=asked, y=given: f"{a} torque: {x[row]:.0f} Nm asked for, {y[row]:.0f} Nm given",
+            asked_and_given(f"{axle} torque", "Nm", asked, given),
         )
     pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
@@ -152,14 +153,14 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             "brake_not_following",
             given_signal,
             (low > BRAKE_PCT) & (given < BRAKE_SHARE * low),
-            lambda row, a=axle, x=asked, y=given: f"{a} brake: {x[row]:.0f} % asked for, {y[row]:.0f} % measured",
+            asked_and_given(f"{axle} brake", "%", asked, given),
             least_ns=BRAKE_LASTING_NS,
         )
         yield Mismatch(
             "brake_unasked",
             given_signal,
             given > 1.3 * high + BRAKE_PCT,
-            lambda row, a=axle, x=asked, y=given: f"{a} brake: {x[row]:.0f} % asked for, {y[row]:.0f} % measured",
+            asked_and_given(f"{axle} brake", "%", asked, given),
         )
     if len(record.series(sig.ANGLE)):
         asked, angle = column(sig.STEER), column(sig.ANGLE)
@@ -172,7 +173,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             "steering_not_following",
             sig.ANGLE,
             off,
-            lambda row: f"steering: {asked[row]:.1f} deg asked for, {angle[row]:.1f} deg measured",
+            asked_and_given("steering", "deg", asked, angle),
         )
     if len(record.series(Signal("VCU2AI_Speeds", "FL_WHEEL_SPEED"))):
         for number, name in enumerate(WHEEL_NAMES):
@@ -183,8 +184,16 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
                 Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED"),
                 (np.abs(wheels[number] - middle) > WHEEL_RPM + WHEEL_SHARE * middle)
                 & (others[2] - others[0] <= WHEEL_RPM + WHEEL_SHARE * middle),
-                lambda row, n=number, w=name, m=middle: f"{w} at {wheels[n, row]:.0f} rpm, the others at {m[row]:.0f}",
+                compared(name, wheels[number], middle),
             )
+
+
+def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:
+    return lambda row: f"{what}: {asked[row]:.1f} {unit} asked for, {given[row]:.1f} {unit} measured"
+
+
+def compared(wheel: str, speed: Values, others: Values) -> Callable[[int], str]:
+    return lambda row: f"{wheel} at {speed[row]:.0f} rpm, the others at {others[row]:.0f} rpm"
 
 
 def sampled(series: Series, times: Ints) -> Values:
@@ -196,11 +205,13 @@ def sampled(series: Series, times: Ints) -> Values:
 
 def lowest(values: Values, over_ns: int) -> Values:
     """The lowest value of the last `over_ns`, of one value a cycle; before the beginning counts as nothing asked."""
-    return _window(values, over_ns).min(axis=1)
+    low: Values = _window(values, over_ns).min(axis=1)
+    return low
 
 
 def highest(values: Values, over_ns: int) -> Values:
-    return _window(values, over_ns).max(axis=1)
+    high: Values = _window(values, over_ns).max(axis=1)
+    return high
 
 
 def _window(values: Values, over_ns: int) -> Values:

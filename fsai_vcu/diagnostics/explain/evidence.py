@@ -118,11 +118,11 @@ def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate
     for row in rows:
         now_ns = int(times[row])
         while place < len(counts_ns) and counts_ns[place] <= now_ns and all(map(len, pulses)):
-            counts = WheelCounts(*(int(column[place]) for column in pulses), t_rx_ns=int(counts_ns[place]))
-            belief = on_counts(CONFIG, car, belief, counts)
+            counts = WheelCounts(*(int(column[place]) for column in pulses))
+            belief = on_counts(CONFIG, car, belief, replace(counts, t_rx_ns=int(counts_ns[place])))
             place += 1
-        turning = WheelSpeeds(*(int(column[row]) for column in speeds), t_rx_ns=now_ns)
-        belief, why = on_speeds(CONFIG, belief, turning)
+        turning = WheelSpeeds(*(int(column[row]) for column in speeds))
+        belief, why = on_speeds(CONFIG, belief, replace(turning, t_rx_ns=now_ns))
         if why:
             doubt = why
         else:

@@ -66,7 +66,7 @@ def _never_drove(record: Record, span: Span) -> list[Incident]:
     finished = any(s.begin_ns == span.end_ns and s.value == sig.FINISHED for s in record.series(sig.AS_STATE).spans)
     asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     long = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
-    if inspected or span.before is None or not all(map(len, (wheels, *asked))):
+    if inspected or span.before is None or not (len(wheels) and all(len(series) for series in asked)):
         return []
     if wheels.max() >= STANDING_RPM or not (finished or long):
         return []

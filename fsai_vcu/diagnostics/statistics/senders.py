@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, Ints
+from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, Ints, Mask
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS, S
@@ -91,7 +91,7 @@ def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
     return _stretches(frames, rows, _contradicting(frames, rows, ignored), proof, payloads=True)
 
 
-def _too_many(t_ns: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _too_many(t_ns: Ints) -> Mask:
     """Frames within the times in which more come than one sender's period allows, even if it catches up."""
     index = np.arange(len(t_ns))
     short = np.searchsorted(t_ns, t_ns + SHORT_NS) - index
@@ -101,10 +101,11 @@ def _too_many(t_ns: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     covered = np.zeros(len(t_ns) + 1, np.int64)
     np.add.at(covered, index[hits], 1)
     np.add.at(covered, (index + short)[hits], -1)
-    return np.cumsum(covered[:-1]) > 0
+    within: Mask = np.cumsum(covered[:-1]) > 0
+    return within
 
 
-def _contradicting(frames: Frames, rows: Ints, ignored: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _contradicting(frames: Frames, rows: Ints, ignored: int) -> Mask:
     """Frames that are far from both neighbours while these agree, and for which there was no room."""
     t_ns, count = frames.t_ns[rows], len(rows)
     hits = np.zeros(count, np.bool_)
@@ -130,13 +131,14 @@ def _contradicting(frames: Frames, rows: Ints, ignored: int) -> np.ndarray[tuple
         return hits
     low, high = np.maximum(np.arange(count) - AROUND, 0), np.minimum(np.arange(count) + AROUND, count - 1)
     sooner_ns = (high - low) * PERIOD_NS - (t_ns[high] - t_ns[low])
-    return hits & (sooner_ns >= EXTRA_NS)
+    sooner: Mask = hits & (sooner_ns >= EXTRA_NS)
+    return sooner
 
 
 def _stretches(
     frames: Frames,
     rows: Ints,
-    hits: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    hits: Mask,
     proof: str,
     *,
     payloads: bool = False,

@@ -167,8 +167,8 @@ def _of_bus(bus: BusStatistics, begin_ns: int) -> Iterator[Finding]:
                 together.append(finding)
             continue
         t_ns = None if finding.t_s is None else round(finding.t_s * S)
-        ids = () if finding.can_id is None else (finding.can_id,)
-        yield Finding(finding.severity, finding.kind, finding.text, t_ns, "", ids, bus.channel)
+        one = () if finding.can_id is None else (finding.can_id,)
+        yield Finding(finding.severity, finding.kind, finding.text, t_ns, "", one, bus.channel)
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
     for pause in pauses:
         ids = tuple(sorted(finding.can_id for finding in pause if finding.can_id is not None))
