@@ -33,18 +33,17 @@ class TimelineEntry:
 
 
 class IncidentKind(Enum):
-    """What happened, in the words of the heading. `bad` decides the exit status."""
+    """What happened, in the words of the heading."""
 
-    EMERGENCY = ("emergency_brake", "emergency brake", True)
-    ABORT = ("abort", "the drive was cut off", True)
-    REFUSAL = ("refusal_to_start", "refusal to start", True)
-    MISMATCH = ("not_as_asked", "the car does not do what it is asked", True)
-    STOP = ("early_stop", "stopped before the mission was done", True)
+    EMERGENCY = ("emergency_brake", "emergency brake")
+    ABORT = ("abort", "the drive was cut off")
+    REFUSAL = ("refusal_to_start", "refusal to start")
+    MISMATCH = ("not_as_asked", "the car does not do what it is asked")
+    STOP = ("early_stop", "stopped before the mission was done")
 
-    def __init__(self, slug: str, words: str, bad: bool) -> None:
+    def __init__(self, slug: str, words: str) -> None:
         self.slug = slug
         self.words = words
-        self.bad = bad
 
 
 class Sureness(IntEnum):
@@ -115,7 +114,7 @@ class Incident:
 
     @property
     def bad(self) -> bool:
-        return self.kind.bad and not self.planned
+        return not self.planned
 
 
 def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
@@ -138,5 +137,5 @@ class Explanation:
 
     @property
     def clean(self) -> bool:
-        """No emergency brake, no refusal to start, no drive cut off."""
+        """Nothing happened but what was planned."""
         return not any(incident.bad for incident in self.incidents)

@@ -127,14 +127,13 @@ def verdict(story: Explanation) -> str:
         (IncidentKind.ABORT, "drive cut off", "drives cut off"),
         (IncidentKind.REFUSAL, "refusal to start", "refusals to start"),
         (IncidentKind.MISMATCH, "thing not as asked", "things not as asked"),
+        (IncidentKind.STOP, "early stop", "early stops"),
     ):
         count = sum(incident.bad for incident in story.incidents if incident.kind is kind)
         if count:
             counts.append(f"{count} {one if count == 1 else many}")
-    early = sum(incident.kind is IncidentKind.STOP for incident in story.incidents)
     planned = sum(incident.planned for incident in story.incidents)
-    rest = [f"{early} early stop{'s' if early > 1 else ''} by the service brake"] if early else []
-    rest += ["the emergency brake that the mission ends with"] if planned else []
+    rest = ["the emergency brake that the mission ends with"] if planned else []
     if counts:
         return ", ".join([*counts, *rest])
     return "no emergency brake, no refusal to start" + (f"; {', '.join(rest)}" if rest else "")

@@ -463,7 +463,7 @@ def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
     if bus.frozen_counts:
         names = ", ".join(name for name, _, _ in bus.frozen_counts)
         _, since_s, for_s = max(bus.frozen_counts, key=lambda frozen: frozen[2])
-        text = f"{names} stood still for {for_s:.1f} s while the wheel turned"
+        text = f"{names} stood still for {for_s:.1f} s while its wheel turned"
         yield BusFinding(problem, "frozen", text, 0x526, since_s)
 
 
