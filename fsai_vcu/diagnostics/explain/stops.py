@@ -47,7 +47,7 @@ def early_stops(record: Record) -> list[Incident]:
             continue
         began_ns = _service_brake(record, span.begin_ns, span.end_ns)
         if began_ns is None or record.series(sig.ESTOP).at(began_ns):
-            found += _never_drove(record, span)
+            found += _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
         # Slow, or on stands, a mission that is done stops like this too: then only what the bus shows is a cause.
@@ -59,39 +59,43 @@ def early_stops(record: Record) -> list[Incident]:
     return found
 
 
-def _never_drove(record: Record, span: Span) -> list[Incident]:
-    """AS_DRIVING without driving: the AI computer does not take it for a drive of its own, or it is over at once."""
-    inspected = record.series(sig.AMI).at(span.end_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+def _without_a_stop(record: Record, span: Span) -> list[Incident]:
+    """AS_DRIVING that was over before it drove, or that the AI computer does not take for a drive of its own."""
     wheels = record.fastest_wheel().between(span.begin_ns, span.end_ns).values
-    finished = any(s.begin_ns == span.end_ns and s.value == sig.FINISHED for s in record.series(sig.AS_STATE).spans)
     asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
+    if span.before is None or not len(wheels) or not all(len(series) for series in asked):
+        return []
+    finished = any(s.begin_ns == span.end_ns and s.value == sig.FINISHED for s in record.series(sig.AS_STATE).spans)
+    over = record.series(sig.MISSION_STATUS).span_at(span.end_ns) if finished else None
+    over_ns = span.end_ns if over is None else over.begin_ns
+    candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
+    inspected = record.series(sig.AMI).at(span.end_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
     long = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
-    if inspected or span.before is None or not (len(wheels) and all(len(series) for series in asked)):
-        return []
-    if wheels.max() >= STANDING_RPM or not (finished or long):
-        return []
-    candidates = []
-    if not record.series(sig.AMI).at(span.begin_ns):
-        step = sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen")
-        candidates.append(candidate(Reason.NO_MISSION.slug, Sureness.SHOWN, [step]))
-    ready = record.series(sig.AS_STATE).span_at(span.begin_ns - 1)
-    go = record.series(sig.GO).span_at(span.begin_ns)
-    if ready is not None and ready.value == sig.READY and span.begin_ns - ready.begin_ns < READY_WAIT_NS - SLACK_NS:
-        step = sig.AS_STATE.step(ready.begin_ns, f"AS_READY for {ms(span.begin_ns - ready.begin_ns)}: 5 s have to pass")
-        candidates.append(candidate(Reason.SEQUENCE_SHORT.slug, Sureness.SHOWN, [step]))
-    elif go is not None and go.value and ready is not None and go.begin_ns <= ready.begin_ns:
-        step = sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began: no Go was given in it")
-        candidates.append(candidate(Reason.SEQUENCE_SHORT.slug, Sureness.SHOWN, [step]))
-    over_ns = span.end_ns
-    if finished:
-        over = record.series(sig.MISSION_STATUS).span_at(span.end_ns)
-        over_ns = span.end_ns if over is None else over.begin_ns
-        candidates += found_before(record, over_ns, span.begin_ns, emergency=False)
-    if not candidates:
+    if wheels.max() < STANDING_RPM and not inspected and (finished or long):
+        candidates += _start_was_wrong(record, span)
         step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
         candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
-    what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and no wheel turned"
+    if not candidates:
+        return []
+    what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
     return [Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))]
+
+
+def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
+    if not record.series(sig.AMI).at(span.begin_ns):
+        step = sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen")
+        return [candidate(Reason.NO_MISSION.slug, Sureness.SHOWN, [step])]
+    ready = record.series(sig.AS_STATE).span_at(span.begin_ns - 1)
+    go = record.series(sig.GO).span_at(span.begin_ns)
+    if ready is None or ready.value != sig.READY:
+        return []
+    if span.begin_ns - ready.begin_ns < READY_WAIT_NS - SLACK_NS:
+        step = sig.AS_STATE.step(ready.begin_ns, f"AS_READY for {ms(span.begin_ns - ready.begin_ns)}: 5 s have to pass")
+    elif go is not None and go.value and go.begin_ns <= ready.begin_ns:
+        step = sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began: no Go was given in it")
+    else:
+        return []
+    return [candidate(Reason.SEQUENCE_SHORT.slug, Sureness.SHOWN, [step])]
 
 
 def _service_brake(record: Record, begin_ns: int, end_ns: int) -> int | None:
