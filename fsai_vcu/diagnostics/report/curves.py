@@ -86,6 +86,18 @@ def plots(record: Record) -> list[Plot]:
                 (sig.BRAKE_R, "rear given"),
             ),
         ),
+        _plot(
+            record,
+            "acceleration",
+            "Acceleration",
+            "m/s²",
+            1,
+            (
+                (Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2"), "longitudinal"),
+                (Signal("AI2LOG_Dynamics2", "Accel_lateral_mps2"), "lateral"),
+            ),
+        ),
+        _plot(record, "yaw", "Yaw rate", "deg/s", 1, ((Signal("AI2LOG_Dynamics2", "Yaw_rate_degps"), "to the left"),)),
         Plot("handshake", "Handshake response", "ms", 2, _handshake(record)),
         Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record)),)),
     ]
@@ -101,9 +113,10 @@ def _plot(
     record: Record, slug: str, title: str, unit: str, digits: int, signals: tuple[tuple[Signal, str], ...]
 ) -> Plot:
     curves = [Curve(name, record.series(signal)) for signal, name in signals]
-    # An axle that nobody drives is a flat line that hides another: it is left out.
-    moved = tuple(c for c in curves if c.series.values.any()) or tuple(curves[:2])
-    return Plot(slug, title, unit, digits, moved)
+    pairs = [tuple(curves[at : at + 2]) for at in range(0, len(curves), 2)]
+    # An axle that nobody drives is left out; what is asked and never given is shown as the flat line that it is.
+    moved = [pair for pair in pairs if any(curve.series.values.any() for curve in pair)] or pairs[:1]
+    return Plot(slug, title, unit, digits, tuple(curve for pair in moved for curve in pair))
 
 
 def _speeds(record: Record, car: VehicleParameters) -> tuple[Curve, ...]:

@@ -18,6 +18,7 @@ from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots
+from fsai_vcu.diagnostics.report.summary import drawing, figures, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
 
@@ -52,6 +53,7 @@ def page_of(record: Record, story: Explanation, name: str) -> str:
             "<main>\n",
             *_findings(verdict),
             *_incidents(story),
+            *_summary(record),
             *_plots(drawn),
             *_events(story),
             *_figures(buses[0]),
@@ -126,6 +128,16 @@ def _incidents(story: Explanation) -> Iterator[str]:
     yield '<section aria-labelledby="why"><h2 id="why">What happened, and why</h2>\n'
     for incident in story.incidents:
         yield from _incident(story, incident)
+    yield "</section>\n"
+
+
+def _summary(record: Record) -> Iterator[str]:
+    way = way_of(record)
+    yield '<section aria-labelledby="run"><h2 id="run">The run</h2>\n<dl>'
+    yield "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in figures(record, way)) + "</dl>\n"
+    picture = drawing(way)
+    if picture:
+        yield f"<figure><figcaption>The way driven, by wheels and steering</figcaption>{picture}</figure>\n"
     yield "</section>\n"
 
 
