@@ -29,8 +29,10 @@ ARROWS: dict[str, set[str]] = {
     f"{DIAGNOSTICS}.log": {"fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
+    f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
+    f"{DIAGNOSTICS}.verdict": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "statistics")}
+    | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")},
     f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
@@ -40,7 +42,7 @@ ARROWS: dict[str, set[str]] = {
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.monitor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics")}
+    f"{DIAGNOSTICS}.report": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "log", "statistics", "verdict")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", DIAGNOSTICS},
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},

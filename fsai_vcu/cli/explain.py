@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import sys
@@ -19,9 +20,9 @@ from fsai_vcu.cli.sources import (
 EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
 From the frames alone: a timeline, and for every emergency brake and every
-refusal to start the cause, the evidence and what to do about it. Exit status:
-0 no emergency brake and no refusal (the emergency brake that a mission ends
-with counts as none), 1 otherwise, or something could not be read, 2 wrong use."""
+refusal to start the cause, the evidence and what to do about it; then the
+verdict that check gives. Exit status: as for check (the emergency brake that a
+mission ends with is no problem)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.cli.main import WrongUse
-    from fsai_vcu.diagnostics.explain import tell
+    from fsai_vcu.diagnostics.explain import record_for, story_of
     from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
+    from fsai_vcu.diagnostics.statistics.measure import measure
+    from fsai_vcu.diagnostics.verdict import judge_log
 
     for name, value in (("--from", args.from_s), ("--to", args.to_s)):
         if value is not None and not math.isfinite(value):
@@ -48,8 +51,14 @@ def run(args: argparse.Namespace) -> int:
     frames = sources.everything(args.seconds)
     if not len(frames):
         return 1
-    story = cut(tell(frames, args.revision, decoding.databases if args.dbc else None), args.from_s, args.to_s)
+    record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+    story = story_of(record)
+    buses = measure(frames, record.decoder, revision=record.revision.name)
+    verdict = judge_log(record, story, buses).between(args.from_s, args.to_s)
+    shown = cut(story, args.from_s, args.to_s)
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    for line in json_lines(story, sources.name) if args.json else text_lines(story, sources.name, colour=colour):
+    for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)
-    return sources.status if story.clean else 1
+    for line in map(json.dumps, verdict.as_dicts()) if args.json else (f"verdict: {verdict.line()}",):
+        print(line)
+    return sources.status or verdict.status

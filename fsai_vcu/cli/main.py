@@ -145,7 +145,11 @@ def _run(arguments: list[str]) -> int:
         return 0
     verb = arguments[0]
     if verb not in OWN_VERBS and verb not in all_verbs():
-        print(f"fsai-vcu: no verb '{verb}'; there are: {', '.join(all_verbs())}", file=sys.stderr)
+        from difflib import get_close_matches
+
+        close = get_close_matches(verb, all_verbs(), n=2)
+        there = f"did you mean {' or '.join(close)}?" if close else f"there are: {', '.join(all_verbs())}"
+        print(f"fsai-vcu: no verb '{verb}'; {there}", file=sys.stderr)
         return 2
     module = module_of(verb)
     parser = parser_of(verb)

@@ -19,12 +19,13 @@ from fsai_vcu.cli.sources import (
 )
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, MessageStatistics
+    from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 
 EXAMPLE = "fsai-vcu stats can0 --seconds 10"
 ABOUT = """\
-Exit status: 0 all is well (notes count as well), 1 a problem was found or not
-everything could be read, 2 wrong use."""
+Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
+problem was found, or too little is known, or not everything could be read, 2
+wrong use."""
 _PROGRESS_S = 2.0
 
 
@@ -46,7 +47,9 @@ def run(args: argparse.Namespace) -> int:
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
     from fsai_vcu.cli.main import WrongUse
-    from fsai_vcu.diagnostics.statistics.measure import judge, measure, verdict
+    from fsai_vcu.diagnostics.explain import record_for, story_of
+    from fsai_vcu.diagnostics.statistics.measure import measure
+    from fsai_vcu.diagnostics.verdict import judge_log
 
     check_seconds(args)
     if args.bitrate is not None and args.bitrate < 1:
@@ -55,15 +58,19 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     sources = Sources(verb, [args.source], decoding)
     frames = sources.everything(args.seconds, _Progress())
     buses = measure(frames, decoding.decoder, revision=decoding.revision, bitrate=args.bitrate)
-    found = [(bus, judge(bus)) for bus in buses]
-    well = bool(found) and all(verdict(findings) for _, findings in found)
     output = Output()
-    for bus, findings in found:
-        text = _as_json(bus, findings, table=table) if args.json else _for_people(bus, findings, table=table)
-        output.write(text.encode())
-    findings = [finding for _, several in found for finding in several]
-    output.write(_verdict(well, findings, as_json=args.json, frames=len(frames)).encode(), at_once=True)
-    return sources.status or (0 if well else 1)
+    for bus in buses:
+        output.write((_as_json(bus, table=table) if args.json else _for_people(bus, table=table)).encode())
+    if not len(frames):
+        output.write(
+            b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n'
+        )
+        return 1
+    record = record_for(frames, decoding.revision, decoding.databases if args.dbc else None)
+    verdict = judge_log(record, story_of(record), buses)
+    lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
+    output.write("".join(f"{line}\n" for line in lines).encode(), at_once=True)
+    return sources.status or verdict.status
 
 
 class _Progress:
@@ -78,29 +85,15 @@ class _Progress:
             print(f"{frames} frames …", file=sys.stderr)
 
 
-def _verdict(well: bool, findings: list[BusFinding], *, as_json: bool, frames: int) -> str:
-    problems = sum(finding.severity.value == "problem" for finding in findings)
-    notes = len(findings) - problems
-    if as_json:
-        word = "ok" if well else "not ok"
-        return json.dumps({"type": "verdict", "verdict": word, "problems": problems, "notes": notes}) + "\n"
-    if not frames:
-        return "verdict: NOT OK: no frames\n"
-    end = f" ({notes} note{'s' * (notes > 1)})" if notes else ""
-    return f"verdict: {'OK' if well else f'NOT OK: {problems} problem' + 's' * (problems > 1)}{end}\n"
-
-
-def _as_json(bus: BusStatistics, findings: list[BusFinding], *, table: bool) -> str:
+def _as_json(bus: BusStatistics, *, table: bool) -> str:
     objects = [message.as_dict() | {"channel": bus.channel} for message in bus.messages] if table else []
-    objects += [finding.as_dict() | {"channel": bus.channel} for finding in findings]
-    objects.append(bus.as_dict())
-    return "".join(json.dumps(entry) + "\n" for entry in objects)
+    return "".join(json.dumps(entry) + "\n" for entry in (*objects, bus.as_dict()))
 
 
 _HEAD = ("id", "message", "frames", "period", "p50", "jitter p50", "p99", "max", "gaps", "longest", "frozen", "load")
 
 
-def _for_people(bus: BusStatistics, findings: list[BusFinding], *, table: bool) -> str:
+def _for_people(bus: BusStatistics, *, table: bool) -> str:
     lines = [
         f"{bus.channel}: {bus.frames} frames in {bus.duration_s:.3f} s,"
         f" load {bus.load:.1%} of {bus.bitrate // 1000} kbit/s ({bus.peak_load:.1%} in the busiest 100 ms)"
@@ -121,7 +114,6 @@ def _for_people(bus: BusStatistics, findings: list[BusFinding], *, table: bool) 
                 f"handshake: {handshake.answered} answers, response time p50 {handshake.response.p50_ms:.2f} ms,"
                 f" p99 {handshake.response.p99_ms:.2f} ms, max {handshake.response.max_ms:.2f} ms"
             )
-    lines += [f"{finding.severity.value}: {finding.text}" for finding in findings]
     return "\n".join(lines) + "\n"
 
 

@@ -15,7 +15,7 @@ from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.log.reader import read_log
-from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, judge, measure, verdict
+from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, Severity, judge, measure
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
@@ -68,7 +68,7 @@ def only(frames: Sequence[LogFrame], kind: str) -> BusFinding:
 
 def test_a_bus_as_it_should_be_is_well() -> None:
     assert problems(NOMINAL) == []
-    assert verdict(judge(measured(NOMINAL)))
+    assert not problems(NOMINAL)
 
 
 def test_periods_jitter_and_gaps_are_those_of_the_times() -> None:
@@ -108,7 +108,7 @@ def test_a_silence_of_the_timeout_is_a_loss_a_shorter_one_a_note() -> None:
 
     found = only(without(100), "gap")
     assert (found.can_id, found.t_s) == (0x523, 1.0)
-    assert "silent for 100.0 ms at 1.000 s" in found.text
+    assert "silent for 100.0 ms" in found.text
     assert problems(without(99)) == [] or "silent for 100.0" in problems(without(99))[0].text
     assert problems(without(90)) == []
     assert [f.kind for f in judge(measured(without(50))) if f.can_id == 0x523] == ["gap"]
@@ -116,7 +116,7 @@ def test_a_silence_of_the_timeout_is_a_loss_a_shorter_one_a_note() -> None:
 
 def test_a_message_that_never_comes_is_missed() -> None:
     found = only([f for f in NOMINAL if f.can_id != 0x524], "missing")
-    assert found.text == "VCU2AI_Brake (0x524) was never heard"
+    assert found.text == "VCU2AI_Brake (0x524) was never received"
 
 
 def test_a_message_at_the_wrong_rate_is_named_with_both_periods() -> None:
@@ -130,30 +130,6 @@ def test_a_frame_of_the_wrong_length_is_a_problem_with_its_count() -> None:
     assert only(spoilt, "wrong-length").text == "VCU2AI_Drive_R (0x522) must have 6 bytes: 5 of 5 bytes"
 
 
-@pytest.mark.parametrize("can_id", AI_IDS)
-@pytest.mark.parametrize("after_ms", [1, 3, 5])
-def test_a_single_frame_of_a_second_ai_sender_is_an_intruder(can_id: int, after_ms: int) -> None:
-    own = next(f for f in NOMINAL if f.can_id == can_id and f.t_ns > 1000 * MS)
-    intruder = replace(own, t_ns=own.t_ns + after_ms * MS)
-    assert only(sorted([*NOMINAL, intruder], key=lambda f: f.t_ns), "intruder").can_id == can_id
-
-
-def test_a_sender_that_keeps_its_distance_of_8_ms_is_no_intruder() -> None:
-    """Two sends are never closer than 8 ms; an answer may come 2 ms early and the next one late."""
-    frames = [
-        f if f.can_id not in AI_IDS else replace(f, t_ns=f.t_ns + (f.t_ns // (10 * MS) % 2) * 2 * MS) for f in NOMINAL
-    ]
-    assert problems(sorted(frames, key=lambda f: f.t_ns)) == []
-
-
-def test_a_received_ai_frame_beside_sent_ones_is_an_intruder() -> None:
-    frames = [replace(f, sent=f.can_id in AI_IDS) for f in NOMINAL]
-    assert problems(frames) == []
-    index = next(i for i, f in enumerate(frames) if f.can_id == 0x513 and f.t_ns > 500 * MS)
-    frames[index] = replace(frames[index], sent=False)
-    assert "1 frames that this computer did not send" in only(frames, "intruder").text
-
-
 def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
     frames = sorted([*NOMINAL, LogFrame(5 * MS, "can0", 0x700, b"\x00", sent=True)], key=lambda f: f.t_ns)
     assert "sent 1 times by this computer" in only(frames, "reserved").text
@@ -162,7 +138,7 @@ def test_a_reserved_id_sent_by_this_computer_is_a_problem() -> None:
 def test_an_unknown_id_is_noted_and_does_not_change_the_verdict() -> None:
     frames = [*NOMINAL, LogFrame(NOMINAL[-1].t_ns, "can0", 0x7A1, b"\x01")]
     assert [f.text for f in judge(measured(frames)) if f.kind == "unknown"] == ["0x7A1 is in no database: 1 frames"]
-    assert verdict(judge(measured(frames)))
+    assert not problems(frames)
 
 
 def test_error_frames_are_a_problem_in_words() -> None:
@@ -221,7 +197,7 @@ def test_each_channel_is_measured_by_itself() -> None:
     buses = measure(frames_of(both), DECODER, revision="2026")
     assert [bus.channel for bus in buses] == ["can0", "can1"]
     assert [bus.frames for bus in buses] == [len(NOMINAL)] * 2
-    assert all(verdict(judge(bus)) for bus in buses)
+    assert not any(found.severity is Severity.PROBLEM for bus in buses for found in judge(bus))
 
 
 def test_a_log_without_times_is_counted_and_not_timed() -> None:

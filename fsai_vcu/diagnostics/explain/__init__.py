@@ -10,8 +10,11 @@ find causes by rules, with `causes.py` as the table of their words; nothing here
 
 from __future__ import annotations
 
+import numpy as np
+
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain.actuation import mismatches
 from fsai_vcu.diagnostics.explain.emergencies import emergencies
 from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
 from fsai_vcu.diagnostics.explain.record import Record, record_of
@@ -40,7 +43,7 @@ def tell(frames: Frames, revision: str | None = None, databases: Databases | Non
 
 def story_of(record: Record) -> Explanation:
     """The story of a log that is sorted already."""
-    incidents = [*emergencies(record), *refusals(record), *early_stops(record)]
+    incidents = [*emergencies(record), *refusals(record), *early_stops(record), *mismatches(record)]
     return Explanation(
         heading={
             "revision": record.revision.name,
@@ -54,6 +57,7 @@ def story_of(record: Record) -> Explanation:
         incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
         closing=_closing(record),
         problems=tuple(_missing(record)),
+        recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
 
 

@@ -197,8 +197,24 @@ _ROOTS: Final = (
                 "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
             ),
             (Reason.NOT_SEEN, "start the software before the car leaves AS_OFF, then start anew from AS_OFF"),
+            (Reason.NO_MISSION, "choose a mission on the AMI before Go"),
+            (
+                Reason.AS_STATE_UNKNOWN,
+                "compare the VCU's interface revision with the database; look for a second sender of 0x520",
+            ),
             (Reason.VCU_REBOOT, "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted"),
         )
+    ),
+    Cause(
+        "vcu_hung",
+        "the VCU itself stood still: it sent nothing and received nothing",
+        "check the VCU's supply and connectors; if it happens again have its software looked at",
+        "the VCU's own log",
+    ),
+    Cause(
+        "frames_wrong",
+        "0x520 showed a state that the car cannot have been in",
+        "look for a second sender of 0x520 (a simulator, a replay); else have the VCU's software looked at",
     ),
     Cause(
         "ai_silent",
@@ -351,8 +367,47 @@ _STARTING: Final = (
     ),
 )
 
+# In a drive that goes on
+_ACTUATION: Final = (
+    Cause(
+        "torque_not_given",
+        "the motors do not give the torque that is asked for",
+        "check inverter and motor faults and the tractive system's voltage; compare TRQ_MAX in 0x521 and 0x522",
+    ),
+    Cause(
+        "torque_unasked",
+        "the motors give torque that nobody asks for",
+        "do not drive: press an E-stop, then have inverter and torque request looked at with the car on stands",
+    ),
+    Cause(
+        "no_motion",
+        "torque is given and no wheel turns",
+        "check that the brakes are released and drive shafts and coupling are whole; then the wheel-speed sensors",
+    ),
+    Cause(
+        "brake_not_following",
+        "the brake pressure does not come as asked",
+        "do not drive: check air, brake fluid and the pressure sensor by static inspection A",
+    ),
+    Cause(
+        "brake_unasked",
+        "there is brake pressure that nobody asks for",
+        "check that the EBS is not triggered, and the pressure sensors and valves",
+    ),
+    Cause(
+        "steering_not_following",
+        "the steering does not go where it is asked to",
+        "move the steering by hand and by command (static inspection A): column, motor, angle sensor",
+    ),
+    Cause(
+        "wheel_unlike",
+        "one wheel's speed is unlike the others'",
+        "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping",
+    ),
+)
+
 CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(
-    {cause.slug: cause for cause in (*_EMERGENCY, *_ROOTS, *_STARTING)}
+    {cause.slug: cause for cause in (*_EMERGENCY, *_ROOTS, *_STARTING, *_ACTUATION)}
 )
 
 SHUTDOWN: Final[Mapping[ShutdownCause, str]] = MappingProxyType(

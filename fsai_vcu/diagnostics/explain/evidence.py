@@ -13,33 +13,16 @@ import numpy as np
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
 from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at, ms
-from fsai_vcu.diagnostics.explain.record import Intrusion, Record, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    ANGLE,
-    AS_SWITCH,
-    BRAKE_REQ_F,
-    BRAKE_REQ_R,
-    FAULT_STATUS,
-    FAULTS,
-    GO,
-    SHUTDOWN_CAUSE,
-    SHUTDOWN_REQUEST,
-    SPEED_MAX_F,
-    SPEED_MAX_R,
-    STEER,
-    TORQUE_F,
-    TORQUE_R,
-    TS_SWITCH,
-    label,
-    like_official_simulator,
-)
+from fsai_vcu.diagnostics.explain.record import Record, Signal, Values
+from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
+from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
@@ -47,6 +30,7 @@ CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
 BUS_NS: Final = 1 * S
 JUDGED_NS: Final = 30 * S  # implausibility is looked for over so much of the drive
+BELIEVED_NS: Final = 4 * S  # so much before is needed to compare wheel speeds with pulse counts
 SLACK_NS: Final = 25 * MS
 WHEELS: Final = ("FL", "FR", "RL", "RR")
 
@@ -60,9 +44,9 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
         found.append(candidate(slug, Sureness.SHOWN, [ChainLink(since_ns, words, can_id, signal)]))
 
     if emergency:
-        for intrusion in record.intrusions:
-            if intrusion.begin_ns <= t_ns and t_ns - intrusion.begin_ns <= INTRUDER_NS:
-                add(Reason.INTRUDER.slug, intrusion.begin_ns, intrusion_words(intrusion), intrusion.can_id)
+        for other in record.second_senders:
+            if other.begin_ns <= t_ns and t_ns - other.begin_ns <= INTRUDER_NS:
+                add(Reason.INTRUDER.slug, other.begin_ns, other.words, other.can_ids[0])
                 break
         gap = gap_at(record, 0x520, t_ns, config.vcu_lost_ns)
         if gap is not None:
@@ -84,6 +68,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
                 f"the last 0x{can_id:03X} before {_lasting(gap.end_ns, gap.length_ns)}",
                 can_id,
             )
+    found += _not_believed(record, t_ns, patience)
     found += dead_bus(record, t_ns, Sureness.SHOWN)
     found += _implausible(
         record, t_ns, drive_begin_ns, config.implausible_lost_ns if emergency else config.implausible_ns
@@ -105,13 +90,13 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
         found += _ineffective(record, t_ns)
     else:
         for signal, reason, falls in (
-            (GO, Reason.GO_OFF, True),
-            (FAULT_STATUS, Reason.FAULT_STATUS, False),
-            (AS_SWITCH, Reason.AS_SWITCH_OFF, True),
-            (TS_SWITCH, Reason.TS_SWITCH_OFF, True),
-            (SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
-            *((fault, Reason.FAULT_BIT, False) for fault in FAULTS),
-            (SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
+            (sig.GO, Reason.GO_OFF, True),
+            (sig.FAULT_STATUS, Reason.FAULT_STATUS, False),
+            (sig.AS_SWITCH, Reason.AS_SWITCH_OFF, True),
+            (sig.TS_SWITCH, Reason.TS_SWITCH_OFF, True),
+            (sig.SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
+            *((fault, Reason.FAULT_BIT, False) for fault in sig.FAULTS),
+            (sig.SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
         ):
             for span in record.series(signal).changes(t_ns - 100 * MS, t_ns):
                 if (span.value if falls else span.before) == 0.0:
@@ -120,20 +105,36 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
     return found
 
 
+def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
+    """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
+    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    times, counts_ns = record.times(0x525), record.times(0x526)
+    first = max(int(np.searchsorted(times, t_ns - BELIEVED_NS)), 0)
+    rows = range(first, int(np.searchsorted(times, t_ns, side="right")))
+    speeds = [record.series(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")).values for name in WHEELS]
+    pulses = [record.series(Signal("VCU2AI_Wheel_counts", f"{name}_PULSE_COUNT")).values for name in WHEELS]
+    belief, believed_ns, doubt = WheelBelief(), None, ""
+    place = int(np.searchsorted(counts_ns, t_ns - BELIEVED_NS))
+    for row in rows:
+        now_ns = int(times[row])
+        while place < len(counts_ns) and counts_ns[place] <= now_ns and all(map(len, pulses)):
+            counts = WheelCounts(*(int(column[place]) for column in pulses))
+            belief = on_counts(CONFIG, car, belief, replace(counts, t_rx_ns=int(counts_ns[place])))
+            place += 1
+        turning = WheelSpeeds(*(int(column[row]) for column in speeds))
+        belief, why = on_speeds(CONFIG, belief, replace(turning, t_rx_ns=now_ns))
+        if why:
+            doubt = why
+        else:
+            believed_ns = now_ns
+    if not doubt or believed_ns is None or t_ns - believed_ns < patience_ns - SLACK_NS:
+        return []
+    words = f"{doubt}: 0x525 is not believed for {ms(t_ns - believed_ns)}"
+    return [candidate(Reason.WHEELS_STALE.slug, Sureness.SHOWN, [ChainLink(believed_ns, words, 0x525)])]
+
+
 def _lasting(end_ns: int | None, length_ns: int) -> str:
     return f"{ms(length_ns)} without it" + ("" if end_ns is not None else ", to the end of the log")
-
-
-def intrusion_words(intrusion: Intrusion) -> str:
-    """What makes it a stranger's frame."""
-    many = f", {intrusion.frames} such frames" if intrusion.frames > 1 else ""
-    if intrusion.apart_ns < 0:
-        return f"0x{intrusion.can_id:03X} was received, not sent, by the computer that wrote this log{many}"
-    payloads = ", then ".join(payload.hex().upper() for payload in intrusion.payloads)
-    return (
-        f"0x{intrusion.can_id:03X} comes twice within {ms(intrusion.apart_ns)} (one sender needs 10 ms){many};"
-        f" they say {payloads}"
-    )
 
 
 def _own_pause(record: Record, t_ns: int) -> tuple[int, int] | None:
@@ -153,7 +154,7 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
     now = wheels.at(t_ns)
     if now is None or now < STANDING_RPM:
         return []
-    front = record.series(BRAKE_REQ_F).span_at(t_ns - SLACK_NS)
+    front = record.series(sig.BRAKE_REQ_F).span_at(t_ns - SLACK_NS)
     if front is None or front.value < CONFIG.stop_brake_pct - 1:
         return []
     asked_ns = t_ns - SLACK_NS - front.begin_ns
@@ -166,7 +167,9 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
     )
     return [
         candidate(
-            Reason.STOP_INEFFECTIVE.slug, Sureness.SHOWN, [ChainLink(front.begin_ns, words, 0x514, BRAKE_REQ_F.name)]
+            Reason.STOP_INEFFECTIVE.slug,
+            Sureness.SHOWN,
+            [sig.BRAKE_REQ_F.step(front.begin_ns, words)],
         )
     ]
 
@@ -193,13 +196,13 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         places = np.searchsorted(heard, times, side="right") - 1
         return np.where(places >= 0, heard[np.maximum(places, 0)] if len(heard) else 0, -S)
 
-    angle, angle_ns = column(ANGLE), age_base(0x523)
+    angle, angle_ns = column(sig.ANGLE), age_base(0x523)
     rpm = [column(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")) for name in WHEELS]
     rpm_ns = age_base(0x525)
-    asked = column(STEER)
-    torque_f, torque_r = column(TORQUE_F), column(TORQUE_R)
-    brake_f, brake_r = column(BRAKE_REQ_F), column(BRAKE_REQ_R)
-    limit_f, limit_r = column(SPEED_MAX_F), column(SPEED_MAX_R)
+    asked = column(sig.STEER)
+    torque_f, torque_r = column(sig.TORQUE_F), column(sig.TORQUE_R)
+    brake_f, brake_r = column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)
+    limit_f, limit_r = column(sig.SPEED_MAX_F), column(sig.SPEED_MAX_R)
     inspected = _inspection(record, t_ns)
     for row, now in enumerate(times.tolist()):
         measured = VcuSteer(float(angle[row]), t_rx_ns=int(angle_ns[row]))
@@ -234,4 +237,4 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
 
 
 def _inspection(record: Record, t_ns: int) -> bool:
-    return record.series(AMI).at(t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+    return record.series(sig.AMI).at(t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
@@ -33,17 +34,17 @@ class TimelineEntry:
 
 
 class IncidentKind(Enum):
-    """What happened, in the words of the heading. `bad` decides the exit status."""
+    """What happened, in the words of the heading."""
 
-    EMERGENCY = ("emergency_brake", "emergency brake", True)
-    ABORT = ("abort", "the drive was cut off", True)
-    REFUSAL = ("refusal_to_start", "refusal to start", True)
-    STOP = ("early_stop", "stopped before the mission was done", False)
+    EMERGENCY = ("emergency_brake", "emergency brake")
+    ABORT = ("abort", "the drive was cut off")
+    REFUSAL = ("refusal_to_start", "refusal to start")
+    MISMATCH = ("not_as_asked", "the car does not do what it is asked")
+    STOP = ("early_stop", "stopped before the mission was done")
 
-    def __init__(self, slug: str, words: str, bad: bool) -> None:
+    def __init__(self, slug: str, words: str) -> None:
         self.slug = slug
         self.words = words
-        self.bad = bad
 
 
 class Sureness(IntEnum):
@@ -114,7 +115,7 @@ class Incident:
 
     @property
     def bad(self) -> bool:
-        return self.kind.bad and not self.planned
+        return not self.planned
 
 
 def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
@@ -134,8 +135,14 @@ class Explanation:
     incidents: tuple[Incident, ...]
     closing: str
     problems: tuple[str, ...] = field(default=())
+    recorded: frozenset[int] = frozenset()  # identifiers in the log
+
+    def to_record(self, cause: Cause) -> str:
+        """What to record next time for that cause; empty where this log has it already."""
+        wanted = {int(number, 16) for number in re.findall(r"0x([0-9A-F]{3})", cause.record)}
+        return "" if wanted and wanted <= self.recorded else cause.record
 
     @property
     def clean(self) -> bool:
-        """No emergency brake, no refusal to start, no drive cut off."""
+        """Nothing happened but what was planned."""
         return not any(incident.bad for incident in self.incidents)

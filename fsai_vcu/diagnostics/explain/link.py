@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.error_frames import error_words
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
 from fsai_vcu.diagnostics.explain.record import Gap, Record
-from fsai_vcu.diagnostics.explain.signals import ESTOP, HANDSHAKE_TIMEOUT, TIMEOUTS, is_on
+from fsai_vcu.diagnostics.explain.signals import is_on
 from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
@@ -72,12 +73,11 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
         steps = [ChainLink(first, f"the last frame of the AI computer: 0x510 to 0x514 are silent {ends}", 0x510)]
         if len(errors):
             steps.append(_error_step(record, int(errors[0]), len(errors)))
-        if is_on(record, ESTOP, first):
-            steps.append(
-                ChainLink(first, "its last words were ESTOP_REQUEST 1: it was stopped in order", 0x510, ESTOP.name)
-            )
-        found.append(candidate("ai_silent", said, steps))
-        return found
+        if is_on(record, sig.ESTOP, first):
+            steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped in order"))
+        # An adapter that goes bus-off silences a program that runs on.
+        off = any("bus-off" in error_text(record, int(t_error_ns)) for t_error_ns in errors)
+        return [candidate("bus_lost" if off else "ai_silent", said, steps)]
     for can_id, gap in gaps.items():
         wrong = record.wrong_length.get(can_id)
         if wrong is not None and wrong[1] <= t_ns:
@@ -87,7 +87,7 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
         length = "to the end of the log" if gap.end_ns is None else f"for {ms(gap.length_ns)}"
         words = f"the last {BY_ID[can_id]} before it is missing {length}, while others go on"
         found.append(candidate("ai_message_missing", said, [ChainLink(gap.begin_ns, words, can_id)]))
-    if record.has(0x510) or any(record.has(can_id) for can_id in AI_IDS):
+    if record.has(0x510) or record.ai_speaks:
         for can_id in AI_IDS:
             if not record.has(can_id):
                 begin = min(int(record.times(i)[0]) for i in AI_IDS if record.has(i))
@@ -124,9 +124,9 @@ def _handshake(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
 def timeouts_said(record: Record, begin_ns: int, end_ns: int) -> list[ChainLink]:
     """What 0x120 (2021) says was missing."""
     steps = []
-    for signal, can_id in {**TIMEOUTS, HANDSHAKE_TIMEOUT: 0x510}.items():
+    for signal, can_id in {**sig.TIMEOUTS, sig.HANDSHAKE_TIMEOUT: 0x510}.items():
         for span in record.series(signal).changes(begin_ns, end_ns):
             if span.value:
-                what = "the handshake's echo" if signal == HANDSHAKE_TIMEOUT else str(BY_ID[can_id])
-                steps.append(ChainLink(span.begin_ns, f"the VCU misses {what}", signal.can_id, signal.name))
+                what = "the handshake's echo" if signal == sig.HANDSHAKE_TIMEOUT else str(BY_ID[can_id])
+                steps.append(signal.step(span.begin_ns, f"the VCU misses {what}"))
     return steps

@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
-from fsai_vcu.diagnostics.log.frames import ERROR, RECEIVED, SENT, Frames, Ints
+from fsai_vcu.diagnostics.explain.incident import ChainLink
+from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints
+from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
@@ -26,11 +28,8 @@ from fsai_vcu.interface.units import MS
 
 Values = npt.NDArray[np.float64]
 
-CLOSE_NS: Final = 5 * MS  # interface specification v4.0: the five messages come every 10 ms, so never at half of it
-CATCHING_UP_NS: Final = 13 * MS  # after a pause longer than this, one sender may send twice in a hurry
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
-TOGETHER_NS: Final = 500 * MS  # what a stranger does within this time is told as one
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
 
@@ -43,6 +42,10 @@ class Signal(NamedTuple):
     @property
     def can_id(self) -> int:
         return BY_NAME[self.message].can_id
+
+    def step(self, t_ns: int, words: str) -> ChainLink:
+        """A link of a cause chain which a frame with this signal shows."""
+        return ChainLink(t_ns, words, self.can_id, self.name)
 
 
 @dataclass(frozen=True)
@@ -120,18 +123,6 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Intrusion:
-    """Frames on one of the AI computer's ids which two senders must have sent."""
-
-    can_id: int
-    begin_ns: int
-    end_ns: int
-    frames: int
-    apart_ns: int  # how close to the other sender's frame the first one came; -1: known by the log's R and T
-    payloads: tuple[bytes, ...] = ()  # of the frames that came together, in their order
-
-
-@dataclass(frozen=True)
 class HandshakeToggle:
     """A toggle of the VCU's handshake and the AI computer's echo. `echo_ns` None: it never came."""
 
@@ -170,6 +161,11 @@ class Record:
     def has(self, can_id: int) -> bool:
         """Whether the log has that message, whole."""
         return can_id in self._rows
+
+    @property
+    def ai_speaks(self) -> bool:
+        """Whether the log has any whole message of the AI computer."""
+        return any(map(self.has, AI_IDS))
 
     def times(self, can_id: int) -> Ints:
         """When that message came."""
@@ -258,32 +254,11 @@ class Record:
         return tuple(found)
 
     @cached_property
-    def intrusions(self) -> Sequence[Intrusion]:
-        """Frames on the AI computer's ids that cannot all be one sender's, in the order of time."""
-        found: list[Intrusion] = []
-        for can_id in AI_IDS:
-            if can_id not in self._rows:
-                continue
-            rows, times = self._rows[can_id], self.times(can_id)
-            flags = self.frames.flags[rows]
-            # Where the AI computer itself wrote the log it says of each frame who sent it.
-            foreign = ((flags & RECEIVED) != 0) & bool(((flags & SENT) != 0).any())
-            apart = np.diff(times, prepend=times[0] - 10 * MS)
-            before = np.concatenate(([10 * MS], apart[:-1]))
-            close = (apart < CLOSE_NS) & (before < CATCHING_UP_NS)
-            for row in np.flatnonzero(foreign if foreign.any() else close):
-                t_ns = int(times[row])
-                apart_ns = -1 if foreign.any() else int(apart[row])
-                last = found[-1] if found else None
-                if last is not None and last.can_id == can_id and t_ns - last.end_ns <= TOGETHER_NS:
-                    found[-1] = Intrusion(can_id, last.begin_ns, t_ns, last.frames + 1, last.apart_ns, last.payloads)
-                else:
-                    # Which of the two is the stranger's is not to be seen; it is at the latest the second.
-                    both = apart_ns >= 0 and row > 0
-                    payloads = tuple(self.frames.payload(int(r)) for r in rows[row - both : row + 1])
-                    begin_ns = int(times[row - both])
-                    found.append(Intrusion(can_id, begin_ns, t_ns, 1, apart_ns, payloads))
-        return tuple(sorted(found, key=lambda intrusion: intrusion.begin_ns))
+    def second_senders(self) -> Sequence[SecondSender]:
+        """Where somebody else sends on the AI computer's ids, in the order of time."""
+        layout = self.decoder.databases.by_name("AI2VCU_Status")
+        places = [1 << signal.start for signal in layout.signals if signal.name == "HANDSHAKE"] if layout else []
+        return second_senders(self.frames, sum(places))
 
 
 def record_of(frames: Frames, revision: Revision, reason: str = "given", databases: Databases | None = None) -> Record:

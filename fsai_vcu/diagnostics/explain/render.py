@@ -85,11 +85,10 @@ def _incident_lines(story: Explanation, incident: Incident, paint: Any) -> Itera
     yield from _wrapped(f"because {first.cause.words}", "  ", paint, "1")
     yield from _chain(incident, first, paint)
     yield from _wrapped(f"what to do: {first.cause.remedy}.", "  ", paint)
-    if first.sureness < Sureness.SHOWN or first.cause.record:
-        if first.sureness < Sureness.SHOWN:
-            yield from _wrapped(f"how sure: this {first.sureness.words}; the log does not prove it.", "  ", paint)
-        if first.cause.record:
-            yield from _wrapped(f"to know more, record next time: {first.cause.record}.", "  ", paint)
+    if first.sureness < Sureness.SHOWN:
+        yield from _wrapped(f"how sure: this {first.sureness.words}; the log does not prove it.", "  ", paint)
+    if record := story.to_record(first.cause):
+        yield from _wrapped(f"to know more, record next time: {record}.", "  ", paint)
     for other in incident.candidates[1 : 1 + _ALSO]:
         step = other.steps[0]
         yield from _wrapped(f"also ({other.sureness.words}): {other.cause.words}. {step.words}.", "  ", paint)
@@ -126,14 +125,14 @@ def verdict(story: Explanation) -> str:
         (IncidentKind.EMERGENCY, "emergency brake", "emergency brakes"),
         (IncidentKind.ABORT, "drive cut off", "drives cut off"),
         (IncidentKind.REFUSAL, "refusal to start", "refusals to start"),
+        (IncidentKind.MISMATCH, "thing not as asked", "things not as asked"),
+        (IncidentKind.STOP, "early stop", "early stops"),
     ):
         count = sum(incident.bad for incident in story.incidents if incident.kind is kind)
         if count:
             counts.append(f"{count} {one if count == 1 else many}")
-    early = sum(incident.kind is IncidentKind.STOP for incident in story.incidents)
     planned = sum(incident.planned for incident in story.incidents)
-    rest = [f"{early} early stop{'s' if early > 1 else ''} by the service brake"] if early else []
-    rest += ["the emergency brake that the mission ends with"] if planned else []
+    rest = ["the emergency brake that the mission ends with"] if planned else []
     if counts:
         return ", ".join([*counts, *rest])
     return "no emergency brake, no refusal to start" + (f"; {', '.join(rest)}" if rest else "")
@@ -143,7 +142,7 @@ def verdict(story: Explanation) -> str:
 
 
 def json_lines(story: Explanation, name: str) -> Iterator[str]:
-    """One object per line: the log, each event, each incident, the verdict."""
+    """One object per line: the log, each event, each incident, the summary."""
     yield json.dumps({"type": "log", "log": name, **story.heading, "notes": list(story.problems)})
     for event in story.events:
         yield json.dumps(
@@ -162,7 +161,7 @@ def json_lines(story: Explanation, name: str) -> Iterator[str]:
         yield json.dumps(incident_dict(story, incident))
     yield json.dumps(
         {
-            "type": "verdict",
+            "type": "summary",
             "clean": story.clean,
             "emergency_brakes": sum(i.kind is IncidentKind.EMERGENCY for i in story.incidents),
             "refusals": sum(i.kind is IncidentKind.REFUSAL for i in story.incidents),
@@ -190,7 +189,7 @@ def incident_dict(story: Explanation, incident: Incident) -> dict[str, Any]:
                 "words": one.cause.words,
                 "sureness": one.sureness.name.lower(),
                 "remedy": one.cause.remedy,
-                "record": one.cause.record or None,
+                "record": story.to_record(one.cause) or None,
                 "chain": [
                     {
                         "t_s": round(seconds(story, step.t_ns), 6),

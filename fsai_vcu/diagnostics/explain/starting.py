@@ -10,38 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Incident, IncidentKind, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    ANGLE,
-    AS_STATE,
-    AS_SWITCH,
-    DIRECTION,
-    DRIVING,
-    EBS_STATE,
-    EMERGENCY,
-    ESTOP,
-    FAULT_STATUS,
-    FAULTS,
-    FINISHED,
-    GO,
-    MISSION_STATUS,
-    READY,
-    SHUTDOWN_REQUEST,
-    STATUS,
-    STATUS_BRK,
-    STATUS_EBS,
-    STEER,
-    STEERING_STATUS,
-    TORQUE_F,
-    TORQUE_R,
-    TS_STATE,
-    TS_SWITCH,
-    label,
-    like_official_simulator,
-)
+from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
@@ -50,6 +23,7 @@ from fsai_vcu.interface.units import MS, S
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
+REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself
 GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 HEARD_NS: Final = 500 * MS
 
@@ -74,7 +48,7 @@ def _is(signal: Signal, wanted: Callable[[float], bool]) -> Unmet:
         if span is None or wanted(span.value):
             return None
         words = f"{signal.name} is {label(signal, span.value)}"
-        return ChainLink(span.begin_ns, words, signal.can_id, signal.name)
+        return signal.step(span.begin_ns, words)
 
     return unmet
 
@@ -109,44 +83,42 @@ def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
 def _link_lost(record: Record, t_ns: int) -> ChainLink | None:
     bit = Signal("VCU2AI_Status", "AI_COMMS_LOST")
     span = record.series(bit).span_at(t_ns)
-    return ChainLink(span.begin_ns, "AI_COMMS_LOST is 1", STATUS, bit.name) if span is not None and span.value else None
+    return bit.step(span.begin_ns, "AI_COMMS_LOST is 1") if span is not None and span.value else None
 
 
 def _ebs(record: Record, t_ns: int) -> ChainLink | None:
-    if len(record.series(EBS_STATE)) and record.revision.name != "2021":
-        return _is(EBS_STATE, lambda value: value == EbsState.EBS_ARMED)(record, t_ns)
+    if len(record.series(sig.EBS_STATE)) and record.revision.name != "2021":
+        return _is(sig.EBS_STATE, lambda value: value == EbsState.EBS_ARMED)(record, t_ns)
     # 0 is what the official simulator always sends: it says nothing
-    return _is(STATUS_EBS, lambda value: value in (0, EbsStatus.ARMED))(record, t_ns)
+    return _is(sig.STATUS_EBS, lambda value: value in (0, EbsStatus.ARMED))(record, t_ns)
 
 
 def _status(wrong: MissionStatus) -> Unmet:
-    return _is(MISSION_STATUS, lambda value: value != wrong)
+    return _is(sig.MISSION_STATUS, lambda value: value != wrong)
 
 
 def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
-    ends = (EMERGENCY,) if record.revision.name == "2021" else (EMERGENCY, FINISHED)
+    ends = (sig.EMERGENCY,) if record.revision.name == "2021" else (sig.EMERGENCY, sig.FINISHED)
     if like_official_simulator(record):
         return None  # ASMS alone resets it
     last: Span | None = None
-    for span in record.series(AS_STATE).spans:
+    for span in record.series(sig.AS_STATE).spans:
         if span.begin_ns > t_ns:
             break
         if span.value in ends:
             last = span
-    if last is None or any(last.end_ns <= g.begin_ns <= t_ns for g in record.gaps(STATUS, GONE_NS)):
+    if last is None or any(last.end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
         return None
-    words = f"the last run ended in {label(AS_STATE, last.value)}, and 0x520 has not been away since"
-    return ChainLink(last.end_ns, words, STATUS, AS_STATE.name)
+    words = f"the last run ended in {label(sig.AS_STATE, last.value)}, and 0x520 has not been away since"
+    return sig.AS_STATE.step(last.end_ns, words)
 
 
 def _fault(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.series(FAULT_STATUS).span_at(t_ns)
+    span = record.series(sig.FAULT_STATUS).span_at(t_ns)
     if span is None or not span.value:
         return None
-    names = [signal.name for signal in FAULTS if record.series(signal).at(t_ns)]
-    return ChainLink(
-        span.begin_ns, f"FAULT_STATUS is 1{': ' + ', '.join(names) if names else ''}", STATUS, FAULT_STATUS.name
-    )
+    names = [signal.name for signal in sig.FAULTS if record.series(signal).at(t_ns)]
+    return sig.FAULT_STATUS.step(span.begin_ns, f"FAULT_STATUS is 1{': ' + ', '.join(names) if names else ''}")
 
 
 _LINK = ("no_ai_data", "ai_data_incomplete")
@@ -155,13 +127,13 @@ TO_READY: Final[tuple[StartCondition, ...]] = (
     StartCondition("no_ai_data", _no_ai_data),
     StartCondition("ai_data_incomplete", _incomplete),
     StartCondition("power_cycle", _power_cycle),
-    StartCondition("asms", _is(AS_SWITCH, bool)),
-    StartCondition("tsms", _is(TS_SWITCH, bool)),
-    StartCondition("shutting_down", _is(SHUTDOWN_REQUEST, lambda value: not value), after=("tsms",)),
+    StartCondition("asms", _is(sig.AS_SWITCH, bool)),
+    StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
+    StartCondition("shutting_down", _is(sig.SHUTDOWN_REQUEST, lambda value: not value), after=("tsms",)),
     StartCondition("fault", _fault, after=_LINK),
     StartCondition("link_lost", _link_lost, after=_LINK),
-    StartCondition("estop_latched", _is(ESTOP, lambda value: not value), after=("no_ai_data",)),
-    StartCondition("no_mission", _is(AMI, bool)),
+    StartCondition("estop_latched", _is(sig.ESTOP, lambda value: not value), after=("no_ai_data",)),
+    StartCondition("no_mission", _is(sig.AMI, bool)),
     StartCondition(
         "status_not_selected", _status(MissionStatus.NOT_SELECTED), after=("no_ai_data", "no_mission", "estop_latched")
     ),
@@ -169,7 +141,7 @@ TO_READY: Final[tuple[StartCondition, ...]] = (
     StartCondition("status_finished", _status(MissionStatus.FINISHED), after=("no_ai_data",)),
     StartCondition(
         "ts_not_running",
-        _is(TS_STATE, lambda value: value == TsState.TS_RUNNING),
+        _is(sig.TS_STATE, lambda value: value == TsState.TS_RUNNING),
         after=(*_LINK, "tsms", "power_cycle", "fault", "shutting_down", "link_lost"),
     ),
     StartCondition(
@@ -181,35 +153,35 @@ TO_READY: Final[tuple[StartCondition, ...]] = (
 
 
 def _too_early(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.series(AS_STATE).span_at(t_ns)
+    span = record.series(sig.AS_STATE).span_at(t_ns)
     if span is None or span.before is None or t_ns - span.begin_ns >= READY_WAIT_NS:
         return None
     words = f"Go {ms(t_ns - span.begin_ns)} after AS_READY began: 5 s have to pass"
-    return ChainLink(span.begin_ns, words, STATUS, AS_STATE.name)
+    return sig.AS_STATE.step(span.begin_ns, words)
 
 
 def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
     if not like_official_simulator(record):
         return None
-    return _is(MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
+    return _is(sig.MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
 
 
 def _torque(record: Record, t_ns: int) -> ChainLink | None:
     zero = lambda value: value == 0  # noqa: E731
-    return _is(TORQUE_F, zero)(record, t_ns) or _is(TORQUE_R, zero)(record, t_ns)
+    return _is(sig.TORQUE_F, zero)(record, t_ns) or _is(sig.TORQUE_R, zero)(record, t_ns)
 
 
 TO_DRIVING: Final[tuple[StartCondition, ...]] = (
     StartCondition("go_too_early", _too_early),
     StartCondition("torque_requested", _torque),
-    StartCondition("steering_requested", _is(STEER, lambda value: value == 0)),
-    StartCondition("steering_turned", _is(ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
-    StartCondition("direction_not_neutral", _is(DIRECTION, lambda value: value == Direction.NEUTRAL)),
+    StartCondition("steering_requested", _is(sig.STEER, lambda value: value == 0)),
+    StartCondition("steering_turned", _is(sig.ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
+    StartCondition("direction_not_neutral", _is(sig.DIRECTION, lambda value: value == Direction.NEUTRAL)),
     StartCondition("ready_not_selected", _ready_not_selected),
     StartCondition("link_lost", _link_lost),
     StartCondition("no_ai_data", _no_ai_data),
-    StartCondition("steering_inactive", _is(STEERING_STATUS, bool), hint=True),
-    StartCondition("brakes_not_ready", _is(STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
+    StartCondition("steering_inactive", _is(sig.STEERING_STATUS, bool), hint=True),
+    StartCondition("brakes_not_ready", _is(sig.STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
 )
 
 
@@ -241,15 +213,15 @@ def _never_ready(record: Record) -> list[Incident]:
     for begin_ns, end_ns, after_run, following in _off_stretches(record):
         if following is not None or end_ns - begin_ns < PATIENCE_NS:
             continue
-        tried = any(s.value for s in record.series(AS_SWITCH).changes(begin_ns, end_ns))
+        tried = any(s.value for s in record.series(sig.AS_SWITCH).changes(begin_ns, end_ns))
         if after_run and not tried:
             continue  # the run is over, and the switches go off
         at_ns = _last_both_on(record, begin_ns, end_ns)
         candidates = unmet(TO_READY, record, at_ns)
         if not candidates:
             words = "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there"
-            candidates = [candidate("start_unknown", Sureness.POSSIBLE, [ChainLink(at_ns, words, STATUS)])]
-        state = label(AS_STATE, record.series(AS_STATE).at(at_ns))
+            candidates = [candidate("start_unknown", Sureness.POSSIBLE, [ChainLink(at_ns, words, sig.STATUS)])]
+        state = label(sig.AS_STATE, record.series(sig.AS_STATE).at(at_ns))
         what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
         found.append(Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates)))
     return found
@@ -258,8 +230,8 @@ def _never_ready(record: Record) -> list[Incident]:
 def _off_stretches(record: Record) -> list[tuple[int, int, bool, float | None]]:
     """(begin, end, whether a run was before, the state after) of each stay in AS_INIT and AS_OFF while 0x520 came."""
     found: list[tuple[int, int, bool, float | None]] = []
-    spans = record.series(AS_STATE).spans
-    away = record.gaps(STATUS, GONE_NS)
+    spans = record.series(sig.AS_STATE).spans
+    away = record.gaps(sig.STATUS, GONE_NS)
     place = 0
     while place < len(spans):
         if spans[place].value not in OFF_LIKE:
@@ -286,7 +258,7 @@ def _off_stretches(record: Record) -> list[tuple[int, int, bool, float | None]]:
 
 def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
     """The last moment with ASMS and TSMS on: what was missing then was missing to start. Else the end."""
-    asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (AS_SWITCH, TS_SWITCH))
+    asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (sig.AS_SWITCH, sig.TS_SWITCH))
     both = (asms.values != 0) & (tsms.values != 0)
     places = both.nonzero()[0]
     return int(asms.t_ns[places[-1]]) if len(places) else end_ns
@@ -294,13 +266,13 @@ def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
 
 def _never_driving(record: Record) -> list[Incident]:
     found = []
-    spans = record.series(AS_STATE).spans
+    spans = record.series(sig.AS_STATE).spans
     for place, span in enumerate(spans):
-        if span.value != READY:
+        if span.value != sig.READY:
             continue
         following = spans[place + 1].value if place + 1 < len(spans) else None
         incident = _refused_go(record, span, following)
-        if incident is None and following not in (DRIVING, EMERGENCY):
+        if incident is None and following not in (sig.DRIVING, sig.EMERGENCY):
             incident = _waited_in_vain(record, span, following)
         if incident is not None:
             found.append(incident)
@@ -309,24 +281,24 @@ def _never_driving(record: Record) -> list[Incident]:
 
 def _refused_go(record: Record, span: Span, following: float | None) -> Incident | None:
     """Go was given, and the car stayed in AS_READY."""
-    edges = [s.begin_ns for s in record.series(GO).changes(span.begin_ns, span.end_ns) if s.value]
+    edges = [s.begin_ns for s in record.series(sig.GO).changes(span.begin_ns, span.end_ns) if s.value]
     refused = [
         edge
         for edge in edges
-        if span.end_ns - edge > ANSWER_NS or (following not in (DRIVING, None) and span.end_ns - edge > 0)
+        if span.end_ns - edge > ANSWER_NS or (following not in (sig.DRIVING, None) and span.end_ns - edge > 0)
     ]
     if not refused:
         return None
     found: dict[str, Candidate] = {}
     for edge in refused:
-        pressed = ChainLink(edge, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
+        pressed = sig.GO.step(edge, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY")
         for one in unmet(TO_DRIVING, record, edge):
             found.setdefault(one.slug, candidate(one.slug, one.sureness, [*one.steps, pressed]))
     if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
-        pressed = ChainLink(refused[0], "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY", STATUS, GO.name)
+        pressed = sig.GO.step(refused[0], "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY")
         found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, [pressed])
     times = f" ({len(refused)} times)" if len(refused) > 1 else ""
-    later = ", later it did" if following == DRIVING else ""
+    later = ", later it did" if following == sig.DRIVING else ""
     what = f"Go was given{times} and the car did not start{later}"
     order = sorted(found.values(), key=lambda one: -one.sureness)
     return Incident(IncidentKind.REFUSAL, refused[0], what, tuple(order))
@@ -338,25 +310,30 @@ def _waited_in_vain(record: Record, span: Span, following: float | None) -> Inci
     end_ns = span.end_ns - 1 if following is not None else span.end_ns
     candidates: list[Candidate] = []
     if following in OFF_LIKE:
-        for s in record.series(AS_SWITCH).changes(span.begin_ns, span.end_ns):
+        for s in record.series(sig.AS_SWITCH).changes(span.begin_ns, span.end_ns):
             if not s.value:
-                step = ChainLink(s.begin_ns, "AS_SWITCH_STATUS 1 → 0", STATUS, AS_SWITCH.name)
+                step = sig.AS_SWITCH.step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0")
                 candidates.append(candidate("given_up", Sureness.SHOWN, [step]))
-    if waited_ns >= NO_GO_NS:
-        held = record.series(GO).span_at(end_ns)
+        for gap in record.gaps(sig.STATUS, ANSWER_NS):
+            if gap.end_ns == span.end_ns:
+                words = f"the last 0x520 before {ms(gap.length_ns)} of silence, then {label(sig.AS_STATE, following)}"
+                slug = "vcu_reboot" if gap.length_ns < REBOOT_NS else "power_off"
+                candidates.append(candidate(slug, Sureness.SHOWN, [ChainLink(gap.begin_ns, words, sig.STATUS)]))
+    if waited_ns >= NO_GO_NS and not candidates:
+        held = record.series(sig.GO).span_at(end_ns)
         candidates += [c for c in unmet(TO_DRIVING, record, end_ns) if c.slug != "go_too_early"]
         if held is not None and held.value and held.begin_ns <= span.begin_ns:
-            step = ChainLink(held.begin_ns, "GO_SIGNAL is 1 since before AS_READY began", STATUS, GO.name)
+            step = sig.GO.step(held.begin_ns, "GO_SIGNAL is 1 since before AS_READY began")
             candidates.append(candidate("go_held", Sureness.SHOWN, [step]))
         elif held is not None and not held.value:
-            step = ChainLink(span.begin_ns, f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY", STATUS, GO.name)
+            step = sig.GO.step(span.begin_ns, f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY")
             candidates.append(candidate("no_go", Sureness.SHOWN, [step]))
     elif following is None and not candidates:
         return None  # the log ends while the 5 s run
     if not candidates:
-        step = ChainLink(span.end_ns, f"AS_STATE AS_READY → {label(AS_STATE, following)}", STATUS, AS_STATE.name)
+        step = sig.AS_STATE.step(span.end_ns, f"AS_STATE AS_READY → {label(sig.AS_STATE, following)}")
         candidates.append(candidate("start_unknown", Sureness.POSSIBLE, [step]))
-    ended = "the log ends" if following is None else f"{label(AS_STATE, following)} follows"
+    ended = "the log ends" if following is None else f"{label(sig.AS_STATE, following)} follows"
     what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
     order = sorted(candidates, key=lambda one: -one.sureness)
     return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order))

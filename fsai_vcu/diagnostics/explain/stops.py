@@ -11,6 +11,8 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.actuation import sampled
 from fsai_vcu.diagnostics.explain.evidence import CONFIG, found_before
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
@@ -21,23 +23,15 @@ from fsai_vcu.diagnostics.explain.incident import (
     candidate,
     ranked,
 )
-from fsai_vcu.diagnostics.explain.record import Record
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    AS_STATE,
-    BRAKE_REQ_F,
-    DRIVING,
-    EMERGENCY,
-    ESTOP,
-    SPEED_MAX_R,
-    STEER,
-    TORQUE_F,
-    TORQUE_R,
-)
+from fsai_vcu.diagnostics.explain.link import ms
+from fsai_vcu.diagnostics.explain.record import Record, Span
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.specification import READY_WAIT_NS, STANDING_RPM
+from fsai_vcu.interface.units import MS, S
 
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
+IDLE_NS: Final = 8 * S  # 3 s of standing still, and as long again for the first torque
+NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 SLACK_NS: Final = 25 * MS
 
@@ -45,53 +39,86 @@ SLACK_NS: Final = 25 * MS
 def early_stops(record: Record) -> list[Incident]:
     """Every service-brake stop from speed in a drive that was not ended by an emergency brake."""
     found = []
-    spans = record.series(AS_STATE).spans
+    spans = record.series(sig.AS_STATE).spans
     for place, span in enumerate(spans):
-        if span.value != DRIVING:
+        if span.value != sig.DRIVING:
             continue
-        if place + 1 < len(spans) and spans[place + 1].value == EMERGENCY:
+        if place + 1 < len(spans) and spans[place + 1].value == sig.EMERGENCY:
             continue
         began_ns = _service_brake(record, span.begin_ns, span.end_ns)
-        if began_ns is None or record.series(ESTOP).at(began_ns):
+        if began_ns is None or record.series(sig.ESTOP).at(began_ns):
+            found += _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
-        in_the_air = record.series(AMI).at(began_ns) == Ami.STATIC_INSPECTION_A
-        if in_the_air and stop.candidates[0].slug == "stop_asked":
-            continue  # this mission is done at speed: its wheels come to rest within 5 s
-        found.append(stop)
+        # Slow, or on stands, a mission that is done stops like this too: then only what the bus shows is a cause.
+        slow = (record.fastest_wheel().at(began_ns) or 0) < FAST_RPM
+        on_stands = record.series(sig.AMI).at(began_ns) == Ami.STATIC_INSPECTION_A
+        shown = any(one.slug not in NOT_SHOWN for one in stop.candidates)
+        if shown or not (slow or on_stands):
+            found.append(stop)
     return found
 
 
+def _without_a_stop(record: Record, span: Span) -> list[Incident]:
+    """AS_DRIVING that was over before it drove, or that the AI computer does not take for a drive of its own."""
+    wheels = record.fastest_wheel().between(span.begin_ns, span.end_ns).values
+    asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
+    if span.before is None or not len(wheels) or not all(len(series) for series in asked):
+        return []
+    finished = any(s.begin_ns == span.end_ns and s.value == sig.FINISHED for s in record.series(sig.AS_STATE).spans)
+    over = record.series(sig.MISSION_STATUS).span_at(span.end_ns) if finished else None
+    over_ns = span.end_ns if over is None else over.begin_ns
+    candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
+    inspected = record.series(sig.AMI).at(span.end_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+    long = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
+    if wheels.max() < STANDING_RPM and not inspected and (finished or long):
+        candidates += _start_was_wrong(record, span)
+        step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
+        candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
+    if not candidates:
+        return []
+    what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
+    return [Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))]
+
+
+def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
+    if not record.series(sig.AMI).at(span.begin_ns):
+        step = sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen")
+        return [candidate(Reason.NO_MISSION.slug, Sureness.SHOWN, [step])]
+    ready = record.series(sig.AS_STATE).span_at(span.begin_ns - 1)
+    go = record.series(sig.GO).span_at(span.begin_ns)
+    if ready is None or ready.value != sig.READY:
+        return []
+    if span.begin_ns - ready.begin_ns < READY_WAIT_NS - SLACK_NS:
+        step = sig.AS_STATE.step(ready.begin_ns, f"AS_READY for {ms(span.begin_ns - ready.begin_ns)}: 5 s have to pass")
+    elif go is not None and go.value and go.begin_ns <= ready.begin_ns:
+        step = sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began: no Go was given in it")
+    else:
+        return []
+    return [candidate(Reason.SEQUENCE_SHORT.slug, Sureness.SHOWN, [step])]
+
+
 def _service_brake(record: Record, begin_ns: int, end_ns: int) -> int | None:
-    """When the brake first went to the service-brake stop's pressure, at speed, with the motors' speed limit at 0."""
-    brake = record.series(BRAKE_REQ_F).between(begin_ns, end_ns)
-    wheels = record.fastest_wheel()
-    if not len(brake) or not len(wheels):
+    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on."""
+    brake = record.series(sig.BRAKE_REQ_F).between(begin_ns, end_ns)
+    limited = sampled(record.series(sig.SPEED_MAX_R), brake.t_ns) == 0
+    driven = np.flatnonzero(~limited)
+    if not len(driven):
         return None
-    for row in np.flatnonzero(np.abs(brake.values - CONFIG.stop_brake_pct) < 1.0):
-        t_ns = int(brake.t_ns[row])
-        if (wheels.at(t_ns) or 0) < FAST_RPM:
-            return None  # the first such brake is the one that counts
-        if record.series(SPEED_MAX_R).at(t_ns) == 0:
-            return t_ns
-    return None
+    stopping = np.flatnonzero(np.abs(brake.values[driven[-1] :] - CONFIG.stop_brake_pct) < 1.0)
+    return int(brake.t_ns[driven[-1] + stopping[0]]) if len(stopping) else None
 
 
 def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
-    brake = ChainLink(
-        t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for good", 0x514, BRAKE_REQ_F.name
-    )
+    brake = sig.BRAKE_REQ_F.step(t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for good")
     candidates = [
         Candidate(c.slug, c.sureness, (*c.steps, brake))
         for c in found_before(record, t_ns, drive_begin_ns, emergency=False)
     ]
     held_ns = _held_before(record, t_ns)
     if held_ns is not None:
-        step = ChainLink(
-            held_ns,
-            f"torque 0 and the steering held: no fresh command for {CONFIG.command_stale_ns // MS} ms by then",
-            0x512,
-            TORQUE_R.name,
+        step = sig.TORQUE_R.step(
+            held_ns, f"torque 0 and the steering held: no fresh command for {CONFIG.command_stale_ns // MS} ms by then"
         )
         lost = ChainLink(held_ns - CONFIG.command_stale_ns, "about when the last fresh command came (not on the bus)")
         candidates.append(candidate(Reason.COMMAND_STALE.slug, Sureness.FITS, [lost, step, brake]))
@@ -104,12 +131,12 @@ def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
 def _held_before(record: Record, t_ns: int) -> int | None:
     """Since when torque was 0 and steering and brake stood still, if for about the 200 ms of stale commands."""
     begin_ns = t_ns - HELD_NS
-    for signal in (TORQUE_F, TORQUE_R, STEER):
+    for signal in (sig.TORQUE_F, sig.TORQUE_R, sig.STEER):
         values = record.series(signal).between(begin_ns, t_ns - SLACK_NS).values
-        if len(values) and (values.max() != values.min() or (signal is not STEER and values.max() > 0)):
+        if len(values) and (values.max() != values.min() or (signal is not sig.STEER and values.max() > 0)):
             return None
-    span = record.series(STEER).span_at(t_ns - SLACK_NS)
-    zero = [record.series(signal).span_at(t_ns - SLACK_NS) for signal in (TORQUE_F, TORQUE_R)]
+    span = record.series(sig.STEER).span_at(t_ns - SLACK_NS)
+    zero = [record.series(signal).span_at(t_ns - SLACK_NS) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     begins = [s.begin_ns for s in (span, *zero) if s is not None]
     latest = max(begins, default=begin_ns)
     longest_ns = CONFIG.command_lost_ns - CONFIG.command_stale_ns

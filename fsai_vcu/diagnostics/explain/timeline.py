@@ -7,46 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.explain.evidence import intrusion_words
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.explain.link import error_text, ms
 from fsai_vcu.diagnostics.explain.record import Record
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    ANGLE_MAX,
-    AS_STATE,
-    AS_SWITCH,
-    BRAKE_REQ_F,
-    DIRECTION,
-    DRIVING,
-    EBS_STATE,
-    EMERGENCY,
-    ESTOP,
-    FAULT_STATUS,
-    FAULTS,
-    GO,
-    HANDSHAKE_TIMEOUT,
-    MISSION_STATUS,
-    OP_STATE,
-    READY,
-    REMOTE_ESTOP,
-    SHUTDOWN_CAUSE,
-    SHUTDOWN_REQUEST,
-    SM_SYS,
-    STATUS,
-    STATUS_BRK,
-    STATUS_EBS,
-    STEERING_STATUS,
-    SYSTEM_WARNINGS,
-    TIMEOUTS,
-    TORQUE_F,
-    TORQUE_R,
-    TS_STATE,
-    TS_SWITCH,
-    WARNING_STATUS,
-    WARNINGS,
-    label,
-)
+from fsai_vcu.diagnostics.explain.signals import label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
@@ -65,30 +30,30 @@ ORDER: Final = (
 
 # signal, topic, what 0 and 1 mean to people, weight of 0 and of 1
 SWITCHES: Final = (
-    (AS_SWITCH, "switches", "ASMS off", "ASMS on", Weight.STATE, Weight.STATE),
-    (TS_SWITCH, "switches", "TSMS off", "TSMS on", Weight.STATE, Weight.STATE),
-    (GO, "Go", "Go off", "Go on", Weight.STATE, Weight.STATE),
+    (sig.AS_SWITCH, "switches", "ASMS off", "ASMS on", Weight.STATE, Weight.STATE),
+    (sig.TS_SWITCH, "switches", "TSMS off", "TSMS on", Weight.STATE, Weight.STATE),
+    (sig.GO, "Go", "Go off", "Go on", Weight.STATE, Weight.STATE),
     (
-        REMOTE_ESTOP,
+        sig.REMOTE_ESTOP,
         "switches",
-        "the remote's E-stop is released",
-        "the remote's E-stop is pressed",
+        "the remote's ESTOP_STATUS is 0",
+        "the remote's ESTOP_STATUS is 1",
         Weight.STATE,
-        Weight.FAULT,
+        Weight.STATE,
     ),
-    (SHUTDOWN_REQUEST, "power", "SHUTDOWN_REQUEST ends", "the car asks for shutdown", Weight.NOTE, Weight.STATE),
+    (sig.SHUTDOWN_REQUEST, "power", "SHUTDOWN_REQUEST ends", "the car asks for shutdown", Weight.NOTE, Weight.STATE),
     (
-        ESTOP,
+        sig.ESTOP,
         "AI",
         "ESTOP_REQUEST 0: the request is taken back",
         "ESTOP_REQUEST 1: the AI computer asks for an emergency stop",
         Weight.STATE,
         Weight.FAULT,
     ),
-    (FAULT_STATUS, "fault", "FAULT_STATUS 0", "FAULT_STATUS 1", Weight.STATE, Weight.FAULT),
-    (WARNING_STATUS, "warning", "WARNING_STATUS 0", "WARNING_STATUS 1", Weight.NOTE, Weight.WARNING),
+    (sig.FAULT_STATUS, "fault", "FAULT_STATUS 0", "FAULT_STATUS 1", Weight.STATE, Weight.FAULT),
+    (sig.WARNING_STATUS, "warning", "WARNING_STATUS 0", "WARNING_STATUS 1", Weight.NOTE, Weight.WARNING),
     (
-        STEERING_STATUS,
+        sig.STEERING_STATUS,
         "steering",
         "the steering is off (STEERING_STATUS 0)",
         "the steering is active",
@@ -97,25 +62,25 @@ SWITCHES: Final = (
     ),
 )
 STATES: Final = (
-    (AS_STATE, "AS state", Weight.STATE),
-    (AMI, "mission", Weight.STATE),
-    (MISSION_STATUS, "AI", Weight.STATE),
-    (DIRECTION, "AI", Weight.NOTE),
-    (SHUTDOWN_CAUSE, "fault", Weight.FAULT),
-    (OP_STATE, "power", Weight.NOTE),
-    (TS_STATE, "power", Weight.NOTE),
-    (EBS_STATE, "EBS", Weight.NOTE),
-    (STATUS_EBS, "EBS", Weight.NOTE),
-    (STATUS_BRK, "brakes", Weight.NOTE),
+    (sig.AS_STATE, "AS state", Weight.STATE),
+    (sig.AMI, "mission", Weight.STATE),
+    (sig.MISSION_STATUS, "AI", Weight.STATE),
+    (sig.DIRECTION, "AI", Weight.NOTE),
+    (sig.SHUTDOWN_CAUSE, "fault", Weight.FAULT),
+    (sig.OP_STATE, "power", Weight.NOTE),
+    (sig.TS_STATE, "power", Weight.NOTE),
+    (sig.EBS_STATE, "EBS", Weight.NOTE),
+    (sig.STATUS_EBS, "EBS", Weight.NOTE),
+    (sig.STATUS_BRK, "brakes", Weight.NOTE),
 )
 GRAVE: Final = {
-    (AS_STATE, EMERGENCY): Weight.FAULT,
-    (TS_STATE, float(TsState.TS_FAULT)): Weight.FAULT,
-    (EBS_STATE, float(EbsState.EBS_FAULT)): Weight.FAULT,
-    (EBS_STATE, float(EbsState.EBS_TRIGGERED)): Weight.WARNING,
-    (STATUS_EBS, float(EbsStatus.TRIGGERED)): Weight.WARNING,
-    (STATUS_BRK, 4.0): Weight.FAULT,
-    (SHUTDOWN_CAUSE, 0.0): Weight.NOTE,
+    (sig.AS_STATE, sig.EMERGENCY): Weight.FAULT,
+    (sig.TS_STATE, float(TsState.TS_FAULT)): Weight.FAULT,
+    (sig.EBS_STATE, float(EbsState.EBS_FAULT)): Weight.FAULT,
+    (sig.EBS_STATE, float(EbsState.EBS_TRIGGERED)): Weight.WARNING,
+    (sig.STATUS_EBS, float(EbsStatus.TRIGGERED)): Weight.WARNING,
+    (sig.STATUS_BRK, 4.0): Weight.FAULT,
+    (sig.SHUTDOWN_CAUSE, 0.0): Weight.NOTE,
 }
 SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
     "INITIAL_ACTIONS", "POWER_ON_SELF_TEST", "AUX", "POWERTRAIN_ENABLE", "DRIVE_AUTONOMOUS", "DRIVE_MANUAL", "CHARGE",
@@ -144,14 +109,14 @@ def timeline(record: Record) -> list[TimelineEntry]:
 def _speakers(record: Record) -> Iterator[TimelineEntry]:
     """Who speaks first, and when."""
     for can_id, who in (
-        (STATUS, "the car speaks: the first 0x520"),
+        (sig.STATUS, "the car speaks: the first 0x520"),
         (0x510, "the AI computer speaks: the first 0x510"),
     ):
         times = record.times(can_id)
         if len(times):
             already = " (it did when the log began)" if times[0] - record.begin_ns < 50 * MS else ""
             yield TimelineEntry(
-                int(times[0]), "power" if can_id == STATUS else "AI", who + already, Weight.STATE, can_id
+                int(times[0]), "power" if can_id == sig.STATUS else "AI", who + already, Weight.STATE, can_id
             )
 
 
@@ -167,34 +132,34 @@ def _switches(record: Record) -> Iterator[TimelineEntry]:
 
 def _states(record: Record) -> Iterator[TimelineEntry]:
     for signal, topic, usual in STATES:
-        if signal in (OP_STATE, TS_STATE, EBS_STATE) and record.revision.name == "2021":
+        if signal in (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE) and record.revision.name == "2021":
             continue
-        if signal in (STATUS_BRK, STATUS_EBS) and not record.series(signal).values.any():
+        if signal in (sig.STATUS_BRK, sig.STATUS_EBS) and not record.series(signal).values.any():
             continue
         for span in record.series(signal).spans:
-            if span.before is None and signal is SHUTDOWN_CAUSE and not span.value:
+            if span.before is None and signal is sig.SHUTDOWN_CAUSE and not span.value:
                 continue
             weight = GRAVE.get((signal, span.value), usual)
             known = label(signal, span.value)
-            if "not in the interface" in known and not (signal is STATUS_EBS and span.value == 0):
+            if "not in the interface" in known and not (signal is sig.STATUS_EBS and span.value == 0):
                 weight = max(weight, Weight.WARNING)
             text = f"{signal.name} {known}"
-            if signal is AS_STATE and span.before is not None:
+            if signal is sig.AS_STATE and span.before is not None:
                 text = f"AS_STATE {label(signal, span.before)} → {known}"
             yield TimelineEntry(span.begin_ns, topic, text, weight, signal.can_id, signal.name)
-    for span in record.series(SM_SYS).spans:
+    for span in record.series(sig.SM_SYS).spans:
         name = SM_SYS_NAMES[int(span.value)] if span.value < len(SM_SYS_NAMES) else f"{span.value:.0f}"
-        yield TimelineEntry(span.begin_ns, "power", f"SM_SYS {name}", Weight.NOTE, SM_SYS.can_id, SM_SYS.name)
+        yield TimelineEntry(span.begin_ns, "power", f"SM_SYS {name}", Weight.NOTE, sig.SM_SYS.can_id, sig.SM_SYS.name)
 
 
 def _flags(record: Record) -> Iterator[TimelineEntry]:
     """Fault and warning bits."""
-    missed = {signal: f"the VCU misses {BY_ID[can_id]}" for signal, can_id in TIMEOUTS.items()}
-    missed[HANDSHAKE_TIMEOUT] = "the VCU misses the handshake's echo"
+    missed = {signal: f"the VCU misses {BY_ID[can_id]}" for signal, can_id in sig.TIMEOUTS.items()}
+    missed[sig.HANDSHAKE_TIMEOUT] = "the VCU misses the handshake's echo"
     groups = (
-        (FAULTS, "fault", Weight.FAULT),
-        (WARNINGS, "warning", Weight.WARNING),
-        (SYSTEM_WARNINGS, "warning", Weight.WARNING),
+        (sig.FAULTS, "fault", Weight.FAULT),
+        (sig.WARNINGS, "warning", Weight.WARNING),
+        (sig.SYSTEM_WARNINGS, "warning", Weight.WARNING),
         (tuple(missed), "link", Weight.WARNING),
     )
     for signals, topic, weight in groups:
@@ -211,19 +176,19 @@ def _flags(record: Record) -> Iterator[TimelineEntry]:
 
 def _mode(record: Record) -> Iterator[TimelineEntry]:
     """The AI side's mode is not on the bus; what it acknowledges is."""
-    ami, state = record.series(AMI), record.series(AS_STATE)
-    for span in record.series(MISSION_STATUS).spans:
+    ami, state = record.series(sig.AMI), record.series(sig.AS_STATE)
+    for span in record.series(sig.MISSION_STATUS).spans:
         if state.at(span.begin_ns) not in OFF_LIKE or not ami.at(span.begin_ns):
             continue
         if span.value == MissionStatus.SELECTED:
             text = "mode: autonomous, as the AI computer acknowledges the mission"
-            yield TimelineEntry(span.begin_ns, "mode", text, Weight.STATE, 0x510, MISSION_STATUS.name)
+            yield TimelineEntry(span.begin_ns, "mode", text, Weight.STATE, 0x510, sig.MISSION_STATUS.name)
     chosen = [s for s in ami.spans if s.value and state.at(s.begin_ns) in OFF_LIKE]
     for span in chosen:
         later = span.begin_ns + 2 * S
-        if later < span.end_ns and record.series(MISSION_STATUS).at(later) == 0 and state.at(later) in OFF_LIKE:
+        if later < span.end_ns and record.series(sig.MISSION_STATUS).at(later) == 0 and state.at(later) in OFF_LIKE:
             text = "mode: manual, or the new mission is not confirmed yet (NOT_SELECTED 2 s after the choice)"
-            yield TimelineEntry(later, "mode", text, Weight.WARNING, 0x510, MISSION_STATUS.name)
+            yield TimelineEntry(later, "mode", text, Weight.WARNING, 0x510, sig.MISSION_STATUS.name)
 
 
 def _motion(record: Record) -> Iterator[TimelineEntry]:
@@ -250,12 +215,12 @@ def _motion(record: Record) -> Iterator[TimelineEntry]:
 
 def _gate(record: Record) -> Iterator[TimelineEntry]:
     """What the AI side's gate lets through: the first torque of a drive, brake pressures that mean a stop."""
-    for span in record.series(AS_STATE).spans:
-        if span.value != DRIVING:
+    for span in record.series(sig.AS_STATE).spans:
+        if span.value != sig.DRIVING:
             continue
         for name, signals, words in (
-            ("torque", (TORQUE_F, TORQUE_R), "the first torque request"),
-            ("brake", (BRAKE_REQ_F,), "the brake is released"),
+            ("torque", (sig.TORQUE_F, sig.TORQUE_R), "the first torque request"),
+            ("brake", (sig.BRAKE_REQ_F,), "the brake is released"),
         ):
             firsts = []
             for signal in signals:
@@ -267,19 +232,19 @@ def _gate(record: Record) -> Iterator[TimelineEntry]:
                 t_ns, signal = min(firsts)
                 text = f"{words}, {ms(t_ns - span.begin_ns)} after AS_DRIVING began"
                 yield TimelineEntry(t_ns, "gate", text, Weight.NOTE, signal.can_id, signal.name)
-    for span in record.series(AS_STATE).spans:
-        if span.value not in (*OFF_LIKE, READY):
+    for span in record.series(sig.AS_STATE).spans:
+        if span.value not in (*OFF_LIKE, sig.READY):
             continue
-        for signal in (TORQUE_F, TORQUE_R):
+        for signal in (sig.TORQUE_F, sig.TORQUE_R):
             for asked in record.series(signal).changes(span.begin_ns, span.end_ns):
                 if asked.value > 0 and asked.before == 0:
-                    text = f"{signal.name} {asked.value:g} Nm in {label(AS_STATE, span.value)}"
+                    text = f"{signal.name} {asked.value:g} Nm in {label(sig.AS_STATE, span.value)}"
                     yield TimelineEntry(asked.begin_ns, "AI", text, Weight.WARNING, signal.can_id, signal.name)
                     break
-    for span in record.series(ANGLE_MAX).spans:
+    for span in record.series(sig.ANGLE_MAX).spans:
         if span.before is not None:
             text = f"ANGLE_MAX {span.before:g} → {span.value:g} deg"
-            yield TimelineEntry(span.begin_ns, "steering", text, Weight.NOTE, ANGLE_MAX.can_id, ANGLE_MAX.name)
+            yield TimelineEntry(span.begin_ns, "steering", text, Weight.NOTE, sig.ANGLE_MAX.can_id, sig.ANGLE_MAX.name)
 
 
 def _gaps(record: Record) -> Iterator[TimelineEntry]:
@@ -325,9 +290,9 @@ def _handshake(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _strangers(record: Record) -> Iterator[TimelineEntry]:
-    for intrusion in record.intrusions:
-        text = f"somebody else sends on the AI computer's ids: {intrusion_words(intrusion)}"
-        yield TimelineEntry(intrusion.begin_ns, "intruder", text, Weight.FAULT, intrusion.can_id)
+    for other in record.second_senders:
+        text = f"somebody else sends on the AI computer's ids: {other.words}"
+        yield TimelineEntry(other.begin_ns, "intruder", text, Weight.FAULT, other.can_ids[0])
 
 
 def _bus(record: Record) -> Iterator[TimelineEntry]:
@@ -343,6 +308,8 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
             first, "bus", f"{name} with the wrong length ({count} frames): it counts as missing", weight, can_id
         )
     for t_ns, back_ns in record.set_back:
+        if back_ns < MS:
+            continue  # two frames stamped on two processors
         yield TimelineEntry(
             t_ns, "bus", f"the log's clock was set back by {ms(back_ns)}: what follows is moved on", Weight.WARNING
         )

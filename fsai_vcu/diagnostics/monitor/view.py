@@ -10,44 +10,12 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.emergencies import emergencies
-from fsai_vcu.diagnostics.explain.evidence import intrusion_words
 from fsai_vcu.diagnostics.explain.incident import Incident
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, record_of
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    ANGLE,
-    ANGLE_MAX,
-    AS_STATE,
-    AS_SWITCH,
-    BRAKE_F,
-    BRAKE_R,
-    BRAKE_REQ_F,
-    BRAKE_REQ_R,
-    DIRECTION,
-    DRIVING,
-    EBS_STATE,
-    EMERGENCY,
-    ESTOP,
-    FAULTS,
-    GO,
-    MISSION_STATUS,
-    OP_STATE,
-    SHUTDOWN_CAUSE,
-    STATUS,
-    STATUS_BRK,
-    STATUS_EBS,
-    STEER,
-    STEERING_STATUS,
-    SYSTEM_WARNINGS,
-    TORQUE_F,
-    TORQUE_R,
-    TS_STATE,
-    TS_SWITCH,
-    WARNINGS,
-    label,
-)
+from fsai_vcu.diagnostics.explain.signals import label
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory
@@ -71,26 +39,26 @@ _SLOW_ECHO_S: Final = 0.05  # half of the 100 ms that the VCU grants
 _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake are all there
 
 _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
-    "steering": (STEER, ANGLE, ANGLE_MAX, "deg"),
+    "steering": (sig.STEER, sig.ANGLE, sig.ANGLE_MAX, "deg"),
     "torque front": (
-        TORQUE_F,
+        sig.TORQUE_F,
         Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"),
         Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"),
         "Nm",
     ),
     "torque rear": (
-        TORQUE_R,
+        sig.TORQUE_R,
         Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"),
         Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"),
         "Nm",
     ),
-    "brake front": (BRAKE_REQ_F, BRAKE_F, None, "%"),
-    "brake rear": (BRAKE_REQ_R, BRAKE_R, None, "%"),
+    "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
+    "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
 _WHEELS: Final = {name: Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED") for name in ("FL", "FR", "RL", "RR")}
 _CAR_SPEED: Final = Signal("VCU2LOG_Dynamics1", "Speed_actual")
-_STATES: Final = (OP_STATE, TS_STATE, EBS_STATE, STATUS_EBS, STEERING_STATUS, STATUS_BRK)
-_ONLY_2026: Final = (OP_STATE, TS_STATE, EBS_STATE)
+_STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig.STEERING_STATUS, sig.STATUS_BRK)
+_ONLY_2026: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE)
 
 
 class View:
@@ -122,8 +90,8 @@ class View:
 
     def _look_for_emergency(self, record: Record, now_ns: int, revision: Revision, reason: str) -> None:
         """The causes of an emergency brake are found while the frames before it are remembered whole, and kept."""
-        span = record.series(AS_STATE).span_at(now_ns)
-        if span is None or span.value != EMERGENCY or span.before is None:
+        span = record.series(sig.AS_STATE).span_at(now_ns)
+        if span is None or span.value != sig.EMERGENCY or span.before is None:
             self._emergency, self._settled = None, False
             return
         if self._settled:
@@ -151,32 +119,32 @@ class _Moment:
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
         record, now_ns, stats = self._record, self._now_ns, self._stats
-        span = record.series(AS_STATE).span_at(now_ns)
-        status = self._fresh(STATUS)
+        span = record.series(sig.AS_STATE).span_at(now_ns)
+        status = self._fresh(sig.STATUS)
         messages = self._messages()
         wheels = {name: value for name, signal in _WHEELS.items() if (value := self._value(signal)) is not None}
         car = CARS.get(record.revision.name, ADS_DV_2026)
-        times = record.times(STATUS)
+        times = record.times(sig.STATUS)
         return Picture(
             t_ns=now_ns,
             channel=channel or record.channel,
             revision=record.revision.name,
             revision_reason=record.revision_reason,
             frames=self._memory.frames,
-            as_state=self._label(AS_STATE),
+            as_state=self._label(sig.AS_STATE),
             as_state_s=(now_ns - span.begin_ns) / S if span is not None and status else None,
-            as_state_heard=None if span is None else label(AS_STATE, span.value),
+            as_state_heard=None if span is None else label(sig.AS_STATE, span.value),
             status_age_s=(now_ns - int(times[-1])) / S if len(times) else None,
-            mission=self._label(AMI),
+            mission=self._label(sig.AMI),
             mode=mode(record, now_ns, self._fresh(0x510)),
-            mission_status=self._label(MISSION_STATUS),
-            direction=self._label(DIRECTION),
-            estop_request=self._flag(ESTOP),
-            go=self._flag(GO),
-            as_switch=self._flag(AS_SWITCH),
-            ts_switch=self._flag(TS_SWITCH),
+            mission_status=self._label(sig.MISSION_STATUS),
+            direction=self._label(sig.DIRECTION),
+            estop_request=self._flag(sig.ESTOP),
+            go=self._flag(sig.GO),
+            as_switch=self._flag(sig.AS_SWITCH),
+            ts_switch=self._flag(sig.TS_SWITCH),
             states=self._states(),
-            driving=status and span is not None and span.value == DRIVING,
+            driving=status and span is not None and span.value == sig.DRIVING,
             why_not_driving=why_not_driving(record, now_ns, emergency),
             wheels_rpm=wheels,
             speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
@@ -187,9 +155,9 @@ class _Moment:
                 )
                 for name, (asked, given, limit, unit) in _ACTUATORS.items()
             },
-            faults=tuple(signal.name for signal in FAULTS if self._flag(signal)),
-            warnings=tuple(signal.name for signal in (*WARNINGS, *SYSTEM_WARNINGS) if self._flag(signal)),
-            shutdown_cause=self._label(SHUTDOWN_CAUSE) if self._flag(SHUTDOWN_CAUSE) else None,
+            faults=tuple(signal.name for signal in sig.FAULTS if self._flag(signal)),
+            warnings=tuple(signal.name for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS) if self._flag(signal)),
+            shutdown_cause=self._label(sig.SHUTDOWN_CAUSE) if self._flag(sig.SHUTDOWN_CAUSE) else None,
             handshake=stats.handshake if stats is not None else None,
             handshake_waiting_s=self._handshake_waiting_s(),
             load=stats.load if stats is not None else None,
@@ -217,8 +185,8 @@ class _Moment:
             said = self._label(signal)
             if said is not None and not (signal in _ONLY_2026 and self._record.revision.name == "2021"):
                 found[signal.name] = said
-        if EBS_STATE.name in found:
-            found.pop(STATUS_EBS.name, None)  # the older word for the same
+        if sig.EBS_STATE.name in found:
+            found.pop(sig.STATUS_EBS.name, None)  # the older word for the same
         return found
 
     def _fresh(self, can_id: int) -> bool:
@@ -271,19 +239,16 @@ class _Moment:
     def _handshake_waiting_s(self) -> float | None:
         """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or nobody asks."""
         answers = self._record.answers
-        if not answers or answers[-1].echo_ns is not None or not self._fresh(STATUS):
+        if not answers or answers[-1].echo_ns is not None or not self._fresh(sig.STATUS):
             return None
         return (self._now_ns - answers[-1].toggle_ns) / S
 
     def _link(self, messages: tuple[MessagePicture, ...]) -> list[str]:
         """What is wrong on the bus itself, the gravest first."""
         said = []
-        strangers = [one for one in self._record.intrusions if one.end_ns > self._now_ns - WINDOW_NS]
-        if strangers:
-            ids = sorted({one.can_id for one in strangers})
-            others = f", and on {', '.join(f'0x{can_id:03X}' for can_id in ids[1:])}" if len(ids) > 1 else ""
-            first = next(one for one in strangers if one.can_id == ids[0])
-            said.append(f"somebody else sends on the AI computer's ids: {intrusion_words(first)}{others}")
+        for other in self._record.second_senders:
+            if other.end_ns > self._now_ns - WINDOW_NS:
+                said.append(f"somebody else sends on the AI computer's ids: {other.words}")
         lost = [m for m in messages if not m.extended and m.can_id in AI_IDS and m.freshness is Freshness.LOST]
         if len(lost) == len(AI_IDS):
             age_s = min(m.age_s or 0.0 for m in lost)

@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import CAUSES
 from fsai_vcu.diagnostics.explain.incident import Candidate, Incident, Sureness
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    AS_STATE,
-    DRIVING,
-    EMERGENCY,
-    FINISHED,
-    GO,
-    MISSION_STATUS,
-    READY,
-    STATUS,
-    label,
-)
+from fsai_vcu.diagnostics.explain.signals import label
 from fsai_vcu.diagnostics.explain.starting import TO_DRIVING, TO_READY, unmet
 from fsai_vcu.diagnostics.monitor.snapshot import Obstacle
 from fsai_vcu.interface.bus_table import BY_ID
@@ -35,22 +25,22 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
 
     emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that was seen.
     """
-    span = record.series(AS_STATE).span_at(now_ns)
+    span = record.series(sig.AS_STATE).span_at(now_ns)
     if span is None:
         return (_silent_car(record),)
-    silent_ns = now_ns - int(record.times(STATUS)[-1])
+    silent_ns = now_ns - int(record.times(sig.STATUS)[-1])
     if silent_ns >= COMMS_LOST_NS:
-        return (_lost_car(silent_ns, label(AS_STATE, span.value)),)
-    if span.value == DRIVING:
+        return (_lost_car(silent_ns, label(sig.AS_STATE, span.value)),)
+    if span.value == sig.DRIVING:
         return ()
-    if span.value == EMERGENCY:
+    if span.value == sig.EMERGENCY:
         return tuple(_braked(record, emergency))
-    if span.value == FINISHED:
+    if span.value == sig.FINISHED:
         return (Obstacle("the mission is finished (AS_FINISHED)", remedy="ASMS off ends the run"),)
-    if span.value == READY:
+    if span.value == sig.READY:
         return tuple(_in_ready(record, now_ns, now_ns - span.begin_ns))
     found = [_obstacle(one) for one in unmet(TO_READY, record, now_ns)]
-    state = label(AS_STATE, span.value)
+    state = label(sig.AS_STATE, span.value)
     if span.value not in OFF_LIKE:
         return (Obstacle(f"AS_STATE is {state}"), *found)
     return tuple(found) or (Obstacle(f"{state}: all that the bus shows is met; the VCU goes to AS_READY by itself"),)
@@ -63,16 +53,16 @@ def mode(record: Record, now_ns: int, fresh: bool) -> str:
     """
     if not fresh:
         return "unknown"
-    if record.series(MISSION_STATUS).at(now_ns) != MissionStatus.NOT_SELECTED:
+    if record.series(sig.MISSION_STATUS).at(now_ns) != MissionStatus.NOT_SELECTED:
         return "autonomous"
-    if not record.series(AMI).at(now_ns):
+    if not record.series(sig.AMI).at(now_ns):
         return "unknown before a mission"
     return "manual or unconfirmed"
 
 
 def _silent_car(record: Record) -> Obstacle:
-    if record.wrong_length.get(STATUS):
-        return Obstacle(f"{BY_ID[STATUS]} has the wrong length: it counts as missing")
+    if record.wrong_length.get(sig.STATUS):
+        return Obstacle(f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing")
     return Obstacle(
         "no 0x520 from the car yet",
         remedy="LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)",
@@ -99,11 +89,11 @@ def _braked(record: Record, emergency: Incident | None) -> list[Obstacle]:
 
 def _in_ready(record: Record, now_ns: int, waited_ns: int) -> list[Obstacle]:
     found = [_obstacle(one) for one in unmet(TO_DRIVING, record, now_ns) if one.slug != "go_too_early"]
-    begin_seen = record.series(AS_STATE).span_at(now_ns)
+    begin_seen = record.series(sig.AS_STATE).span_at(now_ns)
     left_ns = READY_WAIT_NS - waited_ns
     if left_ns > 0 and begin_seen is not None and begin_seen.before is not None:
         found.append(Obstacle(f"waiting in AS_READY: {left_ns / S:.1f} s of {_WAIT_S} s left"))
-    go = record.series(GO).span_at(now_ns)
+    go = record.series(sig.GO).span_at(now_ns)
     if go is not None and go.value:
         found.append(Obstacle(CAUSES["go_held"].words, "GO_SIGNAL is 1", CAUSES["go_held"].remedy))
     else:

@@ -9,35 +9,9 @@ import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import (
-    AMI,
-    ANGLE,
-    AS_STATE,
-    AS_SWITCH,
-    BRAKE_F,
-    BRAKE_R,
-    BRAKE_REQ_F,
-    BRAKE_REQ_R,
-    DIRECTION,
-    DRIVING,
-    EBS_STATE,
-    EMERGENCY,
-    ESTOP,
-    FAULTS,
-    FINISHED,
-    GO,
-    MISSION_STATUS,
-    READY,
-    SHUTDOWN_CAUSE,
-    STATUS_EBS,
-    STEER,
-    TORQUE_F,
-    TORQUE_R,
-    TS_SWITCH,
-    label,
-    like_official_simulator,
-)
+from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, LOAD_WINDOW_NS
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
@@ -85,7 +59,7 @@ def plots(record: Record) -> list[Plot]:
     torque = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
     found = [
         Plot("speed", "Speed", "m/s", 2, _speeds(record, car)),
-        _plot(record, "steering", "Steering", "deg", 1, ((STEER, "asked"), (ANGLE, "given"))),
+        _plot(record, "steering", "Steering", "deg", 1, ((sig.STEER, "asked"), (sig.ANGLE, "given"))),
         _plot(
             record,
             "torque",
@@ -93,9 +67,9 @@ def plots(record: Record) -> list[Plot]:
             "Nm",
             1,
             (
-                (TORQUE_F, "front asked"),
+                (sig.TORQUE_F, "front asked"),
                 (torque[0], "front given"),
-                (TORQUE_R, "rear asked"),
+                (sig.TORQUE_R, "rear asked"),
                 (torque[1], "rear given"),
             ),
         ),
@@ -106,12 +80,24 @@ def plots(record: Record) -> list[Plot]:
             "%",
             1,
             (
-                (BRAKE_REQ_F, "front asked"),
-                (BRAKE_F, "front given"),
-                (BRAKE_REQ_R, "rear asked"),
-                (BRAKE_R, "rear given"),
+                (sig.BRAKE_REQ_F, "front asked"),
+                (sig.BRAKE_F, "front given"),
+                (sig.BRAKE_REQ_R, "rear asked"),
+                (sig.BRAKE_R, "rear given"),
             ),
         ),
+        _plot(
+            record,
+            "acceleration",
+            "Acceleration",
+            "m/s²",
+            1,
+            (
+                (Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2"), "longitudinal"),
+                (Signal("AI2LOG_Dynamics2", "Accel_lateral_mps2"), "lateral"),
+            ),
+        ),
+        _plot(record, "yaw", "Yaw rate", "deg/s", 1, ((Signal("AI2LOG_Dynamics2", "Yaw_rate_degps"), "to the left"),)),
         Plot("handshake", "Handshake response", "ms", 2, _handshake(record)),
         Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record)),)),
     ]
@@ -127,9 +113,10 @@ def _plot(
     record: Record, slug: str, title: str, unit: str, digits: int, signals: tuple[tuple[Signal, str], ...]
 ) -> Plot:
     curves = [Curve(name, record.series(signal)) for signal, name in signals]
-    # An axle that nobody drives is a flat line that hides another: it is left out.
-    moved = tuple(c for c in curves if c.series.values.any()) or tuple(curves[:2])
-    return Plot(slug, title, unit, digits, moved)
+    pairs = [tuple(curves[at : at + 2]) for at in range(0, len(curves), 2)]
+    # An axle that nobody drives is left out; what is asked and never given is shown as the flat line that it is.
+    moved = [pair for pair in pairs if any(curve.series.values.any() for curve in pair)] or pairs[:1]
+    return Plot(slug, title, unit, digits, tuple(curve for pair in moved for curve in pair))
 
 
 def _speeds(record: Record, car: VehicleParameters) -> tuple[Curve, ...]:
@@ -227,18 +214,21 @@ def lanes(record: Record) -> list[dict[str, Any]]:
             ]
             found.append({"name": name, "spans": shown})
 
-    kinds = {READY: "ready", DRIVING: "go", EMERGENCY: "bad", FINISHED: "done"}
-    add("AS state", [(*cut, label(AS_STATE, v), kinds.get(v, "off")) for *cut, v in _spans(record, AS_STATE)])  # type: ignore[misc]
-    add("mission", [(b, e, label(AMI, v), "plain" if v else "off") for b, e, v in _spans(record, AMI)])
+    kinds = {sig.READY: "ready", sig.DRIVING: "go", sig.EMERGENCY: "bad", sig.FINISHED: "done"}
+    add("AS state", [(*cut, label(sig.AS_STATE, v), kinds.get(v, "off")) for *cut, v in _spans(record, sig.AS_STATE)])  # type: ignore[misc]
+    add("mission", [(b, e, label(sig.AMI, v), "plain" if v else "off") for b, e, v in _spans(record, sig.AMI)])
     said = {float(MissionStatus.NOT_SELECTED): "off", float(MissionStatus.RUNNING): "go"}
     add(
         "AI says",
-        [(b, e, label(MISSION_STATUS, v), said.get(v, "plain")) for b, e, v in _spans(record, MISSION_STATUS)],
+        [(b, e, label(sig.MISSION_STATUS, v), said.get(v, "plain")) for b, e, v in _spans(record, sig.MISSION_STATUS)],
     )
-    add("direction", [(b, e, label(DIRECTION, v), "plain" if v else "off") for b, e, v in _spans(record, DIRECTION)])
-    for signal, name in ((AS_SWITCH, "ASMS"), (TS_SWITCH, "TSMS"), (GO, "Go")):
+    add(
+        "direction",
+        [(b, e, label(sig.DIRECTION, v), "plain" if v else "off") for b, e, v in _spans(record, sig.DIRECTION)],
+    )
+    for signal, name in ((sig.AS_SWITCH, "ASMS"), (sig.TS_SWITCH, "TSMS"), (sig.GO, "Go")):
         add(name, [(b, e, "on" if v else "off", "plain" if v else "off") for b, e, v in _spans(record, signal)])
-    ebs = EBS_STATE if record.revision.name != "2021" else STATUS_EBS
+    ebs = sig.EBS_STATE if record.revision.name != "2021" else sig.STATUS_EBS
     if record.series(ebs).values.any():
         grave = ("TRIGGERED", "FAULT")
         add(
@@ -249,10 +239,12 @@ def lanes(record: Record) -> list[dict[str, Any]]:
                 for w in (label(ebs, v),)
             ],
         )
-    bad: list[tuple[int, int, str, str]] = [(b, e, "ESTOP_REQUEST", "bad") for b, e, v in _spans(record, ESTOP) if v]
-    for signal in (*FAULTS, SHUTDOWN_CAUSE):
+    bad: list[tuple[int, int, str, str]] = [
+        (b, e, "ESTOP_REQUEST", "bad") for b, e, v in _spans(record, sig.ESTOP) if v
+    ]
+    for signal in (*sig.FAULTS, sig.SHUTDOWN_CAUSE):
         bad += [
-            (b, e, signal.name if signal is not SHUTDOWN_CAUSE else f"SHUTDOWN_CAUSE {label(signal, v)}", "bad")
+            (b, e, signal.name if signal is not sig.SHUTDOWN_CAUSE else f"SHUTDOWN_CAUSE {label(signal, v)}", "bad")
             for b, e, v in _spans(record, signal)
             if v
         ]
@@ -264,7 +256,7 @@ def lanes(record: Record) -> list[dict[str, Any]]:
         for gap in record.gaps(can_id, COMMS_LOST_NS)
     ]
     add("missing", sorted(silent))
-    add("intruder", [(i.begin_ns, i.end_ns, Reason.INTRUDER.words, "bad") for i in record.intrusions])
+    add("intruder", [(i.begin_ns, i.end_ns, Reason.INTRUDER.words, "bad") for i in record.second_senders])
     add("bus errors", [(int(t), int(t), "error frame", "bad") for t in record.error_ns[:LANE_SPANS]])
     return found
 

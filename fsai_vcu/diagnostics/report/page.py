@@ -12,13 +12,15 @@ from importlib.resources import files
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.explain import Explanation, Incident, record_for, story_of
+from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, record_for, story_of
 from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
 from fsai_vcu.diagnostics.explain.record import Record
-from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds, verdict
+from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots
+from fsai_vcu.diagnostics.report.summary import drawing, figures, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
+from fsai_vcu.diagnostics.verdict import Verdict, judge_log
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3
@@ -38,19 +40,23 @@ def page_of(record: Record, story: Explanation, name: str) -> str:
         " base-uri 'none'; form-action 'none'"
     )
     drawn = plots(record)
+    buses = measure(record.frames, record.decoder, revision=record.revision.name)
+    verdict = judge_log(record, story, buses)
     return "".join(
         (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
             f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n',
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
             '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n',
-            f"<title>{escape(name)}: {escape(verdict(story))}</title>\n<style>{style}</style>\n</head>\n<body>\n",
-            *_head(story, name),
+            f"<title>{escape(name)}: {escape(verdict.line())}</title>\n<style>{style}</style>\n</head>\n<body>\n",
+            *_head(story, verdict, name),
             "<main>\n",
+            *_findings(verdict),
             *_incidents(story),
+            *_summary(record),
             *_plots(drawn),
             *_events(story),
-            *_figures(record),
+            *_figures(buses[0]),
             "</main>\n<footer>Made by <code>fsai-vcu report</code> from the frames alone.</footer>\n",
             f'<script type="application/json" id="data">{_data(record, story, drawn)}</script>\n',
             f"<script>{script}</script>\n</body>\n</html>\n",
@@ -87,12 +93,12 @@ def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
 # ---------------------------------------------------------------- what is read
 
 
-def _head(story: Explanation, name: str) -> Iterator[str]:
+def _head(story: Explanation, verdict: Verdict, name: str) -> Iterator[str]:
     heading = story.heading
     began = int(heading["begin_ns"])
     when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
     yield f"<header>\n<h1>{escape(name)}</h1>\n"
-    yield f'<p class="verdict {"good" if story.clean else "bad"}">{escape(verdict(story))}</p>\n'
+    yield f'<p class="verdict {"good" if verdict.ok else "bad"}">{escape(verdict.line())}</p>\n'
     yield (
         f"<p>{heading['seconds']:.1f} s, {heading['frames']} frames on {escape(str(heading['channel']))}{when};"
         f" interface revision {escape(heading['revision'])} ({escape(heading['revision_reason'])});"
@@ -103,12 +109,35 @@ def _head(story: Explanation, name: str) -> Iterator[str]:
     yield "</header>\n"
 
 
+def _findings(verdict: Verdict) -> Iterator[str]:
+    """What check says of the log; incidents have articles of their own."""
+    kinds = {kind.slug for kind in IncidentKind}
+    shown = [finding for finding in verdict.findings if finding.kind not in kinds]
+    if not shown:
+        return
+    yield '<section aria-labelledby="bus"><h2 id="bus">On the bus</h2>\n<ul class="notes">\n'
+    for finding in shown:
+        remedy = f" <b>What to do:</b> {escape(finding.remedy)}." if finding.remedy else ""
+        yield f"<li><b>{finding.severity.value}</b>: {escape(verdict.moment(finding) + finding.text)}.{remedy}</li>\n"
+    yield "</ul></section>\n"
+
+
 def _incidents(story: Explanation) -> Iterator[str]:
     if not story.incidents:
         return
     yield '<section aria-labelledby="why"><h2 id="why">What happened, and why</h2>\n'
     for incident in story.incidents:
         yield from _incident(story, incident)
+    yield "</section>\n"
+
+
+def _summary(record: Record) -> Iterator[str]:
+    way = way_of(record)
+    yield '<section aria-labelledby="run"><h2 id="run">The run</h2>\n<dl>'
+    yield "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in figures(record, way)) + "</dl>\n"
+    picture = drawing(way)
+    if picture:
+        yield f"<figure><figcaption>The way driven, by wheels and steering</figcaption>{picture}</figure>\n"
     yield "</section>\n"
 
 
@@ -123,8 +152,8 @@ def _incident(story: Explanation, incident: Incident) -> Iterator[str]:
     yield f"<p><b>What to do:</b> {escape(first.cause.remedy)}.</p>\n"
     if first.sureness < Sureness.SHOWN:
         yield f"<p>How sure: this {escape(first.sureness.words)}; the log does not prove it.</p>\n"
-    if first.cause.record:
-        yield f"<p>To know more, record next time: {escape(first.cause.record)}.</p>\n"
+    if record := story.to_record(first.cause):
+        yield f"<p>To know more, record next time: {escape(record)}.</p>\n"
     others = incident.candidates[1 : 1 + _ALSO]
     if others:
         yield "<p>Also:</p><ul>"
@@ -194,8 +223,7 @@ def _events(story: Explanation) -> Iterator[str]:
 # ---------------------------------------------------------------- figures
 
 
-def _figures(record: Record) -> Iterator[str]:
-    bus = measure(record.frames, record.decoder, revision=record.revision.name)[0]
+def _figures(bus: BusStatistics) -> Iterator[str]:
     yield '<section aria-labelledby="figures"><h2 id="figures">Figures</h2>\n'
     yield from _bus(bus)
     titles = ("id", "message", "frames", "expected ms", "mean ms", "p99 ms", "max ms", "gaps", "load %")

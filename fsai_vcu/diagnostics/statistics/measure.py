@@ -31,8 +31,6 @@ LOAD_WINDOW_NS: Final = 100 * MS
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
 _PERIOD_TOLERANCE = 0.1
 _ENOUGH_INTERVALS = 20
-# Three frames within so many periods are of two senders: one alone keeps 8 ms between the AI computer's cycles.
-_CLOSE_PERIODS = 1.5
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
 _HIGH_LOAD = 0.7
 _FROZEN_COUNTS_NS = S
@@ -63,7 +61,6 @@ class MessageStatistics:
 
     jitter: by how much intervals miss the expected period (the median, where none is expected). gaps: intervals in
     which at least one frame is missing. frozen_ms: the longest time for which the payload stayed the same.
-    close: how often three frames came within one and a half periods, as from two senders.
     """
 
     can_id: int
@@ -85,7 +82,6 @@ class MessageStatistics:
     longest_gap_at_s: float | None
     frozen_ms: float
     payloads: int
-    close: int
     bits: int
     load: float
 
@@ -217,8 +213,9 @@ def measure(
 def _measure_channel(
     frames: Frames, channel: str, decoder: Decoder, revision: str | None, bitrate: int
 ) -> BusStatistics:
-    backwards = int((np.diff(frames.t_ns) < 0).sum())
-    if backwards:
+    steps_ns = np.diff(frames.t_ns)
+    backwards = int((steps_ns < -MS).sum())  # less is two frames stamped on two processors
+    if (steps_ns < 0).any():
         frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
     duration_ns = int(frames.t_ns[-1] - frames.t_ns[0]) if len(frames) else 0
     bits = wire_bits(frames)
@@ -292,9 +289,6 @@ def _measure_message(
         lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
         wrong = dict(zip(lengths.tolist(), counts.tolist(), strict=True))
     longest = int(np.argmax(intervals)) if timed and len(intervals) else None
-    close = 0
-    if timed and len(t_ns) > 2:
-        close = int((intervals[:-1] + intervals[1:] < _CLOSE_PERIODS * typical_ns).sum())
     total_bits = int(bits[rows].sum())
     can_id = int(frames.can_id[rows[0]])
     return MessageStatistics(
@@ -317,7 +311,6 @@ def _measure_message(
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=1 + int(np.count_nonzero(np.diff(np.sort(word)))),
-        close=close,
         bits=total_bits,
         load=_share(total_bits, duration_ns, bitrate),
     )
@@ -424,15 +417,10 @@ def judge(bus: BusStatistics) -> list[BusFinding]:
     return sorted(found, key=lambda finding: finding.severity is not Severity.PROBLEM)
 
 
-def verdict(findings: list[BusFinding]) -> bool:
-    """Whether all is well."""
-    return not any(finding.severity is Severity.PROBLEM for finding in findings)
-
-
 def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
     problem, note = Severity.PROBLEM, Severity.NOTE
     if not bus.frames:
-        yield BusFinding(problem, "silent", f"nothing was heard on {bus.channel}")
+        yield BusFinding(problem, "silent", f"nothing was received on {bus.channel}")
         return
     if not bus.timed:
         yield BusFinding(note, "no-times", "no times to measure: the log has none, or is a single instant")
@@ -448,11 +436,11 @@ def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
         grave = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
         name = _name(layout.can_id, layout.name, layout.extended)
         if grave and own is not None and own.timeout_ns is not None:
-            yield BusFinding(problem, "missing", f"{name} was never heard", layout.can_id)
+            yield BusFinding(problem, "missing", f"{name} was never received", layout.can_id)
         else:
             absent.append(name)
     if absent:
-        yield BusFinding(note, "missing", f"never heard: {', '.join(absent)}")
+        yield BusFinding(note, "missing", f"never received: {', '.join(absent)}")
     if bus.peak_load > _HIGH_LOAD:
         yield BusFinding(
             note, "load", f"bus load {bus.load:.1%}, and {bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
@@ -473,10 +461,11 @@ def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
             )
         if handshake.stood_ms * MS >= COMMS_LOST_NS:
             yield BusFinding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
-    for signal, since_s, for_s in bus.frozen_counts:
-        yield BusFinding(
-            problem, "frozen", f"{signal} stood still for {for_s:.1f} s while its wheel turned", 0x526, since_s
-        )
+    if bus.frozen_counts:
+        names = ", ".join(name for name, _, _ in bus.frozen_counts)
+        _, since_s, for_s = max(bus.frozen_counts, key=lambda frozen: frozen[2])
+        text = f"{names} stood still for {for_s:.1f} s while its wheel turned"
+        yield BusFinding(problem, "frozen", text, 0x526, since_s)
 
 
 def _judge_message(message: MessageStatistics) -> Iterator[BusFinding]:
@@ -497,28 +486,6 @@ def _judge_message(message: MessageStatistics) -> Iterator[BusFinding]:
     is_ai = not message.extended and message.can_id in AI_IDS
     if message.remote and is_ai:
         yield BusFinding(problem, "intruder", f"{name}: {message.remote} remote frames", message.can_id)
-    if is_ai and 0 < message.sent < message.count:
-        yield BusFinding(
-            problem,
-            "intruder",
-            f"{name}: {message.count - message.sent} frames that this computer did not send, beside {message.sent} of"
-            " its own: somebody else sends on the AI computer's id",
-            message.can_id,
-        )
-    elif is_ai and message.close:
-        yield BusFinding(
-            problem,
-            "intruder",
-            f"{name}: frames came too close together {message.close} times, as from a second sender",
-            message.can_id,
-        )
-    elif message.close and message.expected_ms:
-        yield BusFinding(
-            note,
-            "bursts",
-            f"{name}: {message.close} times three within 1.5 periods: bursts, or two senders",
-            message.can_id,
-        )
     if not message.extended and message.sent and message.can_id in RESERVED_IDS:
         yield BusFinding(
             problem, "reserved", f"{name}: sent {message.sent} times by this computer, which must not", message.can_id
@@ -532,12 +499,11 @@ def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) 
         return
     supervised = own is None or own.timeout_ns is not None
     lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * message.expected_ms
-    at = f" at {message.longest_gap_at_s:.3f} s" if message.longest_gap_at_s is not None else ""
     if message.longest_gap_ms >= lost_ms:
         yield BusFinding(
             problem if supervised else note,
             "gap",
-            f"{name} was silent for {message.longest_gap_ms:.1f} ms{at}: {lost_ms:g} ms count as lost",
+            f"{name} was silent for {message.longest_gap_ms:.1f} ms: {lost_ms:g} ms count as lost",
             message.can_id,
             message.longest_gap_at_s,
         )
@@ -545,7 +511,7 @@ def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) 
         yield BusFinding(
             note,
             "gap",
-            f"{name}: frames missing {message.gaps} times, the longest gap {message.longest_gap_ms:.1f} ms{at}",
+            f"{name}: frames missing {message.gaps} times, the longest gap {message.longest_gap_ms:.1f} ms",
             message.can_id,
             message.longest_gap_at_s,
         )

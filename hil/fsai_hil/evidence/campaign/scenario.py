@@ -48,13 +48,15 @@ def power_up(case: Case, on_frame: Callable[[Frame], None] | None = None) -> Loc
 class Snapshots:
     """Runs that are already in AS_DRIVING, each driven there once and copied for every case."""
 
-    def __init__(self) -> None:
+    def __init__(self, new_log: Callable[[], Callable[[Frame], None]] | None = None) -> None:
+        """`new_log` makes what hears every frame of a run; it is copied with the run."""
+        self._new_log = new_log
         self._kept: OrderedDict[SnapshotKey, Lockstep] = OrderedDict()
 
     def rig(self, case: Case) -> Lockstep:
         leg_ms = case.leg_ms
         if leg_ms is None:
-            return power_up(case)
+            return self._power_up(case)
         key = (case.mission, case.revision, case.seed, case.kind.gps, leg_ms)
         if key not in self._kept:
             self._kept[key] = self._drive(case, leg_ms)
@@ -66,9 +68,12 @@ class Snapshots:
     def _drive(self, case: Case, leg_ms: int) -> Lockstep:
         key = (case.mission, case.revision, case.seed, case.kind.gps)
         earlier = [one for one in self._kept if one[:4] == key and one[4] < leg_ms]
-        rig = copy.deepcopy(self._kept[max(earlier, key=lambda one: one[4])]) if earlier else power_up(case)
+        rig = copy.deepcopy(self._kept[max(earlier, key=lambda one: one[4])]) if earlier else self._power_up(case)
         drive_to(rig, leg_ms)
         return rig
+
+    def _power_up(self, case: Case) -> Lockstep:
+        return power_up(case, None if self._new_log is None else self._new_log())
 
 
 def drive_to(rig: Lockstep, leg_ms: int, look: Callable[[Lockstep], None] | None = None) -> None:

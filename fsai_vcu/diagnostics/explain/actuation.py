@@ -1,0 +1,219 @@
+"""Does the car do what it is asked? Torque, steering, brakes and wheels of a drive, for any AI stack.
+
+Each check is a mask over the drive's cycles; one that holds for long enough is an incident with the cause's words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, Sureness, candidate
+from fsai_vcu.diagnostics.explain.link import ms
+from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
+from fsai_vcu.diagnostics.explain.signals import like_official_simulator
+from fsai_vcu.diagnostics.log.frames import Ints
+from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
+from fsai_vcu.interface.units import MS, S
+
+Mask = npt.NDArray[np.bool_]
+
+TORQUE_NM: Final = 20.0  # less is within what a motor's own estimate is off
+TORQUE_SHARE: Final = 0.3
+BRAKE_PCT: Final = 20.0
+BRAKE_SHARE: Final = 0.4
+STEER_DEG: Final = 4.0
+WHEEL_RPM: Final = 40.0
+WHEEL_SHARE: Final = 0.4  # above what the tightest turn makes of the inner wheel
+TORQUE_TIME_NS: Final = 300 * MS  # so long after a request at the latest the actuator has answered …
+BRAKE_TIME_NS: Final = 500 * MS
+STEER_TIME_NS: Final = 1500 * MS  # … lock to lock at 40 deg/s, and its dead time
+START_TIME_NS: Final = 2 * S
+FRESH_NS: Final = 50 * MS
+LASTING_NS: Final = 500 * MS
+BRAKE_LASTING_NS: Final = 200 * MS
+
+CAR_TORQUE: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
+CAR_TORQUE_MAX: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"))
+WHEEL_NAMES: Final = ("FL", "FR", "RL", "RR")
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """One thing that was not as asked, cycle by cycle."""
+
+    slug: str
+    signal: Signal
+    holds: Mask
+    words: Callable[[int], str]  # of a cycle's row
+    least_ns: int = LASTING_NS
+
+
+def mismatches(record: Record) -> list[Incident]:
+    """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
+    name = "official-simulator" if like_official_simulator(record) else record.revision.name
+    found: list[Incident] = []
+    for span in record.series(sig.AS_STATE).spans:
+        if span.value == sig.DRIVING:
+            times = record.times(0x513)
+            times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
+            if len(times) > STEER_TIME_NS // PERIOD_NS:
+                seen: dict[str, Incident] = {}  # an axle that does not do it is enough
+                for one in _all(record, CARS[name], times):
+                    fresh = replace(one, holds=one.holds & _fresh(record, one.signal, times))
+                    if (stretch := _longest(fresh, times)) is not None:
+                        seen.setdefault(one.slug, _incident(one, times, *stretch))
+                found += seen.values()
+    return found
+
+
+def _incident(one: Mismatch, times: Ints, begin: int, end: int) -> Incident:
+    lasted_ns = int(times[end] - times[begin])
+    words = f"{one.words((begin + end) // 2)}, for {ms(lasted_ns)}"
+    cause = candidate(one.slug, Sureness.SHOWN, [one.signal.step(int(times[begin]), words)])
+    return Incident(IncidentKind.MISMATCH, int(times[begin]), words, (cause,))
+
+
+def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
+    """Where the car has reported it all along lately: what is missing is not a wrong answer."""
+    received = record.times(signal.can_id)
+    newest = received[np.maximum(np.searchsorted(received, times, side="right") - 1, 0)]
+    late = (times - newest >= FRESH_NS).astype(np.float64)
+    fresh: Mask = highest(late, START_TIME_NS) == 0.0
+    return fresh
+
+
+def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
+    """Its longest stretch of rows, if that is long enough: one finding a drive, not a hundred."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], one.holds, [False])).astype(np.int8)))
+    stretches = [(int(begin), int(end) - 1) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+    longest = max(stretches, key=lambda rows: int(times[rows[1]] - times[rows[0]]), default=None)
+    return longest if longest is not None and times[longest[1]] - times[longest[0]] >= one.least_ns else None
+
+
+def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismatch]:
+    def column(signal: Signal) -> Values:
+        return sampled(record.series(signal), times)
+
+    wheels = np.stack([column(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")) for name in WHEEL_NAMES])
+    fastest = wheels.max(axis=0)
+    braked = np.maximum(column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)) > 0
+    pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
+    given_sum = np.zeros(len(times))
+    for axle, driven, asked_signal, limit_signal, given_signal, max_signal in zip(
+        ("front", "rear"),
+        (car.driven_front, car.driven_rear),
+        (sig.TORQUE_F, sig.TORQUE_R),
+        (sig.SPEED_MAX_F, sig.SPEED_MAX_R),
+        CAR_TORQUE,
+        CAR_TORQUE_MAX,
+        strict=True,
+    ):
+        if not driven or not len(record.series(given_signal)):
+            continue
+        asked, given = column(asked_signal), column(given_signal)
+        given_sum += given
+        free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
+        low = lowest(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
+        high = highest(asked, TORQUE_TIME_NS)
+        yield Mismatch(
+            "torque_not_given",
+            given_signal,
+            (low > TORQUE_NM) & (given < TORQUE_SHARE * low),
+            asked_and_given(f"{axle} torque", "Nm", asked, given),
+        )
+        yield Mismatch(
+            "torque_unasked",
+            given_signal,
+            given > high + TORQUE_NM,
+            asked_and_given(f"{axle} torque", "Nm", asked, given),
+        )
+    pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
+    yield Mismatch(
+        "no_motion",
+        sig.TORQUE_R,
+        (pushed > TORQUE_NM) & (highest(fastest, START_TIME_NS) < STANDING_RPM),
+        lambda row: f"{given_sum[row]:.0f} Nm are given, and no wheel turns",
+    )
+    for axle, asked_signal, given_signal in (
+        ("front", sig.BRAKE_REQ_F, sig.BRAKE_F),
+        ("rear", sig.BRAKE_REQ_R, sig.BRAKE_R),
+    ):
+        if not len(record.series(given_signal)):
+            continue
+        asked, given = column(asked_signal), column(given_signal)
+        low, high = lowest(asked, BRAKE_TIME_NS), highest(asked, 2 * BRAKE_TIME_NS)
+        yield Mismatch(
+            "brake_not_following",
+            given_signal,
+            (low > BRAKE_PCT) & (given < BRAKE_SHARE * low),
+            asked_and_given(f"{axle} brake", "%", asked, given),
+            least_ns=BRAKE_LASTING_NS,
+        )
+        yield Mismatch(
+            "brake_unasked",
+            given_signal,
+            given > 1.3 * high + BRAKE_PCT,
+            asked_and_given(f"{axle} brake", "%", asked, given),
+        )
+    if len(record.series(sig.ANGLE)):
+        asked, angle = column(sig.STEER), column(sig.ANGLE)
+        limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
+        within = np.clip(asked, -limit, limit)
+        low, high = lowest(within, STEER_TIME_NS), highest(within, STEER_TIME_NS)
+        off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
+        off[: STEER_TIME_NS // PERIOD_NS] = False
+        yield Mismatch(
+            "steering_not_following",
+            sig.ANGLE,
+            off,
+            asked_and_given("steering", "deg", asked, angle),
+        )
+    if len(record.series(Signal("VCU2AI_Speeds", "FL_WHEEL_SPEED"))):
+        for number, name in enumerate(WHEEL_NAMES):
+            others = np.sort(np.delete(wheels, number, axis=0), axis=0)
+            middle = others[1]
+            yield Mismatch(
+                "wheel_unlike",
+                Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED"),
+                (np.abs(wheels[number] - middle) > WHEEL_RPM + WHEEL_SHARE * middle)
+                & (others[2] - others[0] <= WHEEL_RPM + WHEEL_SHARE * middle),
+                compared(name, wheels[number], middle),
+            )
+
+
+def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:
+    return lambda row: f"{what}: {asked[row]:.1f} {unit} asked for, {given[row]:.1f} {unit} measured"
+
+
+def compared(wheel: str, speed: Values, others: Values) -> Callable[[int], str]:
+    return lambda row: f"{wheel} at {speed[row]:.0f} rpm, the others at {others[row]:.0f} rpm"
+
+
+def sampled(series: Series, times: Ints) -> Values:
+    """The newest value of a signal at each of `times`, its first one before; zeros where the log does not have it."""
+    if not len(series):
+        return np.zeros(len(times))
+    return series.values[np.maximum(np.searchsorted(series.t_ns, times, side="right") - 1, 0)]
+
+
+def lowest(values: Values, over_ns: int) -> Values:
+    """The lowest value of the last `over_ns`, of one value a cycle; before the beginning counts as nothing asked."""
+    low: Values = _window(values, over_ns).min(axis=1)
+    return low
+
+
+def highest(values: Values, over_ns: int) -> Values:
+    high: Values = _window(values, over_ns).max(axis=1)
+    return high
+
+
+def _window(values: Values, over_ns: int) -> Values:
+    width = over_ns // PERIOD_NS
+    return np.lib.stride_tricks.sliding_window_view(np.concatenate((np.zeros(width - 1), values)), width)

@@ -1,0 +1,162 @@
+"""Does a second sender use one of the AI computer's ids? Told by how many frames come and by what they say.
+
+Spacing alone proves nothing: a USB adapter hands frames over in batches, and a program that was held up sends two at
+once. What proves it: the log's own marks of direction, more frames in a second than one sender's period allows, or a
+frame between two others which says something else than both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, Ints, Mask
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import PERIOD_NS
+from fsai_vcu.interface.units import MS, S
+
+SHORT_NS: Final = 200 * MS
+LONG_NS: Final = 1 * S  # whoever catches up after a pause sends no more than its period allows in this time
+SHORT_EXCESS: Final = 1.5
+LONG_EXCESS: Final = 1.09
+AROUND: Final = 3  # frames before and after one that contradicts them
+EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender's would
+BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after another one: their stamps are not when they were sent
+REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
+APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
+TOGETHER_NS: Final = 500 * MS
+
+
+@dataclass(frozen=True, slots=True)
+class SecondSender:
+    """Frames on the AI computer's ids which one sender cannot all have sent."""
+
+    can_ids: tuple[int, ...]
+    begin_ns: int
+    end_ns: int
+    frames: int
+    proof: str
+    payloads: tuple[bytes, ...] = ()  # of the first contradiction: the frame before, and the one that contradicts it
+
+    @property
+    def words(self) -> str:
+        """What proves it, with the ids."""
+        ids = ", ".join(f"0x{can_id:03X}" for can_id in self.can_ids)
+        which = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
+        return f"{ids}: {self.proof}{which}"
+
+
+def second_senders(frames: Frames, handshake: int) -> list[SecondSender]:
+    """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards.
+
+    handshake: the echo's bit in the payload of 0x510; it follows the VCU, so it may well change and change back.
+    """
+    found = [one for can_id in AI_IDS for one in _of_id(frames, can_id, 0 if can_id != AI_IDS[0] else handshake)]
+    joined: list[SecondSender] = []
+    for one in sorted(found, key=lambda one: one.begin_ns):
+        last = joined[-1] if joined else None
+        if last is None or one.begin_ns - last.end_ns > TOGETHER_NS:
+            joined.append(one)
+            continue
+        joined[-1] = SecondSender(
+            tuple(sorted({*last.can_ids, *one.can_ids})),
+            last.begin_ns,
+            max(last.end_ns, one.end_ns),
+            last.frames + one.frames,
+            last.proof,
+            last.payloads or one.payloads,
+        )
+    return joined
+
+
+def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
+    rows = np.flatnonzero((frames.can_id == can_id) & ((frames.flags | RECEIVED | SENT) == RECEIVED | SENT))
+    if len(rows) < 2:
+        return []
+    flags = frames.flags[rows]
+    t_ns = frames.t_ns[rows]
+    if (flags & SENT).any() and (flags & RECEIVED).any():
+        ours = int(((flags & SENT) != 0).sum())
+        proof = f"received, not sent, by the computer that wrote this log, beside {ours} of its own"
+        return _stretches(frames, rows, (flags & RECEIVED) != 0, proof)
+    many = _too_many(t_ns)
+    if many.any():
+        begins = int(np.flatnonzero(many)[0])
+        upto = min(begins + round(LONG_NS / PERIOD_NS * SHORT_EXCESS), len(t_ns) - 1)
+        each_s = (upto - begins) / max((int(t_ns[upto]) - int(t_ns[begins])) / S, 1e-3)
+        return _stretches(frames, rows, many, f"{each_s:.0f} frames a second, and one sender sends {S // PERIOD_NS}")
+    proof = "a frame comes between two others and says something else than both"
+    return _stretches(frames, rows, _contradicting(frames, rows, ignored), proof, payloads=True)
+
+
+def _too_many(t_ns: Ints) -> Mask:
+    """Frames within the times in which more come than one sender's period allows, even if it catches up."""
+    index = np.arange(len(t_ns))
+    short = np.searchsorted(t_ns, t_ns + SHORT_NS) - index
+    middle = t_ns + SHORT_NS // 2
+    around = np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
+    hits = (short >= SHORT_EXCESS * SHORT_NS / PERIOD_NS) & (around >= LONG_EXCESS * LONG_NS / PERIOD_NS)
+    covered = np.zeros(len(t_ns) + 1, np.int64)
+    np.add.at(covered, index[hits], 1)
+    np.add.at(covered, (index + short)[hits], -1)
+    within: Mask = np.cumsum(covered[:-1]) > 0
+    return within
+
+
+def _contradicting(frames: Frames, rows: Ints, ignored: int) -> Mask:
+    """Frames that are far from both neighbours while these agree, and for which there was no room."""
+    t_ns, count = frames.t_ns[rows], len(rows)
+    hits = np.zeros(count, np.bool_)
+    if count < 2 * AROUND + 1:
+        return hits
+    words = frames.word[rows] & ~np.uint64(ignored)
+    data = words.astype("<u8", copy=False).view(np.uint8).reshape(-1, 8).astype(np.int64)
+    if ignored:  # flags and counters of 0x510, not quantities
+        said = data * APART
+    elif frames.can_id[rows[0]] == AI_IDS[-1]:  # two bytes of pressure; the others are numbers of 16 bits
+        said = data
+    else:
+        said = (data[:, 0::2] + (data[:, 1::2] << 8) + 0x8000) % 0x10000 - 0x8000
+    before = np.abs(said[1:-1] - said[:-2]).max(axis=1)
+    after = np.abs(said[2:] - said[1:-1]).max(axis=1)
+    across = np.abs(said[2:] - said[:-2]).max(axis=1)
+    hits[1:-1] = np.minimum(before, after) > 3 * across + APART - 1
+    if (np.diff(t_ns) < MS).mean() > BATCHED_SHARE:
+        places = np.flatnonzero(hits)
+        near = [(np.abs(t_ns[places] - t_ns[place]) < LONG_NS).sum() for place in places]
+        alone = np.array(near, np.int64) < REPEATED
+        hits[places[alone]] = False
+        return hits
+    for around in (AROUND, round(LONG_NS / PERIOD_NS) // 2):  # one too many here, and not made up for by a pause
+        low, high = np.maximum(np.arange(count) - around, 0), np.minimum(np.arange(count) + around, count - 1)
+        hits &= (high - low) * PERIOD_NS - (t_ns[high] - t_ns[low]) >= EXTRA_NS
+    return hits
+
+
+def _stretches(
+    frames: Frames,
+    rows: Ints,
+    hits: Mask,
+    proof: str,
+    *,
+    payloads: bool = False,
+) -> list[SecondSender]:
+    places = np.flatnonzero(hits)
+    if not len(places):
+        return []
+    t_ns = frames.t_ns[rows]
+    cuts = np.flatnonzero(np.diff(t_ns[places]) > TOGETHER_NS) + 1
+    can_id = int(frames.can_id[rows[0]])
+    return [
+        SecondSender(
+            (can_id,),
+            int(t_ns[part[0]]),
+            int(t_ns[part[-1]]),
+            len(part),
+            proof,
+            tuple(frames.payload(int(rows[place])) for place in (part[0] - 1, part[0])) if payloads else (),
+        )
+        for part in np.split(places, cuts)
+    ]

@@ -1,0 +1,207 @@
+"""One judgement of a log, shared by check, stats, explain and report: its findings, and the exit status they give.
+
+verdict = judge_log(record, story, buses)     # explain.record_for, explain.story_of, statistics.measure
+verdict.findings                              # the gravest first, each with its moment and what to do
+verdict.status, verdict.line()                # 0 only where everything is known and nothing is wrong
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from fsai_vcu.diagnostics.decode.revision import told_revision
+from fsai_vcu.diagnostics.explain import Explanation, Incident
+from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.render import EPOCH_NS
+from fsai_vcu.diagnostics.explain.signals import STATUS
+from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, Severity, judge
+from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.units import MS, S
+
+AT_ONCE_NS: Final = 30 * MS  # gaps that begin within this time are one pause
+MANY: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that a person should know. A problem makes the verdict bad. `t_ns` None: it is about the whole log."""
+
+    severity: Severity
+    kind: str
+    text: str
+    t_ns: int | None = None
+    remedy: str = ""
+    can_ids: tuple[int, ...] = ()
+    channel: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """`unknown`: what could not be judged, and why; where there is such a thing nothing is called OK."""
+
+    begin_ns: int
+    findings: tuple[Finding, ...]
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def problems(self) -> int:
+        return sum(finding.severity is Severity.PROBLEM for finding in self.findings)
+
+    @property
+    def ok(self) -> bool:
+        return not self.problems and not self.unknown
+
+    @property
+    def status(self) -> int:
+        """The exit status of every verb that judges a log."""
+        return 0 if self.ok else 1
+
+    def between(self, from_s: float | None, to_s: float | None) -> Verdict:
+        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays."""
+        low, high = -math.inf if from_s is None else from_s, math.inf if to_s is None else to_s
+        inside = (f for f in self.findings if f.t_ns is None or low <= (f.t_ns - self.begin_ns) / S <= high)
+        return replace(self, findings=tuple(inside))
+
+    def line(self) -> str:
+        """In one line, without findings."""
+        notes = len(self.findings) - self.problems
+        end = f" ({notes} note{'s' * (notes > 1)})" if notes else ""
+        if self.problems:
+            return f"NOT OK: {self.problems} problem{'s' * (self.problems > 1)}{end}"
+        if self.unknown:
+            return f"UNKNOWN: {self.unknown[0]}{end}"
+        return f"OK{end}"
+
+    def lines(self) -> Iterator[str]:
+        """Each finding as people read it, and what to do about it."""
+        yield from (f"unknown: {why}" for why in self.unknown)
+        for finding in self.findings:
+            yield f"{finding.severity.value}: {self.moment(finding)}{finding.text}"
+            if finding.remedy:
+                yield f"    what to do: {finding.remedy}."
+
+    def moment(self, finding: Finding) -> str:
+        """When: seconds since the log's first frame, and the time of day where the log has one."""
+        if finding.t_ns is None:
+            return ""
+        clock = f" ({datetime.fromtimestamp(finding.t_ns / S, UTC):%H:%M:%S} UTC)" if self.begin_ns > EPOCH_NS else ""
+        return f"at {(finding.t_ns - self.begin_ns) / S:.3f} s{clock}: "
+
+    def as_dicts(self) -> Iterator[dict[str, Any]]:
+        """The findings, then the verdict, for JSON."""
+        for finding in self.findings:
+            yield {
+                "type": "finding",
+                "severity": finding.severity.value,
+                "kind": finding.kind,
+                "text": finding.text,
+                "t_s": None if finding.t_ns is None else round((finding.t_ns - self.begin_ns) / S, 6),
+                "t_ns": finding.t_ns,
+                "remedy": finding.remedy or None,
+                "ids": list(finding.can_ids),
+                "channel": finding.channel,
+            }
+        word = "ok" if self.ok else "not ok" if self.problems else "unknown"
+        notes = len(self.findings) - self.problems
+        yield {
+            "type": "verdict",
+            "verdict": word,
+            "problems": self.problems,
+            "notes": notes,
+            "unknown": list(self.unknown),
+            "words": self.line(),
+        }
+
+
+def judge_log(record: Record, story: Explanation, buses: Sequence[BusStatistics]) -> Verdict:
+    """Everything that is to be said of a log. `buses`: the figures of each of its channels."""
+    findings = [_of_incident(incident) for incident in story.incidents if not incident.planned]
+    findings += _second_senders(record)
+    unknown = tuple(_unknown(record))
+    shared = {can_id for other in record.second_senders for can_id in other.can_ids}
+    absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
+    for bus in buses:
+        findings += [
+            finding
+            for finding in _of_bus(bus, record.begin_ns)
+            # What follows from a second sender, or is said as what is unknown, is not said again.
+            if not (finding.kind == "period" and shared.issuperset(finding.can_ids))
+            and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
+        ]
+    findings.sort(key=lambda finding: (finding.severity is not Severity.PROBLEM, finding.t_ns or 0))
+    return Verdict(record.begin_ns, tuple(findings), unknown)
+
+
+def _of_incident(incident: Incident) -> Finding:
+    first = incident.candidates[0]
+    return Finding(
+        Severity.PROBLEM,
+        incident.kind.slug,
+        f"{incident.what}, because {first.cause.words}",
+        incident.t_ns,
+        first.cause.remedy,
+        tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),
+    )
+
+
+def _second_senders(record: Record) -> Iterator[Finding]:
+    for other in record.second_senders:
+        text = f"somebody else sends on the AI computer's ids: {other.words}"
+        remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
+        yield Finding(Severity.PROBLEM, "intruder", text, other.begin_ns, remedy, other.can_ids, record.channel)
+
+
+def _of_bus(bus: BusStatistics, begin_ns: int) -> Iterator[Finding]:
+    """A channel's findings; the pauses of several messages at one moment are one."""
+    pauses: list[list[BusFinding]] = []
+    for finding in judge(bus):
+        if finding.kind == "gap" and finding.t_s is not None:
+            together = next((p for p in pauses if abs((p[0].t_s or 0.0) - finding.t_s) * S <= AT_ONCE_NS), None)
+            if together is None:
+                pauses.append([finding])
+            else:
+                together.append(finding)
+            continue
+        t_ns = None if finding.t_s is None else round(finding.t_s * S)
+        one = () if finding.can_id is None else (finding.can_id,)
+        yield Finding(finding.severity, finding.kind, finding.text, t_ns, "", one, bus.channel)
+    gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
+    for pause in pauses:
+        ids = tuple(sorted(finding.can_id for finding in pause if finding.can_id is not None))
+        severity = min((finding.severity for finding in pause), key=lambda s: s is not Severity.PROBLEM)
+        text = pause[0].text
+        if len(pause) >= MANY:
+            longest_ms = max(gaps[can_id] for can_id in ids)
+            text = f"a pause of {longest_ms:.0f} ms of {_whose(ids, len(bus.messages))}"
+        yield Finding(severity, "gap", text, round((pause[0].t_s or 0.0) * S), "", ids, bus.channel)
+
+
+def _whose(ids: tuple[int, ...], messages: int) -> str:
+    if len(ids) == messages:
+        return f"all {messages} messages: the bus was dead, or the recording paused"
+    if set(ids) == set(AI_IDS):
+        return "the AI computer's five messages"
+    if set(ids) <= set(VCU_IDS) and STATUS in ids:
+        return f"{len(ids)} of the VCU's messages"
+    if len(ids) > messages // 2:
+        return f"{len(ids)} of {messages} messages"
+    return f"{len(ids)} messages ({', '.join(f'0x{can_id:03X}' for can_id in ids)})"
+
+
+def _unknown(record: Record) -> Iterator[str]:
+    """Why this log cannot be called well even if nothing in it is wrong."""
+    if STATUS in record.unknown_ids:
+        yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
+    elif not record.has(STATUS):
+        yield "no 0x520 in the log, so the car's state is not known: is this the car's bus, and was the car on?"
+    elif not record.ai_speaks:
+        yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
+    told = told_revision(record.frames)
+    if told is not None and told[0].name != record.revision.name:
+        yield (
+            f"the frames are of interface revision {told[0].name} ({told[1]}), and were read as {record.revision.name}"
+        )

@@ -1,0 +1,175 @@
+"""Does the explanation of a log name what was really wrong? Runs of the fault campaign, explained from their frames.
+
+    python -m fsai_hil.evidence.explanations     # a log of each kind of fault, and the score: status 0 from 95 % on
+
+What is expected follows from the run itself: the bridge's own reason, or why the simulated VCU changed its state.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+from fsai_hil.evidence.campaign.cases import Case, Selection, case_of
+from fsai_hil.evidence.campaign.demands import End
+from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
+from fsai_vcu.core.supervision.reasons import Reason
+from fsai_vcu.diagnostics.explain import IncidentKind, record_for, story_of
+from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.statistics.measure import measure
+from fsai_vcu.diagnostics.verdict import judge_log
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS
+
+RIGHT_SHARE: Final = 0.95
+LOOK_NS: Final = 10 * MS
+NOTHING: Final = frozenset({""})
+SILENT_STOP: Final = frozenset({"", Reason.COMMAND_STALE.slug, "stop_asked"})  # what the bus cannot tell
+LINK: Final = frozenset(
+    {"ai_unheard", "ai_silent", "ai_message_missing", "ai_message_length", "handshake_lost", "vcu_hung"}
+)
+VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
+    "Go off": frozenset({"go_off"}),
+    "ASMS off": frozenset({"asms_off"}),
+    "the EBS is not available any more": frozenset({"tsms_off", "ebs_fault"}),
+    "shutdown circuit open": frozenset({"sdc_open", "remote_estop", "radio_lost", "go_off"}),
+    "the AI computer's messages or echo are missing": LINK,
+    "BMS fault": frozenset({"bms"}),
+    "EBS fault": frozenset({"ebs_fault"}),
+    "high-voltage interlock open": frozenset({"hvil_open"}),
+    "LVMS off": frozenset({"vcu_reboot", "power_off"}),
+}
+ON_THE_BUS: Final = frozenset(
+    {
+        *(Reason.INTRUDER, Reason.VCU_SILENT, Reason.WHEELS_STALE, Reason.STEERING_STALE, Reason.STEERING_IMPLAUSIBLE),
+        *(Reason.WHEEL_IMPLAUSIBLE, Reason.STOP_INEFFECTIVE, Reason.GO_OFF, Reason.FAULT_STATUS, Reason.AS_SWITCH_OFF),
+        *(Reason.TS_SWITCH_OFF, Reason.SHUTDOWN_REQUESTED, Reason.FAULT_BIT, Reason.SHUTDOWN_CAUSE, Reason.NO_MISSION),
+        *(Reason.SEQUENCE_SHORT, Reason.AS_STATE_UNKNOWN, Reason.LOOP_FAULT, Reason.BUS_LOST, Reason.VCU_REBOOT),
+    }
+)
+# To those who see the frames only, these look alike.
+ALIKE: Final[Mapping[Reason, frozenset[str]]] = {
+    Reason.LOOP_FAULT: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent"}),
+    Reason.BUS_LOST: frozenset({Reason.LOOP_FAULT.slug, Reason.BUS_LOST.slug, "ai_silent", "stop_asked"}),
+    Reason.NOT_SEEN: frozenset({Reason.NOT_SEEN.slug, "frames_wrong", "stop_asked", "ai_silent"}),
+}
+
+
+class _Log(list[Frame]):
+    """The frames of a run. Copied with its snapshot, frames are shared."""
+
+    def __call__(self, frame: Frame) -> None:
+        self.append(frame)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Log:
+        return _Log(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """One log. `named`: the first cause of each incident; `expected`: what may be named first, "" for nothing."""
+
+    case: Case
+    expected: frozenset[str]
+    named: tuple[str, ...]
+    others: tuple[str, ...]
+    ok: bool
+
+    @property
+    def grade(self) -> str:
+        if self.expected.intersection(self.named or ("",)):
+            return "right"
+        return "partly" if self.expected.intersection(self.others) else "wrong"
+
+    @property
+    def falsely_green(self) -> bool:
+        return self.ok and "" not in self.expected
+
+
+def explained(case: Case, snapshots: Snapshots) -> Explained:
+    """Drive a case and explain its log."""
+    rig = snapshots.rig(case)
+    scenario = Scenario(case, rig)
+    reasons: dict[str, str] = {}
+    while not scenario.over:
+        scenario.step()
+        if scenario.fault_ns is not None and rig.now_ns % LOOK_NS == 0 and rig.computer.bridge_running:
+            report = rig.computer.report()
+            for name, reason in (("stopping", report.stopping), ("emergency", report.emergency)):
+                if reason is not None:
+                    reasons.setdefault(name, str(reason))
+    end, fault_ns = scenario.verdict().end, scenario.fault_ns
+    why = [t.why for t in rig.world.vcu.transitions if fault_ns is not None and t.t_ns >= fault_ns]
+    assert isinstance(rig.on_frame, _Log)
+    frames = frames_of(
+        LogFrame(f.t_ns, "vcan0", f.can_id, f.data, extended=f.extended, remote=f.remote, error=f.error)
+        for f in rig.on_frame
+    )
+    record = record_for(frames)
+    story = story_of(record)
+    verdict = judge_log(record, story, measure(frames, record.decoder, revision=record.revision.name))
+    incidents = [i for i in story.incidents if not i.planned and i.kind is not IncidentKind.MISMATCH]
+    named = tuple(incident.candidates[0].slug for incident in incidents)
+    others = tuple(one.slug for incident in incidents for one in incident.candidates[1:])
+    return Explained(case, _expected(end, reasons, why), named, others, verdict.ok)
+
+
+def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset[str]:
+    """The causes that are right for a run that ended so."""
+    if end in (End.ON, End.HELD):
+        # What shows for a moment and changes nothing may be named or not.
+        return NOTHING | {Reason.AS_STATE_UNKNOWN.slug, "frames_wrong"}
+    if end in (End.SELF, End.OFF):
+        return frozenset().union(*(VCU_WHY.get(each, frozenset()) for each in why))
+    words = reasons.get("emergency" if end is End.ESTOP else "stopping", "")
+    reason = next((reason for reason in Reason if words.startswith(reason.words)), None)
+    if reason is None or (reason not in ON_THE_BUS and reason not in ALIKE):
+        return frozenset({"not_on_the_bus", "planned_end"}) if end is End.ESTOP else SILENT_STOP
+    return ALIKE.get(reason, frozenset({reason.slug}))
+
+
+_snapshots: Snapshots | None = None
+
+
+def _worker(seed: int, index: int) -> Explained:
+    global _snapshots
+    _snapshots = _snapshots or Snapshots(_Log)
+    return explained(case_of(seed, index, Selection()), _snapshots)
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m fsai_hil.evidence.explanations", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
+    parser.add_argument("--logs", type=int, metavar="N", help="so many logs (default: one of each kind of fault)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    args = parser.parse_args(argv)
+    count = args.logs or len(Selection().kinds())
+    every = max(1, len(Selection().kinds()) // count) if args.logs else 1
+    numbers = [index * every for index in range(count)]
+    found: list[Explained] = []
+    with ProcessPoolExecutor(args.jobs) as pool:
+        for one in pool.map(partial(_worker, args.seed), numbers):
+            found.append(one)
+            if one.grade != "right" or one.falsely_green:
+                green = ", and check called it OK" if one.falsely_green else ""
+                named = ", ".join(one.named) or "nothing"
+                print(f"{one.grade}: {named}, expected {' or '.join(sorted(one.expected)) or 'nothing'}{green}")
+                print(f"    {one.case.replay}")
+            print(f"{len(found)} of {count} logs", end="\r", file=sys.stderr, flush=True)
+    grades = {grade: sum(one.grade == grade for one in found) for grade in ("right", "partly", "wrong")}
+    green = sum(one.falsely_green for one in found)
+    share = grades["right"] / len(found)
+    print(
+        f"{len(found)} logs: {', '.join(f'{n} {grade}' for grade, n in grades.items())} ({share:.1%} right);", end=" "
+    )
+    print(f"{green} called OK that are not")
+    return 0 if share >= RIGHT_SHARE and not green else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
