@@ -139,7 +139,7 @@ def test_the_readme_has_each_topics_quality_of_service() -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_each_parameter_has_a_description_range_and_place_in_readme(name: str) -> None:
+def test_each_parameter_has_description_range_and_readme_place(name: str) -> None:
     for setting in MODULES[name][0].SETTINGS:
         assert f"`{setting.name}`" in README, f"{name}: {setting.name}"
         descriptor = setting.descriptor()
