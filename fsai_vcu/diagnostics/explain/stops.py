@@ -71,10 +71,11 @@ def _without_a_stop(record: Record, span: Span) -> list[Incident]:
     candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
     inspected = record.series(sig.AMI).at(span.end_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
     long = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
-    if wheels.max() < STANDING_RPM and not inspected and (finished or long):
+    if wheels.max() < STANDING_RPM and (finished or long):
         candidates += _start_was_wrong(record, span)
-        step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
-        candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
+        if not inspected:
+            step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
+            candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
     if not candidates:
         return []
     what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
