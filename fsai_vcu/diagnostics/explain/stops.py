@@ -50,8 +50,9 @@ def early_stops(record: Record) -> list[Incident]:
             found += _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
-        # Slow, or on stands, a mission that is done stops like this too: then only what the bus shows is a cause.
-        slow = (record.fastest_wheel().at(began_ns) or 0) < FAST_RPM
+        # Slow after a drive, or on stands, a mission that is done stops like this: then only what the bus shows counts.
+        wheels = record.fastest_wheel().between(span.begin_ns, began_ns).values
+        slow = len(wheels) and wheels[-1] < FAST_RPM <= wheels.max()
         on_stands = record.series(sig.AMI).at(began_ns) == Ami.STATIC_INSPECTION_A
         shown = any(one.slug not in NOT_SHOWN for one in stop.candidates)
         if shown or not (slow or on_stands):
