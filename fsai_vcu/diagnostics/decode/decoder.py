@@ -169,6 +169,8 @@ def _values_of(signal: SignalLayout, raw: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def raw_of(signal: SignalLayout, words: Words) -> Numbers:
+    if signal.big_endian:
+        words = words.byteswap()
     above = np.uint64(64 - signal.start - signal.length)
     if signal.is_float:
         kind = "<u4" if signal.length == 32 else "<u8"

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 
-_FORMAT: Final = 1  # counts up when what is remembered, or how it is made of a file, changes
+_FORMAT: Final = 2  # counts up when what is remembered, or how it is made of a file, changes
 
 
 def digest(paths: Sequence[Path]) -> str:

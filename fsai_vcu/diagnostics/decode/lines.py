@@ -85,7 +85,8 @@ class LineWriter:
         parts: list[Part] = []
         for before, signal in zip(text.before, text.signals, strict=True):
             table = self._tables.get(signal.kind) or self._tables.setdefault(signal.kind, _Texts(signal))
-            values = table.of(words >> np.uint64(signal.layout.start))
+            ordered = words.byteswap() if signal.layout.big_endian else words
+            values = table.of(ordered >> np.uint64(signal.layout.start))
             parts += before.encode(), values
         return matrix_of([*parts, text.end.encode()], len(words))
 
@@ -109,7 +110,7 @@ class _Texts:
 
     def __init__(self, signal: SignalText) -> None:
         self._signal = signal
-        self._layout = signal.layout._replace(start=0)
+        self._layout = signal.layout._replace(start=0, big_endian=False)
         self._lock = Lock()
         values = 1 << self._layout.length if self._layout.length <= _TABLE_BITS else 0
         self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
