@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
-from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.export.tables import (
     DTYPES,
     Column,
@@ -40,20 +39,16 @@ def raster_ns(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """One message of one bus. rows: its frames in order of time."""
+    """One message of one bus, in order of time. columns: its signals' and its age's."""
 
-    layout: MessageLayout
-    rows: Ints
-    t_ns: Ints
+    decoded: MessageTable
     columns: tuple[Column, ...]
-    whole: MessageTable | None  # of a message that is not plain: signals may come in turns, so all frames count
 
 
 class WideTable:
     """Iterated once: its rows, some ten thousand at a time."""
 
     def __init__(self, decoder: Decoder, frames: Frames, step_ns: int, left_out: LeftOut) -> None:
-        self._decoder = decoder
         self._step_ns = step_ns
         self.backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))
         """By how much time once went back in the log. The rows are in order of time all the same."""
@@ -67,14 +62,15 @@ class WideTable:
             if layout is None:
                 left_out.unknown += len(rows)
                 continue
-            right = frames.length[rows] == layout.length
-            left_out.wrong_length += int((~right).sum())
-            rows = rows[right]
             for bus in buses:
                 ours = rows[frames.channel[rows] == list(frames.channels).index(bus)]
-                if len(ours):
+                decoded = decoder.table(layout, frames, ours)
+                left_out.wrong_length += len(decoded.wrong_length)
+                if len(decoded.rows):
                     name = f"{bus}.{layout.name}" if len(buses) > 1 else layout.name
-                    self._sources.append(self._source(layout, name, ours))
+                    columns = [column_of(signal, optional=True, prefix=f"{name}.") for signal in layout.signals]
+                    age = Column(f"{name}.age", "s", "float64", optional=True)
+                    self._sources.append(_Source(decoded, (*columns, age)))
         self.table = Table(
             "wide",
             tuple(column for source in self._sources for column in source.columns),
@@ -83,12 +79,6 @@ class WideTable:
         self.silences = 0
         self._spans = list(self._found_spans())
         self.rows = sum(last - first + 1 for first, last in self._spans)
-
-    def _source(self, layout: MessageLayout, name: str, rows: Ints) -> _Source:
-        columns = tuple(column_of(signal, optional=True, prefix=f"{name}.") for signal in layout.signals)
-        age = Column(f"{name}.age", "s", "float64", optional=True)
-        whole = None if layout.plain else self._decoder.table(layout, self._frames, rows)
-        return _Source(layout, rows, self._frames.t_ns[rows], (*columns, age), whole)
 
     def _found_spans(self) -> Iterator[tuple[int, int]]:
         """(first, last) instant of each span without a long silence, as multiples of the raster."""
@@ -109,31 +99,26 @@ class WideTable:
         for first, last in self._spans:
             for begin in range(first, last + 1, _AT_ONCE):
                 instants = np.arange(begin, min(begin + _AT_ONCE, last + 1), dtype=np.int64) * self._step_ns
-                values = [each for source in self._sources for each in self._values(source, instants)]
+                values = [each for source in self._sources for each in _values(source, instants)]
                 yield Rows(self.table, instants, values)
 
-    def _values(self, source: _Source, instants: Ints) -> Iterator[Values]:
-        newest = np.searchsorted(source.t_ns, instants, side="right") - 1
-        known = newest >= 0
-        if source.whole is not None:
-            yield from self._held_one_by_one(source, source.whole, instants)
-        else:
-            # Only the frames that are somebody's last are taken apart.
-            distinct, where = np.unique(np.maximum(newest, 0), return_inverse=True)
-            decoded = self._decoder.table(source.layout, self._frames, source.rows[distinct])
-            for signal, column in zip(source.layout.signals, source.columns, strict=False):
-                numbers = decoded.series[signal.name].values.astype(DTYPES[column.kind], copy=False)
-                yield _held(numbers[where], known)
-        yield _held((instants - source.t_ns[np.maximum(newest, 0)]) / 1e9, known)
 
-    def _held_one_by_one(self, source: _Source, whole: MessageTable, instants: Ints) -> Iterator[Values]:
-        for signal, column in zip(source.layout.signals, source.columns, strict=False):
-            series = whole.series[signal.name]
-            newest = np.searchsorted(series.t_ns, instants, side="right") - 1
-            numbers = np.zeros(len(instants), DTYPES[column.kind])
-            known = newest >= 0
-            numbers[known] = series.values[newest[known]]
-            yield _held(numbers, known)
+def _values(source: _Source, instants: Ints) -> Iterator[Values]:
+    """Of each signal the last value it had, for not every frame need have all; and the age of the last frame."""
+    decoded = source.decoded
+    newest: Ints = np.zeros(0, np.int64)
+    times: Ints | None = None
+    for signal, column in zip(decoded.layout.signals, source.columns, strict=False):
+        series = decoded.series[signal.name]
+        if times is not series.t_ns:  # signals that are in every frame share their times
+            times = series.t_ns
+            newest = np.searchsorted(times, instants, side="right") - 1
+        known = newest >= 0
+        numbers = np.zeros(len(instants), DTYPES[column.kind])
+        numbers[known] = series.values[newest[known]]
+        yield _held(numbers, known)
+    newest = np.searchsorted(decoded.t_ns, instants, side="right") - 1
+    yield _held((instants - decoded.t_ns[np.maximum(newest, 0)]) / 1e9, newest >= 0)
 
 
 def _held(numbers: Numbers, known: Mask) -> Values:
