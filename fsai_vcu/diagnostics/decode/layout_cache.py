@@ -56,5 +56,7 @@ def _file(key: str) -> Path:
 
 def _layout(*entry: Any) -> MessageLayout:
     *head, senders, signals, plain = entry
-    read = (SignalLayout._make([*rest, {int(raw): word for raw, word in choices.items()}]) for *rest, choices in signals)
+    read = (
+        SignalLayout._make([*rest, {int(raw): word for raw, word in choices.items()}]) for *rest, choices in signals
+    )
     return MessageLayout._make([*head, tuple(senders), tuple(read), plain])

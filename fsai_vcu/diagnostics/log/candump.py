@@ -233,16 +233,17 @@ def _taken(table: npt.NDArray[np.bytes_], index: npt.NDArray[np.integer]) -> Cha
 def time_text(t_ns: Ints, width: int = 1) -> Characters:
     """Seconds with six decimals as candump writes them, at least `width` digits before the point; NUL in front."""
     count = len(t_ns)
-    seconds, below = np.divmod(t_ns, 1_000_000_000)
-    micros = below.astype(np.uint32) // np.uint32(1000)
+    seconds = t_ns // 1_000_000_000  # dividing is quick, the remainder is not
+    micros = (t_ns - seconds * 1_000_000_000).astype(np.uint32) // np.uint32(1000)
+    millis = micros // np.uint32(1000)
     distinct = np.flatnonzero(np.diff(seconds, prepend=-1))  # in a log a second lasts for many frames
     texts = np.array([f"{second:0{width}d}.".rjust(12, "\0").encode() for second in seconds[distinct].tolist()], "S12")
     wide = max((len(text.lstrip(b"\0")) for text in texts.tolist()), default=width + 1)
     out = np.empty((count, wide + 6), np.uint8)
     table = np.ascontiguousarray(texts.view(np.uint8).reshape(-1, 12)[:, 12 - wide :])
     out[:, :wide] = np.repeat(table, np.diff(distinct, append=count), axis=0)
-    out[:, wide : wide + 3] = _taken(_THREE, micros // np.uint32(1000))
-    out[:, wide + 3 :] = _taken(_THREE, micros % np.uint32(1000))
+    out[:, wide : wide + 3] = _taken(_THREE, millis)
+    out[:, wide + 3 :] = _taken(_THREE, micros - millis * np.uint32(1000))
     return out
 
 
