@@ -116,7 +116,7 @@ def test_a_silence_of_the_timeout_is_a_loss_a_shorter_one_a_note() -> None:
 
 def test_a_message_that_never_comes_is_missed() -> None:
     found = only([f for f in NOMINAL if f.can_id != 0x524], "missing")
-    assert found.text == "VCU2AI_Brake (0x524) was never heard"
+    assert found.text == "VCU2AI_Brake (0x524) was never received"
 
 
 def test_a_message_at_the_wrong_rate_is_named_with_both_periods() -> None:

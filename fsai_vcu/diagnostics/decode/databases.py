@@ -162,7 +162,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="cp1252", errors="replace")
     except OSError:
-        return ""  # said properly by the loader
+        return ""  # reported by the loader
 
 
 def _layout(message: Message) -> MessageLayout:

@@ -96,7 +96,7 @@ class Decoder:
             at += count
 
     def tables(self, frames: Frames, names: set[str] | None = None) -> dict[str, MessageTable]:
-        """Every message heard (or those called `names`) as a table."""
+        """Every message received (or those called `names`) as a table."""
         return {
             layout.name: self.table(layout, frames, rows)
             for layout, rows in self.by_message(frames)

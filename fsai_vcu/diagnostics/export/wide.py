@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.export.tables import (
 from fsai_vcu.diagnostics.log.frames import ERROR, REMOTE, Frames, Ints, Mask
 
 _AT_ONCE: Final = 50_000  # rows
-SILENCE_NS: Final = 60_000_000_000  # nothing heard for longer, and there are no rows until something is heard again
+SILENCE_NS: Final = 60_000_000_000  # nothing received for longer, and there are no rows until something is
 _UNITS_NS: Final = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
 

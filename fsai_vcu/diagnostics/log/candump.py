@@ -171,9 +171,9 @@ def _of_shape(
     length = ends - starts - data_at
     if shape.behind == b"#":
         way = text[ends - 1]
-        told = (text[ends - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (length >= 2)
-        flags |= np.where(told, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
-        length -= 2 * told
+        marked = (text[ends - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (length >= 2)
+        flags |= np.where(marked, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
+        length -= 2 * marked
         ok &= (length >= 0) & (length & 1 == 0)
         length >>= 1
         high, low = columns(data_at, data_at + 16, 2), columns(data_at + 1, data_at + 17, 2)

@@ -145,7 +145,7 @@ class BusStatistics:
     duration_s: float
     timed: bool  # the log has times
     messages: tuple[MessageStatistics, ...]
-    missing: tuple[MessageLayout, ...]  # described with a period, and not heard
+    missing: tuple[MessageLayout, ...]  # described with a period, and not received
     error_frames: Mapping[str, int]
     load: float
     peak_load: float
@@ -238,14 +238,14 @@ def _measure_channel(
         if key >= 0:
             expected_ns = expected_period_ns(key, layouts.get(key), revision)
             messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
-    heard = set(distinct.tolist())
+    received = set(distinct.tolist())
     missing = (
         ()
-        if heard.isdisjoint(layouts)
+        if received.isdisjoint(layouts)
         else tuple(
             layout
             for key, layout in layouts.items()
-            if key not in heard and expected_period_ns(key, layout, revision) is not None
+            if key not in received and expected_period_ns(key, layout, revision) is not None
         )
     )
     return BusStatistics(
@@ -432,7 +432,7 @@ def verdict(findings: list[BusFinding]) -> bool:
 def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
     problem, note = Severity.PROBLEM, Severity.NOTE
     if not bus.frames:
-        yield BusFinding(problem, "silent", f"nothing was heard on {bus.channel}")
+        yield BusFinding(problem, "silent", f"nothing was received on {bus.channel}")
         return
     if not bus.timed:
         yield BusFinding(note, "no-times", "no times to measure: the log has none, or is a single instant")
@@ -448,11 +448,11 @@ def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
         grave = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
         name = _name(layout.can_id, layout.name, layout.extended)
         if grave and own is not None and own.timeout_ns is not None:
-            yield BusFinding(problem, "missing", f"{name} was never heard", layout.can_id)
+            yield BusFinding(problem, "missing", f"{name} was never received", layout.can_id)
         else:
             absent.append(name)
     if absent:
-        yield BusFinding(note, "missing", f"never heard: {', '.join(absent)}")
+        yield BusFinding(note, "missing", f"never received: {', '.join(absent)}")
     if bus.peak_load > _HIGH_LOAD:
         yield BusFinding(
             note, "load", f"bus load {bus.load:.1%}, and {bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
