@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
-from fsai_vcu.diagnostics.export.tables import (
-    DTYPES,
-    Column,
-    LeftOut,
-    Numbers,
-    Rows,
-    Table,
-    Values,
-    buses_in,
-    column_of,
-)
-from fsai_vcu.diagnostics.log.frames import ERROR, REMOTE, Frames, Ints, Mask
+from fsai_vcu.diagnostics.export.tables import Column, Numbers, Rows, Table, Tables, Values
+from fsai_vcu.diagnostics.log.frames import Frames, Ints, Mask
 
 _AT_ONCE: Final = 50_000  # rows
 SILENCE_NS: Final = 60_000_000_000  # nothing received for longer, and there are no rows until something is
@@ -37,52 +26,30 @@ def raster_ns(text: str) -> int:
     return step_ns
 
 
-@dataclass(frozen=True, slots=True)
-class _Source:
-    """One message of one bus, in order of time. columns: its signals' and its age's."""
-
-    decoded: MessageTable
-    columns: tuple[Column, ...]
-
-
 class WideTable:
     """Iterated once: its rows, some ten thousand at a time."""
 
-    def __init__(self, decoder: Decoder, frames: Frames, step_ns: int, left_out: LeftOut) -> None:
+    def __init__(self, tables: Tables, frames: Frames, step_ns: int) -> None:
         self._step_ns = step_ns
         self.backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))
         """By how much time once went back in the log. The rows are in order of time all the same."""
         if self.backwards_ns:
             frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
-        self._frames = frames
-        left_out.no_data += int(((frames.flags & (ERROR | REMOTE)) != 0).sum())
-        buses = buses_in(frames)
-        self._sources: list[_Source] = []
-        for layout, rows in decoder.by_message(frames):
-            if layout is None:
-                left_out.unknown += len(rows)
-                continue
-            for bus in buses:
-                ours = rows[frames.channel[rows] == list(frames.channels).index(bus)]
-                decoded = decoder.table(layout, frames, ours)
-                left_out.wrong_length += len(decoded.wrong_length)
-                if len(decoded.rows):
-                    name = f"{bus}.{layout.name}" if len(buses) > 1 else layout.name
-                    columns = [column_of(signal, optional=True, prefix=f"{name}.") for signal in layout.signals]
-                    age = Column(f"{name}.age", "s", "float64", optional=True)
-                    self._sources.append(_Source(decoded, (*columns, age)))
-        self.table = Table(
-            "wide",
-            tuple(column for source in self._sources for column in source.columns),
-            about=f"last values every {step_ns / 1e6:g} ms, and their ages",
-        )
+        self._t_ns = frames.t_ns
+        self._sources = list(tables.rows(frames))
+        columns: list[Column] = []
+        for table in (source.table for source in self._sources):
+            columns += [replace(each, name=f"{table.name}.{each.name}", optional=True) for each in table.columns]
+            columns.append(Column(f"{table.name}.age", "s", "float64", optional=True))
+        about = f"last values every {step_ns / 1e6:g} ms, and their ages"
+        self.table = Table("wide", tuple(columns), about=about)
         self.silences = 0
         self._spans = list(self._found_spans())
         self.rows = sum(last - first + 1 for first, last in self._spans)
 
     def _found_spans(self) -> Iterator[tuple[int, int]]:
         """(first, last) instant of each span without a long silence, as multiples of the raster."""
-        t_ns, step = self._frames.t_ns, self._step_ns
+        t_ns, step = self._t_ns, self._step_ns
         if not len(t_ns):
             return
         breaks = np.flatnonzero(np.diff(t_ns) > SILENCE_NS)
@@ -103,22 +70,18 @@ class WideTable:
                 yield Rows(self.table, instants, values)
 
 
-def _values(source: _Source, instants: Ints) -> Iterator[Values]:
+def _values(source: Rows, instants: Ints) -> Iterator[Values]:
     """Of each signal the last value it had, for not every frame need have all; and the age of the last frame."""
-    decoded = source.decoded
-    newest: Ints = np.zeros(0, np.int64)
-    times: Ints | None = None
-    for signal, column in zip(decoded.layout.signals, source.columns, strict=False):
-        series = decoded.series[signal.name]
-        if times is not series.t_ns:  # signals that are in every frame share their times
-            times = series.t_ns
-            newest = np.searchsorted(times, instants, side="right") - 1
-        known = newest >= 0
-        numbers = np.zeros(len(instants), DTYPES[column.kind])
-        numbers[known] = series.values[newest[known]]
-        yield _held(numbers, known)
-    newest = np.searchsorted(decoded.t_ns, instants, side="right") - 1
-    yield _held((instants - decoded.t_ns[np.maximum(newest, 0)]) / 1e9, newest >= 0)
+    last = np.searchsorted(source.t_ns, instants, side="right") - 1
+    for values in source.values:
+        numbers, newest = values.numbers, last
+        if values.present is not None:
+            numbers = numbers[values.present]
+            newest = np.searchsorted(source.t_ns[values.present], instants, side="right") - 1
+        held = np.zeros(len(instants), numbers.dtype)
+        held[newest >= 0] = numbers[newest[newest >= 0]]
+        yield _held(held, newest >= 0)
+    yield _held((instants - source.t_ns[np.maximum(last, 0)]) / 1e9, last >= 0)
 
 
 def _held(numbers: Numbers, known: Mask) -> Values:
