@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if sources.live:
         raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
     progress = _Progress()
-    frames = sources.everything(heard=progress.reading)
+    frames = sources.everything(received=progress.reading)
     if not len(frames):
         return sources.status or 1
     try:

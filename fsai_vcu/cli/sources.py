@@ -75,7 +75,7 @@ class Decoding:
         self._decoder: Decoder | None = None
         self._writer: LineWriter | None = None
         if self._files:
-            self._databases = self._loaded()  # what is wrong with them is said before anything is read
+            self._databases = self._loaded()  # what is wrong with them is reported before anything is read
 
     @property
     def databases(self) -> Databases:
@@ -144,7 +144,7 @@ class Sources:
     """Logs or live interfaces named on a command line, as one stream of columns.
 
     `live` tells which, `name` what they are called. `status` is 1 once something could not be read; what it
-    was is said on stderr.
+    was is printed on stderr.
     """
 
     def __init__(self, verb: str, names: Sequence[str], decoding: Decoding | None = None) -> None:
@@ -171,14 +171,14 @@ class Sources:
     def chunks(self, seconds: float | None = None, *, announced: bool = False) -> Iterator[Frames]:
         """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock.
 
-        announced: a person who would see nothing for long is told that this is listening.
+        announced: a person who would see nothing for long sees that this is listening.
         """
         yield from self._live_chunks(seconds, announced) if self.live else self._log_chunks()
 
-    def everything(self, seconds: float | None = None, heard: Callable[[int], None] = lambda _: None) -> Frames:
-        """All frames of all logs, their buses numbered alike; of live buses, what they say for so long or until Ctrl-C.
+    def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
+        """All frames of all logs, their buses numbered alike; of live buses, those of so long or until Ctrl-C.
 
-        `heard` is told again and again how many frames there are.
+        `received` gets again and again how many frames there are.
         """
         from fsai_vcu.diagnostics.log.frames import joined, renumbered
 
@@ -190,12 +190,12 @@ class Sources:
                 if len(chunk):
                     parts.append(renumbered(chunk, channels))
                     count += len(chunk)
-                heard(count)
+                received(count)
         except KeyboardInterrupt:
             if not self.live:
                 raise
         if self.live and not count:
-            self._say(f"nothing was heard on {self.name}")
+            self._say(f"nothing was received on {self.name}")
             self.status = 1
         return joined(parts)
 

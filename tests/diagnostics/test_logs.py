@@ -78,13 +78,6 @@ def test_a_candump_log_is_read_with_and_without_directions(tmp_path: Path, suffi
     assert {f.channel for f in found} == {"can0"}
 
 
-def test_a_log_written_by_python_can_is_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "run.log"
-    write_with_python_can(path, MIXED)
-    assert " R" in path.read_text()
-    assert plainly(read(path)) == plainly(MIXED)
-
-
 @pytest.mark.parametrize("suffix", [".blf", ".asc"])
 def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"

@@ -96,7 +96,7 @@ class Decoder:
             at += count
 
     def tables(self, frames: Frames, names: set[str] | None = None) -> dict[str, MessageTable]:
-        """Every message heard (or those called `names`) as a table."""
+        """Every message received (or those called `names`) as a table."""
         return {
             layout.name: self.table(layout, frames, rows)
             for layout, rows in self.by_message(frames)
@@ -169,6 +169,8 @@ def _values_of(signal: SignalLayout, raw: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def raw_of(signal: SignalLayout, words: Words) -> Numbers:
+    if signal.big_endian:
+        words = words.byteswap()
     above = np.uint64(64 - signal.start - signal.length)
     if signal.is_float:
         kind = "<u4" if signal.length == 32 else "<u8"

@@ -13,14 +13,16 @@ EXTENDED_KEY: Final = 1 << 29
 
 
 class SignalLayout(NamedTuple):
-    """Where a signal of a plain message lies (little-endian: `start` is its lowest bit) and what its bits mean.
+    """Where a signal of a plain message lies and what its bits mean.
 
+    start: its lowest bit in the eight bytes (zeros behind the message's own) as a number, little-endian or big-endian.
     The value is raw * scale + offset, reckoned with the very types that the database has: int or float.
     """
 
     name: str
     start: int
     length: int
+    big_endian: bool
     signed: bool
     is_float: bool
     scale: float

@@ -23,6 +23,7 @@ from fsai_vcu.diagnostics.log.characters import Characters, Part, matrix_of, put
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Ints, LogFrame, Words
 
 _EXTENDED_SHIFT: Final = EXTENDED_KEY.bit_length() - EXTENDED.bit_length()
+_SMALL: Final = 256  # so many values are all learned at once
 _TABLE_BITS: Final = 16  # a signal of up to so many bits has a table of its values' texts
 
 
@@ -85,7 +86,8 @@ class LineWriter:
         parts: list[Part] = []
         for before, signal in zip(text.before, text.signals, strict=True):
             table = self._tables.get(signal.kind) or self._tables.setdefault(signal.kind, _Texts(signal))
-            values = table.of(words >> np.uint64(signal.layout.start))
+            ordered = words.byteswap() if signal.layout.big_endian else words
+            values = table.of(ordered >> np.uint64(signal.layout.start))
             parts += before.encode(), values
         return matrix_of([*parts, text.end.encode()], len(words))
 
@@ -109,11 +111,12 @@ class _Texts:
 
     def __init__(self, signal: SignalText) -> None:
         self._signal = signal
-        self._layout = signal.layout._replace(start=0)
+        self._layout = signal.layout._replace(start=0, big_endian=False)
         self._lock = Lock()
         values = 1 << self._layout.length if self._layout.length <= _TABLE_BITS else 0
         self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
         self._known = np.zeros(values, np.bool_)
+        self._unknown = True  # whether a value is
 
     def of(self, words: Words) -> Characters:
         """A row of characters for the lowest bits of each word, NUL behind."""
@@ -121,10 +124,11 @@ class _Texts:
         if not len(self._known):
             distinct, where = np.unique(bits, return_inverse=True)
             return np.take(self._written(distinct), where, axis=0)
-        known = np.take(self._known, bits)
-        if not known.all():
-            with self._lock:
-                self._learn(np.unique(bits[~known]))
+        if self._unknown:
+            known = np.take(self._known, bits)
+            if not known.all():
+                with self._lock:
+                    self._learn(np.unique(bits[~known]) if len(self._known) > _SMALL else np.arange(len(self._known)))
         return np.take(self._table, bits, axis=0)
 
     def _learn(self, fresh: Ints) -> None:
@@ -133,6 +137,7 @@ class _Texts:
             self._table = np.pad(self._table, ((0, 0), (0, new.shape[1] - self._table.shape[1])))
         self._table[fresh, : new.shape[1]] = new
         self._known[fresh] = True  # last: others look there without the lock
+        self._unknown = not self._known.all()
 
     def _written(self, bits: Ints) -> Characters:
         return _characters(self._signal.texts(raw_of(self._layout, bits.view(np.uint64)).tolist()))

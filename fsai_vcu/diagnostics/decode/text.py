@@ -122,7 +122,7 @@ class SignalText:
 
     def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool) -> None:
         self.layout = layout
-        self.kind = str(layout._replace(name="", start=0))
+        self.kind = str(layout._replace(name="", start=0, big_endian=False))
         self._json = as_json
         self._words: dict[float, str] = {
             raw: json.dumps(word) if as_json else _one_line(word) for raw, word in layout.choices.items() if words
@@ -137,6 +137,8 @@ class SignalText:
     def raw(self, word: int) -> float:
         """What the bits mean of a payload as a little-endian number."""
         length = self.layout.length
+        if self.layout.big_endian:
+            word = int.from_bytes(word.to_bytes(8, "little"), "big")
         bits = word >> self.layout.start & ((1 << length) - 1)
         if self.layout.is_float:
             integer, real = _FLOATS[length]

@@ -1,13 +1,12 @@
 """candump's text formats as columns: a whole block of lines read and written at once.
 
-Lines of one shape (the constant text around time, identifier and payload) are read together: eight characters at a time
-as one 64-bit number, each step for all lines. Whatever does not pass every check there is read by candump_line.py.
+Lines of one shape (the constant text around time, identifier and payload) are read together, as columns of characters.
+Whatever does not pass every check there is read by candump_line.py.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -37,21 +36,19 @@ from fsai_vcu.diagnostics.log.frames import (
     Ints,
     LogFrame,
     Mask,
-    Words,
+    frames_of,
+    joined,
 )
 
-_FRONT, _BACK = 16, 64  # bytes around a block, so that a window of eight may begin before it and end behind it
+_FRONT, _BACK = 16, 128  # bytes around a block: the columns of a line may end behind it
+_EIGHT = np.arange(CLASSIC_BYTES)[:, np.newaxis]
 _SHAPES = 40  # more kinds of lines than that in one block, and the rest is read one by one
 
 _SHAPE = re.compile(
-    rb"(?P<before> *)(?:(?P<open>\()(?P<time>\d{1,10})\.\d{6}(?P<close>\) +))?(?P<between>(?P<channel>[^\s()]{1,15}) +"
-    rb"(?:(?P<way>[RT])X - -  )?)(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?P<behind>#| {1,8}\[)"
+    rb"(?P<before> {0,8})(?:(?P<open>\()(?P<time>\d{1,10})\.\d{6}(?P<close>\) {1,8}))?"
+    rb"(?P<between>(?P<channel>[^\s()]{1,15}) {1,8}(?:(?P<way>[RT])X - -  )?)"
+    rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?P<behind>#| {1,8}\[)"
 )
-_U = np.uint64
-
-
-def _each(byte: int) -> np.uint64:
-    return _U(byte * 0x0101_0101_0101_0101)
 
 
 class Unreadable(NamedTuple):
@@ -92,64 +89,34 @@ def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Fram
     """
     text = np.concatenate([np.zeros(_FRONT, np.uint8), block, np.zeros(_BACK, np.uint8)])
     ends = np.flatnonzero(text == ord("\n"))
-    count = len(ends)
-    starts = np.empty(count, np.int64)
-    if count:
-        starts[0] = _FRONT
-        starts[1:] = ends[:-1] + 1
-    if count and text[ends[0] - 1] == ord("\r"):
+    starts = np.concatenate([[_FRONT], ends[:-1] + 1])[: len(ends)]
+    if len(ends) and text[ends[0] - 1] == ord("\r"):
         ends = ends - (text[ends - 1] == ord("\r"))
-    columns = _Columns(count, channels)
-    rest = np.arange(count)
+    parts: list[Frames] = []
+    rows: list[Ints] = []
+    rest = np.arange(len(ends))
     for _ in range(_SHAPES):
-        if not len(rest):
-            break
         shape = _next_shape(text, starts, ends, rest)
         if shape is None:
             break
-        rest = rest[~_read_shape(columns, text, starts, ends, rest, shape)]
-    unreadable = _read_singly(columns, text, starts, ends, rest)
-    return columns.frames(), unreadable, count
-
-
-class _Columns:
-    """The columns as they fill up, one row for each line."""
-
-    def __init__(self, count: int, channels: list[str]) -> None:
-        self.t_ns = np.zeros(count, np.int64)
-        self.can_id = np.zeros(count, np.uint32)
-        self.flags = np.zeros(count, np.uint8)
-        self.length = np.zeros(count, np.uint8)
-        self.word = np.zeros(count, np.uint64)
-        self.channel = np.zeros(count, np.int32)
-        self.filled = np.zeros(count, np.bool_)
-        self.long: dict[int, bytes] = {}
-        self.channels = channels
-
-    def channel_index(self, name: str) -> int:
-        if name not in self.channels:
-            self.channels.append(name)
-        return self.channels.index(name)
-
-    def put(self, row: int, frame: LogFrame) -> None:
-        self.t_ns[row] = frame.t_ns
-        self.can_id[row] = frame.can_id
-        self.flags[row] = frame.flags
-        self.length[row] = frame.length
-        self.word[row] = int.from_bytes(frame.data[:CLASSIC_BYTES], "little")
-        self.channel[row] = self.channel_index(frame.channel)
-        self.filled[row] = True
-        if len(frame.data) > CLASSIC_BYTES:
-            self.long[row] = frame.data
-
-    def frames(self) -> Frames:
-        whole = Frames(
-            self.t_ns, self.can_id, self.flags, self.length, self.word, self.channel, self.channels, self.long
-        )
-        return whole if self.filled.all() else whole.only(self.filled)
-
-
-# ---------------------------------------------------------------- many lines at once
+        frames, read = _of_shape(text, starts[rest], ends[rest], shape, channels)
+        parts.append(frames)
+        rows.append(rest[read])
+        rest = rest[~read]
+    singly: list[LogFrame] = []
+    unreadable: list[Unreadable] = []
+    for row in rest.tolist():
+        try:
+            frame = read_line(text[starts[row] : ends[row]].tobytes(), parse_line)
+        except UnreadableError as error:
+            unreadable.append(Unreadable(row, str(error)))
+        else:
+            singly += [frame] if frame else []
+            rows += [np.array([row])] if frame else []
+    whole = joined([*parts, frames_of(singly, channels)])
+    if len(rows) > 1:
+        whole = whole.only(np.argsort(np.concatenate(rows)))
+    return whole, unreadable, len(ends)
 
 
 def _next_shape(text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints) -> _Shape | None:
@@ -161,207 +128,140 @@ def _next_shape(text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Int
     return None
 
 
-def _read_shape(
-    columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints, shape: _Shape
-) -> Mask:
-    """Read those of the lines `rest` that have this shape; returns which of them were read."""
-    # A number at every byte: window[i] is the eight characters from i on.
-    window: Words = np.ndarray((len(text) - 7,), "<u8", buffer=text.data, strides=(1,))
-    everything = len(rest) == len(starts)
-    base = starts if everything else starts[rest]
-    end = ends if everything else ends[rest]
-    dot = len(shape.before) + shape.digits
-    between_at = dot + (len(".uuuuuu") if shape.digits else 0)
-    behind_at = between_at + len(shape.between) + shape.id_width
-    payload_at = base + (behind_at + len(shape.behind))
-    ok: Mask = end >= payload_at
+def _of_shape(
+    text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, shape: _Shape, channels: list[str]
+) -> tuple[Frames, Mask]:
+    """The frames on those of the lines that have this shape, and which these are."""
+    time_at = len(shape.before)
+    between_at = time_at + (shape.digits + len(".uuuuuu") if shape.digits else 0)
+    id_at = between_at + len(shape.between)
+    behind_at = id_at + shape.id_width
+    data_at = behind_at + len(shape.behind)
+
+    def columns(at: int, end: int, step: int = 1) -> Characters:
+        """Characters of all lines, a row for each place: what is done to a row is done to all lines at once."""
+        found: Characters = text[starts + np.arange(at, end, step)[:, np.newaxis]]
+        return found
+
+    ok: Mask = ends - starts >= data_at
     for at, constant in ((0, shape.before), (between_at, shape.between), (behind_at, shape.behind)):
-        ok &= _are(window, base + at, constant)
+        expected = np.frombuffer(constant, np.uint8)[:, np.newaxis]
+        ok &= (columns(at, at + len(constant)) == expected).all(axis=0)
 
-    t_ns = np.zeros(len(base), np.int64)
+    t_ns = np.zeros(len(starts), np.int64)
     if shape.digits:
-        micros = window[base + dot]  # ".uuuuuu)"
-        ok &= (micros & _U(0xFF)) == _U(ord("."))
-        micros = ((micros >> _U(8)) << _U(16)) | _U(0x3030)
-        seconds = _zeros_in_front(window[base + (dot - 8)], 8 - min(shape.digits, 8))
-        ok &= _are_digits(micros) & _are_digits(seconds)
-        t_s = _number(seconds)
-        if shape.digits > 8:
-            high = _zeros_in_front(window[base + (dot - 16)], 16 - shape.digits)
-            ok &= _are_digits(high)
-            t_s += _number(high) * _U(100_000_000)
-            ok &= t_s <= _U(MAX_SECONDS)
-        t_ns = ((t_s * _U(1_000_000) + _number(micros)) * _U(1000)).astype(np.int64)
+        dot = time_at + shape.digits
+        ok &= text[starts + dot] == ord(".")
+        digits = np.concatenate([columns(time_at, dot), columns(dot + 1, between_at)]) - np.uint8(ord("0"))
+        ok &= (digits <= 9).all(axis=0)
+        t_ns = _number(digits, 10) * 1000
+        ok &= (t_ns >= 0) & (t_ns < (MAX_SECONDS + 1) * 1_000_000_000)  # too great a number has become negative
 
-    id_bytes, id_ok = _hex_bytes(_zeros_in_front(window[base + (behind_at - 8)], 8 - shape.id_width))
-    ok &= id_ok
-    can_id = id_bytes.astype(np.uint32).byteswap()  # the first byte is the highest
-    flags = np.full(len(base), shape.flags, np.uint8)
+    nibbles, id_ok = _nibbles(columns(id_at, behind_at))
+    ok &= id_ok.all(axis=0)
+    can_id = _number(nibbles, 16)
+    flags = np.full(len(starts), shape.flags, np.uint8)
     if shape.id_width == 3:
         ok &= can_id <= MAX_STANDARD_ID
     else:
-        ok &= (can_id & np.uint32(0xC000_0000)) == 0
-        flags |= np.where((can_id & np.uint32(ERROR_FLAG)) != 0, np.uint8(ERROR), np.uint8(EXTENDED))
-        can_id = can_id & np.uint32(MAX_EXTENDED_ID)
+        ok &= can_id <= ERROR_FLAG | MAX_EXTENDED_ID
+        flags |= np.where(can_id & ERROR_FLAG, np.uint8(ERROR), np.uint8(EXTENDED))
+        can_id &= MAX_EXTENDED_ID
 
+    length = ends - starts - data_at
     if shape.behind == b"#":
-        way = text[end - 1]
-        told = (text[end - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (end - payload_at >= 2)
-        characters = end - payload_at
-        if told.any():
-            characters = characters - 2 * told
-            flags |= np.where(told, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
-        first, second = window[payload_at], window[payload_at + 8]
-    else:  # "n]  01 23 45": a space before each byte, and one more before the first
-        characters = (text[payload_at].astype(np.int64) - ord("0")) * 2
-        ok &= (characters >= 2) & (end - payload_at == 3 + characters // 2 * 3)
-        ok &= _are(window, payload_at + 1, b"]  ")
-        places = payload_at[:, np.newaxis] + np.arange(4, 28, 3)
-        pairs = np.where(places < end[:, np.newaxis], places, 0)
-        ok &= ((text[pairs - 1] == ord(" ")) | (pairs == 0)).all(axis=1)
-        digits = text[np.stack([pairs, pairs + 1], axis=2)].reshape(-1, 16).view("<u8")
-        first, second = digits[:, 0], digits[:, 1]
-    ok &= (characters >= 0) & (characters <= 16) & (characters & 1 == 0)
-    characters = np.clip(characters, 0, 16)
-    first, first_ok = _hex_bytes(_zeros_behind(first, characters))
-    second, second_ok = _hex_bytes(_zeros_behind(second, characters - 8))
-    ok &= first_ok & second_ok
+        way = text[ends - 1]
+        marked = (text[ends - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (length >= 2)
+        flags |= np.where(marked, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
+        length -= 2 * marked
+        ok &= (length >= 0) & (length & 1 == 0)
+        length >>= 1
+        high, low = columns(data_at, data_at + 16, 2), columns(data_at + 1, data_at + 17, 2)
+    else:  # "2]  01 23": a space before each byte, and one more before the first
+        characters, length = length, text[starts + data_at].astype(np.int64) - ord("0")
+        ok &= (length > 0) & (characters == 3 + 3 * length)
+        ok &= (columns(data_at + 1, data_at + 3) == [[ord("]")], [ord(" ")]]).all(axis=0)
+        spaces, high, low = (columns(data_at + 3 + at, data_at + 27 + at, 3) for at in range(3))
+        ok &= ((spaces == ord(" ")) | (length <= _EIGHT)).all(axis=0)
+    ok &= length <= CLASSIC_BYTES
+    (high, high_ok), (low, low_ok) = _nibbles(high), _nibbles(low)
+    ok &= ((high_ok & low_ok) | (length <= _EIGHT)).all(axis=0)
+    payload = (high << np.uint8(4) | low) * (length > _EIGHT)
 
-    rows: Ints | slice = slice(None) if everything and ok.all() else rest[ok]
-    keep: Mask | slice = slice(None) if isinstance(rows, slice) else ok
-    columns.t_ns[rows] = t_ns[keep]
-    columns.can_id[rows] = can_id[keep]
-    columns.flags[rows] = flags[keep]
-    columns.length[rows] = (characters[keep] >> 1).astype(np.uint8)
-    columns.word[rows] = (first | (second << _U(32)))[keep]
-    columns.channel[rows] = columns.channel_index(shape.channel)
-    columns.filled[rows] = True
-    return ok
-
-
-def _are(window: Words, places: Ints, constant: bytes) -> Mask:
-    """Where this text stands."""
-    ok: Mask = np.ones(len(places), np.bool_)
-    for at in range(0, len(constant), 8):
-        piece = constant[at : at + 8]
-        mask = _U((1 << (8 * len(piece))) - 1)
-        ok &= (window[places + at] & mask) == _U(int.from_bytes(piece, "little"))
-    return ok
-
-
-def _are_digits(word: Words) -> Mask:
-    high = _each(0xF0)
-    ok: Mask = ((word & high) == _each(0x30)) & (((word + _each(0x06)) & high) == _each(0x30))
-    return ok
-
-
-def _number(digits: Words) -> Words:
-    """The number that eight decimal digits say, the first in the lowest byte."""
-    pairs = (digits & _each(0x0F)) * _U(10) + ((digits & _each(0x0F)) >> _U(8))
-    even = _U(0x0000_00FF_0000_00FF)
-    return ((pairs & even) * _U(0x000F_4240_0000_0064) + ((pairs >> _U(16)) & even) * _U(0x0000_2710_0000_0001)) >> _U(
-        32
+    if shape.channel not in channels:
+        channels.append(shape.channel)
+    frames = Frames(
+        t_ns,
+        can_id.astype(np.uint32),
+        flags,
+        length.astype(np.uint8),
+        np.ascontiguousarray(payload.T).view("<u8").ravel(),
+        np.full(len(starts), channels.index(shape.channel), np.int32),
+        channels,
     )
+    return frames if ok.all() else frames.only(ok), ok
 
 
-def _zeros_in_front(word: Words, count: int) -> Words:
-    """The first `count` characters become '0'."""
-    if not count:
-        return word
-    mask = (1 << (8 * count)) - 1
-    return (word & _U(~mask & 0xFFFF_FFFF_FFFF_FFFF)) | _U(0x3030_3030_3030_3030 & mask)
+def _nibbles(characters: Characters) -> tuple[Characters, Mask]:
+    """What hexadecimal digits are worth, and whether they are such digits."""
+    digit, letter = characters - np.uint8(ord("0")), (characters | np.uint8(0x20)) - np.uint8(ord("a"))
+    return np.where(digit <= 9, digit, letter + np.uint8(10)), (digit <= 9) | (letter <= 5)
 
 
-_KEEP: Final = np.array([(1 << (8 * count)) - 1 for count in range(9)], np.uint64)
-
-
-def _zeros_behind(word: Words, count: Ints) -> Words:
-    """All but the first `count` characters become '0'."""
-    keep = _KEEP[np.clip(count, 0, 8)]
-    return (word & keep) | (_each(0x30) & ~keep)
-
-
-def _hex_bytes(word: Words) -> tuple[Words, Mask]:
-    """Four bytes from eight hexadecimal digits, the first in the lowest byte; and whether they are such digits."""
-    letter = (word >> _U(6)) & _each(0x01)
-    value = (word & _each(0x0F)) + letter * _U(9)
-    right_column = (word & _each(0xF0) & ~(letter << _U(5))) == _each(0x30) + (letter << _U(4))
-    right_row = (((value + _each(0x06)) >> _U(4)) & _each(0x01)) == letter
-    ok = right_column & right_row & ((value & _each(0x10)) == 0)
-    out = ((value & _U(0x000F_000F_000F_000F)) << _U(4)) | ((value >> _U(8)) & _U(0x000F_000F_000F_000F))
-    out = (out | (out >> _U(8))) & _U(0x0000_FFFF_0000_FFFF)
-    return (out | (out >> _U(16))) & _U(0xFFFF_FFFF), ok
-
-
-def _read_singly(
-    columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints
-) -> list[Unreadable]:
-    unreadable = []
-    for row in rest.tolist():
-        try:
-            frame = read_line(text[starts[row] : ends[row]].tobytes(), parse_line)
-        except UnreadableError as error:
-            unreadable.append(Unreadable(row, str(error)))
-        else:
-            if frame is not None:
-                columns.put(row, frame)
-    return unreadable
+def _number(digits: Characters, base: int) -> Ints:
+    """Of each column of digits, the highest first."""
+    number = np.zeros(digits.shape[1], np.int64)
+    for row in digits:
+        number = number * base + row
+    return number
 
 
 # ---------------------------------------------------------------- writing
 
 
-def _packed(texts: Sequence[str], dtype: str) -> npt.NDArray[np.unsignedinteger]:
-    """Short texts as numbers whose bytes, the lowest first, are the characters."""
-    return np.array([int.from_bytes(text.encode(), "little") for text in texts], dtype)
+_THREE: Final = np.array([f"{n:03d}" for n in range(1000)], "S3")
+_ID3: Final = np.array([f"{n:03X}" for n in range(MAX_STANDARD_ID + 1)], "S3")
+_BYTE: Final = np.array([f"{n:02X}" for n in range(256)], "S2")
 
 
-_THREE: Final = _packed([f"{n:03d}" for n in range(1000)], "<u8")
-_ID3: Final = _packed([f"{n:03X}" for n in range(0x800)], "<u4")
-_BYTE: Final = _packed([f"{n:02X}" for n in range(256)], "<u4")
-_TWO_BYTES: Final = (_BYTE[np.newaxis, :] << np.uint32(16) | _BYTE[:, np.newaxis]).T.ravel()  # first byte: the lower
-_KEEP_HEX: Final = np.array([[_KEEP[min(2 * n, 8)], _KEEP[max(2 * n - 8, 0)]] for n in range(9)], "<u8")
+def _taken(table: npt.NDArray[np.bytes_], index: npt.NDArray[np.integer]) -> Characters:
+    """The texts of a table, one row for each row of `index`."""
+    width = table.itemsize * (index.shape[1] if index.ndim > 1 else 1)
+    return np.take(table, index).view(np.uint8).reshape(len(index), width)
 
 
-def time_text(t_ns: Ints, width: int = 1) -> npt.NDArray[np.uint8]:
+def time_text(t_ns: Ints, width: int = 1) -> Characters:
     """Seconds with six decimals as candump writes them, at least `width` digits before the point; NUL in front."""
     count = len(t_ns)
-    seconds, below = np.divmod(t_ns, 1_000_000_000)
-    micros = below.astype(np.uint32) // np.uint32(1000)
+    seconds = t_ns // 1_000_000_000  # dividing is quick, the remainder is not
+    micros = (t_ns - seconds * 1_000_000_000).astype(np.uint32) // np.uint32(1000)
+    millis = micros // np.uint32(1000)
     distinct = np.flatnonzero(np.diff(seconds, prepend=-1))  # in a log a second lasts for many frames
     texts = np.array([f"{second:0{width}d}.".rjust(12, "\0").encode() for second in seconds[distinct].tolist()], "S12")
     wide = max((len(text.lstrip(b"\0")) for text in texts.tolist()), default=width + 1)
     out = np.empty((count, wide + 6), np.uint8)
     table = np.ascontiguousarray(texts.view(np.uint8).reshape(-1, 12)[:, 12 - wide :])
     out[:, :wide] = np.repeat(table, np.diff(distinct, append=count), axis=0)
-    packed = _THREE[micros // np.uint32(1000)] | (_THREE[micros % np.uint32(1000)] << _U(24))
-    out[:, wide:] = packed.view(np.uint8).reshape(count, 8)[:, :6]
+    out[:, wide : wide + 3] = _taken(_THREE, millis)
+    out[:, wide + 3 :] = _taken(_THREE, micros - millis * np.uint32(1000))
     return out
 
 
-def id_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def id_text(frames: Frames) -> Characters:
     """Identifiers as candump writes them: three or eight digits, NUL behind."""
     wide = (frames.flags & (EXTENDED | ERROR)) != 0
-    narrow = _ID3[frames.can_id & np.uint32(MAX_STANDARD_ID)]
+    three = _taken(_ID3, frames.can_id & np.uint32(MAX_STANDARD_ID))
     if not wide.any():
-        three: Characters = narrow.view(np.uint8).reshape(-1, 4)[:, :3]
         return three
     number = frames.can_id | np.where((frames.flags & ERROR) != 0, np.uint32(ERROR_FLAG), np.uint32(0))
-    out = np.zeros((len(frames), 2), np.uint32)
-    swapped = number.byteswap()
-    out[:, 0] = np.where(wide, _TWO_BYTES[swapped & np.uint32(0xFFFF)], narrow)
-    out[:, 1] = np.where(wide, _TWO_BYTES[swapped >> np.uint32(16)], np.uint32(0))
-    return out.view(np.uint8)
+    eight = _taken(_BYTE, number.astype(">u4").view(np.uint8).reshape(-1, 4))
+    return np.where(wide[:, np.newaxis], eight, np.pad(three, ((0, 0), (0, 5))))
 
 
-def hex_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def hex_text(frames: Frames) -> Characters:
     """The first eight data bytes as sixteen digits, NUL behind."""
-    lengths = np.minimum(frames.length, CLASSIC_BYTES)
-    if (frames.flags & REMOTE).any():
-        lengths = np.where((frames.flags & REMOTE) != 0, np.uint8(0), lengths)
-    digits = _TWO_BYTES[np.ascontiguousarray(frames.word).astype("<u8", copy=False).view("<u2")].view("<u8")
-    kept: Characters = (digits.reshape(-1, 2) & _KEEP_HEX[lengths]).view(np.uint8)
-    return kept
+    digits = np.where((frames.flags & REMOTE) != 0, np.uint8(0), 2 * np.minimum(frames.length, CLASSIC_BYTES))
+    return _taken(_BYTE, frames.data) * (np.arange(2 * CLASSIC_BYTES) < digits[:, np.newaxis])
 
 
 def channel_text(frames: Frames) -> Part:

@@ -1,4 +1,4 @@
-"""candump's text formats, line by line: every manner of them is read, and what is no frame is said. Without numpy."""
+"""candump's text formats, line by line: every manner of them is read, what is no frame is reported. No numpy."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _time_ns(seconds: str, fraction: str) -> int:
 
 
 def _screen_time_ns(text: str | None) -> int:
-    """0 where candump was told to write no times."""
+    """0 where candump wrote no times."""
     if text is None:
         return 0
     found = _SECONDS.fullmatch(text.strip())

@@ -1,4 +1,4 @@
-"""What can be told of a log without reading its frames, and what is told of the parts that cannot be read."""
+"""What can be known of a log without reading its frames, and what is reported of the parts that cannot be read."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4, TRC, and SavvyCAN's CSV.
 
-The format is told by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
+The format is known by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
 log, with its place, and never an exception. Only a log that cannot be opened at all raises `LogError`.
 """
 
@@ -254,7 +254,7 @@ def _head(stream: IO[bytes]) -> bytes:
     try:
         return stream.peek(16)[:16]  # type: ignore[attr-defined, no-any-return]
     except (OSError, EOFError, zlib.error):
-        return b""  # what is wrong is told when the frames are asked for
+        return b""  # what is wrong is reported when the frames are asked for
 
 
 def _frame_of(message: can.Message) -> LogFrame | None:

@@ -141,7 +141,7 @@ class BusStatistics:
     duration_s: float
     timed: bool  # the log has times
     messages: tuple[MessageStatistics, ...]
-    missing: tuple[MessageLayout, ...]  # described with a period, and not heard
+    missing: tuple[MessageLayout, ...]  # described with a period, and not received
     error_frames: Mapping[str, int]
     load: float
     peak_load: float
@@ -235,14 +235,14 @@ def _measure_channel(
         if key >= 0:
             expected_ns = expected_period_ns(key, layouts.get(key), revision)
             messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
-    heard = set(distinct.tolist())
+    received = set(distinct.tolist())
     missing = (
         ()
-        if heard.isdisjoint(layouts)
+        if received.isdisjoint(layouts)
         else tuple(
             layout
             for key, layout in layouts.items()
-            if key not in heard and expected_period_ns(key, layout, revision) is not None
+            if key not in received and expected_period_ns(key, layout, revision) is not None
         )
     )
     return BusStatistics(
