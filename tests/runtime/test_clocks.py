@@ -31,7 +31,7 @@ def test_there_and_back_is_the_same_instant() -> None:
 
 @pytest.mark.parametrize("step_ns", [3600 * S, -3600 * S, 10 * S, -10 * S, 2 * S, -2 * S])
 @pytest.mark.parametrize("began_ns", [NOW, NOW - 60 * S])
-def test_stamps_before_and_after_a_step_of_the_clock_keep_their_age(step_ns: int, began_ns: int) -> None:
+def test_stamps_before_and_after_a_clock_step_keep_their_age(step_ns: int, began_ns: int) -> None:
     """However long the clock had been as it was."""
     stamps = converter_at(WALL, began_ns)
     stamps.observe(WALL + step_ns + NOW, NOW)
