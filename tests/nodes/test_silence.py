@@ -168,34 +168,25 @@ class Driving:
 STATUS = VcuStatus(as_state=AsState.AS_OFF, as_switch=True, ts_switch=True, ami=Ami.TRACKDRIVE)
 
 
-def test_the_bridge_names_the_controller_that_fell_silent(rig: RosRig, bus: str) -> None:
-    log = rig.log()
-    with ScriptedVcu(bus, STATUS) as vcu:
-        Driving(rig, bus, vcu)
-        rig.spin_until(
-            lambda: any(
-                "/vehicle_cmd of tester has been silent for" in line
-                for line in errors(log, "the vehicle command is stale")
-            ),
-            "COMMAND_STALE, and whose silence it is",
-        )
-        rig.spin_until(
-            lambda: bool(errors(log, "/vehicle_cmd of tester missed its deadline of 100 ms")),
-            "the deadline",
-        )
-
-
-def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> None:
+def test_the_bridge_names_what_is_late_and_who_fell_silent(rig: RosRig, bus: str) -> None:
     log = rig.log()
     with ScriptedVcu(bus, STATUS) as vcu:
         car = Driving(rig, bus, vcu)
 
         def stale() -> bool:
             car.command(age_ms=600.0, late="/path of path_planner has been silent for 580 ms")
-            return bool(errors(log, "the vehicle command is stale"))
+            return bool(errors(log, "command is stale", "(/path of path_planner has been silent for 580 ms)"))
 
-        rig.spin_until(stale, "COMMAND_STALE")
-    assert "(/path of path_planner has been silent for 580 ms)" in errors(log, "the vehicle command is stale")[0]
+        def fresh() -> bool:
+            return car.driving() and not car.node._loop.report().reasons
+
+        rig.spin_until(stale, "COMMAND_STALE, and what the command says is late")
+        rig.spin_until(fresh, "commands count again")
+        for words in (
+            ("command is stale", "/vehicle_cmd of tester has been silent for"),
+            ("/vehicle_cmd of tester missed its deadline of 100 ms",),
+        ):
+            rig.spin_until(lambda words=words: bool(errors(log, *words)), words[-1])
 
 
 def test_emergency_brake_of_the_car_is_an_error_in_the_log(rig: RosRig, bus: str) -> None:
