@@ -177,7 +177,7 @@ def run_to_msg(run: Run, mode: str, stamp: Time) -> RunState:
 
 
 def run_from_msg(message: RunState) -> Run:
-    """Values outside the tables become 'no mission' and 'not heard': nothing can be driven by either."""
+    """Values outside the tables become 'no mission' and 'not received': nothing can be driven by either."""
     mission = Ami(message.mission) if message.mission in Ami._value2member_map_ else Ami.NOT_SELECTED
     as_state = AsState(message.as_state) if message.as_state in AsState._value2member_map_ else None
     return Run(message.run_id, mission, as_state, message.may_move)
@@ -297,7 +297,7 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
 
 
 def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> Imu | None:
-    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been heard.
+    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been received.
 
     What was not measured is marked as REP-145 has it: -1 in the first element of its covariance.
     """
@@ -335,7 +335,7 @@ _RANGE_ERROR_M = 3.0
 
 
 def fix_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> NavSatFix | None:
-    """None while no position has been heard; STATUS_NO_FIX and NaN while the receiver says it has none."""
+    """None while no position has been received; STATUS_NO_FIX and NaN while the receiver says it has none."""
     latitude, longitude = gps.latitude, gps.longitude
     if latitude is None or longitude is None:
         return None

@@ -40,11 +40,11 @@ _BASIC = {"bool", "byte", "char", "float32", "float64", "string", "wstring", *_N
 
 
 class TopicRecorder:
-    """Hears topics from `start` to `stop`; `fetch` gives what was heard, `news` what people should know."""
+    """Receives topics from `start` to `stop`; `fetch` gives what was received, `news` what people should know."""
 
     def __init__(self, topics: Iterable[str] = PROJECT_TOPICS, namespace: str = "/") -> None:
         """A topic without a / at its beginning is one of `namespace`. Raises ValueError where that is none."""
-        self._heard: deque[RosMessage] = deque()
+        self._received: deque[RosMessage] = deque()
         self._news: deque[str] = deque()
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
@@ -78,7 +78,7 @@ class TopicRecorder:
         self._thread.start()
 
     def fetch(self) -> list[RosMessage]:
-        return [self._heard.popleft() for _ in range(len(self._heard))]
+        return [self._received.popleft() for _ in range(len(self._received))]
 
     def news(self) -> list[str]:
         return [self._news.popleft() for _ in range(len(self._news))]
@@ -120,7 +120,7 @@ class TopicRecorder:
     def _taker(self, topic: RosTopic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, info: dict[str, Any]) -> None:
             taken_ns = time.time_ns()
-            self._heard.append(RosMessage(topic, bytes(data), taken_ns, int(info["source_timestamp"]) or taken_ns))
+            self._received.append(RosMessage(topic, bytes(data), taken_ns, int(info["source_timestamp"]) or taken_ns))
 
         return take
 

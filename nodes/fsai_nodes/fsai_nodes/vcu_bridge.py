@@ -1,6 +1,6 @@
 """vcu_bridge: between ROS and the car. The only node that knows the bus, and it knows it through a process of its own.
 
-A managed (lifecycle) node that configures and activates itself unless told otherwise. It is the edge of the CAN loop,
+A managed (lifecycle) node that configures and activates itself unless set otherwise. It is the edge of the CAN loop,
 which runs in a process without ROS: commands are handed to it without waiting, services ask it and wait for its answer
 for a limited time, a timer publishes what it last reported. Nothing here decides anything about the car, and nothing
 that happens here, in ROS or in its middleware stops the loop.
@@ -119,18 +119,18 @@ SETTINGS = (
 _Transition = Callable[["VcuBridge", LifecycleState], TransitionCallbackReturn]
 
 
-def _told(transition: _Transition) -> _Transition:
-    """A lifecycle transition whose error is said; rclpy takes it for a failure without a word."""
+def _reported(transition: _Transition) -> _Transition:
+    """A lifecycle transition whose error is reported; rclpy takes it for a failure without a word."""
 
     @wraps(transition)
-    def told(node: VcuBridge, state: LifecycleState) -> TransitionCallbackReturn:
+    def reported(node: VcuBridge, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(node, state)
         except Exception as error:
-            node._tell_failure(f"{type(error).__name__}: {error}")
+            node._report_failure(f"{type(error).__name__}: {error}")
             raise
 
-    return told
+    return reported
 
 
 class VcuBridge(LifecycleNode):
@@ -200,7 +200,7 @@ class VcuBridge(LifecycleNode):
 
     # ------------------------------------------------------------ lifecycle
 
-    @_told
+    @_reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self._configured = self._configure()
@@ -216,7 +216,7 @@ class VcuBridge(LifecycleNode):
             self.get_logger().info(f"operational limits: {line}")
         return super().on_configure(state)
 
-    @_told
+    @_reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         configured, loop = self._configured, self._process
         assert configured is not None and loop is not None, "the lifecycle activates only what is configured"
@@ -241,21 +241,21 @@ class VcuBridge(LifecycleNode):
         )
         return super().on_activate(state)
 
-    @_told
+    @_reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._end_loop()
         self._state_label = "inactive"
         self.get_logger().info("inactive: silent on the bus")
         return super().on_deactivate(state)
 
-    @_told
+    @_reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._configured = None
         self._end_process()
         self._state_label = "unconfigured"
         return super().on_cleanup(state)
 
-    @_told
+    @_reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._end()
         self._state_label = "finalized"
@@ -279,10 +279,10 @@ class VcuBridge(LifecycleNode):
         return super().on_error(state)
 
     def _failed(self, why: str) -> TransitionCallbackReturn:
-        self._tell_failure(why)
+        self._report_failure(why)
         return TransitionCallbackReturn.FAILURE
 
-    def _tell_failure(self, why: str) -> None:
+    def _report_failure(self, why: str) -> None:
         self._trouble = why
         if not self._starting:  # else the process ends with this line
             self.get_logger().error(f"the lifecycle transition failed: {why}")
@@ -442,7 +442,7 @@ class VcuBridge(LifecycleNode):
         self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
 
     def _publish_motion(self, report: BridgeReport) -> None:
-        if report.motion.t_ns != self._last_motion_ns:  # of a car that is not heard there is no motion
+        if report.motion.t_ns != self._last_motion_ns:  # of a car that is not received there is no motion
             self._last_motion_ns = report.motion.t_ns
             stamp = self._clocks.stamp_of(report.motion.t_ns)
             # Making a message costs more than asking whether anybody wants it.
@@ -547,7 +547,7 @@ class _Following:
 
 
 def _mission_shown(report: BridgeReport) -> Ami:
-    """The mission on the car's display; what the run has latched while nothing is heard."""
+    """The mission on the car's display; what the run has latched while nothing is received."""
     status = report.vehicle.status
     return report.run.mission if status is None else status.ami
 

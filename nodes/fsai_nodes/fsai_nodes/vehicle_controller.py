@@ -40,14 +40,14 @@ class VehicleController(Node):
         self._controller = Controller(CARS[self._settings.text("car")], self._controller_settings())
         self._run: Run | None = None
         self._state: tuple[VehicleState, Motion] | None = None  # the newest, and the motion in it
-        self._limits_heard = False  # the operational limits, which the bridge has
+        self._limits_received = False  # the operational limits, which the bridge has
         self._status: PlannerStatus | None = None
         self._pending: Path | None = None  # a path whose status has not come yet
         self._plan: Plan | None = None
         self._states = Input(self, "vehicle_state")
         self._paths = Input(self, "path")
         self._planner_waits: tuple[str, int] = "", 0  # for what, and when it said so
-        self._is_late = False  # an input is, and the log has been told
+        self._is_late = False  # an input is, and the log says so
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
         self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
@@ -76,8 +76,8 @@ class VehicleController(Node):
             self.get_logger().warning(line)
 
     def _on_state(self, message: VehicleState) -> None:
-        if not self._limits_heard:
-            self._limits_heard = True
+        if not self._limits_received:
+            self._limits_received = True
             if (
                 SPEED_NOT_LIMITED in message.operational_limits
                 and self._settings.number("max_speed") >= NO_SPEED_LIMIT_MPS
