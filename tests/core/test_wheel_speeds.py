@@ -360,11 +360,11 @@ def test_counts_that_start_anew_contradict_nothing() -> None:
 # ---------------------------------------------------------------- pulses
 
 
-def frames(*counts: int, step_ns: int = PERIOD) -> Pulses:
+def frames(*counts: int, step_ns: int = PERIOD, per_s: float = PER_S) -> Pulses:
     """Frames in which the front left wheel counts so, the last at T0."""
     pulses = NO_PULSES
     for n, fl in enumerate(counts):
-        pulses = pulses_of(PER_S, pulses, WheelCounts(fl=fl, t_rx_ns=T0 - (len(counts) - 1 - n) * step_ns))
+        pulses = pulses_of(per_s, pulses, WheelCounts(fl=fl, t_rx_ns=T0 - (len(counts) - 1 - n) * step_ns))
     return pulses
 
 
@@ -416,9 +416,19 @@ def test_each_wheel_alone_is_turning(wheel: int) -> None:
     assert pulses_of(PER_S, pulses, WheelCounts(*counts, t_rx_ns=T0)).turning_ns == T0
 
 
-@pytest.mark.parametrize(("step", "restart"), [(6, False), (7, True), (32769, True), (65535, True)])
-def test_a_count_that_no_speed_explains_has_started_anew(step: int, restart: bool) -> None:
-    pulses = frames(30000, (30000 + step) % 65536)
+@pytest.mark.parametrize(
+    ("per_s", "step", "restart"),
+    [
+        (PER_S, 6, False),
+        (PER_S, 7, True),
+        (PER_S, 32769, True),
+        (PER_S, 65535, True),
+        (400.0, 6, False),  # 4 in a period, and 2 more
+        (460.0, 7, True),
+    ],
+)
+def test_a_count_that_no_speed_explains_has_started_anew(per_s: float, step: int, restart: bool) -> None:
+    pulses = frames(30000, (30000 + step) % 65536, per_s=per_s)
     assert (pulses.steps is None) == restart == (pulses.turning_ns is None)
     assert pulses.counts is not None and pulses.counts.fl == (30000 + step) % 65536
 

@@ -141,8 +141,8 @@ class Stand:
         self._path = node.create_publisher(Path, "/path", qos.PLAN)
         self._status = node.create_publisher(PlannerStatus, "/planner_status", qos.PLAN)
 
-    def state(self, age_ms: float = 0.0) -> None:
-        message = VehicleState(run_id=7)
+    def state(self, age_ms: float = 0.0, run_id: int = 7) -> None:
+        message = VehicleState(run_id=run_id)
         message.header.stamp = self.rig.stamp(age_ms)
         self._state.publish(message)
 
@@ -152,9 +152,9 @@ class Stand:
         self._cones.publish(message)
         self.rig.turns()
 
-    def plan(self, age_ms: float = 0.0) -> None:
+    def plan(self, age_ms: float = 0.0, poses: int = 3) -> None:
         """As from the planner: in these cones it saw no way."""
-        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * 3)
+        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * poses)
         status.header.stamp = path.header.stamp = self.rig.stamp(age_ms)
         self._status.publish(status)
         self._path.publish(path)

@@ -25,6 +25,7 @@ def test_the_planner_refuses_cones_and_states_of_the_future(rig: RosRig) -> None
     paths = rig.hear(Path, "/path", qos.PLAN)
 
     def state_refused() -> bool:
+        stand.state(run_id=6)  # of another run
         stand.state(age_ms=-1000.0)
         return bool(logged(log, "/vehicle_state refused", "ms ahead"))
 
@@ -64,7 +65,13 @@ def test_the_controller_refuses_a_path_of_the_future(rig: RosRig) -> None:
 
     rig.spin_until(refused, "the path is refused")
     assert controller._plan is None
+
+    def no_way() -> bool:
+        stand.plan(poses=0)
+        return controller._plan is None
+
     rig.spin_until(taken, "a path of now is taken")
+    rig.spin_until(no_way, "a path without points, which says that there is no way")
 
 
 def test_a_refusal_is_not_logged_with_every_message(rig: RosRig) -> None:

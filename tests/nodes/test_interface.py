@@ -139,7 +139,7 @@ def test_the_readme_has_each_topics_quality_of_service() -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_each_parameter_has_description_range_and_readme_place(name: str) -> None:
+def test_each_parameter_has_words_range_and_a_place_in_readme(name: str) -> None:
     for setting in MODULES[name][0].SETTINGS:
         assert f"`{setting.name}`" in README, f"{name}: {setting.name}"
         descriptor = setting.descriptor()
@@ -344,10 +344,10 @@ def test_launch_and_parameter_files_name_what_exists() -> None:
         node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"
     )
     assert isinstance(table, ast.Dict)
-    for entry in table.values:
-        assert isinstance(entry, ast.Tuple)
+    for argument, entry in zip(table.keys, table.values, strict=True):
+        assert argument is not None and isinstance(entry, ast.Tuple)
         for node in ast.literal_eval(entry.elts[0]):
-            assert ast.literal_eval(entry.elts[1]) in known[node]
+            assert ast.literal_eval(argument) in known[node]
     assert set(CLASSES) == set(MODULES)
 
 

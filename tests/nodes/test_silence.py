@@ -172,17 +172,11 @@ def test_the_bridge_names_the_controller_that_fell_silent(rig: RosRig, bus: str)
     log = rig.log()
     with ScriptedVcu(bus, STATUS) as vcu:
         Driving(rig, bus, vcu)
-        rig.spin_until(
-            lambda: any(
-                "/vehicle_cmd of tester has been silent for" in line
-                for line in errors(log, "the vehicle command is stale")
-            ),
-            "COMMAND_STALE, and whose silence it is",
-        )
-        rig.spin_until(
-            lambda: bool(errors(log, "/vehicle_cmd of tester missed its deadline of 100 ms")),
-            "the deadline",
-        )
+        for words in (
+            ("the vehicle command is stale", "/vehicle_cmd of tester has been silent for"),
+            ("/vehicle_cmd of tester missed its deadline of 100 ms",),
+        ):
+            rig.spin_until(lambda words=words: bool(errors(log, *words)), words[-1])
 
 
 def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> None:
@@ -192,10 +186,9 @@ def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> 
 
         def stale() -> bool:
             car.command(age_ms=600.0, late="/path of path_planner has been silent for 580 ms")
-            return bool(errors(log, "the vehicle command is stale"))
+            return bool(errors(log, "command is stale", "(/path of path_planner has been silent for 580 ms)"))
 
-        rig.spin_until(stale, "COMMAND_STALE")
-    assert "(/path of path_planner has been silent for 580 ms)" in errors(log, "the vehicle command is stale")[0]
+        rig.spin_until(stale, "COMMAND_STALE, and what the command says is late")
 
 
 def test_emergency_brake_of_the_car_is_an_error_in_the_log(rig: RosRig, bus: str) -> None:

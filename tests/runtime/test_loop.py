@@ -87,12 +87,6 @@ def test_a_listener_never_sends(spec: str) -> None:
         assert car.recv(0.0) is None
 
 
-def test_an_absent_interface_leaves_no_lock_behind() -> None:
-    for _ in range(2):
-        with pytest.raises(BusError, match="no CAN interface 'can98'"):
-            make_loop("can98")
-
-
 def test_it_comes_back_by_itself_when_the_bus_does(
     loop: ThreadedLoop, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -507,25 +501,15 @@ def test_a_gone_edge_leaves_a_driving_car_to_the_reactions(loop: ThreadedLoop, s
 
 
 def test_an_edge_that_does_not_read_keeps_the_loop_from_nothing(loop: ThreadedLoop, spec: str) -> None:
+    """Nor is lost why the loop ended meanwhile: an edge that hung reads everything in the end."""
     with open_bus(spec) as car:
         for bit in (True, False) * 200:
             car.send(CODEC.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)))
             while status_received(car).handshake is not bit:
                 pass
         assert eventually(lambda: loop.far_end.dropped > 0)
-    assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
-
-
-def test_why_it_ended_is_not_lost_on_a_full_link(loop: ThreadedLoop, spec: str) -> None:
-    """An edge that hung while the loop failed reads everything in the end, the reason included."""
-    with open_bus(spec) as car:
-        for _ in range(500):
-            car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_OFF)))
-            status_received(car)
-    assert eventually(lambda: loop.far_end.dropped > 0)
     assert not loop.far_end.send(Ended("RuntimeError: a bug"))
-    loop._take()
-    assert loop.failure == ""
+    assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
     assert eventually(lambda: not loop.running)
     assert loop.failure == "RuntimeError: a bug"
     loop._link.close()
