@@ -243,7 +243,7 @@ class Measurement:
             return True
         if set(NODES) - set(stack.processes):
             self._say("starting the other nodes")
-            driving = {
+            driving: dict[str, dict[str, object]] = {
                 "path_planner": {"car": self._revision, "laps": LAPS},
                 "vehicle_controller": {"car": self._revision},
             }
