@@ -110,14 +110,6 @@ def test_after_an_emergency_the_operator_waits_and_cycles_power(name: str) -> No
     assert bench.vcu.power_cycles == 2
 
 
-def test_the_car_can_be_left_on_after_the_last_mission() -> None:
-    bench = Bench()
-    bench.operator = Operator.auto("2021", [Ami.SKIDPAD], switch_off_at_end=False)
-    drive(bench, Driver(bench), lambda: bench.operator.done)
-    bench.run(S)
-    assert bench.state is AsState.AS_FINISHED
-
-
 def test_the_operator_copes_with_the_official_simulator() -> None:
     bench = Bench("2021", OFFICIAL_SIMULATOR)
     bench.operator = Operator.auto("2021", [Ami.ACCELERATION, Ami.SKIDPAD])

@@ -158,14 +158,14 @@ def cantools_database() -> Any:
     return database
 
 
-def car_frames(codec: Codec) -> list[Frame]:
+def car_frames() -> list[Frame]:
     """The VCU's own frames while it comes up: twenty of each message."""
-    sent = World(WorldSetup(missions=[Ami.TRACKDRIVE], revision=REVISION), codec).advance(5 * S)
+    sent = World(WorldSetup(missions=[Ami.TRACKDRIVE], revision=REVISION)).advance(5 * S)
     return [frame for frame in sent if frame.can_id in VCU_IDS][-20 * len(VCU_IDS) :]
 
 
 def bench_decode(codec: Codec, database: Any, effort: Effort) -> Result:
-    frames = car_frames(codec)
+    frames = car_frames()
 
     def ours() -> None:
         for frame in frames:

@@ -120,22 +120,14 @@ class RunningProcess:
 class Stack:
     """Starts processes that share a bus, a ROS domain and a folder for their logs; ends them all on exit."""
 
-    def __init__(
-        self,
-        bus: str,
-        folder: Path,
-        *,
-        domain_id: int | None = None,
-        truth_port: int | None = None,
-        slow_place: bool = False,
-    ) -> None:
+    def __init__(self, bus: str, folder: Path, *, slow_place: bool = False) -> None:
         """slow_place: one slow processor for all of it, as in User-Mode Linux: what can be, is done less often."""
         self.bus = bus
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         # Two rehearsals side by side must not hear each other; ids up to 101 are safe on every platform.
-        self.domain_id = 1 + os.getpid() % 100 if domain_id is None else domain_id
-        self.truth_port = 30000 + os.getpid() % 20000 if truth_port is None else truth_port
+        self.domain_id = 1 + os.getpid() % 100
+        self.truth_port = 30000 + os.getpid() % 20000
         self.processes: dict[str, RunningProcess] = {}
         self._parameters: dict[str, dict[str, object]] = {name: {} for name in NODES}
         self._parameters["vcu_bridge"] |= {"can_interface": bus}

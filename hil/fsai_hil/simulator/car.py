@@ -116,10 +116,6 @@ class _DeadTime:
             self.value = pending.popleft()[1]
         return self.value
 
-    def forget(self) -> None:
-        self.pending.clear()
-        self.value = 0.0
-
 
 class _Constants(Immutable):
     """What a substep needs of the model and need not work out 500 times a second."""

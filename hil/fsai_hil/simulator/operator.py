@@ -109,11 +109,9 @@ class Operator:
         self.log: list[tuple[int, str]] = []
 
     @classmethod
-    def auto(
-        cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = (), switch_off_at_end: bool = True
-    ) -> Operator:
+    def auto(cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = ()) -> Operator:
         """One who has these missions driven one after another, from a car that is off to a car that is off."""
-        return cls(drive_missions(POWER_UP[revision], missions, switch_off_at_end), at)
+        return cls(drive_missions(POWER_UP[revision], missions), at)
 
     @property
     def done(self) -> bool:
@@ -179,7 +177,7 @@ def _emergency(car: CarShows) -> bool:
     return car.indicators.assi is Assi.BLUE_FLASHING
 
 
-def drive_missions(power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end: bool = True) -> Script:
+def drive_missions(power_up: PowerUp, missions: Sequence[Ami]) -> Script:
     """Power up, choose the mission, give Go, wait for the end, switch off what this car wants off; then the next."""
     script: list[Await | Do] = [*power_on(power_up)]
     for number, mission in enumerate(missions, start=1):
@@ -199,7 +197,7 @@ def drive_missions(power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end
             Do(_go_unless_emergency),
             Await("waiting for the end of the mission", lambda car: car.indicators.assi in ENDED, 0),
             Await("looking how it ended", _emergency, 0, patience_ns=0),
-            Do(partial(_let_it_end, power_up, last, switch_off_at_end)),
+            Do(partial(_let_it_end, power_up, last)),
         )
     return script
 
@@ -272,7 +270,7 @@ def _again_unless_started(switches: Switches, started: bool) -> Script:
     return _put("go", False), Await("taking Go back", delay_ns=REACTION_NS), *give_go()
 
 
-def _let_it_end(power_up: PowerUp, last: bool, switch_off_at_end: bool, switches: Switches, emergency: bool) -> Script:
+def _let_it_end(power_up: PowerUp, last: bool, switches: Switches, emergency: bool) -> Script:
     everything = emergency or last  # after an emergency only a power cycle leads on
     off = power_down(("asms", "tsms", "lvms") if everything else power_up.switches_off)
     return (
@@ -280,5 +278,5 @@ def _let_it_end(power_up: PowerUp, last: bool, switch_off_at_end: bool, switches
         if emergency
         else Await("letting the car stand", delay_ns=FINISHED_NS),
         _put("go", False),
-        *(() if last and not switch_off_at_end else off),
+        *off,
     )

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.car import Car, car_model
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
-from fsai_hil.simulator.faults import FrameFault
 from fsai_hil.simulator.ground_truth import Truth
 from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict, check_track
 from fsai_hil.simulator.operator import At, Operator
@@ -51,15 +49,11 @@ class WorldSetup:
     laps: int | None = None  # of a trackdrive; None: ten
     auto: bool = True  # somebody walks the switches; else nobody does
     noise_level: float = 1.0
-    sensor: SensorSettings | None = None  # None: the ordinary sensor at `noise_level`
     judge: JudgeSettings | None = None
     gps: bool = True
     gps_decimation: int = 1
     log_decimation: int = 1
     at: Sequence[At] = ()  # switches and buttons at moments of the run
-    outgoing_faults: Sequence[FrameFault] = ()  # on what the car says
-    incoming_faults: Sequence[FrameFault] = ()  # on what the car hears
-    dbc_paths: Sequence[Path] | None = None
     start_ns: int = 0
 
 
@@ -93,7 +87,7 @@ class World:
     Raises ValueError (TrackError is one) for a setup that cannot be built.
     """
 
-    def __init__(self, setup: WorldSetup, codec: Codec | None = None) -> None:
+    def __init__(self, setup: WorldSetup) -> None:
         if not setup.missions:
             raise ValueError("no mission to drive")
         if setup.laps is not None and setup.laps < 1:
@@ -103,17 +97,13 @@ class World:
         self.setup = setup
         profile = profile_named(setup.profile)
         revision = revision_named(setup.revision)
-        self.codec = codec if codec is not None else Codec(revision, setup.dbc_paths)
+        self.codec = Codec(revision)
         self.vcu = SimulatedVcu(
             self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
         )
-        for fault in setup.outgoing_faults:
-            self.vcu.outgoing.add(fault)
-        for fault in setup.incoming_faults:
-            self.vcu.incoming.add(fault)
         self.car = Car(car_model(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
         self.operator = Operator.auto(setup.revision, setup.missions, setup.at) if setup.auto else Operator(at=setup.at)
-        self._sensor_settings = setup.sensor or SensorSettings(noise_level=setup.noise_level)
+        self._sensor_settings = SensorSettings(noise_level=setup.noise_level)
         self._judge_settings = _judge_settings(setup)
         self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
         self._now_ns = setup.start_ns

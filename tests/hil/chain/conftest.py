@@ -176,8 +176,6 @@ def chain(interface: str) -> Iterator[Chain]:
         operator = RosOperator(stack)
         try:
             operator.await_bridge(START_S)
-            chain = Chain(stack, operator, interface, folder)
-            yield chain
-            chain.end_shared_car()
+            yield Chain(stack, operator, interface, folder)
         finally:
             operator.close()
