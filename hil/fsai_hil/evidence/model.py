@@ -430,7 +430,8 @@ class Composition:
         (_, vcu, wire), ages = cast(Any, state)
         self._bridge.state = bridge or self.bridge_of(state)
         t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) : -len(EDGES)]]
-        self._vcu = _Vcu(*vcu, NOW if t[0] is None else t[0], *t[1:])
+        self._vcu = v = _Vcu(*vcu)
+        v.since_ns, v.ai_ns, v.echo_ns = NOW if t[0] is None else t[0], t[1], t[2]
         self._checker.load((wire, ages[-len(EDGES) :]), NOW)
 
     # ------------------------------------------------------------ moves
