@@ -200,8 +200,7 @@ def _lines(path: Path) -> int:
     return len(path.read_text().splitlines()) if path.exists() else 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_an_interrupted_campaign_continues_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
+def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
     arguments = ["--runs", "12", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
@@ -209,16 +208,15 @@ def test_an_interrupted_campaign_continues_where_it_was(number: signal.Signals, 
         while _lines(record) < 3:
             assert run.poll() is None, run.communicate()
             time.sleep(0.02)
-        os.killpg(run.pid, number) if number is signal.SIGINT else run.send_signal(number)
+        os.killpg(run.pid, signal.SIGINT)
         _, error = run.communicate(timeout=60)
-    if number is signal.SIGINT:
-        assert run.returncode == 130
-        assert "--resume goes on" in error and "Traceback" not in error
+    assert run.returncode == 130
+    assert "--resume goes on" in error and "Traceback" not in error
     kept = _lines(record) - 1
     assert 2 <= kept < 12
     again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
-    assert f"{kept} runs are in" in again.stderr or f"{kept - 1} runs are in" in again.stderr
+    assert f"{kept} runs are in" in again.stderr
     assert sorted(run["index"] for run in read(record)[1]) == list(range(12))
 
 
@@ -280,7 +278,8 @@ def test_without_dask_one_line_says_what_to_install(
 
 def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = CampaignPlan(1, 1)
-    monkeypatch.setattr(runner, "digest", lambda: "other")
+    other = replace(plan.header(), sources="other")
+    monkeypatch.setattr(CampaignPlan, "header", lambda plan: other)
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
         next(on_cluster(plan, batches(plan, plan.tasks()), cluster))
 

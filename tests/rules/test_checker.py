@@ -527,8 +527,8 @@ CASES: list[tuple[str, str, Make, End, End]] = [
         lambda: Told().cycle(SELECTED).happens("on_emergency", True), ESTOP, IDLE
     ),
     Case("6", "a reset in AS_OFF").of(Sender, lambda _: resets(OFF), lambda _: resets(READY)),
-    Case("7", "a command out of order").of(Told, then.plans(throttle=1.5, refused=True), then.plans(throttle=1.5)),
-    Case("7", "a command in order").of(Told, then.plans(), then.plans(refused=True)),
+    Case("7", "an invalid command").of(Told, then.plans(throttle=1.5, refused=True), then.plans(throttle=1.5)),
+    Case("7", "a valid command").of(Told, then.plans(), then.plans(refused=True)),
     Case("7", "data of the future").of(Told, then.plans(age_ms=-20), then.plans(age_ms=-21)),
     Case("7", "a command of another run").of(Told, then.plans(current=False, refused=True), then.plans(current=False)),
     Case("8", "200 ms of listening").of(Told, SELECTED, then.happens("restarted").cycle(SELECTED)),

@@ -78,10 +78,10 @@ _THIS_RUN, _OTHER_RUN = 0, -1
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A command as the searched controller sends it. `in_order` is what the safety rules say of it."""
+    """A command as the searched controller sends it. `valid` is what the safety rules say of it."""
 
     words: str
-    in_order: bool
+    valid: bool
     steering_rad: float = 0.0
     throttle: float = 0.0
     brake: float = 0.0
@@ -231,10 +231,10 @@ class SearchedBridge(Bridge):
 
 @dataclass(slots=True)
 class _Vcu:
-    """The other end: the real transition table, what was heard last, and the handshake."""
+    """The other end: the real transition table, what it received last, and the handshake."""
 
     state: AsState
-    heard: bool = False
+    received: bool = False
     go_before: bool = True
     needs_power_cycle: bool = False
     estop: bool = False
@@ -371,7 +371,7 @@ class Composition:
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
-        """Nothing has been sent or heard: both sides have just been switched on."""
+        """Nothing has been sent or received: both sides have just been switched on."""
         self._bridge = self._new_bridge()
         self._vcu = _Vcu(self.scope.setting.first_state)
         self._checker = self._new_checker()
@@ -403,7 +403,7 @@ class Composition:
         disc = (
             content,
             # VCU
-            (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
+            (v.state, v.received and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
              *_asked_of(v)),
             wire,
         )  # fmt: skip
@@ -430,7 +430,8 @@ class Composition:
         (_, vcu, wire), ages = cast(Any, state)
         self._bridge.state = bridge or self.bridge_of(state)
         t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) : -len(EDGES)]]
-        self._vcu = _Vcu(*vcu, NOW if t[0] is None else t[0], *t[1:])
+        self._vcu = v = _Vcu(*vcu)
+        v.since_ns, v.ai_ns, v.echo_ns = NOW if t[0] is None else t[0], t[1], t[2]
         self._checker.load((wire, ages[-len(EDGES) :]), NOW)
 
     # ------------------------------------------------------------ moves
@@ -554,7 +555,7 @@ class Composition:
             checks["5"] += 1
         if w.latched:
             checks["6"] += 1
-        if choice.command != _NO_COMMAND and not COMMANDS[choice.command].in_order:
+        if choice.command != _NO_COMMAND and not COMMANDS[choice.command].valid:
             checks["7"] += 1
         if w.restarted:
             checks["10"] += 1
@@ -569,11 +570,11 @@ class Composition:
                 v.state, v.since_ns = choice.says, now
             return
         s = self._situation
-        lost = v.heard and (
+        lost = v.received and (
             (v.ai_ns is not None and now - v.ai_ns >= CAR_PATIENCE_NS)
             or (v.echo_ns is not None and now - v.echo_ns >= CAR_PATIENCE_NS)
         )
-        up = v.heard and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
+        up = v.received and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
         s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, choice.tsms, choice.go, choice.ami, choice.sdc_open
         s.go_rising = choice.go and not v.go_before
         v.go_before = choice.go
@@ -707,7 +708,7 @@ class Composition:
         if not choice.car_off:
             for number in range(choice.frames):
                 before = _asked_of(v)
-                v.heard = True
+                v.received = True
                 match number:
                     case 0:
                         v.estop, v.status, v.direction = asked.estop_request, asked.mission_status, asked.direction
@@ -737,11 +738,11 @@ class Composition:
         time_ns = 0
         for move in trace:
             time_ns += move.duration_ns
-            heard = self.bridge_of(move.target).supervisor.as_state
-            heard_words = "no AS state seen" if heard is None else f"{heard.label} seen"
+            state = self.bridge_of(move.target).supervisor.as_state
+            seen = "no AS state seen" if state is None else f"{state.label} seen"
             words = (
                 f"{self.choices[move.label].words}\n"
-                f"            -> {heard_words}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
+                f"            -> {seen}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
             )
             if words == before:
                 lines.pop()

@@ -49,7 +49,7 @@ _SILENT_MOVING = replace(GO, command="none", rpm=MOVING)
 _CUT_OFF = replace(GO, lost=frozenset(CAR_MESSAGES), rpm=MOVING)
 _SILENCE_AND_STANDS: Final = "a silent planner and a car that comes to rest"
 _SILENCE_AND_MOVES: Final = "a silent planner and a car that never brakes"
-_DEAF: Final = "a car that is not heard any more"
+_DEAF: Final = "a car that is not received any more"
 
 ENDINGS: Final = {
     _SILENCE_AND_STANDS: _SILENT_STANDING,

@@ -117,7 +117,7 @@ class BusView:
         self._know_nothing()
 
     def _know_nothing(self) -> None:
-        """Nothing has been heard yet, by the process that sends."""
+        """The process that sends has received nothing yet."""
         known = self.from_start  # what a log does not show is taken in favour of the sender
         self.seen = Seen(restarted=known, acknowledged=not known, torque_may_be_there=known, torque_runs=not known)
         self.wheels = Wheels(self._pulses_per_rev, self.in_flight_ns, self.slack_ns)
@@ -199,7 +199,7 @@ class BusView:
         if s.back_ns is not None and not s.reopening:
             times = s.status_ns, s.steer_ns, self.wheels.may_count_ns
             if s.latched or all(t_ns is not None and t_ns >= s.back_ns for t_ns in times):
-                s.back_ns = None  # everything has been heard since
+                s.back_ns = None  # everything has been received since
         s.echoed = s.echoed and s.zeros == 1
         s.torque_nm = (float(s.torque_nm[0] > 0.0), float(s.torque_nm[1] > 0.0))
         s.brake_pct = (float(s.brake_pct[0] > 0.0), float(s.brake_pct[1] > 0.0))
@@ -252,9 +252,9 @@ class BusView:
 
     def on_any_status(self, decoded: Decoded, t_ns: int) -> None:
         s = self.seen
-        if s.heard_ns is not None and t_ns - s.heard_ns >= n.POWER_CYCLE_NS + self.in_flight_ns:
+        if s.any_status_ns is not None and t_ns - s.any_status_ns >= n.POWER_CYCLE_NS + self.in_flight_ns:
             s.silent = True
-        s.heard_ns, s.unknown = t_ns, decoded.image is None
+        s.any_status_ns, s.unknown = t_ns, decoded.image is None
         self._note("known", t_ns, decoded.image is not None)
         bit = decoded.handshake
         if bit is None:
@@ -306,7 +306,7 @@ class BusView:
         s, state = self.seen, status.as_state
         silent = self.cycle_ns is not None and t_ns - self.cycle_ns >= RESTART_GAP_NS
         if silent and not self._ai_silent and not self.from_start:
-            s.path, s.restarted = 0, True  # whoever speaks next must see the whole way anew
+            s.path, s.restarted = 0, True  # the next process must see the whole way anew
         self._ai_silent = silent
         if s.silent:
             s.path, s.power_up = 0, True
@@ -391,9 +391,9 @@ class BusView:
         )
         takes = fit and current and not s.bus_gone
         if not refused and not (fit and current):
-            self.wrong("7", f"taken, though out of order or of another run: {command}")
+            self.wrong("7", f"taken, though invalid or of another run: {command}")
         if refused and takes:
-            self.wrong("7", f"refused, though in order: {command}")
+            self.wrong("7", f"refused, though valid: {command}")
         if takes:
             steer_deg = math.degrees(command.steering_rad)
             wishes = command.mission_finished, command.estop_request
@@ -454,11 +454,11 @@ class BusView:
         """The sender has lost the bus: whatever follows, its drive needs the whole way anew."""
         s = self.seen
         if self.process is None or now_ns is None:
-            s.path, s.heard_ns = 0, None  # what it cannot hear is no silence of the car's
+            s.path, s.any_status_ns = 0, None  # what it cannot receive is no silence of the car's
             return
         if s.bus_gone:
             return
-        if s.heard_ns is not None and now_ns - s.heard_ns >= n.POWER_CYCLE_NS:
+        if s.any_status_ns is not None and now_ns - s.any_status_ns >= n.POWER_CYCLE_NS:
             s.silent = True
         s.bus_gone = True
         self._lose("the bus was lost")
@@ -467,12 +467,12 @@ class BusView:
         s = self.seen
         if s.bus_gone:
             s.bus_gone, s.reopening, s.back_ns, s.complete_ns = False, True, now_ns, None
-            s.heard_ns = None if s.heard_ns is None else now_ns
+            s.any_status_ns = None if s.any_status_ns is None else now_ns
             s.stopped_ns = now_ns
             self.whole_in_a_row = 0
 
     def on_end(self) -> None:
-        """The software is told to stop in order."""
+        """The software is asked to stop."""
         if self.seen.ended is None:
             self.seen.ended = 0
 
@@ -541,7 +541,7 @@ class BusView:
         ):
             if holds:
                 self._stop(why)
-        if self._unheard_ns(s.status_ns) >= n.STATUS_LOST_NS:
+        if self._missing_ns(s.status_ns) >= n.STATUS_LOST_NS:
             self._alarm("0x520 is lost for 100 ms")
         if s.ended is not None and not self.wheels.may_stand(now_ns):
             self._alarm("the software ends, and the car is not known to stand")
@@ -573,8 +573,8 @@ class BusView:
             if now_ns - s.stopped_ns >= process.stop_timeout_ns + 100 * MS and not slow:
                 self._alarm("the car still moves long after the stop began")
 
-    def _unheard_ns(self, t_ns: int | None) -> int:
-        """For how long something has not been heard that could have been."""
+    def _missing_ns(self, t_ns: int | None) -> int:
+        """For how long something has not been received that could have been."""
         if t_ns is None:
             return S
         return self.now_ns - (t_ns if self.seen.back_ns is None else max(t_ns, self.seen.back_ns))
@@ -583,9 +583,9 @@ class BusView:
         """Wheel speeds and steering feedback that are stale, missing or implausible."""
         s = self.seen
         for name, t_ns in (("wheel speeds", self.wheels.may_count_ns), ("steering feedback", s.steer_ns)):
-            if self._unheard_ns(t_ns) >= n.FEEDBACK_STALE_NS:
+            if self._missing_ns(t_ns) >= n.FEEDBACK_STALE_NS:
                 self._stop(f"{name} missing for 100 ms")
-            if self._unheard_ns(t_ns) >= n.FEEDBACK_LOST_NS:
+            if self._missing_ns(t_ns) >= n.FEEDBACK_LOST_NS:
                 self._alarm(f"{name} missing for 300 ms")
         if not self.all_told:
             s.steer_odd_ns = (s.steer_odd_ns or now_ns) if self._steering_is_odd(now_ns) else None

@@ -63,7 +63,7 @@ class WireReport:
         lines = [
             f"{self.frames} frames in {self.duration_s:.3f} s, {self.cycles} command cycles"
             f" ({self.incomplete_cycles} incomplete), {self.error_frames} error frames",
-            "AS states: " + (", ".join(f"{name} at {t_s:.3f} s" for t_s, name in self.as_states) or "none heard"),
+            "AS states: " + (", ".join(f"{name} at {t_s:.3f} s" for t_s, name in self.as_states) or "none received"),
         ]
         if self.responses:
             lines.append(
@@ -91,7 +91,7 @@ class WireChecker(BusView):
 
     With a `process` the caller tells what the process is told, by the methods `on_…` and round each cycle by
     `before_cycle`, `on_mode_shown` and `cycle_over`. An intruder on the AI computer's own ids cannot be told apart on
-    a log; whoever knows it keeps his frames from `on_frame`, or uses `received` and `sent`.
+    a log; who knows it keeps its frames from `on_frame`, or uses `received` and `sent`.
     """
 
     # ------------------------------------------------------------ what was found
@@ -253,7 +253,7 @@ class WireChecker(BusView):
     # ------------------------------------------------------------ the process
 
     def received(self, frame: Frame) -> None:
-        """A frame that reached the process, of whoever's."""
+        """A frame that reached the process, of any sender."""
         if frame.error:
             return
         if frame.can_id in AI_IDS and not frame.extended:

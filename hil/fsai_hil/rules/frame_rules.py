@@ -23,7 +23,7 @@ RULES: Final = {
     "4": "steering, torque and motor speed within every limit",
     "5": "before AS_DRIVING: zeros, NEUTRAL, at most SELECTED",
     "6": "an emergency request latches",
-    "7": "commands out of order are refused whole",
+    "7": "invalid commands are refused whole",
     "8": "the five frames and no other, and only of a process that may send",
     "9": "the handshake echoes the last bit received",
     "10": "no drive goes on after a restart",

@@ -1,4 +1,4 @@
-"""What the checker of the rules has seen on the bus and heard from people, as a value."""
+"""What the checker of the rules has seen on the bus and was asked by people, as a value."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOBODY: Final[frozenset[str]] = frozenset()
 
 
 class Order(NamedTuple):
-    """What a command in order asks for."""
+    """What a valid command asks for."""
 
     steer_deg: float
     throttle: float
@@ -43,7 +43,7 @@ class Process:
 
 @dataclass(slots=True)
 class Seen:
-    """What has been seen on the bus and heard from people, as a value: no part of it is ever changed in place.
+    """What has been seen on the bus and was asked by people, as a value: no part of it is ever changed in place.
 
     Times are ns; None: never. What the wheels say is in `Wheels`.
     """
@@ -53,7 +53,7 @@ class Seen:
     go: bool = False
     fault: bool = False
     status_ns: int | None = None
-    heard_ns: int | None = None  # any 0x520, believed or not
+    any_status_ns: int | None = None  # any 0x520, believed or not
     unknown: bool = False  # the last 0x520 is none that anybody knows
     silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
     marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
@@ -77,7 +77,7 @@ class Seen:
     confirmed: frozenset[str] = NOBODY  # who has reset himself for this mission
     acknowledged: bool = False  # SELECTED went out whole for it
     latched: bool = False  # an emergency: granted, or seen on the wire
-    order: Order | None = None  # the newest command in order
+    order: Order | None = None  # the newest valid command
     command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
     pedals_ns: int | None = None  # since when every command has asked for both
     # what went wrong
@@ -88,8 +88,8 @@ class Seen:
     wheel_odd_ns: int | None = None
     restarted: bool = True  # the process is new and has not seen AS_OFF yet
     bus_gone: bool = False
-    reopening: bool = False  # the bus is back, and the car has not been heard on it
-    back_ns: int | None = None  # what could not be heard before then is not missing
+    reopening: bool = False  # the bus is back, and the car has not been received on it
+    back_ns: int | None = None  # what could not be received before then is not missing
     ended: int | None = None  # cycles sent since the software was told to stop
     # what went out
     began_ns: int | None = None  # the first cycle, sent or not
@@ -109,7 +109,7 @@ class Seen:
 # The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
 TIMES: Final[Mapping[str, tuple[int, ...]]] = {
     "status_ns": (n.STATUS_FRESH_NS, n.STATUS_LOST_NS),
-    "heard_ns": (n.POWER_CYCLE_NS - n.CYCLE_NS, n.POWER_CYCLE_NS),
+    "any_status_ns": (n.POWER_CYCLE_NS - n.CYCLE_NS, n.POWER_CYCLE_NS),
     "ready_ns": (n.READY_SEEN_NS,),
     "driving_ns": (n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS),
     "steer_ns": (n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS),

@@ -181,6 +181,7 @@ COUNTS_OFF = always(
     CONTRADICTED,
 )
 NOISE = "noise comes and goes: drives on, and stops only where it is off for 300 ms without a break"
+STEERING_NOISE, WHEEL_NOISE = replace(STEERING_OFF, words=NOISE), replace(WHEEL_OFF, words=NOISE)
 FAST_CLOCK_MS = 110 + 20  # the age of the oldest data behind a command, and how far ahead a stamp may be
 
 INEFFECTIVE = always(
@@ -206,6 +207,7 @@ def restart_within(torque_ms: float, brake_ms: float) -> Must:
 
 ASK_MANUAL = i.done(lambda rig, p, t_ns: rig.bridge.set_mode("manual", t_ns))
 EACH_WHEEL = one_of("wheel", *i.WHEELS)
+SWINGS = between("period", (50, 500))
 OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "switches": {"as_switch": False, "ts_switch": False},
@@ -451,13 +453,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("dead", "reads 0", i.dead, (), WHEEL_OFF),
             ("stuck", "stands still", i.stuck, (), WHEEL_OFF),
             ("drifting", "drifts, in rpm/s", i.drifting, (between("rate", (-300, -60), (60, 300)),), WHEEL_OFF),
-            (
-                "very_noisy",
-                "is noisy, sigma in rpm",
-                i.noisy,
-                (between("size", (80, 300)),),
-                replace(WHEEL_OFF, words=NOISE),
-            ),
+            ("very_noisy", "is noisy, sigma in rpm", i.noisy, (between("size", (80, 300)),), WHEEL_NOISE),
             ("offset", "is too high by so many rpm", i.offset, (between("size", (150, 600)),), WHEEL_OFF),
             ("scaled", "reads a multiple", i.scaled, (between("factor", (0.2, 0.6), (1.6, 3.0)),), WHEEL_OFF),
             ("noisy", "is a little noisy, sigma in rpm", i.noisy, (between("size", (1, 8)),), UNCHANGED),
@@ -518,13 +514,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("stuck", "stands still", i.stuck, (), STEERING_OFF),
             ("offset", "is off by so many deg", i.offset, (between("size", (-15.0, -4.0), (4.0, 15.0)),), STEERING_OFF),
             ("drifting", "drifts, in deg/s", i.drifting, (between("rate", (-6.0, -1.0), (1.0, 6.0)),), STEERING_OFF),
-            (
-                "noisy",
-                "is noisy, sigma in deg",
-                i.noisy,
-                (between("size", (0.1, 5.0)),),
-                replace(STEERING_OFF, words=NOISE),
-            ),
+            ("noisy", "is noisy, sigma in deg", i.noisy, (between("size", (0.1, 5.0)),), STEERING_NOISE),
             ("slightly_off", "is off by up to 1 deg", i.offset, (between("size", (-1.0, 1.0)),), UNCHANGED),
         )
     ),
@@ -699,17 +689,12 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.late_plans, OLD_DATA.by("delay"), between("delay", (20, 200), (950, 1500)), missions=PATH_MISSIONS
     ),
     *(
-        Fault(name, what).by(i.plans(change), ROUGH, lasts((100, 4000)), *draws, missions=PATH_MISSIONS)
+        Fault(f"planner_{name}", what).by(i.plans(change), ROUGH, lasts((100, 4000)), *draws, missions=PATH_MISSIONS)
         for name, what, change, draws in (
-            ("planner_empty", "the planner finds no way: empty paths", lambda plan, at: None, ()),
-            ("planner_absurd", "the planner's paths go anywhere", i.absurd_plan, ()),
-            (
-                "planner_oscillating",
-                "the planner's paths swing from left to right",
-                i.swinging_plan,
-                (between("period", (50, 500)),),
-            ),
-            ("planner_nan", "NaN or infinity in the planner's path", i.nan_plan, ()),
+            ("empty", "the planner finds no way: empty paths", lambda plan, at: None, ()),
+            ("absurd", "the planner's paths go anywhere", i.absurd_plan, ()),
+            ("oscillating", "the planner's paths swing from left to right", i.swinging_plan, (SWINGS,)),
+            ("nan", "NaN or infinity in the planner's path", i.nan_plan, ()),
         )
     ),
     Fault("planner_finishes_early", "the planner says that the mission is over, at full speed").by(
