@@ -98,6 +98,7 @@ def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
                         f"  {now_s - began_s:6.0f} s {done.examples:8,} examples {done.cycles:11,} cycles", flush=True
                     )
         except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough: the processes are being ended
             print("interrupted: this is what was done until then", flush=True)
     seconds = time.monotonic() - began_s
     print(f"{done.examples:,} examples, {done.cycles:,} cycles of the car in {seconds:.1f} s")

@@ -165,6 +165,7 @@ def turned(run: Run, status: dict[str, Any], cycles: int, back: bool) -> None:
 def next_drive(run: Run, before: AsState, off: AsState, off_cycles: int, ami: Ami, early_go: bool,
                ready_cycles: int, restart: bool, left_out: int | None, off_ns: int) -> None:  # fmt: skip
     """The whole way to a drive once more, with what may be wrong on it."""
+    run.command(throttle=0.5, brake=0.0, speed_limit_mps=8.0, age_ms=0.0, run_offset=0)
     way: tuple[Callable[[], object], ...] = (
         lambda: run.car(as_state=before, go_signal=False),
         lambda: run.run(2),
@@ -183,8 +184,6 @@ def next_drive(run: Run, before: AsState, off: AsState, off_cycles: int, ami: Am
         run.restart()
         run.run(25)
         run.mode("autonomous")
-    run.command(throttle=0.5, brake=0.0, speed_limit_mps=8.0, age_ms=0.0, run_offset=0)
-    run.run(3)
     run.car(as_state=AsState.AS_DRIVING, go_signal=True)
     run.run(2)
     run.aim(3000.0, off_ns)
@@ -272,7 +271,7 @@ def silence(run: Run, cycles: int) -> None:
     run.silent = False
 
 
-@_happening(role=_one_of("planner", "controller"), age_ms=_one_of(100.0, 450.0, 550.0, 690.0))
+@_happening(role=_one_of("planner", "controller"), age_ms=_one_of(100.0, 450.0, 500.000001, 550.0, 690.0))
 def restarted(run: Run, role: str, age_ms: float) -> None:
     """Planner or controller is started anew."""
     run.command(age_ms=age_ms)
