@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(lines) if lines else "no difference")
         return 1 if lines else 0
     layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
-    chosen = [layout for layout in layouts if not args.names or any(_is(layout, name) for name in args.names)]
+    chosen = [layout for layout in layouts if not args.names or any(map(layout.is_called, args.names))]
     if not chosen:
         raise UserError(f"no message {' or '.join(args.names)} in {args.dbc}")
     for layout in chosen:
@@ -58,11 +57,6 @@ def _load(name: str) -> Databases:
         return load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
     except DatabasesError as error:
         raise UserError(str(error)) from error
-
-
-def _is(layout: MessageLayout, name: str) -> bool:
-    number = name.lower().removeprefix("0x")
-    return fnmatchcase(layout.name.lower(), name.lower()) or number == f"{layout.can_id:x}"
 
 
 def _head(layout: MessageLayout) -> str:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.filters import FrameFilter
     from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
+    from fsai_vcu.diagnostics.log.part import Part
     from fsai_vcu.diagnostics.log.reader import Log
     from fsai_vcu.interface.revisions import Revision
 
@@ -25,7 +26,57 @@ Done = TypeVar("Done")
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
+LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc"})
 _PROBLEMS_SHOWN = 5
+
+
+def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
+    """Several logs, or folders of them, count as one log: the segments of a recording."""
+    parser.add_argument(
+        name,
+        nargs="+",
+        metavar="LOG|FOLDER|INTERFACE[,FILTER…]",
+        help=SOURCE_HELP + "; several logs, or a folder of them, are read as one; filters as for dump",
+    )
+
+
+def add_part_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--from",
+        dest="begin",
+        metavar="TIME",
+        help="from so many seconds after the log's first frame on, or from a time of day (UTC, 14:03:30)",
+    )
+    parser.add_argument("--to", dest="end", metavar="TIME", help="up to that time")
+    parser.add_argument(
+        "--messages", metavar="NAME,…", help="only these: names as in the database with * and ?, or identifiers (0x520)"
+    )
+
+
+def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
+    """The part of the log that the arguments ask for. Raises UserError."""
+    from fsai_vcu.cli.main import UserError, WrongUse
+    from fsai_vcu.diagnostics.log.part import Part
+
+    ids: frozenset[int] | None = None
+    if args.messages is not None:
+        patterns = [name for name in args.messages.split(",") if name]
+        layouts = decoding.databases.layouts.values()
+        ids = frozenset(layout.can_id for layout in layouts if any(layout.is_called(name) for name in patterns))
+        ids |= {int(name, 16) for name in patterns if name.lower().startswith("0x") and _is_hex(name)}
+        if not ids:
+            raise UserError(f"no message {' or '.join(patterns)}; fsai-vcu dbc list names them")
+    try:
+        return Part(args.begin, args.end, ids)
+    except ValueError as error:
+        raise WrongUse(str(error)) from error
+
+
+def _is_hex(text: str) -> bool:
+    try:
+        return int(text, 16) >= 0
+    except ValueError:
+        return False
 
 
 def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
@@ -147,8 +198,10 @@ class Sources:
     was is printed on stderr.
     """
 
-    def __init__(self, verb: str, names: Sequence[str], decoding: Decoding | None = None) -> None:
-        """names: `NAME[,filter…]` each. decoding: hears every frame, those too that no filter lets through.
+    def __init__(
+        self, verb: str, names: Sequence[str], decoding: Decoding | None = None, part: Part | None = None
+    ) -> None:
+        """names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through.
 
         Raises UserError.
         """
@@ -158,8 +211,9 @@ class Sources:
         self.verb = verb
         self.status = 0
         self._decoding = decoding
+        self._part = part
         try:
-            self._rules = [split_source(name) for name in names]
+            self._rules = [split_source(each) for name in names for each in _unfolded(name)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
         self.name = ", ".join("standard input" if name == "-" else name for name, _ in self._rules)
@@ -214,7 +268,7 @@ class Sources:
             count = 0
 
             def done(frames: Frames, rule: FrameFilter = rule) -> tuple[Done, int]:
-                return work(_passing(frames, rule)), len(frames)
+                return work(self._passing(frames, rule)), len(frames)
 
             with self._opened(name) as log:
                 for what, frames in log.mapped(done, in_order):
@@ -230,8 +284,12 @@ class Sources:
                     count += len(frames)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
-                    yield _passing(frames, rule)
+                    yield self._passing(frames, rule)
             self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
+        shown = frames if self._part is None else self._part.of(frames)
+        return shown.only(rule.passes(shown)) if rule else shown
 
     def _opened(self, name: str) -> Log:
         from fsai_vcu.cli.main import UserError
@@ -260,7 +318,8 @@ class Sources:
             for frames in source.chunks(seconds):
                 if self._decoding is not None:
                     self._decoding.hear(frames)
-                yield filtered(frames, rules)
+                shown = filtered(frames, rules)
+                yield shown if self._part is None else self._part.of(shown)
             if source.lost is not None:
                 self._say(source.lost)
                 self.status = 1
@@ -295,8 +354,13 @@ def check_seconds(args: argparse.Namespace) -> None:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
 
-def _passing(frames: Frames, rule: FrameFilter) -> Frames:
-    return frames.only(rule.passes(frames)) if rule else frames
+def _unfolded(name: str) -> list[str]:
+    """A folder as the logs in it, by their names; anything else as it is."""
+    folder, _, filters = name.partition(",")
+    if folder == "-" or not Path(folder).is_dir():
+        return [name]
+    logs = sorted(path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES)
+    return [f"{path},{filters}" if filters else str(path) for path in logs]
 
 
 def _is_log(name: str) -> bool:
