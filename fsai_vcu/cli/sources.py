@@ -40,14 +40,14 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
     )
 
 
-def add_part_arguments(parser: argparse.ArgumentParser) -> None:
+def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to") -> None:
     parser.add_argument(
         "--from",
         dest="begin",
         metavar="TIME",
         help="from so many seconds after the log's first frame on, or from a time of day (UTC, 14:03:30)",
     )
-    parser.add_argument("--to", dest="end", metavar="TIME", help="up to that time")
+    parser.add_argument(end, dest="end", metavar="TIME", help="up to that time")
     parser.add_argument(
         "--messages", metavar="NAME,…", help="only these: names as in the database with * and ?, or identifiers (0x520)"
     )
@@ -122,6 +122,7 @@ class Decoding:
             self.revision = revision_named(args.revision or list(REVISIONS)[-1]).name
         except ValueError as error:
             raise WrongUse(str(error)) from error
+        self._shown: tuple[str, ...] | None = None
         self._databases: Databases | None = None
         self._decoder: Decoder | None = None
         self._writer: LineWriter | None = None
@@ -152,6 +153,17 @@ class Decoding:
         if self._writer is None:
             self._writer = LineWriter(self.decoder, as_json=self._args.json, words=not self._args.numbers)
         return self._writer
+
+    def show_signals(self, names: str | None) -> None:
+        """From now on only these signals, by name or pattern, and the messages that have them. Raises UserError."""
+        if names is None:
+            return
+        self._shown = tuple(filter(None, names.split(",")))
+        self._databases = self._decoder = self._writer = None
+        if not self.databases.layouts:
+            from fsai_vcu.cli.main import UserError
+
+            raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
 
     def hear(self, frames: Frames) -> None:
         """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
@@ -186,9 +198,10 @@ class Decoding:
         from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
 
         try:
-            return load_databases(self._files, self.revision)
+            databases = load_databases(self._files, self.revision)
         except DatabasesError as error:
             raise UserError(str(error)) from error
+        return databases if self._shown is None else databases.with_signals(self._shown)
 
 
 class Sources:
