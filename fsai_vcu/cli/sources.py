@@ -373,6 +373,10 @@ def _unfolded(name: str) -> list[str]:
     if folder == "-" or not Path(folder).is_dir():
         return [name]
     logs = sorted(path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES)
+    if not logs:
+        from fsai_vcu.cli.main import UserError
+
+        raise UserError(f"{folder}: no log in this folder")
     return [f"{path},{filters}" if filters else str(path) for path in logs]
 
 
