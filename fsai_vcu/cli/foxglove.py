@@ -1,0 +1,121 @@
+"""`fsai-vcu foxglove`: a bus live in Foxglove, decoded, over a websocket of this machine."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import time
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Final
+
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_seconds_argument, add_source_argument
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from fsai_vcu.diagnostics.log.frames import Frames
+
+EXAMPLE = "fsai-vcu foxglove can0\n  fsai-vcu foxglove --layout > fsai.json"
+ABOUT = """\
+Each message is a topic /can/NAME with its signals; /can/state has the words of
+AS state, mission and shutdown cause. In Foxglove: open connection, Foxglove
+WebSocket, ws://localhost:8765, then import the layout that --layout prints. A
+log is played once, as fast as it was recorded. It never sends to the bus. Needs
+the extra foxglove (pip install 'fsai-vcu[foxglove]')."""
+PORT: Final = 8765
+PIECE_NS: Final = 50_000_000  # of a log, handed over at once
+STATE: Final = "VCU2AI_Status"
+WORDS: Final = ("AS_STATE", "AMI_STATE", "SHUTDOWN_CAUSE", "GO_SIGNAL")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{ABOUT}"
+    add_source_argument(parser)
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
+    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
+    add_seconds_argument(parser)
+    add_database_arguments(parser)
+
+
+def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+    """`--layout` needs no source."""
+    if arguments == ["--layout"]:
+        return argparse.Namespace(layout=True)
+    return argparse.Namespace(layout=False, **vars(parser.parse_args(arguments)))
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+
+    if args.layout:
+        print(files("fsai_vcu.cli").joinpath("foxglove_layout.json").read_text(encoding="utf-8"), end="")
+        return 0
+    try:
+        import foxglove
+    except ImportError:
+        raise UserError("foxglove-sdk is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
+    decoding = Decoding("foxglove", args)
+    sources = Sources("foxglove", [args.source], decoding)
+    try:
+        server = foxglove.start_server(name=f"fsai-vcu {sources.name}", host=args.host, port=args.port)
+    except (OSError, RuntimeError) as error:
+        raise UserError(f"cannot listen on {args.host}:{args.port}: {error}") from error
+    print(f"ws://{args.host}:{args.port} shows {sources.name}, until Ctrl-C", flush=True)
+    topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
+    ended: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
+    try:
+        chunks = sources.chunks(args.seconds)
+        for frames in chunks if sources.live else _as_recorded(chunks):
+            if ended:
+                break
+            topics.show(frames, decoding)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        server.stop()
+    return sources.status
+
+
+def _as_recorded(chunks: Iterable[Frames]) -> Iterator[Frames]:
+    """A log's frames in pieces, each at its time."""
+    import numpy as np
+
+    began: tuple[int, float] | None = None
+    for frames in chunks:
+        if not len(frames):
+            continue
+        began = began or (int(frames.t_ns[0]), time.monotonic())
+        pieces = (frames.t_ns - began[0]) // PIECE_NS
+        for piece in np.unique(pieces).tolist():
+            due_s = piece * PIECE_NS / 1e9 - (time.monotonic() - began[1])
+            time.sleep(max(0.0, due_s))
+            yield frames.only(pieces == piece)
+
+
+def _finite(values: list[Any]) -> list[Any]:
+    """JSON has no NaN and no infinity."""
+    return [None if isinstance(value, float) and not math.isfinite(value) else value for value in values]
+
+
+class Topics:
+    """Publishes decoded frames. `channel` makes a topic, whose `log` takes a dict and a time."""
+
+    def __init__(self, channel: Callable[[str], Any]) -> None:
+        self._channel = channel
+        self._channels: dict[str, Any] = {}
+
+    def show(self, frames: Frames, decoding: Decoding) -> None:
+        for table in decoding.decoder.tables(frames).values() if len(frames) else ():
+            name = table.layout.name
+            columns = {series.name: _finite(series.values.tolist()) for series in table.series.values()}
+            for row, t_ns in enumerate(table.t_ns.tolist()):
+                self._log(f"/can/{name}", {signal: values[row] for signal, values in columns.items()}, t_ns)
+            if name == STATE and len(table.t_ns):
+                state = {word: table.series[word].label(len(table.t_ns) - 1) for word in WORDS if word in table.series}
+                self._log("/can/state", state, int(table.t_ns[-1]))
+
+    def _log(self, topic: str, values: dict[str, Any], t_ns: int) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._channel(topic)
+        self._channels[topic].log(values, log_time=t_ns)
