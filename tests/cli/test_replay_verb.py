@@ -83,7 +83,7 @@ def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
         (["LOG", "-i", "nowhere0", "--physical"], "no CAN interface 'nowhere0'", 1),
         (["LOG", "-i", BUS, "--rate", "0"], "--rate is 0, not a rate", 2),
         (["LOG", "-i", BUS, "--rate", "nan"], "--rate is nan, not a rate", 2),
-        (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, not a number of times", 2),
+        (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, but must be 0 or more", 2),
         (["LOG", "-i", BUS, "--from", "2", "--to", "1"], "--to is 1, and --from 2: there is nothing between them", 2),
         (["LOG", "-i", BUS, "--from", "5"], "nothing in that part of the log: it lasts 0.004 s", 1),
         (["vcan0", "-i", BUS], "vcan0 is an interface; replay reads logs", 2),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import threading
 from pathlib import Path
 
 import pytest
+from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.bus import open_bus
 
 STATUS = "520#0000010000000000"  # OP_STATE is a signal of it in 2026
 OF_2021, OF_2026 = "523#0000D2000000", "523#00002C010000"  # ANGLE_MAX is 21 and 30 deg
@@ -87,21 +86,8 @@ def test_given_databases_decode_frames_of_any_revision(tmp_path: Path, capsys: p
 
 def test_a_live_bus_tells_as_it_goes(capsys: pytest.CaptureFixture[str]) -> None:
     name = f"loopback:told-{os.getpid()}"
-    ended = threading.Event()
-
-    def car() -> None:
-        with open_bus(name) as bus:
-            while not ended.wait(0.005):
-                bus.send(Frame(0x523, bytes.fromhex(OF_2021[4:])))
-                bus.send(Frame(0x520, bytes.fromhex(STATUS[4:])))
-
-    thread = threading.Thread(target=car)
-    thread.start()
-    try:
+    with talking(name, Frame(0x523, bytes.fromhex(OF_2021[4:])), Frame(0x520, bytes.fromhex(STATUS[4:]))):
         assert main(["dump", name, "-n", "20"]) == 0
-    finally:
-        ended.set()
-        thread.join()
     said = capsys.readouterr()
     assert "OP_STATE" not in said.out and "AS_STATE" in said.out
     assert said.err == f"fsai-vcu dump: {SAID}\n"

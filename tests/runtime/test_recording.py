@@ -17,7 +17,7 @@ import pytest
 from mcap.reader import NonSeekingReader
 
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.log.reader import open_log, read_log
+from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 from fsai_vcu.runtime.recording import CandumpWriter, candump_line
@@ -51,7 +51,7 @@ def test_a_time_to_record_that_is_none_is_refused_in_one_line(
 ) -> None:
     log = tmp_path / "run.log"
     assert main(["record", "-i", "loopback:record", "-o", str(log), "--seconds", seconds]) == 2
-    assert capsys.readouterr().err == f"fsai-vcu record: --seconds is {float(seconds):g}, not a time\n"
+    assert capsys.readouterr().err == f"fsai-vcu record: --seconds is {float(seconds):g}, but must be 0 or more\n"
     assert not log.exists()
 
 
@@ -116,7 +116,7 @@ def numbers(*paths: Path) -> list[int]:
     return found
 
 
-def test_a_killed_recorder_loses_at_most_1_s_and_resumes(
+def test_a_killed_recorder_loses_at_most_1_s(
     bus: CanBus, recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
@@ -142,20 +142,6 @@ def test_a_killed_recorder_loses_at_most_1_s_and_resumes(
     logged, _ = read_log(first_log)
     assert {t_ns for t_ns in logged.t_ns.tolist() if t_ns < killed_wall_ns - LOSS_MOST_S * 1e9} <= stamps
 
-    with first_log.open("ab") as file:
-        file.write(b"(17000")  # what a power cut may do besides
-    process = recorder("-o", str(folder), "--mcap")
-    second_log = folder / f"{BUS}-000002.log"
-    talk(bus, lambda: second_log.exists() and second_log.stat().st_size > 0, first=100_000)
-    process.send_signal(signal.SIGTERM)
-    said = process.communicate(timeout=WITHIN_S)[1]
-    assert process.returncode == 0, said
-    assert f"{first_log} was cut off in its last line: 6 bytes taken away" in said
-    assert f"{first_mcap} had no end: given one" in said
-    assert numbers(first_log) == kept
-    with open_log(first_log) as log:
-        assert sum(1 for _ in log.frames()) == len(kept) and not log.problems
-
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_recorder_asked_to_end_has_everything_on_disk(
@@ -173,11 +159,12 @@ def test_a_recorder_asked_to_end_has_everything_on_disk(
     assert json.loads(path.with_suffix(".json").read_text())["frames"] == len(kept)
 
 
-def test_limits_and_revision_are_stored_beside_the_log(tmp_path: Path) -> None:
+def test_limits_are_stored_beside_the_log_and_silence_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     limits = tmp_path / "limits.toml"
     limits.write_text("max_speed_mps = 5.0  # the paddock\n")
     argv = ["record", "-i", f"loopback:{BUS}", "-o", str(tmp_path / "run.log"), "--seconds", "0", "--revision", "2021"]
-    assert main([*argv, "--limits", str(limits)]) == 0
+    assert main([*argv, "--limits", str(limits)]) == 1, "the bus is silent"
+    assert capsys.readouterr().err.endswith(f"fsai-vcu record: nothing was received on loopback:{BUS}\n")
     about = json.loads((tmp_path / "run.json").read_text())
     assert about["revision"] == "2021"
     assert about["operational_limits"]["content"] == "max_speed_mps = 5.0  # the paddock\n"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
 from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
 from fsai_vcu.interface.revisions import revision as revision_named
 
@@ -24,7 +25,7 @@ _MAX_PLAIN_BYTES = 8
 _INT64 = 1 << 63
 
 
-class DatabasesError(ValueError):
+class DatabasesError(UserError, ValueError):
     """A database that cannot be used; the message is one clear line."""
 
 
@@ -121,7 +122,7 @@ def _load(path: Path) -> Database:
     import cantools.database
     from cantools.database.can import Database
 
-    from fsai_vcu.interface.database import DatabaseError, load_database
+    from fsai_vcu.interface.database import DatabaseError, check_whole, load_database
 
     if path.suffix.lower() == ".dbc":
         text = _text(path)
@@ -138,6 +139,8 @@ def _load(path: Path) -> Database:
         raise DatabaseError(f"{path}: describes diagnostics, not messages")
     if not loaded.messages:
         raise DatabaseError(f"{path}: describes no message")
+    if path.suffix.lower() == ".dbc":
+        check_whole(path, text)
     return loaded
 
 

@@ -33,7 +33,7 @@ class DurableFile:
 
     @property
     def removed(self) -> bool:
-        """Somebody has deleted it: what is written now would be nowhere."""
+        """It was deleted: what is written now would be nowhere."""
         return os.fstat(self._descriptor).st_nlink == 0
 
     def put(self, data: bytes | bytearray | memoryview) -> None:
