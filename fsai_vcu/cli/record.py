@@ -85,6 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.diagnostics.export.writing import ExportError, check_format
     from fsai_vcu.diagnostics.recorder.listening import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
@@ -99,7 +100,10 @@ def run(args: argparse.Namespace) -> int:
     about = _about(args)
     decoder = None
     if args.mcap:
-        _check_mcap()
+        try:
+            check_format("mcap")
+        except ExportError as error:
+            raise UserError(str(error)) from error
         decoder = decoder_of(args)
     bounds = _bounds(args)
     topics = _topics(args)
@@ -258,15 +262,6 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
     except OSError as error:
         raise UserError(f"cannot read the operational limits {args.limits}: {error.strerror}") from error
     return about
-
-
-def _check_mcap() -> None:
-    from fsai_vcu.diagnostics.export.writing import ExportError, check_format
-
-    try:
-        check_format("mcap")
-    except ExportError as error:
-        raise UserError(str(error)) from error
 
 
 def _topics(args: argparse.Namespace) -> Any | None:

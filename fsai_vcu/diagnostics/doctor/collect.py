@@ -264,8 +264,10 @@ def services(interface: str) -> dict[str, str]:
     wanted = [*names, *(name.replace("bridge", "link") for name in names if name.startswith("fsai-bridge@"))]
     links = [f"fsai-link@{interface}.service"] if interface and ":" not in interface else []
     asked = list(dict.fromkeys([*wanted, *links]))
-    states = states_in(_output("systemctl", "is-active", *asked), asked) if asked else {}
-    return {name: state for name, state in states.items() if name in wanted or state == "active"}
+    states = _output("systemctl", "is-active", *asked).split() if asked else []
+    if len(states) != len(asked):
+        states = ["unknown"] * len(asked)
+    return {name: state for name, state in zip(asked, states, strict=True) if name in wanted or state == "active"}
 
 
 def starts_at_boot() -> bool | None:
@@ -273,12 +275,6 @@ def starts_at_boot() -> bool | None:
     if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
         return None
     return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()
-
-
-def states_in(answer: str, names: list[str]) -> dict[str, str]:
-    """What `systemctl is-active` says of each of them, a line each in their order."""
-    lines = answer.split()
-    return dict(zip(names, lines if len(lines) == len(names) else ["unknown"] * len(names), strict=True))
 
 
 def _scheduling(proc: Path) -> Scheduling | None:

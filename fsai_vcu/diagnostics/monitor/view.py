@@ -20,7 +20,7 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory
 from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics, expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.measure import MessageStatistics, expected_period_ns, measure
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
@@ -113,11 +113,8 @@ class _Moment:
         self._now_ns = now_ns
         ours = [number for number, name in enumerate(window.channels) if name == record.channel]
         self._window = window.only(window.channel == ours[0]) if len(window.channels) > 1 and ours else window
-        self._stats = self._measured()
-
-    def _measured(self) -> BusStatistics | None:
-        found = measure(self._window, self._record.decoder, revision=self._record.revision.name)
-        return found[0] if found else None
+        measured = measure(self._window, record.decoder, revision=record.revision.name)
+        self._stats = measured[0] if measured else None
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
         record, now_ns, stats = self._record, self._now_ns, self._stats
