@@ -149,6 +149,20 @@ def test_a_recorder_asked_to_end_has_everything_on_disk(
     assert json.loads(path.with_suffix(".json").read_text())["frames"] == len(kept)
 
 
+def test_a_recorder_of_a_silent_bus_is_stopped_without_failure(
+    recorder: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    process = recorder("-o", str(tmp_path / "run"))
+    until_s = time.monotonic() + WITHIN_S
+    while not list(tmp_path.glob("run/*.log")):
+        assert time.monotonic() < until_s, "waited in vain"
+        time.sleep(0.05)
+    time.sleep(0.5)  # from the first file on it takes the signal for its end
+    process.send_signal(signal.SIGTERM)
+    said = process.communicate(timeout=WITHIN_S)[1]
+    assert process.returncode == 0 and f"nothing was received on loopback:{BUS}" in said
+
+
 def test_limits_are_stored_beside_the_log_and_silence_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     limits = tmp_path / "limits.toml"
     limits.write_text("max_speed_mps = 5.0  # the paddock\n")
