@@ -279,7 +279,7 @@ def file(tmp_path: Path) -> str:
 
 def test_the_bus_is_reported_and_the_exit_status_is_the_verdict(file: str, capsys: pytest.CaptureFixture[str]) -> None:
     images = (VcuStatus(as_state=AsState.AS_OFF), WheelSpeeds(0, 0, 0, 0), WheelCounts(9, 0, 0, 0))
-    with talking(BUS_NAME, *map(CODEC.encode, images)):
+    with talking(BUS_NAME, *(CODEC.encode(image) for image in images)):
         status = main(["doctor", "--config", file, "--seconds", "0.3", "--json"])
     report = json.loads(capsys.readouterr().out)
     by_topic = {finding["topic"]: finding for finding in report["findings"]}

@@ -39,10 +39,6 @@ class Listener:
         self.overrun = 0
         """Frames thrown away because they were not fetched for too long."""
 
-    @property
-    def away(self) -> bool:
-        return self._bus is None
-
     def fetch(self) -> list[Received]:
         """What was received since the last call."""
         return [self._received.popleft() for _ in range(len(self._received))]

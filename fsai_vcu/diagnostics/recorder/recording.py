@@ -233,7 +233,7 @@ class Recording:
         """Some of what waits goes to the segment's files, from where no full disk can lose it."""
         taken = [self._frames.popleft() for _ in range(min(_PART, len(self._frames)))]
         lines = "".join(f"{candump_line(frame, self._bus, stamp_ns)}\n" for frame, stamp_ns in taken)
-        segment.log.put(lines.encode("ascii"))
+        segment.log.write(lines.encode("ascii"))
         segment.frames += len(taken)
         segment.unpushed += len(taken)
         self.taken += len(taken)
