@@ -46,6 +46,7 @@ ARROWS: dict[str, set[str]] = {
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     "fsai_vcu.cli": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", DIAGNOSTICS},
     "fsai_nodes": {"fsai_vcu.core", "fsai_vcu.interface", "fsai_vcu.runtime", f"{DIAGNOSTICS}.explain"},
+    "fsai_nodes.recorder": {"fsai_nodes", "fsai_vcu.runtime", f"{DIAGNOSTICS}.export"},
     "fsai_nodes.sensor_simulator": {"fsai_nodes", "fsai_hil.simulator"},
     "fsai_hil": set(),
     "fsai_hil.vcan": {"fsai_hil"},

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument, report_problems
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
+    from concurrent.futures import Executor, Future
+
+Given = TypeVar("Given")
+Done = TypeVar("Done")
 
 EXAMPLE = "fsai-vcu decode run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
-_AT_ONCE = 60_000  # frames: many of one message are decoded together, and their text still fits a processor's cache
+_AT_ONCE = 3  # blocks of a log
+_SHORT_BYTES = 1 << 16  # printed frame by frame sooner than numpy is loaded
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,49 +31,56 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.decode.sharing import processes_for
-
     decoding = Decoding("decode", args)
-    processes = processes_for(args.log)
-    return _pieces(args, decoding, processes) if processes else _chunks(args, decoding)
-
-
-def _pieces(args: argparse.Namespace, decoding: Decoding, processes: int) -> int:
-    """A candump log, on all processors."""
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.decode.printing import Printer
-    from fsai_vcu.diagnostics.decode.sharing import LARGE_PIECE_BYTES, PIECE_BYTES, write_all, write_lines
-
-    path = Path(args.log)
-    try:
-        decoding.hear_log(path)
-        printer = Printer(decoding.databases, as_json=args.json, words=not args.numbers)
-        piece_bytes = LARGE_PIECE_BYTES if args.json else PIECE_BYTES
-        output = Output()
-        write = partial(write_all, sys.stdout.fileno()) if processes > 1 else output.write
-        count, problems = write_lines(path, printer, write, processes, piece_bytes)
-        output.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise UserError(f"cannot write the output: {error.strerror or error}") from error
-    return report_problems("decode", args.log, count, problems)
-
-
-def _chunks(args: argparse.Namespace, decoding: Decoding) -> int:
-    from fsai_vcu.diagnostics.log.frames import joined
-
+    if _is_short(Path(args.log)):
+        return _short(args, decoding)
     sources = Sources("decode", [args.log], decoding)
     output = Output()
-    waiting: list[Frames] = []
-    count = 0
-    at_once = sources.live or args.log == "-"
-    for chunk in sources.chunks():
-        waiting.append(chunk)
-        count += len(chunk)
-        if count >= _AT_ONCE or (at_once and count):
-            output.write(decoding.writer.block(joined(waiting)), at_once=at_once)
-            waiting, count = [], 0
-    output.write(decoding.writer.block(joined(waiting)))
+    if sources.live or args.log == "-":
+        for frames in sources.chunks():
+            output.write(decoding.writer.block(frames), at_once=True)
+        return sources.status
+    from concurrent.futures import ThreadPoolExecutor
+
+    sources.learn()
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for text in sources.mapped(decoding.writer.block, partial(_in_order, pool)):
+            output.write(text)
     output.flush()
     return sources.status
+
+
+def _short(args: argparse.Namespace, decoding: Decoding) -> int:
+    """A small log, without numpy."""
+    from fsai_vcu.diagnostics.decode.text import FrameText
+    from fsai_vcu.diagnostics.log.reader import open_log
+
+    with open_log(args.log) as log:
+        frames = list(log.frames())
+    decoding.hear_frames(frames)
+    text = FrameText(decoding.databases, as_json=args.json, words=not args.numbers)
+    output = Output()
+    output.write("".join(map(text.line, frames)).encode(), at_once=True)
+    return report_problems("decode", log.name, len(frames), log.problems)
+
+
+def _in_order(pool: Executor, work: Callable[[Given], Done], several: Iterable[Given]) -> Iterator[Done]:
+    """As `map`: a few at once, and no more of them in memory."""
+    waiting: deque[Future[Done]] = deque()
+    for each in several:
+        waiting.append(pool.submit(work, each))
+        if len(waiting) > _AT_ONCE:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+def _is_short(path: Path) -> bool:
+    """Whether this is a file in one of candump's formats, and a small one."""
+    from fsai_vcu.diagnostics.log.files import kind_of
+
+    try:
+        with path.open("rb") as file:
+            return os.fstat(file.fileno()).st_size <= _SHORT_BYTES and kind_of(file.read(16)) == "candump"
+    except OSError:
+        return False

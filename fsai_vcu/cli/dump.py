@@ -53,18 +53,18 @@ def run(args: argparse.Namespace) -> int:
     lines = _Lines(args, decoding)
     output = Output()
     left = args.count
-    heard_at = time.monotonic()
+    received_at = time.monotonic()
     try:
         for frames in sources.chunks():
             if len(frames):
-                heard_at = time.monotonic()
+                received_at = time.monotonic()
                 shown = frames if left is None else frames.head(left)
                 output.write(lines.block(shown), at_once=True)
                 if left is not None:
                     left -= len(shown)
                     if left == 0:
                         break
-            elif args.idle_ms is not None and (time.monotonic() - heard_at) * 1000 >= args.idle_ms:
+            elif args.idle_ms is not None and (time.monotonic() - received_at) * 1000 >= args.idle_ms:
                 break
     except KeyboardInterrupt:
         if not sources.live:
@@ -84,7 +84,7 @@ class _Lines:
         self._zero_ns: int | None = None
         self._last_ns: int | None = None
 
-    def block(self, frames: Frames) -> bytes:
+    def block(self, frames: Frames) -> bytes | bytearray:
         from fsai_vcu.diagnostics.log.candump import log_lines, screen_lines
         from fsai_vcu.diagnostics.log.frames import EXTENDED
 

@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments
+from fsai_vcu.cli.sources import LOG_HELP, Decoding, Sources, add_database_arguments
 
 EXAMPLE = (
     "fsai-vcu export run.log.gz --to parquet -o run-tables\n"
@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG[,FILTER…]",
-        help="a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input), with candump's filters to leave "
-        "frames out; several are read one after the other, as the segments of a recording",
+        help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
+        "other, as the segments of a recording",
     )
     parser.add_argument("--to", required=True, choices=("csv", "parquet", "mcap", "mf4"), help="the format")
     parser.add_argument(
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if sources.live:
         raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
     progress = _Progress()
-    frames = sources.everything(heard=progress.reading)
+    frames = sources.everything(received=progress.reading)
     if not len(frames):
         return sources.status or 1
     try:

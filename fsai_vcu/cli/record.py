@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
     recording.take(listener.fetch())
     if topics is not None:
         topics.stop()
-        recording.take_messages(_messages(topics))
+        recording.take_messages(topics.fetch())
     recording.close(time.monotonic_ns())
     return _result(args, listener, recording, place.number, stopped=signal.SIGTERM in ending)
 
@@ -148,7 +148,7 @@ def _record(
             turn_ns = now_ns
             recording.take(listener.fetch())
             if topics is not None:
-                recording.take_messages(_messages(topics))
+                recording.take_messages(topics.fetch())
                 for news in topics.news():
                     _say(news)
             recording.turn(now_ns)
@@ -282,18 +282,3 @@ def _topics(args: argparse.Namespace) -> Any | None:
         return recorder.TopicRecorder((*recorder.PROJECT_TOPICS, *args.topic), args.namespace or "/")
     except ValueError as error:
         raise UserError(f"--namespace {error}") from error
-
-
-def _messages(topics: Any) -> list[Any]:
-    """What was heard, as an MCAP keeps it."""
-    from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
-
-    return [
-        RosMessage(
-            RosTopic(each.topic.name, each.topic.type_name, each.topic.definition, each.topic.qos),
-            each.data,
-            each.taken_ns,
-            each.sent_ns,
-        )
-        for each in topics.fetch()
-    ]

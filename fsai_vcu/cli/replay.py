@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import Sources
+from fsai_vcu.cli.sources import LOG_HELP, Sources
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
@@ -26,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "log",
         metavar="LOG[,FILTER…]",
-        help="a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input), with candump's filters: ID:MASK, "
-        "ID~MASK, j",
+        help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j",
     )
     parser.add_argument("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
     parser.add_argument("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")

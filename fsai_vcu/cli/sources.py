@@ -6,9 +6,9 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
@@ -16,12 +16,67 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.lines import LineWriter
     from fsai_vcu.diagnostics.log.files import Problems
     from fsai_vcu.diagnostics.log.filters import FrameFilter
+    from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
+    from fsai_vcu.diagnostics.log.part import Part
+    from fsai_vcu.diagnostics.log.reader import Log
     from fsai_vcu.interface.revisions import Revision
 
-SOURCE_HELP: Final = "a log (candump, BLF, ASC, MF4, each also gzipped; - is standard input) or a CAN interface"
+Done = TypeVar("Done")
+
+LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
+SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
+LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc"})
 _PROBLEMS_SHOWN = 5
-_FEW_BYTES = 1 << 16  # some two seconds of the car's bus
+
+
+def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
+    """Several logs, or folders of them, count as one log: the segments of a recording."""
+    parser.add_argument(
+        name,
+        nargs="+",
+        metavar="LOG|FOLDER|INTERFACE[,FILTER…]",
+        help=SOURCE_HELP + "; several logs, or a folder of them, are read as one; filters as for dump",
+    )
+
+
+def add_part_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--from",
+        dest="begin",
+        metavar="TIME",
+        help="from so many seconds after the log's first frame on, or from a time of day (UTC, 14:03:30)",
+    )
+    parser.add_argument("--to", dest="end", metavar="TIME", help="up to that time")
+    parser.add_argument(
+        "--messages", metavar="NAME,…", help="only these: names as in the database with * and ?, or identifiers (0x520)"
+    )
+
+
+def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
+    """The part of the log that the arguments ask for. Raises UserError."""
+    from fsai_vcu.cli.main import UserError, WrongUse
+    from fsai_vcu.diagnostics.log.part import Part
+
+    ids: frozenset[int] | None = None
+    if args.messages is not None:
+        patterns = [name for name in args.messages.split(",") if name]
+        layouts = decoding.databases.layouts.values()
+        ids = frozenset(layout.can_id for layout in layouts if any(layout.is_called(name) for name in patterns))
+        ids |= {int(name, 16) for name in patterns if name.lower().startswith("0x") and _is_hex(name)}
+        if not ids:
+            raise UserError(f"no message {' or '.join(patterns)}; fsai-vcu dbc list names them")
+    try:
+        return Part(args.begin, args.end, ids)
+    except ValueError as error:
+        raise WrongUse(str(error)) from error
+
+
+def _is_hex(text: str) -> bool:
+    try:
+        return int(text, 16) >= 0
+    except ValueError:
+        return False
 
 
 def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
@@ -71,7 +126,7 @@ class Decoding:
         self._decoder: Decoder | None = None
         self._writer: LineWriter | None = None
         if self._files:
-            self._databases = self._loaded()  # what is wrong with them is said before anything is read
+            self._databases = self._loaded()  # what is wrong with them is reported before anything is read
 
     @property
     def databases(self) -> Databases:
@@ -105,16 +160,14 @@ class Decoding:
         if not self.told and len(frames):
             self._learn(told_revision(frames))
 
-    def hear_log(self, path: Path) -> None:
-        """The same from the beginning of a candump log: as much of it as it takes."""
-        from fsai_vcu.diagnostics.decode.quick_lines import payloads
+    def hear_frames(self, frames: Iterable[LogFrame]) -> None:
+        """The same without numpy."""
         from fsai_vcu.diagnostics.decode.revision import revision_of
-        from fsai_vcu.diagnostics.decode.sharing import pieces_of
 
-        for block in pieces_of(path, _FEW_BYTES):
-            if self.told:
-                return
-            self._learn(revision_of(payloads(block)))
+        plain = [frame for frame in frames if not (frame.extended or frame.error or frame.remote)]
+        if not self.told:
+            words = {(each.can_id, len(each.data), int.from_bytes(each.data[:8], "little")) for each in plain}
+            self._learn(revision_of(words))
 
     def _learn(self, found: tuple[Revision, str] | None) -> None:
         if found is None:
@@ -142,11 +195,13 @@ class Sources:
     """Logs or live interfaces named on a command line, as one stream of columns.
 
     `live` tells which, `name` what they are called. `status` is 1 once something could not be read; what it
-    was is said on stderr.
+    was is printed on stderr.
     """
 
-    def __init__(self, verb: str, names: Sequence[str], decoding: Decoding | None = None) -> None:
-        """names: `NAME[,filter…]` each. decoding: hears every frame, those too that no filter lets through.
+    def __init__(
+        self, verb: str, names: Sequence[str], decoding: Decoding | None = None, part: Part | None = None
+    ) -> None:
+        """names: `NAME[,filter…]` each. decoding: receives every frame, those too that no filter lets through.
 
         Raises UserError.
         """
@@ -156,8 +211,9 @@ class Sources:
         self.verb = verb
         self.status = 0
         self._decoding = decoding
+        self._part = part
         try:
-            self._rules = [split_source(name) for name in names]
+            self._rules = [split_source(each) for name in names for each in _unfolded(name)]
         except ValueError as error:
             raise WrongUse(str(error)) from error
         self.name = ", ".join("standard input" if name == "-" else name for name, _ in self._rules)
@@ -169,14 +225,14 @@ class Sources:
     def chunks(self, seconds: float | None = None, *, announced: bool = False) -> Iterator[Frames]:
         """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock.
 
-        announced: a person who would see nothing for long is told that this is listening.
+        announced: a person who would see nothing for long sees that this is listening.
         """
         yield from self._live_chunks(seconds, announced) if self.live else self._log_chunks()
 
-    def everything(self, seconds: float | None = None, heard: Callable[[int], None] = lambda _: None) -> Frames:
-        """All frames of all logs, their buses numbered alike; of live buses, what they say for so long or until Ctrl-C.
+    def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
+        """All frames of all logs, their buses numbered alike; of live buses, those of so long or until Ctrl-C.
 
-        `heard` is told again and again how many frames there are.
+        `received` gets again and again how many frames there are.
         """
         from fsai_vcu.diagnostics.log.frames import joined, renumbered
 
@@ -188,32 +244,61 @@ class Sources:
                 if len(chunk):
                     parts.append(renumbered(chunk, channels))
                     count += len(chunk)
-                heard(count)
+                received(count)
         except KeyboardInterrupt:
             if not self.live:
                 raise
         if self.live and not count:
-            self._say(f"nothing was heard on {self.name}")
+            self._say(f"nothing was received on {self.name}")
             self.status = 1
         return joined(parts)
 
-    def _log_chunks(self) -> Iterator[Frames]:
-        from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+    def learn(self) -> None:
+        """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
+        for name, _ in self._rules:
+            with self._opened(name) as log:
+                for frames in log.chunks():
+                    if self._decoding is None or self._decoding.told:
+                        return
+                    self._decoding.hear(frames)
 
+    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
+        """What `work` makes of the frames of each chunk of the logs; for `in_order` see Log.mapped."""
         for name, rule in self._rules:
-            try:
-                log = open_log(name)
-            except LogError as error:
-                raise UserError(str(error)) from error
             count = 0
-            with log:
+
+            def done(frames: Frames, rule: FrameFilter = rule) -> tuple[Done, int]:
+                return work(self._passing(frames, rule)), len(frames)
+
+            with self._opened(name) as log:
+                for what, frames in log.mapped(done, in_order):
+                    count += frames
+                    yield what
+            self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _log_chunks(self) -> Iterator[Frames]:
+        for name, rule in self._rules:
+            count = 0
+            with self._opened(name) as log:
                 for frames in log.chunks():
                     count += len(frames)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
-                    yield _passing(frames, rule)
+                    yield self._passing(frames, rule)
             self.status |= report_problems(self.verb, log.name, count, log.problems)
+
+    def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
+        shown = frames if self._part is None else self._part.of(frames)
+        return shown.only(rule.passes(shown)) if rule else shown
+
+    def _opened(self, name: str) -> Log:
+        from fsai_vcu.cli.main import UserError
+        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+
+        try:
+            return open_log(name)
+        except LogError as error:
+            raise UserError(str(error)) from error
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.cli.main import UserError
@@ -233,7 +318,8 @@ class Sources:
             for frames in source.chunks(seconds):
                 if self._decoding is not None:
                     self._decoding.hear(frames)
-                yield filtered(frames, rules)
+                shown = filtered(frames, rules)
+                yield shown if self._part is None else self._part.of(shown)
             if source.lost is not None:
                 self._say(source.lost)
                 self.status = 1
@@ -268,8 +354,13 @@ def check_seconds(args: argparse.Namespace) -> None:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
 
-def _passing(frames: Frames, rule: FrameFilter) -> Frames:
-    return frames.only(rule.passes(frames)) if rule else frames
+def _unfolded(name: str) -> list[str]:
+    """A folder as the logs in it, by their names; anything else as it is."""
+    folder, _, filters = name.partition(",")
+    if folder == "-" or not Path(folder).is_dir():
+        return [name]
+    logs = sorted(path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES)
+    return [f"{path},{filters}" if filters else str(path) for path in logs]
 
 
 def _is_log(name: str) -> bool:
@@ -287,7 +378,7 @@ class Output:
         sys.stdout.flush()
         self._out = sys.stdout.buffer
 
-    def write(self, block: bytes, *, at_once: bool = False) -> None:
+    def write(self, block: bytes | bytearray, *, at_once: bool = False) -> None:
         from fsai_vcu.cli.main import UserError
 
         try:

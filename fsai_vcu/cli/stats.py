@@ -77,11 +77,11 @@ class _Progress:
     """Says on a terminal, every two seconds, how many frames there are."""
 
     def __init__(self) -> None:
-        self._told_at = time.monotonic()
+        self._printed_at = time.monotonic()
 
     def __call__(self, frames: int) -> None:
-        if sys.stderr.isatty() and time.monotonic() - self._told_at > _PROGRESS_S:
-            self._told_at = time.monotonic()
+        if sys.stderr.isatty() and time.monotonic() - self._printed_at > _PROGRESS_S:
+            self._printed_at = time.monotonic()
             print(f"{frames} frames …", file=sys.stderr)
 
 

@@ -13,7 +13,8 @@ Reading
     guess_revision(frames)                        # decode/revision.py: the interface revision they are of, and why
     LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses
 
-    candump's formats are read and written by log/candump.py; log/reader.py knows the binary ones, through python-can.
+    candump's formats are read and written by log/candump.py (many lines at once) and log/candump_line.py (one, without
+    numpy), SavvyCAN's by log/gvret.py; log/reader.py knows all others, through python-can.
 
 Choosing
     FrameFilter.parse("520:7FF,#FFFFFFFF")        # log/filters.py: candump's filters, on columns
@@ -30,12 +31,11 @@ Decoding
 
 Printing
     LineWriter(decoder, as_json=False).block(frames)      # decode/lines.py: lines of bytes; tails(): the signals only
-    Printer(databases)(block)                            # decode/printing.py: lines of a candump log, as they are in it
-    write_lines(path, printer, write, processes)          # decode/sharing.py: all of a candump log, on all processors
+    FrameText(databases).line(frame)                      # decode/text.py: the same of one frame, without numpy
     error_words(can_id, data)                             # decode/error_frames.py: an error frame of SocketCAN in words
 
-    `fsai-vcu decode` of a candump log loads neither numpy nor cantools while its lines are usual (quick_lines.py): to
-    load numpy takes as long as to print 100,000 lines. lines.py says what is right, and a test compares them.
+    text.py says what is right; lines.py does it for many frames at once. `fsai-vcu decode` of a short log loads neither
+    numpy nor cantools: to load them takes longer.
 
 Measuring
     measure(frames, decoder, revision=…)       # statistics/measure.py: a BusStatistics for each channel: periods,
@@ -43,7 +43,6 @@ Measuring
     judge(bus), verdict(findings)                 # what is not as it should be; whether all is well
     wire_bits(frames)                           # statistics/wire_bits.py: exact length on the wire, stuff bits included
     quantile(ordered, share)                 # statistics/quantiles.py: one meaning of p50 and p99 everywhere
-    decode.bench.speed(log)                              # beside cantools' own command line, in the same run
 
 Watching, sending
     view = View(); view.update(frames); view.picture(now_ns)      # monitor/: one moment of a bus, and its drawing

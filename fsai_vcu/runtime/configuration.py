@@ -12,7 +12,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -113,8 +113,16 @@ class Key:
         return None
 
 
-# For the node's parameters as well as for the file.
-BRAKE_RANGES_PCT: dict[str, tuple[float, float]] = {"holding_brake_pct": (0.0, 100.0), "stop_brake_pct": (10.0, 100.0)}
+Ranges = Mapping[str, tuple[float, float]]
+BRAKE_RANGES_PCT: Ranges = {"holding_brake_pct": (0.0, 100.0), "stop_brake_pct": (10.0, 100.0)}
+
+
+def _of(table: str, node: str, settings: object, ranges: Ranges, **meanings: str) -> Iterator[Key]:
+    """Numbers of `settings`, by their names there; the node's parameter of a speed has no unit in its name."""
+    for name, meaning in meanings.items():
+        parameter = node, name.removesuffix("_mps")
+        yield Key(table, name, getattr(settings, name), meaning, (parameter,), *ranges[name])
+
 
 KEYS: tuple[Key, ...] = (
     Key("can", "interface", "can0", "the bus of the car; a service is told its own, fsai-bridge@can0", shape=_BUS),
@@ -157,21 +165,13 @@ KEYS: tuple[Key, ...] = (
         (("vcu_bridge", "service_brake"),),
         choices=("hydraulic", "motor"),
     ),
-    Key(
+    *_of(
         "car",
-        "holding_brake_pct",
-        _CONFIG.holding_brake_pct,
-        "brake that holds the car at rest",
-        (("vcu_bridge", "holding_brake_pct"),),
-        *BRAKE_RANGES_PCT["holding_brake_pct"],
-    ),
-    Key(
-        "car",
-        "stop_brake_pct",
-        _CONFIG.stop_brake_pct,
-        "brake of a service-brake stop",
-        (("vcu_bridge", "stop_brake_pct"),),
-        *BRAKE_RANGES_PCT["stop_brake_pct"],
+        "vcu_bridge",
+        _CONFIG,
+        BRAKE_RANGES_PCT,
+        holding_brake_pct="brake that holds the car at rest",
+        stop_brake_pct="brake of a service-brake stop",
     ),
     Key(
         "limits",
@@ -189,37 +189,15 @@ KEYS: tuple[Key, ...] = (
         low=1,
         high=100,
     ),
-    Key(
+    *_of(
         "missions",
-        "max_speed_mps",
-        _CONTROLLER.max_speed_mps,
-        f"highest speed in every mission; {NO_SPEED_LIMIT_MPS:g}: not limited",
-        (("vehicle_controller", "max_speed"),),
-        *CONTROLLER_RANGES["max_speed_mps"],
-    ),
-    Key(
-        "missions",
-        "lap_max_speed_mps",
-        _CONTROLLER.lap_max_speed_mps,
-        "highest speed on laps (autocross, trackdrive)",
-        (("vehicle_controller", "lap_max_speed"),),
-        *CONTROLLER_RANGES["lap_max_speed_mps"],
-    ),
-    Key(
-        "missions",
-        "skidpad_max_speed_mps",
-        _CONTROLLER.skidpad_max_speed_mps,
-        "highest speed in the skidpad",
-        (("vehicle_controller", "skidpad_max_speed"),),
-        *CONTROLLER_RANGES["skidpad_max_speed_mps"],
-    ),
-    Key(
-        "missions",
-        "acceleration_max_speed_mps",
-        _CONTROLLER.acceleration_max_speed_mps,
-        "highest speed in the acceleration",
-        (("vehicle_controller", "acceleration_max_speed"),),
-        *CONTROLLER_RANGES["acceleration_max_speed_mps"],
+        "vehicle_controller",
+        _CONTROLLER,
+        CONTROLLER_RANGES,
+        max_speed_mps=f"highest speed in every mission; {NO_SPEED_LIMIT_MPS:g}: not limited",
+        lap_max_speed_mps="highest speed on laps (autocross, trackdrive)",
+        skidpad_max_speed_mps="highest speed in the skidpad",
+        acceleration_max_speed_mps="highest speed in the acceleration",
     ),
     Key(
         "perception",
@@ -230,21 +208,13 @@ KEYS: tuple[Key, ...] = (
         low=0.0,
         high=1.0,
     ),
-    Key(
+    *_of(
         "perception",
-        "range_max_m",
-        _PLANNER.range_max_m,
-        "cones further away are not used",
-        (("path_planner", "range_max_m"),),
-        *PLANNER_RANGES["range_max_m"],
-    ),
-    Key(
-        "perception",
-        "horizon_m",
-        _PLANNER.horizon_m,
-        "how far to look for the lane",
-        (("path_planner", "horizon_m"),),
-        *PLANNER_RANGES["horizon_m"],
+        "path_planner",
+        _PLANNER,
+        PLANNER_RANGES,
+        range_max_m="cones further away are not used",
+        horizon_m="how far to look for the lane",
     ),
     Key("ros", "domain_id", 0, "ROS_DOMAIN_ID of the car", low=0, high=101),
     Key(

@@ -74,6 +74,7 @@ def test_a_broken_log_is_exported_up_to_the_break_and_fails(log: Path, capsys: p
         (["nowhere0"], "nowhere0 is an interface; export reads logs", 2),
         (["LOG", "--raster", "10ms"], "--raster goes with --wide", 2),
         (["LOG", "--wide", "--raster", "10"], "no raster: '10'; a raster is a time like 10ms, 0.5s or 100us", 2),
+        (["LOG", "--wide", "--raster", "0ms"], "no raster: '0ms'", 2),
         (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory", 1),
         (["EMPTY"], "no frames in it", 1),
         (["LOG,nonsense"], "no filter: 'nonsense'", 2),

@@ -53,7 +53,7 @@ def test_ctrl_c_ends_the_listening_and_begins_the_story(car: None) -> None:
 def test_a_silent_bus_is_one_clear_line(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = ["-o", str(tmp_path / "x.html")] if verb == "report" else []
     assert main([verb, f"{NAME}-silent", "--seconds", "0.1", *page]) == 1
-    assert capsys.readouterr().err == f"fsai-vcu {verb}: nothing was heard on {NAME}-silent\n"
+    assert capsys.readouterr().err == f"fsai-vcu {verb}: nothing was received on {NAME}-silent\n"
     assert not (tmp_path / "x.html").exists()
 
 

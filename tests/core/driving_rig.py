@@ -13,21 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fsai_hil.simulator import tracks
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.planning.planner import Planner
-from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
 STEP_NS = 10_000_000
-TAGS = {
-    "blue": ConeColor.BLUE,
-    "yellow": ConeColor.YELLOW,
-    "orange": ConeColor.ORANGE,
-    "big_orange": ConeColor.BIG_ORANGE,
-}
-CONE_RADIUS_M = {int(color): 0.114 for color in ConeColor} | {int(ConeColor.BIG_ORANGE): 0.143}
 
 
 @dataclass(frozen=True)
@@ -219,112 +213,15 @@ class Rig:
         rear = car.nose_ahead_of_rear_axle_m - car.length_m
         out_u = np.maximum(np.maximum(rear - u, u - car.nose_ahead_of_rear_axle_m), 0.0)
         out_v = np.maximum(np.abs(v) - 0.5 * car.width_m, 0.0)
-        radius = np.array([CONE_RADIUS_M[int(color)] for color in self.track.color])
+        radius = np.array([tracks.CONE_RADIUS_M[ConeColor(color)] for color in self.track.color])
         for index in np.flatnonzero(np.hypot(out_u, out_v) < radius):
             if int(index) not in self.result.hits:
                 self.result.hits.add(int(index))
                 self.result.hit_at.append((self.t_ns / 1e9, self.x, self.y))
 
 
-# ---------------------------------------------------------------- courses
-
-
-def along_midline(midline_m: NDArray[np.float64], half_width_m: float, spacing_m: float, start: int = 0) -> Track:
-    """A closed track with cones to either side of a midline, a gate of big orange cones 6 m ahead of the car's nose."""
-    ring = np.vstack((midline_m, midline_m[:1]))
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(ring, axis=0).T))))
-    length = along[-1]
-
-    def point(s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        s = s % length
-        here = np.array([np.interp(s, along, ring[:, 0]), np.interp(s, along, ring[:, 1])])
-        ahead = (s + 0.2) % length
-        there = np.array([np.interp(ahead, along, ring[:, 0]), np.interp(ahead, along, ring[:, 1])])
-        direction = (there - here) / np.hypot(*(there - here))
-        return here, direction
-
-    xy: list[NDArray[np.float64]] = []
-    color: list[int] = []
-    gate_s = 6.0 + 2.17
-    count = round(length / spacing_m)
-    for index in range(count):
-        s = gate_s + (index + 0.5) * length / count
-        here, direction = point(s)
-        left = np.array([-direction[1], direction[0]])
-        xy += [here + half_width_m * left, here - half_width_m * left]
-        color += [int(ConeColor.BLUE), int(ConeColor.YELLOW)]
-    for offset in (-0.4, 0.4):
-        here, direction = point(gate_s + offset)
-        left = np.array([-direction[1], direction[0]])
-        xy += [here + half_width_m * left, here - half_width_m * left]
-        color += [int(ConeColor.BIG_ORANGE)] * 2
-    here, direction = point(0.0)
-    return Track(np.array(xy), np.array(color), (here[0], here[1], math.atan2(direction[1], direction[0])), midline_m)
-
-
-def oval(straight_m: float = 25.0, radius_m: float = 9.0) -> NDArray[np.float64]:
-    """Midline of two straights and two half circles, anticlockwise, from the middle of a straight."""
-    s = np.arange(0.0, 2.0 * straight_m + 2.0 * math.pi * radius_m, 0.25)
-    half = 0.5 * straight_m
-    out = []
-    for value in s:
-        if value < half:
-            out.append((value, 0.0))
-        elif value < half + math.pi * radius_m:
-            a = (value - half) / radius_m
-            out.append((half + radius_m * math.sin(a), radius_m * (1.0 - math.cos(a))))
-        elif value < half + math.pi * radius_m + straight_m:
-            out.append((half - (value - half - math.pi * radius_m), 2.0 * radius_m))
-        elif value < half + 2.0 * math.pi * radius_m + straight_m:
-            a = (value - half - math.pi * radius_m - straight_m) / radius_m
-            out.append((-half - radius_m * math.sin(a), 2.0 * radius_m - radius_m * (1.0 - math.cos(a))))
-        else:
-            out.append((value - (half + 2.0 * math.pi * radius_m + straight_m) - half, 0.0))
-    return np.array(out)
-
-
-def winding(seed_phase: float = 0.0) -> NDArray[np.float64]:
-    """Midline of a closed track with bends to both sides, tightest about 6 m."""
-    a = np.arange(0.0, 2.0 * math.pi, 0.004)
-    r = 24.0 + 5.0 * np.sin(3.0 * a + seed_phase) + 1.5 * np.sin(5.0 * a)
-    return np.column_stack((r * np.cos(a), r * np.sin(a)))
-
-
-def straight_lane(finish_m: float = 77.5) -> Track:
-    """The acceleration course for a rear axle at the origin."""
-    xy: list[tuple[float, float]] = []
-    color: list[int] = []
-    for x in np.arange(2.5 + 2.5, finish_m - 1.0, 5.0):
-        xy += [(float(x), 1.6), (float(x), -1.6)]
-        color += [int(ConeColor.BLUE), int(ConeColor.YELLOW)]
-    for x in (2.1, 2.9, finish_m - 0.4, finish_m + 0.4):
-        xy += [(x, 1.6), (x, -1.6)]
-        color += [int(ConeColor.BIG_ORANGE)] * 2
-    for x in np.arange(finish_m + 5.0, finish_m + 100.0, 5.0):
-        xy += [(float(x), 1.6), (float(x), -1.6)]
-        color += [int(ConeColor.ORANGE)] * 2
-    return Track(np.array(xy), np.array(color), (0.0, 0.0, 0.0))
-
-
-def figure_of_eight(staged_m: float = -17.17) -> Track:
-    """The skidpad, its origin where the circles touch."""
-    xy: list[tuple[float, float]] = []
-    color: list[int] = []
-    for side in (-1.0, 1.0):
-        for index in range(16):
-            a = 2.0 * math.pi * (index + 0.5) / 16
-            xy.append((7.625 * math.sin(a), side * 9.125 + 7.625 * math.cos(a)))
-            color.append(int(ConeColor.YELLOW if side < 0 else ConeColor.BLUE))
-        for index in range(16):
-            a = 2.0 * math.pi * index / 16
-            x, y = 10.625 * math.sin(a), side * 9.125 + 10.625 * math.cos(a)
-            if abs(y) > 1.6 and y * side > 0:
-                xy.append((x, y))
-                color.append(int(ConeColor.BLUE if side < 0 else ConeColor.YELLOW))
-    for x in (-15.0, -12.5, -10.0, -8.0, 8.0, 10.0, 13.0, 16.0, 19.0, 22.0, 25.0):
-        xy += [(x, 1.5), (x, -1.5)]
-        color += [int(ConeColor.ORANGE)] * 2
-    for x in (-1.8, 1.8):
-        xy += [(x, 1.5), (x, -1.5)]
-        color += [int(ConeColor.BIG_ORANGE)] * 2
-    return Track(np.array(xy), np.array(color), (staged_m, 0.0, 0.0))
+def staged(track: tracks.Track, mission: Ami, back_m: float = 0.0) -> Track:
+    """One of the simulator's tracks, the car staged for the mission on it or `back_m` behind that place."""
+    pose = track.staging(mission, ADS_DV_2026.nose_ahead_of_rear_axle_m)
+    start = (pose.x_m - back_m, pose.y_m, pose.yaw_rad)
+    return Track(track.cones_xy_m, track.cone_colors, start, track.centreline_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -246,6 +247,20 @@ class Rig:
         assert self.sent.torque_requested
         return self
 
+    def copied(self) -> Rig:
+        """Another rig in the same state, which goes on by itself."""
+        return copy.deepcopy(self)
+
     def latency_ns(self, since_ns: int, condition: Callable[[AiCommand], bool]) -> int | None:
         """How long after `since_ns` a cycle first met `condition`."""
         return next((t - since_ns for t, asked in self.log if t >= since_ns and condition(asked)), None)
+
+
+@cache
+def _driven(rpm: int) -> Rig:
+    return Rig().driving(rpm)
+
+
+def driven(rpm: int = 200) -> Rig:
+    """`Rig().driving(rpm)`, as a copy of one that has driven there."""
+    return _driven(rpm).copied()

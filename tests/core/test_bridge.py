@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import struct
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from supervision_rig import CYCLE, MS, Rig, S, codec_of
+from supervision_rig import CYCLE, MS, Rig, S, codec_of, driven
 
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
@@ -24,7 +23,6 @@ from fsai_vcu.interface.messages import (
     AiCommand,
     Faults,
     RotationB,
-    VcuDriveRear,
     VcuStatus,
     VcuSteer,
     VcuSystemStatus,
@@ -76,7 +74,7 @@ def test_a_run_from_as_off_to_as_finished_reports_no_reason(revision_name: str) 
 
 
 def test_the_next_mission_needs_no_restart() -> None:
-    rig = Rig().driving()
+    rig = driven()
     first_run = rig.report.run.run_id
     rig.alive = brake_to_rest
     rig.command = replace(rig.command, mission_finished=True)  # type: ignore[type-var]
@@ -104,7 +102,7 @@ def test_the_next_mission_needs_no_restart() -> None:
 
 
 def test_planner_memory_and_odometry_begin_anew_with_each_run() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.run_ms(2000)
     assert rig.report.motion.distance_m > 5.0
     for as_state in (AsState.AS_FINISHED, AsState.AS_OFF):
@@ -118,10 +116,10 @@ def test_planner_memory_and_odometry_begin_anew_with_each_run() -> None:
 
 
 def test_a_bridge_that_is_given_a_state_goes_on_from_it() -> None:
-    one, other = Rig().driving(), Rig()
+    one, other = driven(), Rig()
     other.bridge.on_frame(Frame(0x525, bytes(8), 0))  # what it has received itself is forgotten
     other.bridge.state = one.bridge.state
-    other, other.bridge = copy.deepcopy(one), other.bridge
+    other, other.bridge = one.copied(), other.bridge
     for rig in (one, other):
         rig.log.clear()
         rig.run_ms(200)
@@ -163,15 +161,10 @@ def test_a_process_that_only_listens_never_sends() -> None:
     for as_state in AsState:
         rig.say_state(as_state)
         rig.run_ms(500)
-    assert rig.log == [] and rig.report.listen_only
+    rig.hear(Frame(0x510, bytes(8), rig.now_ns))  # of the bridge that drives: no intruder
+    assert rig.log == [] and rig.report.listen_only and "intruder" not in rig.report.reason_counts
     done, message = rig.bridge.emergency_brake("now", rig.now_ns)
     assert not done and "listen_only" in message
-
-
-def test_a_listener_reports_no_intruder() -> None:
-    rig = Rig(BridgeConfig(listen_only=True)).wake()
-    rig.hear(Frame(0x510, bytes(8), rig.now_ns))
-    assert "intruder" not in rig.report.reason_counts
 
 
 def test_before_the_car_speaks_nothing_but_zeros_go_out() -> None:
@@ -219,28 +212,6 @@ def test_the_response_time_is_measured() -> None:
 # ---------------------------------------------------------------- graded reactions, on the bus
 
 
-def fault_latency(
-    prepare: Callable[[Rig], None], until: Callable[[AiCommand], bool], config: BridgeConfig | None = None
-) -> tuple[Rig, int | None]:
-    """How long after the last good 10 ms the bus shows what `until` looks for."""
-    rig = Rig(config).driving()
-    last_good_ns = rig.now_ns
-    prepare(rig)
-    rig.run_ms(700)
-    return rig, rig.latency_ns(last_good_ns, until)
-
-
-def silence(rig: Rig) -> None:
-    rig.command = None
-
-
-def muting(*images: type) -> Callable[[Rig], None]:
-    def prepare(rig: Rig) -> None:
-        rig.mute |= set(images)
-
-    return prepare
-
-
 def zero_torque(asked: AiCommand) -> bool:
     return not asked.torque_requested
 
@@ -254,30 +225,28 @@ def estop(asked: AiCommand) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("prepare", "until", "latency_ms"),
+    ("lost", "latencies_ms"),
     [
-        (silence, zero_torque, 100),
-        (silence, braking, 300),
-        (muting(VcuStatus), zero_torque, 50),
-        (muting(VcuStatus), estop, 100),
-        (muting(VcuStatus), braking, 100),
-        (muting(WheelSpeeds), zero_torque, 100),
-        (muting(WheelSpeeds), braking, 110),  # one cycle of zeros lies between torque and brake
-        (muting(WheelSpeeds), estop, 300),
-        (muting(VcuSteer), zero_torque, 100),
-        (muting(VcuSteer), braking, 110),
-        (muting(VcuSteer), estop, 300),
+        (VehicleCommand, {zero_torque: 100, braking: 300}),
+        (VcuStatus, {zero_torque: 50, braking: 100, estop: 100}),
+        (WheelSpeeds, {zero_torque: 100, braking: 110, estop: 300}),  # a cycle of zeros between torque and brake
+        (VcuSteer, {zero_torque: 100, braking: 110, estop: 300}),
     ],
 )
-def test_what_is_lost_is_answered_in_its_time(
-    prepare: Callable[[Rig], None], until: Callable[[AiCommand], bool], latency_ms: int
-) -> None:
-    _, latency_ns = fault_latency(prepare, until)
-    assert latency_ns == latency_ms * MS
+def test_what_is_lost_is_answered_in_its_time(lost: type, latencies_ms: dict[Callable[[AiCommand], bool], int]) -> None:
+    """Counted on the bus, from the last good 10 ms on."""
+    rig = driven()
+    last_good_ns = rig.now_ns
+    if lost is VehicleCommand:
+        rig.command = None
+    rig.mute = {lost}
+    rig.run_ms(700)
+    for until, latency_ms in latencies_ms.items():
+        assert rig.latency_ns(last_good_ns, until) == latency_ms * MS
 
 
 def test_a_lost_command_stops_the_car_and_ends_in_manual_at_rest() -> None:
-    rig = Rig().driving(rpm=300)
+    rig = driven(rpm=300)
     rig.command = None
     rig.alive = brake_to_rest
     rig.run_ms(200)
@@ -290,67 +259,8 @@ def test_a_lost_command_stops_the_car_and_ends_in_manual_at_rest() -> None:
     assert rig.report.emergency is None and rig.report.reason_counts == {"command_stale": 1}
 
 
-def test_a_command_that_comes_back_within_300_ms_resumes() -> None:
-    rig = Rig().driving()
-    command, rig.command = rig.command, None
-    rig.run_ms(290)
-    assert not rig.sent.torque_requested and rig.report.stopping is None
-    rig.command = command
-    rig.step(2)
-    assert rig.sent.torque_requested and rig.report.mode == "autonomous"
-
-
-def test_data_that_grows_old_behind_fresh_commands_stops_the_car() -> None:
-    rig = Rig().driving()
-    frozen_ns = rig.now_ns
-    rig.command = None
-
-    def stale_data(rig: Rig) -> None:
-        order = VehicleCommand(frozen_ns, rig.bridge.run.run_id, throttle=0.5, speed_limit_mps=10.0)
-        rig.bridge.on_command(order, rig.now_ns)
-
-    rig.alive = stale_data
-    rig.run_ms(1000)
-    assert rig.latency_ns(frozen_ns, zero_torque) == 500 * MS
-    assert rig.latency_ns(frozen_ns, braking) == 700 * MS
-
-
-def test_a_stop_without_deceleration_becomes_an_emergency() -> None:
-    rig = Rig().driving(rpm=300)
-    rig.bridge.set_mode("manual", rig.now_ns)
-    began_ns = rig.now_ns + CYCLE
-    rig.run_ms(600)
-    assert rig.latency_ns(began_ns, estop) == 510 * MS  # the first window begins with the stop's second cycle
-    assert "stop_ineffective" in rig.report.reason_counts
-
-
-def test_a_stop_of_more_than_3_s_becomes_an_emergency() -> None:
-    rig = Rig().driving(rpm=1100)
-
-    def slowly(rig: Rig) -> None:
-        rpm = rig.rpm[0] - 1
-        rig.rpm = (rpm, rpm, rpm, rpm)
-
-    rig.bridge.set_mode("manual", rig.now_ns)
-    began_ns = rig.now_ns + CYCLE
-    rig.alive = slowly
-    rig.run_ms(3100)
-    assert rig.latency_ns(began_ns, estop) == 3 * S
-
-
-def test_throttle_with_brake_brakes_then_becomes_an_emergency() -> None:
-    rig = Rig().driving()
-    since_ns = rig.now_ns + CYCLE
-    rig.command = replace(rig.command, brake=0.2)  # type: ignore[type-var]
-    rig.run_ms(200)
-    assert rig.latency_ns(since_ns, zero_torque) == 0
-    assert rig.latency_ns(since_ns, braking) == CYCLE
-    assert rig.latency_ns(since_ns, estop) == 100 * MS
-    assert rig.report.reason_counts["both_pedals"] == 1
-
-
 def test_a_stuck_steering_stops_the_car_then_is_an_emergency() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.steer_deg = 0.0
     rig.command = replace(rig.command, steering_rad=math.radians(20.0))  # type: ignore[type-var]
     rig.alive = brake_to_rest
@@ -363,7 +273,7 @@ def test_a_stuck_steering_stops_the_car_then_is_an_emergency() -> None:
 
 
 def test_an_odd_wheel_stops_the_car_then_is_an_emergency() -> None:
-    rig = Rig().driving(rpm=300)
+    rig = driven(rpm=300)
     rig.run_ms(1000)  # the holding brake is long forgotten
     rig.rpm = (0, 300, 300, 300)
     since_ns = rig.now_ns + CYCLE
@@ -392,16 +302,6 @@ def test_in_static_inspections_each_wheel_turns_for_itself() -> None:
     assert rig.report.stopping is None and dict(rig.report.reason_counts) == {}
 
 
-@pytest.mark.parametrize(("change", "slug"), [({"go_signal": False}, "go_off"), ({"fault": True}, "fault_status")])
-def test_when_the_car_stops_itself_the_torque_goes_at_once(change: dict[str, Any], slug: str) -> None:
-    rig = Rig().driving()
-    since_ns = rig.now_ns + CYCLE
-    rig.say_state(DRIVING, **change)
-    rig.step(2)
-    assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == CYCLE
-    assert rig.report.reason_counts == {slug: 1}
-
-
 # ---------------------------------------------------------------- what was believed without being asked for
 
 
@@ -416,7 +316,7 @@ EDGES: list[tuple[dict[str, Any], str, str]] = [
 
 @pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
 def test_what_changes_in_as_driving_stops_the_car(change: dict[str, Any], slug: str, detail: str) -> None:
-    rig = Rig().driving()
+    rig = driven()
     before, since_ns = rig.status, rig.now_ns + CYCLE
     rig.status = replace(rig.status, **change)
     rig.step(2)
@@ -429,19 +329,13 @@ def test_what_changes_in_as_driving_stops_the_car(change: dict[str, Any], slug: 
     assert rig.sent.mission_status is MissionStatus.FINISHED and rig.report.emergency is None
 
 
-@pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
-def test_what_was_so_before_as_driving_stops_nothing(change: dict[str, Any], slug: str, detail: str) -> None:
-    rig = Rig()
-    rig.status = replace(rig.status, **change)
-    rig.driving()
-    assert dict(rig.report.reason_counts) == {}
-
-
-@pytest.mark.parametrize(("change", "slug", "detail"), EDGES)
-def test_what_changes_outside_as_driving_is_no_reason(change: dict[str, Any], slug: str, detail: str) -> None:
+def test_what_changes_before_as_driving_stops_nothing() -> None:
     rig = Rig().ready()
-    rig.status = replace(rig.status, **change)
-    rig.step(2)
+    for change, _, _ in EDGES:
+        rig.status = replace(rig.status, **change)
+        rig.step(2)
+    rig.say_state(DRIVING, go_signal=True)
+    rig.run_ms(3200)
     assert dict(rig.report.reason_counts) == {} and rig.report.stopping is None
 
 
@@ -453,7 +347,7 @@ def unknown_state(rig: Rig) -> None:
 
 
 def test_an_unknown_as_state_takes_torque_away_at_once() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.now_ns += CYCLE
     rig.speak()
     unknown_state(rig)
@@ -463,30 +357,6 @@ def test_an_unknown_as_state_takes_torque_away_at_once() -> None:
     assert not rig.report.vehicle.status_known
     rig.step(3)
     assert rig.sent.torque_requested and rig.report.reasons == () and rig.report.stopping is None
-
-
-def test_an_as_state_that_stays_unknown_is_a_silent_car() -> None:
-    rig = Rig().driving()
-    since_ns = rig.now_ns + CYCLE
-    rig.mute, rig.alive = {VcuStatus}, unknown_state
-    rig.run_ms(120)
-    assert rig.latency_ns(since_ns, zero_torque) == 0
-    assert rig.latency_ns(since_ns, estop) == 100 * MS - CYCLE
-
-
-def test_without_a_mission_the_car_is_stopped_at_once() -> None:
-    rig = Rig()
-    rig.status = replace(rig.status, ami=Ami.NOT_SELECTED)
-    rig.autonomous()
-    assert rig.sent.mission_status is MissionStatus.NOT_SELECTED
-    rig.say_state(READY)
-    rig.wait_in_ready()
-    rig.say_state(DRIVING, go_signal=True)
-    rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=10.0)
-    rig.step()
-    assert rig.report.reason_counts == {"no_mission": 1} and rig.report.stopping is not None
-    rig.run_ms(4000)
-    assert not any(asked.torque_requested for _, asked in rig.log)
 
 
 def test_a_mission_never_sent_whole_is_not_acknowledged() -> None:
@@ -499,19 +369,6 @@ def test_a_mission_never_sent_whole_is_not_acknowledged() -> None:
     assert rig.report.reason_counts == {"no_mission": 1} and "SELECTED" in (rig.report.stopping or "")
 
 
-def test_as_driving_after_20_ms_of_as_ready_is_stopped() -> None:
-    rig = Rig().autonomous()
-    rig.say_state(READY, go_signal=True)
-    rig.step(2)
-    rig.say_state(DRIVING, go_signal=True)
-    rig.command = VehicleCommand(0, 0, throttle=1.0, speed_limit_mps=10.0)
-    rig.step()
-    assert rig.report.reason_counts == {"sequence_short": 1}
-    assert "in AS_READY with Go off for only 0.00 s" in "; ".join(rig.report.why_not_driving)
-    rig.run_ms(4000)
-    assert not any(asked.torque_requested for _, asked in rig.log)
-
-
 @pytest.mark.parametrize(
     ("odd", "words"),
     [
@@ -520,7 +377,7 @@ def test_as_driving_after_20_ms_of_as_ready_is_stopped() -> None:
     ],
 )
 def test_wheel_speeds_not_believed_are_as_if_missing(odd: tuple[int, int, int, int], words: str) -> None:
-    rig = Rig().driving(rpm=200)
+    rig = driven(rpm=200)
     speed_mps, since_ns = rig.report.motion.speed_mps, rig.now_ns
     data = struct.pack("<4H", *odd)  # the codec refuses to encode it
     rig.mute = {WheelSpeeds}
@@ -535,50 +392,13 @@ def test_wheel_speeds_not_believed_are_as_if_missing(odd: tuple[int, int, int, i
     assert set(rig.report.reason_counts) == {"wheels_stale"} and words in (rig.report.stopping or "")
 
 
-def test_a_jump_that_no_tyre_can_follow_is_passed_over() -> None:
-    rig = Rig().driving(rpm=200)
-    rig.rpm = (200, 200, 900, 200)
-    rig.step()
-    rig.rpm = (200, 200, 200, 200)
-    rig.step()
-    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
-    assert rig.report.problem_counts == {
-        "VCU2AI_Speeds is not believed: the rear left wheel changed faster than a tyre can follow": 1
-    }
-
-
-def test_a_jump_that_stays_is_a_missing_speed_and_stops_the_car() -> None:
-    rig = Rig().driving(rpm=200)
-    since_ns = rig.now_ns
-    rig.rpm = (200, 200, 900, 200)
-    rig.run_ms(400)
-    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS and rig.latency_ns(since_ns, estop) == 300 * MS
-    assert set(rig.report.reason_counts) == {"wheels_stale"} and "rear left wheel" in (rig.report.stopping or "")
-
-
 def test_wheels_that_read_0_while_their_counts_run_never_finish() -> None:
-    rig = Rig().driving(rpm=200)
+    rig = driven(rpm=200)
     rig.rpm, rig.pulse_rpm = (0, 0, 0, 0), (200, 200, 200, 200)
     rig.command = replace(rig.command, throttle=0.0, mission_finished=True)  # type: ignore[type-var]
     rig.run_ms(1000)
     assert all(asked.mission_status is MissionStatus.RUNNING for t, asked in rig.log[-100:])
     assert rig.sent.estop_request and "while its pulse count runs" in (rig.report.emergency or "")
-
-
-def test_counts_that_stop_under_a_running_wheel_stop_the_car() -> None:
-    rig = Rig().driving(rpm=200)
-    rig.run_ms(500)
-    rig.pulse_rpm = (200, 200, 200, 0)
-    rig.run_ms(400)
-    assert "the rear right wheel reads a speed while its pulse count stands still" in (rig.report.stopping or "")
-
-
-def test_a_vcu_that_never_counts_pulses_drives() -> None:
-    rig = Rig()
-    rig.pulse_rpm = (0, 0, 0, 0)
-    rig.driving(rpm=300)
-    rig.run_ms(3000)
-    assert rig.sent.torque_requested and dict(rig.report.problem_counts) == {}
 
 
 @pytest.mark.parametrize("mapping", [STRAIGHT, WheelMapping(fl="fr", fr="fl", rl="rr", rr="rl")])
@@ -605,9 +425,9 @@ def test_frames_that_waited_are_reported(driving: bool, age_ns: int, told: bool)
     assert rig.report.stopping is None and rig.report.emergency is None
 
 
-@pytest.mark.parametrize("can_id", [0x510, 0x511, 0x512, 0x513, 0x514])
+@pytest.mark.parametrize("can_id", [0x510, 0x514])
 def test_the_first_frame_of_an_intruder_is_an_emergency(can_id: int) -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.hear(Frame(can_id, b"\x01\x02", rig.now_ns))
     rig.step()
     assert rig.sent.estop_request and not rig.sent.torque_requested
@@ -669,29 +489,18 @@ def test_another_revision_is_named_from_its_tenth_frame_to_ours(ours: str, their
 
 
 @pytest.mark.parametrize("ours", ["2021", "2026"])
-def test_states_that_are_0_name_no_other_revision(ours: str) -> None:
-    bridge = bridge_of(ours)
-    for frame in range(1, 100):
-        bridge.on_frame(plain_status(READY if frame < 50 else DRIVING, frame * CYCLE))
+def test_what_either_revision_may_say_names_none(ours: str) -> None:
+    """States that are 0, nine frames of another revision among ours, and frames of another length."""
+    bridge, other = bridge_of(ours), bridge_of("2026")
+    theirs = "2021" if ours == "2026" else "2026"
+    for n in range(1, 100):
+        bridge.on_frame(telling_of(ours if n % 10 == 0 else theirs, n * CYCLE))
+        bridge.on_frame(plain_status(READY if n < 50 else DRIVING, n * CYCLE + 1))
+        for can_id in (0x120, 0x520):
+            for data in (bytes(7), b""):
+                other.on_frame(Frame(can_id, data, n * CYCLE))
     assert not bridge.report(100 * CYCLE).problem_counts
-
-
-@pytest.mark.parametrize("data", [bytes(7), b""])
-@pytest.mark.parametrize("can_id", [0x120, 0x520])
-def test_a_frame_of_another_length_tells_no_revision(can_id: int, data: bytes) -> None:
-    bridge = bridge_of("2026")
-    for frame in range(1, 100):
-        bridge.on_frame(Frame(can_id, data, frame * CYCLE))
-    assert not any("speaks" in each for each in bridge.report(100 * CYCLE).problem_counts)
-
-
-@pytest.mark.parametrize(("ours", "theirs"), [("2021", "2026"), ("2026", "2021")])
-def test_nine_frames_of_another_revision_among_ours_name_none(ours: str, theirs: str) -> None:
-    bridge = bridge_of(ours)
-    for frame in range(1, 100):
-        bridge.on_frame(telling_of(ours if frame % 10 == 0 else theirs, frame * CYCLE))
-        bridge.on_frame(plain_status(AsState.AS_OFF, frame * CYCLE + 1))  # either may say that
-    assert not bridge.report(100 * CYCLE).problem_counts
+    assert not any("speaks" in each for each in other.report(100 * CYCLE).problem_counts)
 
 
 @pytest.mark.parametrize(
@@ -699,15 +508,15 @@ def test_nine_frames_of_another_revision_among_ours_name_none(ours: str, theirs:
     [Frame(0x512, bytes(4), error=True), Frame(0x512, bytes(4), extended=True), Frame(0x501, bytes(6))],
 )
 def test_what_is_no_frame_of_ours_is_no_intruder(frame: Frame) -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.hear(replace(frame, t_ns=rig.now_ns))
     rig.step()
     assert rig.report.emergency is None and rig.sent.torque_requested
 
 
-@pytest.mark.parametrize("back", [AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY])
+@pytest.mark.parametrize("back", [AsState.AS_OFF, AsState.AS_READY])
 def test_a_rebooted_vcu_gets_zeros_and_needs_the_whole_sequence(back: AsState) -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.say_state(back)
     rig.step()
     assert not rig.sent.torque_requested and rig.sent.steer_deg == 0.0
@@ -726,29 +535,8 @@ def test_gaps_of_0x520_are_counted() -> None:
         assert rig.report.vcu_gaps == gaps
 
 
-def test_a_power_cycle_of_the_car_clears_the_latch_and_sets_none() -> None:
-    rig = Rig().driving()
-    rig.off = True
-    rig.run_ms(900)
-    assert rig.sent.estop_request  # it was driving when it fell silent
-    rig.run_ms(200)
-    rig.off = False
-    rig.rpm = (0, 0, 0, 0)
-    rig.say_state(AsState.AS_OFF, go_signal=False)
-    rig.step(2)
-    assert not rig.sent.estop_request and rig.report.emergency is None
-    assert rig.report.mode == "autonomous"
-    for as_state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE):
-        rig.off = False
-        rig.say_state(as_state)
-        rig.step(2)
-        rig.off = True
-        rig.run_ms(1500)
-        assert rig.report.emergency is None and not rig.sent.estop_request
-
-
 def test_the_wall_clock_is_nobodys_business() -> None:
-    for start_ns in (0, 1, 7 * S, 10**18):
+    for start_ns in (1, 10**18):
         rig = Rig(start_ns=start_ns).driving()
         assert dict(rig.report.reason_counts) == {}
 
@@ -761,7 +549,7 @@ def test_a_loop_fault_is_an_emergency_in_as_driving_only() -> None:
     rig.bridge.loop_fault("60 ms late", rig.now_ns)
     rig.step()
     assert rig.report.emergency is None and dict(rig.report.reason_counts) == {} and rig.report.loop_faults == 1
-    rig = Rig().driving()
+    rig = driven()
     rig.bridge.loop_fault("60 ms late", rig.now_ns)
     rig.step()
     assert rig.sent.estop_request
@@ -769,7 +557,7 @@ def test_a_loop_fault_is_an_emergency_in_as_driving_only() -> None:
 
 
 def test_an_incomplete_cycle_is_counted_and_the_next_tries_again() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.complete = False
     rig.run_ms(40)
     assert rig.sent.torque_requested and rig.report.stopping is None and rig.report.incomplete_cycles == 4
@@ -779,7 +567,7 @@ def test_an_incomplete_cycle_is_counted_and_the_next_tries_again() -> None:
 
 
 def test_50_ms_without_a_complete_cycle_counts_as_bus_loss() -> None:
-    rig = Rig().driving()
+    rig = driven()
     last_complete_ns = rig.now_ns
     rig.complete = False
     rig.run_ms(30)
@@ -809,7 +597,7 @@ def test_a_bus_that_takes_nothing_in_as_ready_breaks_nothing() -> None:
 
 
 def test_a_bus_lost_in_as_driving_brakes_the_car_once_back() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.bridge.bus_lost("can0 is down", rig.now_ns)
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns, rig.bridge.run.run_id), rig.now_ns) == (
         "the bus is lost: can0 is down",
@@ -818,8 +606,9 @@ def test_a_bus_lost_in_as_driving_brakes_the_car_once_back() -> None:
         rig.now_ns += CYCLE
         assert rig.cycle() is None
     assert rig.report.bus_lost == "can0 is down"
-    rig.bridge.bus_back(rig.now_ns)
-    assert rig.cycle() is None  # nothing heard yet
+    for _ in range(2):  # though told twice
+        rig.bridge.bus_back(rig.now_ns)
+    assert rig.cycle() is None  # nothing received yet
     rig.alive = brake_to_rest
     rig.status = replace(rig.status, as_state=DRIVING)
     rig.step()
@@ -830,7 +619,7 @@ def test_a_bus_lost_in_as_driving_brakes_the_car_once_back() -> None:
 
 
 def test_a_bus_back_without_the_car_is_answered_after_100_ms() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.bridge.bus_lost("can0 is down", rig.now_ns)
     rig.bridge.bus_back(rig.now_ns)
     for after_ns, silent in ((100 * MS - 1, True), (100 * MS, False)):
@@ -841,55 +630,11 @@ def test_a_bus_back_without_the_car_is_answered_after_100_ms() -> None:
     assert rig.sent.estop_request
 
 
-def test_a_bus_lost_in_as_ready_does_not_launch_once_back() -> None:
-    rig = Rig().ready()
-    rig.bridge.bus_lost("can0 is down", rig.now_ns)
-    rig.bridge.bus_back(rig.now_ns)
-    rig.bridge.bus_back(rig.now_ns)  # told twice
-    rig.say_state(DRIVING, go_signal=True)
-    rig.command = VehicleCommand(0, 0, throttle=0.5, speed_limit_mps=5.0)
-    rig.run_ms(4000)
-    assert not any(asked.torque_requested for _, asked in rig.log)
-    assert rig.sent.mission_status is MissionStatus.FINISHED
-
-
-def test_a_cycle_not_confirmed_as_sent_counts_as_broken() -> None:
-    rig = Rig().launched()
-    rig.command = VehicleCommand(0, 0, throttle=0.5, speed_limit_mps=5.0)
-    rig.run_ms(2980)
-    for _ in range(20):
-        rig.now_ns += CYCLE
-        rig.speak()
-        order = replace(rig.command, t_sensor_ns=rig.now_ns, run_id=rig.bridge.run.run_id)
-        rig.bridge.on_command(order, rig.now_ns)
-        asked = rig.bridge.cycle(rig.now_ns)
-        assert asked is not None and not asked.torque_requested
-
-
 # ---------------------------------------------------------------- people
 
 
-def test_manual_while_driving_is_a_controlled_stop() -> None:
-    rig = Rig().driving(rpm=300)
-    since_ns = rig.now_ns + CYCLE
-    assert rig.bridge.set_mode("manual", rig.now_ns)[0]
-    rig.alive = brake_to_rest
-    rig.run_ms(3000)
-    assert rig.latency_ns(since_ns, zero_torque) == 0 and rig.latency_ns(since_ns, braking) == CYCLE
-    assert rig.sent.mission_status is MissionStatus.FINISHED
-    assert rig.report.stopping == "manual mode was asked for" and dict(rig.report.reason_counts) == {}
-
-
-def test_autonomous_in_as_driving_and_unknown_modes_are_refused() -> None:
-    rig = Rig().driving()
-    done, message = rig.bridge.set_mode("autonomous", rig.now_ns)
-    assert not done and "AS_DRIVING" in message
-    done, message = rig.bridge.set_mode("Manual", rig.now_ns)
-    assert not done and "manual, autonomous" in message
-
-
 def test_an_emergency_latches_until_reset_in_as_off() -> None:
-    rig = Rig().driving()
+    rig = driven()
     assert rig.bridge.emergency_brake("cone in the way", rig.now_ns) == (True, "ESTOP_REQUEST is latched")
     rig.step()
     assert rig.sent.estop_request and not rig.sent.torque_requested
@@ -909,23 +654,16 @@ def test_an_emergency_latches_until_reset_in_as_off() -> None:
     assert not rig.sent.estop_request
 
 
-def test_an_emergency_on_a_lost_bus_is_latched_and_says_so() -> None:
-    rig = Rig().autonomous()
-    rig.bridge.bus_lost("unplugged", rig.now_ns)
-    done, message = rig.bridge.emergency_brake("", rig.now_ns)
-    assert done and message == "ESTOP_REQUEST is latched, but the bus is lost: unplugged"
-    rig.bridge.bus_back(rig.now_ns)
-    rig.step()
-    assert rig.sent.estop_request
-
-
 def test_an_emergency_requested_on_a_lost_bus_is_sent_when_back() -> None:
     rig = Rig().autonomous()
     rig.off = True
     rig.bridge.bus_lost("unplugged", rig.now_ns)
     rig.run_ms(1500)
     rig.bridge.bus_lost("still unplugged", rig.now_ns)
-    assert rig.bridge.emergency_brake("now", rig.now_ns)[0]
+    assert rig.bridge.emergency_brake("now", rig.now_ns) == (
+        True,
+        "ESTOP_REQUEST is latched, but the bus is lost: unplugged",
+    )
     rig.run_ms(1500)
     rig.bridge.bus_back(rig.now_ns)
     rig.off = False
@@ -933,23 +671,9 @@ def test_an_emergency_requested_on_a_lost_bus_is_sent_when_back() -> None:
     assert rig.sent.estop_request
 
 
-def test_a_power_cycle_is_seen_around_a_short_bus_loss() -> None:
-    rig = Rig().autonomous()
-    rig.bridge.emergency_brake("now", rig.now_ns)
-    rig.off = True
-    rig.run_ms(1000)
-    rig.bridge.bus_lost("bus-off", rig.now_ns)
-    rig.run_ms(20)
-    rig.bridge.bus_back(rig.now_ns)
-    rig.run_ms(100)
-    rig.off = False
-    rig.step(2)
-    assert rig.report.emergency is None
-
-
-@pytest.mark.parametrize("lost_ms", [350, 800, 4000])
+@pytest.mark.parametrize("lost_ms", [350, 4000])
 def test_back_in_as_driving_it_brakes_before_wheel_speeds_return(lost_ms: int) -> None:
-    rig = Rig().driving(rpm=300)
+    rig = driven(rpm=300)
     rig.off = True
     rig.bridge.bus_lost("unplugged", rig.now_ns)
     rig.run_ms(lost_ms)
@@ -984,8 +708,8 @@ def test_as_driving_entered_during_shutdown_is_never_unbraked(rpm: int) -> None:
 
 @pytest.mark.parametrize("role", ["planner", "controller"])
 def test_a_restarted_planner_or_controller_does_not_resume(role: str) -> None:
-    """Safety rule 10: however quickly it is back, the run it knew nothing of is over; the next one needs no restart."""
-    rig = Rig().driving()
+    """Safety rule 10: however quickly it is back, the run it knew nothing of is over."""
+    rig = driven()
     rig.bridge.on_reset_confirmed(role, rig.bridge.run.run_id)
     rig.step(2)
     assert not rig.sent.torque_requested and rig.sent.brake_requested
@@ -995,23 +719,6 @@ def test_a_restarted_planner_or_controller_does_not_resume(role: str) -> None:
     rig.alive = brake_to_rest
     rig.run_ms(2500)
     assert rig.sent.mission_status is MissionStatus.FINISHED and not rig.sent.estop_request
-    rig.say_state(AsState.AS_OFF, go_signal=False)
-    rig.step(2)
-    assert rig.sent.mission_status is MissionStatus.SELECTED
-    rig.say_state(AsState.AS_READY)
-    rig.wait_in_ready()
-    rig.say_state(DRIVING, go_signal=True)
-    rig.run_ms(3200)
-    assert rig.sent.torque_requested
-
-
-def test_a_second_confirmation_before_as_driving_changes_nothing() -> None:
-    rig = Rig().ready()
-    rig.bridge.on_reset_confirmed("planner", rig.bridge.run.run_id)
-    rig.say_state(DRIVING, go_signal=True)
-    rig.command = VehicleCommand(0, 0, throttle=0.4, speed_limit_mps=8.0)
-    rig.run_ms(3200)
-    assert rig.sent.torque_requested and dict(rig.report.reason_counts) == {}
 
 
 def test_a_reset_confirmed_by_an_unknown_role_is_only_reported() -> None:
@@ -1040,7 +747,7 @@ def test_a_reset_confirmed_by_an_unknown_role_is_only_reported() -> None:
     ],
 )
 def test_an_invalid_command_is_refused_whole_and_reported(changes: dict[str, Any], words: str) -> None:
-    rig = Rig().driving()
+    rig = driven()
     before = rig.sent
     problems = rig.bridge.on_command(
         VehicleCommand(**{"t_sensor_ns": rig.now_ns, "run_id": rig.bridge.run.run_id, **changes}), rig.now_ns
@@ -1053,18 +760,8 @@ def test_an_invalid_command_is_refused_whole_and_reported(changes: dict[str, Any
     assert rig.report.reason_counts == {"command_refused": 1} and words in rig.report.reason_details["command_refused"]
 
 
-def test_bad_commands_alone_count_as_no_command() -> None:
-    rig = Rig().driving(rpm=300)
-    rig.command = replace(rig.command, throttle=math.nan)  # type: ignore[type-var]
-    rig.alive = brake_to_rest
-    since_ns = rig.now_ns
-    rig.run_ms(400)
-    assert rig.latency_ns(since_ns, zero_torque) == 100 * MS
-    assert rig.latency_ns(since_ns, braking) == 300 * MS
-
-
 def test_a_sensor_stamp_may_lie_a_little_ahead() -> None:
-    rig = Rig().driving()
+    rig = driven()
     run_id = rig.bridge.run.run_id
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns + 20 * MS, run_id), rig.now_ns) == ()
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns + 20 * MS + 1, run_id), rig.now_ns) != ()
@@ -1074,7 +771,7 @@ def test_a_command_of_another_run_is_a_reason_only_in_as_driving() -> None:
     rig = Rig().ready()
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) == ("run_id 1 is not the run in hand (2)",)
     assert dict(rig.report.reason_counts) == {}
-    rig = Rig().driving()
+    rig = driven()
     assert rig.bridge.on_command(VehicleCommand(rig.now_ns, 1), rig.now_ns) != ()
     assert rig.report.reason_counts == {"command_other_run": 1}
 
@@ -1091,26 +788,6 @@ def test_the_limits_of_a_venue_are_kept_on_the_bus() -> None:
     assert rig.sent.rear_motor_speed_max_rpm == 395
     assert rig.report.limits == limits
     assert rig.report.reason_counts == {"steer_clamped": 1}
-
-
-def test_an_angle_max_that_the_car_lowers_is_kept_on_the_bus() -> None:
-    rig = Rig().driving()
-    rig.command = replace(rig.command, steering_rad=math.radians(20.0))  # type: ignore[type-var]
-    rig.run_ms(800)
-    assert rig.sent.steer_deg == 20.0
-    rig.angle_max_deg = 15.0
-    rig.step()
-    assert rig.sent.steer_deg == 15.0 and rig.report.reason_counts == {"steer_clamped": 1}
-
-
-def test_a_missing_torque_limit_is_no_torque_until_it_is_back() -> None:
-    rig = Rig().driving()
-    rig.mute = {VcuDriveRear}
-    rig.run_ms(100)
-    assert not rig.sent.torque_requested and rig.report.reasons == ("torque_limit_unknown",)
-    rig.mute = set()
-    rig.step(3)
-    assert rig.sent.torque_requested and rig.report.reasons == ()
 
 
 # ---------------------------------------------------------------- the official simulator
@@ -1150,7 +827,7 @@ def test_on_stop_at_rest_five_cycles_of_zeros_then_silence() -> None:
 
 
 def test_on_stop_while_moving_the_car_is_left_to_its_own_brake() -> None:
-    rig = Rig().driving(rpm=400)
+    rig = driven(rpm=400)
     rig.bridge.begin_stop(rig.now_ns)
     seen = []
     for _ in range(5):
@@ -1160,15 +837,6 @@ def test_on_stop_while_moving_the_car_is_left_to_its_own_brake() -> None:
         seen.append(rig.sent.brake_requested)
     assert seen == [False, True, True, True, True]  # rule 1: a cycle of zeros first
     assert rig.bridge.stopped and rig.step() is None
-
-
-def test_on_stop_at_rest_in_as_driving_the_run_ends_with_neutral() -> None:
-    rig = Rig().launched()
-    rig.run_ms(1000)
-    rig.bridge.begin_stop(rig.now_ns)
-    rig.step()
-    assert (rig.sent.direction, rig.sent.estop_request) == (Direction.NEUTRAL, False)
-    assert not rig.sent.brake_requested
 
 
 @pytest.mark.parametrize("config", [BridgeConfig(), BridgeConfig(listen_only=True)])
@@ -1201,6 +869,8 @@ def test_a_fuzzed_bus_does_not_fill_the_memory() -> None:
 def test_a_bridge_tells_what_it_is_configured_to_do() -> None:
     config = BridgeConfig(autonomous_at_power_up=True)
     assert Rig(config).bridge.config is config and Rig().bridge.config == BridgeConfig()
+    bridge = Bridge(codec_of("2026"), revision("2026"), ADS_DV_2026, first_run_id=7)
+    assert bridge.run.run_id == 7 and bridge.report(0).mode == "manual"
 
 
 def test_the_snapshot_tells_ages_and_cannot_be_changed() -> None:
@@ -1217,7 +887,7 @@ def test_the_snapshot_tells_ages_and_cannot_be_changed() -> None:
 
 
 def test_a_shutdown_request_is_passed_on_at_rest() -> None:
-    rig = Rig().driving()
+    rig = driven()
     rig.status = replace(rig.status, shutdown_request=True)
     rig.step()
     assert not rig.report.shutdown_requested
@@ -1231,8 +901,3 @@ def test_gps_frames_are_kept_beside_the_cars() -> None:
     frame = rig.codec.encode(RotationB(z_degps=3.5))
     rig.hear(replace(frame, t_ns=rig.now_ns))
     assert rig.report.gps.rotation_b == RotationB(z_degps=3.5, t_rx_ns=rig.now_ns)
-
-
-def test_a_bridge_is_made_with_defaults() -> None:
-    bridge = Bridge(codec_of("2026"), revision("2026"), ADS_DV_2026, first_run_id=7)
-    assert bridge.run.run_id == 7 and bridge.report(0).mode == "manual"

@@ -15,7 +15,7 @@ from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.speed_profile import curvature_along, speed_demand
 from fsai_vcu.core.driving import Motion, Plan, Run
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import MS
 
@@ -44,6 +44,12 @@ def plan_of(path: np.ndarray, t_ns: int = 0, **more: object) -> Plan:
     return replace(Plan(t_ns, RUN.run_id, RUN.mission, path), **more)  # type: ignore[arg-type]
 
 
+def reset_for(run: Run, car: VehicleParameters = CAR, settings: ControllerSettings | None = None) -> Controller:
+    controller = Controller(car, settings)
+    controller.reset(run)
+    return controller
+
+
 def ask(
     plan: Plan | None,
     speed_mps: float = 5.0,
@@ -52,9 +58,7 @@ def ask(
     now_ns: int = 0,
     motion: Motion | None = None,
 ) -> VehicleCommand:
-    if controller is None:
-        controller = Controller(CAR)
-        controller.reset(run)
+    controller = controller or reset_for(run)
     motion = motion or Motion(t_ns=now_ns, speed_mps=speed_mps)
     return controller.command(plan, motion, motion.speed_mps < 0.1, (0.0,) * 4, 0.0, run, now_ns)
 
@@ -120,8 +124,7 @@ def test_missions_that_any_speed_fulfils_are_not_named() -> None:
 
 
 def test_the_speed_limit_is_a_little_over_the_speed_that_is_set() -> None:
-    controller = Controller(CAR, ControllerSettings(max_speed_mps=4.0))
-    controller.reset(RUN)
+    controller = reset_for(RUN, CAR, ControllerSettings(max_speed_mps=4.0))
     assert ask(plan_of(STRAIGHT), controller=controller).speed_limit_mps == pytest.approx(5.0)
     controller.configure(ControllerSettings(max_speed_mps=3.0))
     assert ask(plan_of(STRAIGHT), controller=controller).speed_limit_mps == pytest.approx(4.0)
@@ -135,16 +138,14 @@ def test_on_a_circle_the_steering_is_the_circles_own(radius: float) -> None:
 
 @pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026])
 @pytest.mark.parametrize("radius", [2.0, -2.0])
-def test_steering_never_exceeds_the_cars_limit(car: object, radius: float) -> None:
-    controller = Controller(car)  # type: ignore[arg-type]
-    controller.reset(RUN)
-    limit = car.steer_max_rad  # type: ignore[attr-defined]
+def test_steering_never_exceeds_the_cars_limit(car: VehicleParameters, radius: float) -> None:
+    controller = reset_for(RUN, car)
+    limit = car.steer_max_rad
     assert ask(plan_of(arc(radius, 6.0)), 2.0, controller).steering_rad == pytest.approx(math.copysign(limit, radius))
 
 
 def test_steering_never_exceeds_a_lower_setting() -> None:
-    controller = Controller(CAR, ControllerSettings(max_steer_rad=0.1))
-    controller.reset(RUN)
+    controller = reset_for(RUN, CAR, ControllerSettings(max_steer_rad=0.1))
     assert ask(plan_of(arc(3.0)), 2.0, controller).steering_rad == pytest.approx(0.1)
 
 
@@ -156,8 +157,7 @@ def test_the_car_beside_the_path_steers_back_to_it() -> None:
 def test_a_plan_is_carried_from_its_sensor_stamp_to_the_present() -> None:
     """Half a second at 6 m/s is 3 m: the bend that was 4 m ahead when it was seen is 1 m ahead now."""
     bend = bend_after(4.0, 5.0)
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     for step in range(51):
         motion = Motion(t_ns=step * 10 * MS, x_m=step * 0.06, speed_mps=6.0, distance_m=step * 0.06)
         late = ask(plan_of(bend, 0), controller=controller, now_ns=step * 10 * MS, motion=motion)
@@ -168,9 +168,7 @@ def test_a_plan_is_carried_from_its_sensor_stamp_to_the_present() -> None:
 
 def test_the_steering_is_early_by_its_own_delay() -> None:
     bend = bend_after(2.0, 5.0)
-    slow, quick = (Controller(CAR, ControllerSettings(delay_s=delay, lookahead_s=0.01)) for delay in (0.0, 0.2))
-    slow.reset(RUN)
-    quick.reset(RUN)
+    slow, quick = (reset_for(RUN, CAR, ControllerSettings(delay_s=delay, lookahead_s=0.01)) for delay in (0.0, 0.2))
     assert ask(plan_of(bend), 6.0, quick).steering_rad > ask(plan_of(bend), 6.0, slow).steering_rad + 0.02
 
 
@@ -197,8 +195,7 @@ def test_curvature_is_that_of_the_circle() -> None:
 
 def test_the_brake_is_held_until_much_less_is_needed() -> None:
     """Between the two thresholds it stays as it was, so that it does not chatter."""
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     between = 0.5 * (SETTINGS.brake_on_mps2 + SETTINGS.brake_off_mps2)
     speed = 5.0
     stop = speed * SETTINGS.reaction_s + speed**2 / (2.0 * between)
@@ -210,8 +207,7 @@ def test_the_brake_is_held_until_much_less_is_needed() -> None:
 
 @pytest.mark.parametrize("path", [None, np.zeros((0, 2)), STRAIGHT[:2], np.full((20, 2), np.nan)])
 def test_without_a_path_it_brakes_gently_with_steering_held(path: np.ndarray | None) -> None:
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     steering = ask(plan_of(arc(8.0)), 4.0, controller).steering_rad
     assert steering > 0.1
     command = ask(None if path is None else plan_of(path), 4.0, controller)
@@ -244,8 +240,7 @@ def test_a_command_carries_its_sensor_stamp_and_its_run() -> None:
 
 
 def test_laps_and_cones_are_passed_on_and_kept_without_plans() -> None:
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     plan = plan_of(STRAIGHT, laps=2, cones_count_actual=7, cones_count_all=90)
     for given_plan in (plan, None):
         command = ask(given_plan, controller=controller)
@@ -253,8 +248,7 @@ def test_laps_and_cones_are_passed_on_and_kept_without_plans() -> None:
 
 
 def test_a_mission_finished_at_the_stopping_place_stays_finished() -> None:
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     assert not ask(plan_of(STRAIGHT, finished=True, stop_distance_m=10.0), 5.0, controller).mission_finished
     command = ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.2), 2.0, controller)
     assert command.mission_finished
@@ -265,8 +259,7 @@ def test_a_mission_finished_at_the_stopping_place_stays_finished() -> None:
 
 
 def test_distance_since_the_plan_counts_to_the_stopping_place() -> None:
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     plan = plan_of(STRAIGHT, 0, finished=True, stop_distance_m=2.0)
     for step in range(31):
         motion = Motion(t_ns=step * 10 * MS, x_m=step * 0.06, speed_mps=6.0, distance_m=step * 0.06)
@@ -283,8 +276,7 @@ def test_nearly_at_rest_after_the_finish_is_finished_anywhere() -> None:
 
 
 def test_another_run_clears_the_finished_state() -> None:
-    controller = Controller(CAR)
-    controller.reset(RUN)
+    controller = reset_for(RUN)
     assert ask(plan_of(STRAIGHT, finished=True, stop_distance_m=0.0), 1.0, controller).mission_finished
     again = replace(RUN, run_id=4)
     assert not ask(plan_of(STRAIGHT, run_id=4), 1.0, controller, run=again).mission_finished
@@ -312,8 +304,7 @@ def test_every_command_is_valid_and_never_has_throttle_and_brake(
     may_move: bool,
 ) -> None:
     run = Run(3, mission, AsState.AS_DRIVING, may_move)
-    controller = Controller(CAR)
-    controller.reset(run)
+    controller = reset_for(run)
     path = np.array(data, dtype=np.float64).reshape(-1, 2)
     plan = Plan(0, 3, mission, path, finished=finished, stop_distance_m=stop)
     for step in range(3):

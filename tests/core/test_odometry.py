@@ -104,33 +104,22 @@ def test_time_that_runs_backwards_changes_nothing() -> None:
     assert odometry.update(state(5.0, 0.0, 500 * MS), GpsImu()) == before
 
 
-def test_free_wheels_are_used_when_driven_ones_spin() -> None:
-    odometry = Odometry(ADS_DV_2026)
-    speeds = WheelSpeeds(100, 100, 700, 700, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
-    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
-
-
-def test_one_spinning_wheel_of_four_driven_does_not_count() -> None:
-    odometry = Odometry(ADS_DV_2021)
-    speeds = WheelSpeeds(100, 100, 100, 700, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
-    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
-
-
-def test_spinning_front_wheels_do_not_count_with_front_drive() -> None:
-    odometry = Odometry(replace(ADS_DV_2026, driven_front=True, driven_rear=False))
-    speeds = WheelSpeeds(700, 700, 100, 100, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds), GpsImu())
-    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(100))
-
-
-def test_locked_wheels_do_not_count_while_braking() -> None:
-    odometry = Odometry(ADS_DV_2026)
-    speeds = WheelSpeeds(0, 0, 300, 300, t_rx_ns=10 * MS)
-    brake = VcuBrake(front_pct=40.0, rear_pct=40.0, t_rx_ns=10 * MS)
-    motion = odometry.update(VehicleState(speeds=speeds, brake=brake), GpsImu())
-    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(300))
+@pytest.mark.parametrize(
+    ("car", "rpm", "brake_pct", "rolling_rpm"),
+    [
+        (ADS_DV_2026, (100, 100, 700, 700), 0.0, 100),  # free wheels, where the driven ones spin
+        (ADS_DV_2021, (100, 100, 100, 700), 0.0, 100),
+        (replace(ADS_DV_2026, driven_front=True, driven_rear=False), (700, 700, 100, 100), 0.0, 100),
+        (ADS_DV_2026, (0, 0, 300, 300), 40.0, 300),  # those that turn, where the braked ones lock
+    ],
+)
+def test_wheels_that_spin_or_lock_do_not_count(
+    car: VehicleParameters, rpm: tuple[int, int, int, int], brake_pct: float, rolling_rpm: int
+) -> None:
+    speeds = WheelSpeeds(*rpm, t_rx_ns=10 * MS)
+    brake = VcuBrake(front_pct=brake_pct, rear_pct=brake_pct, t_rx_ns=10 * MS) if brake_pct else None
+    motion = Odometry(car).update(VehicleState(speeds=speeds, brake=brake), GpsImu())
+    assert motion.speed_mps == pytest.approx(CAR.speed_of_wheel_rpm(rolling_rpm))
 
 
 def test_a_constant_9_rpm_without_wheel_pulses_is_standstill() -> None:

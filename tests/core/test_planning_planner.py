@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from driving_rig import Eyes, Result, Rig, Track, along_midline, figure_of_eight, oval, straight_lane, winding
+from driving_rig import Eyes, Result, Rig, Track, staged
 
+from fsai_hil.simulator.tracks import acceleration_track, random_circuit, skidpad_track, small_oval
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
@@ -16,7 +17,10 @@ from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
-HALF_WIDTH_M = 1.75
+OVAL = staged(small_oval(), Ami.TRACKDRIVE)
+WINDING = staged(random_circuit(1), Ami.TRACKDRIVE)
+STRAIGHT = staged(acceleration_track(), Ami.ACCELERATION)
+FINISH_M = 75.0  # there
 WORN = Eyes(noise_m=0.1, miss=0.1)
 BLIND_TO_COLOR = Eyes(noise_m=0.1, miss=0.1, colors=False)
 
@@ -35,49 +39,32 @@ def driven(
     return rig, rig.drive(seconds)
 
 
-def assert_clean(result: Result, line_m: np.ndarray, laps: int) -> None:
+def assert_clean(track: Track, result: Result) -> None:
     assert result.hits == set()
-    assert result.off_line_m(line_m) < HALF_WIDTH_M - 0.5 * ADS_DV_2026.width_m
-    assert (result.finished, result.stands, result.laps) == (True, True, laps)
+    assert track.midline_m is not None and result.off_line_m(track.midline_m) < 1.75 - 0.5 * ADS_DV_2026.width_m
+    assert (result.finished, result.stands, result.laps) == (True, True, 2)
 
 
 @pytest.mark.parametrize(
-    "eyes",
-    [WORN, BLIND_TO_COLOR, replace(WORN, false_per_look=0.3)],
-    ids=["colors", "no colors", "false cones"],
+    ("track", "eyes", "car"),
+    [
+        (OVAL, replace(WORN, false_per_look=0.3), ADS_DV_2021),
+        (OVAL, BLIND_TO_COLOR, ADS_DV_2026),
+        (WINDING, WORN, ADS_DV_2021),
+        (WINDING, BLIND_TO_COLOR, ADS_DV_2026),
+    ],
+    ids=["oval, false cones", "oval, no colors", "winding", "winding, no colors"],
 )
-@pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026], ids=lambda car: car.name)
-def test_an_oval_is_driven_for_its_laps_without_leaving_the_lane(eyes: Eyes, car: VehicleParameters) -> None:
-    line = oval()
-    _, result = driven(along_midline(line, HALF_WIDTH_M, 4.0), Ami.TRACKDRIVE, eyes, laps=3, car=car)
-    assert_clean(result, line, laps=3)
-
-
-@pytest.mark.parametrize("eyes", [WORN, BLIND_TO_COLOR], ids=["colors", "no colors"])
-def test_bends_to_both_sides_are_driven_without_leaving_the_lane(eyes: Eyes) -> None:
-    line = winding()
-    _, result = driven(along_midline(line, HALF_WIDTH_M, 4.0), Ami.TRACKDRIVE, eyes, laps=2)
-    assert_clean(result, line, laps=2)
-
-
-def test_an_autocross_is_one_lap_and_a_stop_within_30_m() -> None:
-    line = oval()
-    rig, result = driven(along_midline(line, HALF_WIDTH_M, 4.0), Ami.AUTOCROSS, WORN)
-    assert_clean(result, line, laps=1)
-    crossed = next(plan for plan in result.plans if plan.finished)
-    at = next(motion.distance_m for motion in result.motions if motion.t_ns >= crossed.t_sensor_ns)
-    length = 2 * 25.0 + 2 * math.pi * 9.0
-    assert at == pytest.approx(6.0 + 2.17 + length, abs=2.5)
-    assert 5.0 < rig.motion.distance_m - at < 28.0
+def test_a_trackdrive_keeps_to_its_lane_for_all_laps(track: Track, eyes: Eyes, car: VehicleParameters) -> None:
+    _, result = driven(track, Ami.TRACKDRIVE, eyes, car=car)
+    assert_clean(track, result)
 
 
 def test_laps_without_a_gate_count_at_the_return_to_the_start() -> None:
-    line = oval()
-    track = along_midline(line, HALF_WIDTH_M, 4.0)
-    gateless = track.color != ConeColor.BIG_ORANGE
-    track = Track(track.xy_m[gateless], track.color[gateless], track.start, line)
-    _, result = driven(track, Ami.TRACKDRIVE, WORN, laps=3)
-    assert_clean(result, line, laps=3)
+    gateless = OVAL.color != ConeColor.BIG_ORANGE
+    track = replace(OVAL, xy_m=OVAL.xy_m[gateless], color=OVAL.color[gateless])
+    _, result = driven(track, Ami.TRACKDRIVE, WORN)
+    assert_clean(track, result)
 
 
 def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
@@ -95,70 +82,44 @@ def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
 
 
 def test_the_same_run_gives_the_same_plans() -> None:
-    track = along_midline(winding(), HALF_WIDTH_M, 4.0)
-    _, first = driven(track, Ami.TRACKDRIVE, BLIND_TO_COLOR, seconds=12.0)
-    _, second = driven(track, Ami.TRACKDRIVE, BLIND_TO_COLOR, seconds=12.0)
+    _, first = driven(WINDING, Ami.TRACKDRIVE, BLIND_TO_COLOR, seconds=12.0)
+    _, second = driven(WINDING, Ami.TRACKDRIVE, BLIND_TO_COLOR, seconds=12.0)
     assert len(first.plans) == len(second.plans) > 50
     for one, other in zip(first.plans, second.plans, strict=True):
         assert np.array_equal(one.path_m, other.path_m)
 
 
-@pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026], ids=lambda car: car.name)
-def test_the_acceleration_is_straight_and_ends_within_100_m(car: VehicleParameters) -> None:
-    rig, result = driven(straight_lane(), Ami.ACCELERATION, replace(WORN, false_per_look=0.2), car=car, seconds=40.0)
-    assert result.hits == set()
-    assert max(abs(y) for _, y in result.path_m) < 0.4
-    assert result.finished and result.stands
-    assert 77.5 < rig.x < 77.5 + 100.0
-
-
 def test_acceleration_goes_straight_from_an_oblique_start() -> None:
-    track = replace(straight_lane(), start=(0.0, 0.2, 0.03))
+    track = replace(STRAIGHT, start=(STRAIGHT.start[0], 0.2, 0.03))
     _, result = driven(track, Ami.ACCELERATION, WORN, seconds=40.0)
     assert result.hits == set()
     assert max(abs(y) for x, y in result.path_m if x > 30.0) < 0.4
 
 
 def test_acceleration_has_full_throttle_to_the_finish() -> None:
-    _, result = driven(straight_lane(), Ami.ACCELERATION, WORN, seconds=40.0)
+    _, result = driven(STRAIGHT, Ami.ACCELERATION, WORN, seconds=40.0)
     for command, (x, _) in zip(result.commands, result.path_m, strict=True):
-        if 0.5 < x < 75.0:
+        if STRAIGHT.start[0] + 0.5 < x < FINISH_M - 2.5:
             assert command.throttle > 0.95
             assert command.brake == 0.0
 
 
 def test_cones_that_close_the_exit_lane_are_not_driven_over() -> None:
-    track = straight_lane()
-    wall = np.array([[77.5 + 24.5, y] for y in (-0.75, 0.0, 0.75)])
-    shorter = track.xy_m[:, 0] < 77.5 + 25.0
-    closed = Track(
-        np.vstack((track.xy_m[shorter], wall)),
-        np.concatenate((track.color[shorter], [int(ConeColor.ORANGE)] * 3)),
-        track.start,
+    wall = np.array([[FINISH_M + 24.5, y] for y in (-0.75, 0.0, 0.75)])
+    shorter = STRAIGHT.xy_m[:, 0] < FINISH_M + 25.0
+    closed = replace(
+        STRAIGHT,
+        xy_m=np.vstack((STRAIGHT.xy_m[shorter], wall)),
+        color=np.concatenate((STRAIGHT.color[shorter], [int(ConeColor.ORANGE)] * 3)),
     )
     _, result = driven(closed, Ami.ACCELERATION, WORN, seconds=40.0)
     assert result.hits == set()
     assert result.stands
 
 
-@pytest.mark.parametrize("car", [ADS_DV_2021, ADS_DV_2026], ids=lambda car: car.name)
-@pytest.mark.parametrize("eyes", [WORN, BLIND_TO_COLOR], ids=["colors", "no colors"])
-def test_skidpad_is_two_laps_right_two_left_and_a_stop_in_25_m(car: VehicleParameters, eyes: Eyes) -> None:
-    rig, result = driven(figure_of_eight(), Ami.SKIDPAD, eyes, car=car, seconds=90.0)
-    assert result.hits == set()
-    assert (result.finished, result.stands, result.laps) == (True, True, 4)
-    assert 0.0 < rig.x < 25.0
-    assert abs(rig.y) < 0.5
-    turned = np.diff(np.unwrap([math.atan2(y + 9.125, x) for x, y in result.path_m if y < -0.5]))
-    assert np.abs(turned.sum()) == pytest.approx(4.0 * math.pi, abs=1.2)
-    sides = [np.sign(y) for _, y in result.path_m if abs(y) > 5.0]
-    changes = [side for side, last in zip(sides[1:], sides, strict=False) if side != last]
-    assert (sides[0], changes) == (-1.0, [1.0])
-
-
-@pytest.mark.parametrize("staged_m", [-20.0, -14.5])
-def test_skidpad_is_found_from_a_displaced_start(staged_m: float) -> None:
-    rig, result = driven(figure_of_eight(staged_m), Ami.SKIDPAD, WORN, seconds=90.0)
+@pytest.mark.parametrize(("back_m", "eyes"), [(2.8, WORN), (-2.7, BLIND_TO_COLOR)])
+def test_skidpad_is_found_from_a_displaced_start(back_m: float, eyes: Eyes) -> None:
+    rig, result = driven(staged(skidpad_track(), Ami.SKIDPAD, back_m), Ami.SKIDPAD, eyes, seconds=90.0)
     assert result.hits == set()
     assert result.laps == 4
     assert 0.0 < rig.x < 25.0
@@ -168,7 +129,7 @@ def test_odometrys_drift_does_not_matter_on_the_skidpad() -> None:
     missions = MissionSettings()
     car = ADS_DV_2026
     rig = Rig(
-        figure_of_eight(),
+        staged(skidpad_track(), Ami.SKIDPAD),
         Ami.SKIDPAD,
         car,
         Planner(car, missions=missions),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -17,7 +18,7 @@ from fsai_vcu.core.supervision.plausibility import (
     forget_wheels,
     wheel_factors,
 )
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, VehicleParameters
 from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.units import MS
 
@@ -124,10 +125,6 @@ def test_without_fresh_feedback_the_steering_model_starts_anew(measured: VcuStee
     assert after.pending == ((0, 3.0),)
 
 
-def test_outside_as_driving_the_steering_model_is_forgotten() -> None:
-    assert forget_steering() == SteeringCheck()
-
-
 def measured(angle_deg: float, t_ns: int) -> VcuSteer:
     return VcuSteer(angle_deg, 30.0, 0.0, t_ns)
 
@@ -210,91 +207,105 @@ BRAKING = AiCommand(front_brake_pct=50.0, rear_brake_pct=50.0)
 DRAGGING = AiCommand(rear_torque_nm=50.0, rear_motor_speed_max_rpm=500)
 
 
-def odd(asked: AiCommand, rpm: tuple[int, int, int, int], steer_deg: float = 0.0, car: object = CAR) -> str:
-    assert car in (ADS_DV_2021, ADS_DV_2026)
-    check = check_wheels(
-        CONFIG,
-        car,
-        WheelCheck(),
-        asked,
-        WheelSpeeds(*rpm, t_rx_ns=T),
-        VcuSteer(steer_deg, 30, 0, T),
-        T,  # type: ignore[arg-type]
-    )
+FRONT_DRIVEN = replace(CAR, driven_front=True, driven_rear=False)
+STRICT = BridgeConfig(wheel_margin_rpm=0.0, wheel_margin_fraction=0.0)
+NAMES = ("front left", "front right", "rear left", "rear right")
+Four = tuple[int, int, int, int]
+
+
+def odd(
+    asked: AiCommand,
+    rpm: Sequence[int],
+    steer_deg: float | None = 0.0,
+    car: VehicleParameters = CAR,
+    config: BridgeConfig = CONFIG,
+) -> str:
+    """What is said of one look at wheels that were plausible before. steer_deg None: nothing is known of it."""
+    steer = None if steer_deg is None else VcuSteer(steer_deg, 30, 0, T)
+    check = check_wheels(config, car, WheelCheck(), asked, WheelSpeeds(*rpm, t_rx_ns=T), steer, T)
     assert (check.implausible_since_ns == T) is bool(check.detail)
     return check.detail
 
 
-def test_wheels_that_turn_alike_are_plausible() -> None:
-    assert odd(COASTING, (500, 500, 500, 500)) == ""
-    assert odd(COASTING, (0, 0, 0, 0)) == ""
+def motor(axle: str, limit_rpm: int, torque_nm: float = 50.0) -> AiCommand:
+    return AiCommand(**{f"{axle}_torque_nm": torque_nm, f"{axle}_motor_speed_max_rpm": limit_rpm})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("asked", "rpm", "named"),
+    [
+        (COASTING, (500, 500, 500, 500), ""),
+        (COASTING, (0, 0, 0, 0), ""),
+        (COASTING, (710, 500, 500, 500), ""),  # the margin is 60 rpm and 30 %
+        (COASTING, (711, 500, 500, 500), "front left 711 rpm of 711, 500, 500, 500"),
+        (COASTING, (290, 500, 500, 500), ""),
+        (COASTING, (289, 500, 500, 500), "front left 289 rpm"),
+        (COASTING, (400, 500, 700, 700), "front left 400 rpm"),  # of the middle of the other three
+        (COASTING, (300, 300, 420, 700), "rear right 700 rpm"),
+        (COASTING, (300, 420, 420, 700), "rear right 700 rpm"),
+        (motor("rear", 1049), (300, 300, 50, 300), ""),  # 300 rpm of the wheel are 1050 of the motor
+        (motor("rear", 1050), (300, 300, 50, 300), "rear left 50 rpm"),
+        (motor("rear", 1049, 0.0), (300, 300, 50, 300), "rear left 50 rpm"),
+        (motor("rear", 1050, 0.0), (300, 300, 50, 300), "rear left 50 rpm"),
+    ],
+)
+def test_a_wheel_far_from_the_middle_of_the_others_is_named(asked: AiCommand, rpm: Four, named: str) -> None:
+    assert odd(asked, rpm).startswith(named) and bool(odd(asked, rpm)) is bool(named)
 
 
 @pytest.mark.parametrize("wheel", range(4))
-@pytest.mark.parametrize("rpm", [0, 1250])
-def test_one_wheel_far_from_the_others_is_named_while_coasting(wheel: int, rpm: int) -> None:
-    speeds = [500, 500, 500, 500]
-    speeds[wheel] = rpm
-    names = ("front left", "front right", "rear left", "rear right")
-    assert odd(COASTING, tuple(speeds)).startswith(f"{names[wheel]} {rpm} rpm of ")  # type: ignore[arg-type]
-
-
-def test_the_margin_is_60_rpm_and_30_percent() -> None:
-    assert odd(COASTING, (710, 500, 500, 500)) == ""
-    assert odd(COASTING, (711, 500, 500, 500)) != ""
-    assert odd(COASTING, (290, 500, 500, 500)) == ""
-    assert odd(COASTING, (289, 500, 500, 500)) != ""
-
-
-def test_torque_explains_a_driven_wheel_that_spins_and_no_other() -> None:
-    assert odd(DRIVING, (300, 300, 1200, 300)) == ""
-    assert odd(DRIVING, (1200, 300, 300, 300)) != ""
-    assert odd(DRIVING, (1200, 300, 300, 300), car=ADS_DV_2021) == ""
-    assert odd(DRIVING, (300, 300, 0, 300)) != ""
-
-
-def test_braking_explains_a_locked_wheel_but_no_spinning_one() -> None:
-    for wheel in range(4):
-        speeds = [500, 500, 500, 500]
-        speeds[wheel] = 0
-        assert odd(BRAKING, tuple(speeds)) == ""  # type: ignore[arg-type]
-        speeds[wheel] = 1200
-        assert odd(BRAKING, tuple(speeds)) != ""  # type: ignore[arg-type]
-
-
-def test_a_motor_at_its_limit_explains_a_slow_driven_wheel() -> None:
-    assert odd(DRAGGING, (300, 300, 50, 300)) == ""
-    assert odd(DRAGGING, (50, 300, 300, 300)) != ""
-
-
-def test_a_motor_is_held_only_above_its_limit_and_by_torque() -> None:
-    for limit_rpm, held in ((1049, True), (1050, False)):  # 300 rpm of the wheel are 1050 of the motor
-        dragging = AiCommand(rear_torque_nm=50.0, rear_motor_speed_max_rpm=limit_rpm)
-        assert (odd(dragging, (300, 300, 50, 300)) == "") is held
-        assert odd(AiCommand(rear_motor_speed_max_rpm=limit_rpm), (300, 300, 50, 300)) != ""
-
-
-def test_the_speed_limit_of_the_driven_axle_counts() -> None:
-    front_driven = replace(CAR, driven_front=True, driven_rear=False)
-    for asked, held in (
-        (AiCommand(front_torque_nm=50.0, front_motor_speed_max_rpm=4000), False),
-        (AiCommand(front_torque_nm=50.0, front_motor_speed_max_rpm=500), True),
+@pytest.mark.parametrize(("front", "rear"), [(True, False), (False, True), (True, True)])
+def test_brake_and_torque_explain_slip_of_the_wheels_they_act_on(wheel: int, front: bool, rear: bool) -> None:
+    car = replace(CAR, driven_front=front, driven_rear=rear)
+    driven = front if wheel < 2 else rear
+    for asked, rpm, explained in (
+        (COASTING, 0, False),
+        (COASTING, 1250, False),
+        (BRAKING, 0, True),
+        (BRAKING, 1200, False),
+        (DRIVING, 900, driven),
+        (DRIVING, 0, False),
+        (DRAGGING, 50, driven),
     ):
-        speeds = WheelSpeeds(50, 300, 300, 300, T)
-        check = check_wheels(CONFIG, front_driven, WheelCheck(), asked, speeds, None, T)
-        assert (check.implausible_since_ns is None) is held
+        speeds = [300] * 4
+        speeds[wheel] = rpm
+        named = odd(asked, speeds, car=car)
+        assert named == "" if explained else named.startswith(f"{NAMES[wheel]} {rpm} rpm of ")
 
 
-@pytest.mark.parametrize("wheel", range(4))
-def test_slip_is_explained_for_the_wheels_of_the_driven_axle(wheel: int) -> None:
-    for front, rear in ((True, False), (False, True), (True, True)):
-        driven = front if wheel < 2 else rear
-        car = replace(CAR, driven_front=front, driven_rear=rear)
-        for rpm, asked in ((900, DRIVING), (50, DRAGGING)):
-            speeds = [300, 300, 300, 300]
-            speeds[wheel] = rpm
-            check = check_wheels(CONFIG, car, WheelCheck(), asked, WheelSpeeds(*speeds, t_rx_ns=T), None, T)
-            assert (check.implausible_since_ns is None) is driven
+@pytest.mark.parametrize(
+    ("asked", "rpm", "explained"),
+    [(DRIVING, 301, True), (BRAKING, 301, False), (DRIVING, 299, False), (BRAKING, 299, True)],
+)
+def test_too_fast_and_too_slow_differ_at_any_margin(asked: AiCommand, rpm: int, explained: bool) -> None:
+    assert (odd(asked, (300, 300, rpm, 300), config=STRICT) == "") is explained
+
+
+@pytest.mark.parametrize(("limit_rpm", "held"), [(4000, False), (500, True)])
+def test_the_speed_limit_of_the_driven_axle_counts(limit_rpm: int, held: bool) -> None:
+    assert (odd(motor("front", limit_rpm), (50, 300, 300, 300), car=FRONT_DRIVEN) == "") is held
+
+
+@pytest.mark.parametrize(
+    ("steer_deg", "rpm", "named"),
+    [
+        (30.0, (1000, 1000, 1060, 1000), False),  # equal wheel speeds are plausible at any steering
+        (30.0, (1000, 1000, 1061, 1000), True),
+        (None, (500, 500, 710, 500), False),  # without feedback they are held to go straight
+        (None, (500, 500, 711, 500), True),
+        (None, (710, 500, 500, 500), False),
+        (None, (500, 711, 500, 500), True),
+    ],
+)
+def test_wheels_that_turn_alike_are_plausible_at_any_steering(steer_deg: float | None, rpm: Four, named: bool) -> None:
+    assert bool(odd(COASTING, rpm, steer_deg)) is named
+
+
+@pytest.mark.parametrize("steer_deg", [-30.0, -15.0, 15.0, 30.0])
+def test_wheels_on_their_own_circles_are_plausible(steer_deg: float) -> None:
+    rolling = [round(900 * factor) for factor in wheel_factors(CAR, steer_deg)]
+    assert max(rolling) - min(rolling) > 60
+    assert odd(COASTING, rolling, steer_deg) == ""
 
 
 @pytest.mark.parametrize(
@@ -315,45 +326,6 @@ def test_slip_is_remembered_for_a_second(asked: AiCommand, rpm: tuple[int, int, 
 def test_at_the_first_instant_of_the_clock_nothing_explains_slip(rpm: tuple[int, int, int, int]) -> None:
     assert check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(*rpm, 0), None, 0).implausible_since_ns == 0
     assert WheelCheck().detail == ""
-
-
-def test_a_wheel_is_held_against_the_middle_of_the_other_three() -> None:
-    assert odd(COASTING, (400, 500, 700, 700)).startswith("front left 400 rpm")
-    assert odd(COASTING, (300, 300, 420, 700)).startswith("rear right 700 rpm")
-    assert odd(COASTING, (300, 420, 420, 700)).startswith("rear right 700 rpm")
-
-
-def test_too_fast_and_too_slow_differ_at_any_margin() -> None:
-    strict = BridgeConfig(wheel_margin_rpm=0.0, wheel_margin_fraction=0.0)
-    for asked, rpm, explained in (
-        (DRIVING, (300, 300, 301, 300), True),
-        (BRAKING, (300, 300, 301, 300), False),
-        (DRIVING, (300, 300, 299, 300), False),
-        (BRAKING, (300, 300, 299, 300), True),
-    ):
-        check = check_wheels(strict, CAR, WheelCheck(), asked, WheelSpeeds(*rpm, T), None, T)
-        assert (check.implausible_since_ns is None) is explained
-
-
-def test_equal_wheel_speeds_are_plausible_at_any_steering() -> None:
-    assert odd(COASTING, (1000, 1000, 1060, 1000), 30.0) == ""
-    assert odd(COASTING, (1000, 1000, 1061, 1000), 30.0).startswith("rear left 1061 rpm of 1000, 1000, 1061, 1000")
-
-
-def test_without_steering_feedback_wheels_are_taken_as_straight() -> None:
-    for rpm, named in ((710, False), (711, True)):
-        for wheel in range(4):
-            speeds = [500, 500, 500, 500]
-            speeds[wheel] = rpm
-            check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(*speeds, t_rx_ns=T), None, T)
-            assert (check.implausible_since_ns is not None) is named
-
-
-@pytest.mark.parametrize("steer_deg", [-30.0, -15.0, 15.0, 30.0])
-def test_wheels_on_their_own_circles_are_plausible(steer_deg: float) -> None:
-    rolling = tuple(round(900 * factor) for factor in wheel_factors(CAR, steer_deg))
-    assert max(rolling) - min(rolling) > 60
-    assert odd(COASTING, rolling, steer_deg) == ""  # type: ignore[arg-type]
 
 
 def test_in_a_left_turn_right_and_front_wheels_go_further() -> None:
@@ -411,3 +383,4 @@ def test_outside_as_driving_only_slip_causes_are_kept() -> None:
     check = WheelCheck(T, "front left", 1, 2, 3)
     assert forget_wheels(check) == WheelCheck(None, "", 1, 2, 3)
     assert forget_wheels(WheelCheck()) == WheelCheck()
+    assert forget_steering() == SteeringCheck()

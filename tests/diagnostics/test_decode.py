@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import cantools.database
-import numpy as np
 import pytest
 from cantools.database.can import Database
 from hypothesis import given, settings
@@ -22,6 +21,7 @@ from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.databases import DatabasesError, databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.decode.text import FrameText
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
@@ -95,7 +95,7 @@ def test_every_signal_of_the_cars_databases_is_as_in_cantools(revision: str) -> 
 
 
 @st.composite
-def signal_lines(draw: st.DrawFn, name: str, start: int, length: int) -> tuple[str, str]:
+def signal_lines(draw: st.DrawFn, name: str, start: int, length: int, big: bool) -> tuple[str, str]:
     """An SG_ line and what must stand at the end of the file for it."""
     kind = draw(st.sampled_from(["+", "-"]))
     extra = ""
@@ -111,15 +111,17 @@ def signal_lines(draw: st.DrawFn, name: str, start: int, length: int) -> tuple[s
         values = draw(st.lists(st.integers(-3 if kind == "-" else 0, 9), unique=True, min_size=1, max_size=4))
         words = " ".join(f'{value} "word {value}"' for value in values)
         extra = f"VAL_ {{id}} {name} {words} ;\n"
-    return f' SG_ {name} : {start}|{length}@1{kind} ({scale},{offset}) [0|0] "{unit}" AI\n', extra
+    if big:
+        start = start // 8 * 8 + 7 - start % 8
+    return f' SG_ {name} : {start}|{length}@{0 if big else 1}{kind} ({scale},{offset}) [0|0] "{unit}" AI\n', extra
 
 
 @st.composite
 def plain_databases(draw: st.DrawFn) -> str:
-    """A DBC file of little-endian messages: whole-range, odd widths, signed, float, scaled, with words."""
+    """A DBC file of messages of both byte orders: whole-range, odd widths, signed, float, scaled, with words."""
     body, end = "", ""
     for number in range(draw(st.integers(1, 3))):
-        extended = draw(st.booleans())
+        extended, big = draw(st.booleans()), draw(st.booleans())
         can_id = 0x100 + number | (0x8000_0000 if extended else 0)
         length = draw(st.integers(1, 8))
         body += f"\nBO_ {can_id} Message{number}: {length} AI\n"
@@ -131,7 +133,7 @@ def plain_databases(draw: st.DrawFn) -> str:
                 break
             widths = [width for width in (1, 3, 8, 12, 16, 17, 32, 33, 63, 64) if width <= room]
             wide = draw(st.sampled_from([*widths, room]))
-            line, extra = draw(signal_lines(f"S{number}_{index}", at, wide))
+            line, extra = draw(signal_lines(f"S{number}_{index}", at, wide, big))
             body += line
             end += extra.replace("{id}", str(can_id))
             at, index = at + wide, index + 1
@@ -194,7 +196,7 @@ def test_unusual_layouts_are_decoded_right() -> None:
     assert isinstance(database, Database)
     decoder = Decoder(databases_of([database]))
     plain = {layout.name for layout in decoder.databases.layouts.values() if layout.plain}
-    assert plain == {"Extended", "Half", "Empty"}
+    assert plain == {"BigEndian", "Extended", "Half", "Empty"}
     chance = random.Random(5)
     frames = []
     for n in range(700):
@@ -232,11 +234,28 @@ def test_a_64_bit_number_and_special_floats_keep_every_bit() -> None:
 # ---------------------------------------------------------------- printed
 
 
+def lines(decoder: Decoder, frames: Frames, **options: bool) -> list[bytearray]:
+    """Lines as many at once are written, each with its line end; the same frame by frame."""
+    found = LineWriter(decoder, **options).block(frames).splitlines(keepends=True)
+    text = FrameText(decoder.databases, **options)
+    for frame, line in zip(frames, found, strict=True):
+        assert line == text.line(frame).encode()
+    return found
+
+
+def tails(decoder: Decoder, frames: Frames) -> list[bytes]:
+    """What stands beside each frame."""
+    found = LineWriter(decoder).tails(frames)
+    for line, tail in zip(lines(decoder, frames), found, strict=True):
+        assert line.endswith(tail) and tail.startswith(b" :: ")
+    return found
+
+
 def assert_printed_like_cantools(decoder: Decoder, frames: Frames) -> None:
     """The text beside each frame is what `cantools decode --single-line` writes, frame by frame."""
     from cantools.subparsers.__utils__ import format_message  # type: ignore[attr-defined]
 
-    for frame, line in zip(frames, LineWriter(decoder).tails(frames), strict=True):
+    for frame, line in zip(frames, tails(decoder, frames), strict=True):
         layout = decoder.layout_of(frame.can_id, frame.extended)
         assert layout is not None
         message = decoder.databases.message(layout.key)
@@ -293,9 +312,7 @@ def test_each_line_of_json_is_one_object_with_cantools_values(wild_log: Path) ->
     from fsai_vcu.diagnostics.log.reader import read_log
 
     frames = read_log(wild_log)[0].head(15_000)
-    lines = LineWriter(decoder, as_json=True).block(frames).splitlines()
-    assert len(lines) == len(frames)
-    for frame, line in zip(frames, lines, strict=True):
+    for frame, line in zip(frames, lines(decoder, frames, as_json=True), strict=True):
         entry = json.loads(line)
         layout = decoder.layout_of(frame.can_id)
         assert layout is not None
@@ -332,8 +349,8 @@ def test_json_stays_valid_for_any_name_and_for_nan_and_infinity() -> None:
         LogFrame(9, "c", 0x44, bytes(8), error=True),
         LogFrame(9, "c", 1, bytes(12), fd=True),
     ]
-    lines = LineWriter(Decoder(databases_of([database])), as_json=True).block(frames_of(frames)).splitlines()
-    entries = [json.loads(line) for line in lines]
+    written = lines(Decoder(databases_of([database])), frames_of(frames), as_json=True)
+    entries = [json.loads(line) for line in written]
     assert [entry["signals"].get("F") for entry in entries[:3]] == [None, None, 1.5]
     assert {entry["signals"]["W"] for entry in entries[:3]} == {"back\\slash, °"}
     assert entries[0]["channel"] == 'ca"n0'
@@ -349,9 +366,9 @@ def test_a_frame_of_wrong_length_is_shown_but_never_counts_whole() -> None:
     frames = frames_of(
         [LogFrame(0, "c", 0x523, bytes.fromhex(data)) for data in ("640064006400", "6400", "6400640064000000")]
     )
-    lines = LineWriter(decoder).tails(frames)
-    assert lines[1] == b" :: Wrong data size: 2 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg)\n"
-    assert lines[2].startswith(b" :: Wrong data size: 8 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg, ")
+    written = tails(decoder, frames)
+    assert written[1] == b" :: Wrong data size: 2 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg)\n"
+    assert written[2].startswith(b" :: Wrong data size: 8 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg, ")
     table = decoder.tables(frames)["VCU2AI_Steer"]
     assert table.rows.tolist() == [0]
     assert table.wrong_length.tolist() == [1, 2]
@@ -367,13 +384,26 @@ def test_error_frames_remote_frames_and_unknown_ids_are_named() -> None:
             LogFrame(0, "c", 0x520, b"\x01", extended=True),
         ]
     )
-    assert [line.decode() for line in LineWriter(Decoder(load_databases())).tails(frames)] == [
+    assert [line.decode() for line in tails(Decoder(load_databases()), frames)] == [
         " :: error frame: bus-off\n",
         " :: error frame: controller (transmit error-passive)\n",
         " :: remote request for VCU2AI_Status\n",
         " :: Unknown frame id 1953 (0x7a1)\n",
         " :: Unknown frame id 1312 (0x520)\n",
     ]
+
+
+def test_percent_signs_and_braces_stay_as_they_are() -> None:
+    text = 'VERSION ""\n\nBU_: AI\n\nBO_ 1 M: 3 AI\n SG_ P : 0|12@1+ (1,0) [0|0] "100%s {0}" AI\n'
+    text += ' SG_ W : 16|2@1+ (5,0) [0|0] "V" AI\n\nVAL_ 1 W 0 "OFF" 2 "VERY %d ON" ;\n'
+    database = cantools.database.load_string(text, "dbc")
+    assert isinstance(database, Database)
+    decoder = Decoder(databases_of([database]))
+    frames = frames_of([LogFrame(0, "c", 1, bytes([7, 0, bits])) for bits in range(4)])
+    shown = [line.decode().partition(", W: ")[2] for line in tails(decoder, frames)]
+    assert shown == ["OFF)\n", "5 V)\n", "VERY %d ON)\n", "15 V)\n"]
+    shown = [line.decode().partition(" :: ")[2] for line in lines(decoder, frames, words=False)]
+    assert shown[:2] == ["M(P: 7 100%s {0}, W: 0 V)\n", "M(P: 7 100%s {0}, W: 5 V)\n"]
 
 
 # ---------------------------------------------------------------- databases
@@ -387,8 +417,8 @@ def test_of_several_files_the_first_one_counts_for_an_id(tmp_path: Path) -> None
         '\nBO_ 2 Other: 1 AI\n SG_ C : 0|8@1+ (1,0) [0|0] "" AI\n'
     )
     decoder = Decoder(load_databases([first, second]))
-    lines = LineWriter(decoder).tails(frames_of([LogFrame(0, "c", can_id, b"\x05") for can_id in (1, 2)]))
-    assert lines == [b" :: First(A: 5)\n", b" :: Other(C: 5)\n"]
+    written = tails(decoder, frames_of([LogFrame(0, "c", can_id, b"\x05") for can_id in (1, 2)]))
+    assert written == [b" :: First(A: 5)\n", b" :: Other(C: 5)\n"]
 
 
 def test_only_an_official_file_has_its_flags_corrected(tmp_path: Path) -> None:
@@ -442,9 +472,3 @@ def test_a_spoilt_or_forbidden_cache_is_no_cache_and_no_error(tmp_path: Path, mo
     monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
     assert load_databases().layouts == fresh.layouts
     assert layout_cache.recall("0" * 64) is None
-
-
-def test_a_candump_line_is_written_as_it_was_read() -> None:
-    frames = frames_of([LogFrame(1_436_509_053_850_870_000, "can0", 0x520, b"\x01\xa5")])
-    assert log_lines(frames) == [b"(1436509053.850870) can0 520#01A5"]
-    assert np.array_equal(frames.data, [[0x01, 0xA5, 0, 0, 0, 0, 0, 0]])

@@ -18,7 +18,6 @@ from mcap.reader import make_reader
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.lines import LineWriter
-from fsai_vcu.diagnostics.export.wide import raster_ns
 from fsai_vcu.diagnostics.export.writing import export
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 
@@ -121,6 +120,7 @@ def test_csv_is_a_file_per_message_with_units_in_the_names(
 ) -> None:
     written = export(frames, decoder, "csv", tmp_path / "tables")
     assert (written.tables, written.rows) == (len(decoded), sum(map(len, decoded.values())))
+    assert written.left_out.words().startswith("1 of unknown ids, 1 of the wrong length, 2 error or remote frames")
     tables: dict[str, list[Row]] = {}
     for path in (tmp_path / "tables").iterdir():
         with path.open(newline="") as file:
@@ -133,12 +133,6 @@ def test_csv_is_a_file_per_message_with_units_in_the_names(
         if path.stem == "VCU2AI_Steer":
             assert head == ["time [s]", "ANGLE [deg]", "ANGLE_MAX [deg]", "ANGLE_REQUEST [deg]"]
     assert_same(tables, decoded)
-
-
-def test_what_belongs_into_no_table_is_counted(tmp_path: Path, decoder: Decoder, frames: Frames) -> None:
-    left_out = export(frames, decoder, "csv", tmp_path / "tables").left_out
-    assert (left_out.unknown, left_out.wrong_length, left_out.no_data) == (1, 1, 2)
-    assert left_out.words().startswith("1 of unknown ids, 1 of the wrong length, 2 error or remote frames")
 
 
 def test_words_stand_for_numbers_where_they_are_asked_for(tmp_path: Path, decoder: Decoder, frames: Frames) -> None:
@@ -306,17 +300,6 @@ def test_the_wide_table_is_the_same_in_parquet_and_mcap(tmp_path: Path, decoder:
     assert table["VCU2AI_Steer.ANGLE"].to_pylist() == angles
     messages = [message for _, _, message in of_mcap(tmp_path / "wide.mcap")]
     assert [None if math.isnan(m.vcu2ai_steer_angle) else m.vcu2ai_steer_angle for m in messages] == angles
-
-
-@pytest.mark.parametrize(("text", "ns"), [("10ms", 10_000_000), ("0.5s", 500_000_000), ("100us", 100_000)])
-def test_a_raster_is_a_time(text: str, ns: int) -> None:
-    assert raster_ns(text) == ns
-
-
-@pytest.mark.parametrize("text", ["", "10", "0ms", "-1s", "1e3ms", "nan s", "10 minutes"])
-def test_anything_else_is_no_raster(text: str) -> None:
-    with pytest.raises(ValueError, match="no raster"):
-        raster_ns(text)
 
 
 # ---------------------------------------------------------------- several buses, and MF4

@@ -17,7 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.log.candump import log_lines, parse_line, screen_lines
+from fsai_vcu.diagnostics.log.candump import log_lines, parse_block, screen_lines
+from fsai_vcu.diagnostics.log.candump_line import parse_line
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.reader import LogError, open_log, read_log
 
@@ -77,13 +78,6 @@ def test_a_candump_log_is_read_with_and_without_directions(tmp_path: Path, suffi
     assert {f.channel for f in found} == {"can0"}
 
 
-def test_a_log_written_by_python_can_is_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "run.log"
-    write_with_python_can(path, MIXED)
-    assert " R" in path.read_text()
-    assert plainly(read(path)) == plainly(MIXED)
-
-
 @pytest.mark.parametrize("suffix", [".blf", ".asc"])
 def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
@@ -124,6 +118,48 @@ def test_a_gzipped_log_is_read_like_the_log_itself(tmp_path: Path) -> None:
     path = tmp_path / "run.log.gz"
     path.write_bytes(gzip.compress(b"\n".join(log_lines(frames_of(MIXED))) + b"\n"))
     assert plainly(read(path)) == plainly(MIXED)
+
+
+def test_the_trace_of_pcan_view_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.trc"
+    write_with_python_can(path, MIXED)
+    found = read(path)
+    assert [(f.can_id, f.data, f.extended) for f in found] == [(f.can_id, f.data, f.extended) for f in MIXED]
+    assert [f.t_ns - found[0].t_ns for f in found] == [f.t_ns - MIXED[0].t_ns for f in MIXED]
+
+
+def test_the_csv_of_savvycan_is_read_in_both_versions(tmp_path: Path) -> None:
+    head, now = "Time Stamp,ID,Extended,{}Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8", "{},{:08X},{},{}1,{},{},\n"
+    for dir_head, dir_word, sent in (("", "", None), ("Dir,", "Rx,", False), ("Dir,", "Tx,", True)):
+        lines = [
+            now.format(f.t_ns // 1000, f.can_id, str(f.extended).lower(), dir_word, len(f.data), f.data.hex(","))
+            for f in MIXED
+        ]
+        path = tmp_path / "run.csv"
+        path.write_text(head.format(dir_head) + "\n" + "".join(lines))
+        assert read(path) == [replace(f, channel="can1", sent=sent) for f in MIXED]
+        with open_log(path) as log:
+            assert list(joined(log.chunks())) == read(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("1,00000520,false,Rx,0,2,01\n", "1 data bytes where 2 are announced"),
+        ("1,00000800,false,Rx,0,1,01\n", "no 11-bit identifier: 00000800"),
+        ("1,20000000,true,Rx,0,1,01\n", "no 29-bit identifier: 20000000"),
+        ("-1,00000520,false,Rx,0,1,01\n", "no time: -1"),
+        ("1,00000520,false,Rx,0,9,1,2,3,4,5,6,7,8,9\n", "9 data bytes"),
+        ("1,00000520,false,Rx\n", "not a line of GVRET"),
+        ("1,00000520,false,Rx,0,1,100\n", "not a line of GVRET"),
+        ("1,00000520,false,Rx,0,1,01", "cut off, without a line end; its frame is left out"),
+    ],
+)
+def test_an_invalid_line_of_savvycan_is_named(tmp_path: Path, line: str, words: str) -> None:
+    head = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n1,00000520,false,Rx,0,2,01,A5,\n"
+    frames, problems = problems_of(tmp_path / "run.csv", (head + line).encode())
+    assert (len(frames), len(problems)) == (1, 1)
+    assert f"line 3: {words}" in problems[0]
 
 
 def test_what_log2asc_makes_of_a_candump_log_is_the_same_log(tmp_path: Path) -> None:
@@ -186,22 +222,43 @@ def test_reading_many_lines_at_once_is_reading_each_line(
     assert read(path) == frames == [parse_line(line) for line in text]
 
 
-@given(st.lists(st.sampled_from(list(" ()#.:0123456789ABCDEFabcdefgRTXcan\t\r\n\0\xff")), max_size=80).map("".join))
-@settings(max_examples=100, deadline=None)
-def test_the_fast_reader_accepts_no_more_than_the_careful_one(text: str) -> None:
-    from fsai_vcu.diagnostics.log.candump import parse_block
-
-    lines = (f"(1.000000) can0 520#01A5\n(1.000000) can0 {text}\n(1.000001) can0 520#{text}\n" + text + "\n").encode(
-        "latin-1"
-    )
-    frames, _, _ = parse_block(np.frombuffer(lines, np.uint8), [])
-    careful = []
-    for line in lines.split(b"\n"):
+@given(
+    st.lists(st.sampled_from(list(" ()#.:[]-0123456789ABCDEFabcdefgRTXcan\t\r\n\0\xff")), max_size=80).map("".join),
+    st.sampled_from(
+        [
+            "(1.000000) can0 520#01A5\n(1.000000) can0 {0}\n(1.000001) can0 520#{0}\n{0}\n",
+            " (1.000000)  can0  520   [2]  01 A5\n (1.000000)  can0{0}\n (1.000000)  can0  520   [2]  {0}\n{0}\n",
+            "  can0  RX - -  520   [2]  01 A5\n  can0  RX - -  520   [2{0}\n  can0{0}\n",
+        ]
+    ),
+)
+@settings(max_examples=150, deadline=None)
+def test_the_fast_reader_reads_what_the_careful_one_reads(text: str, template: str) -> None:
+    lines = template.format(text).encode("latin-1")
+    frames, unreadable, _ = parse_block(np.frombuffer(lines, np.uint8), [])
+    careful, wrong = [], []
+    for number, line in enumerate(lines.split(b"\n")[:-1]):
         try:
             careful.append(parse_line(line.removesuffix(b"\r").decode("ascii")))
         except ValueError:
-            continue
+            wrong += [number] if line.strip() else []
     assert list(frames) == careful
+    assert [each.line for each in unreadable] == wrong
+
+
+@pytest.mark.parametrize("way", ["", "RX - -  ", "TX - -  "])
+@pytest.mark.parametrize("time", ["", " (1436509053.850870)", " (000.000010)"])
+def test_lines_of_candumps_screen_are_read_together(time: str, way: str) -> None:
+    """Not one by one: a line of each length and kind, all in one block."""
+    frames = [frame(n, bytes(range(240, 240 + n)), channel="can1", extended=wide) for n in range(9) for wide in (0, 1)]
+    lines = [line.decode() for line in screen_lines(frames_of(frames), time_digits=None)]
+    lines = [f"{time}{line.replace('can1  ', 'can1  ' + way)}" for line in lines]
+    found, unreadable, _ = parse_block(np.frombuffer("".join(f"{line}\n" for line in lines).encode(), np.uint8), [])
+    assert not unreadable
+    assert list(found) == [parse_line(line) for line in lines]
+    assert [(f.can_id, f.data, f.sent) for f in found] == [
+        (f.can_id, f.data, {"": None, "R": False, "T": True}[way[:1]]) for f in frames
+    ]
 
 
 def test_lines_are_read_whatever_the_length_of_time_and_channel(tmp_path: Path) -> None:

@@ -64,19 +64,6 @@ def test_every_frame_is_as_long_as_its_bits_counted_singly(several: list[LogFram
     assert wire_bits(frames_of(several)).tolist() == [counted(frame) for frame in several]
 
 
-def test_the_bounds_that_textbooks_give_are_kept() -> None:
-    """An 11-bit frame of eight bytes has 111 bits without stuffing, and at most 24 stuff bits."""
-    plain = LogFrame(0, "c", 0x555, b"\x55" * 8)
-    worst = [
-        LogFrame(0, "c", can_id, data * 8)
-        for can_id in (0, 0x7FF, 0x787)
-        for data in (b"\x00", b"\xff", b"\x0f", b"\x87")
-    ]
-    lengths = wire_bits(frames_of([plain, *worst])).tolist()
-    assert 111 <= lengths[0] <= 113
-    assert 111 < max(lengths) <= 135
-
-
 def test_error_frames_have_no_length_fd_frames_their_bytes() -> None:
     error = LogFrame(0, "c", 0x40, bytes(8), error=True)
     long = LogFrame(0, "c", 0x123, bytes(64), fd=True)

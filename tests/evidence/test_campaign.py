@@ -20,25 +20,22 @@ import pytest
 from fsai_hil.evidence.campaign import runner
 from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
-from fsai_hil.evidence.campaign.cluster import ClusterError, on_cluster
 from fsai_hil.evidence.campaign.record import read
-from fsai_hil.evidence.campaign.runner import CampaignPlan, batches, drive_batch
+from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, batches, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.campaign.sources import digest
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS
 from fsai_vcu.cli.main import main
-from fsai_vcu.core import bridge
 from fsai_vcu.core.planning.planner import Planner
-from fsai_vcu.core.supervision import gate as gating
 from fsai_vcu.core.supervision import supervisor
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import REACTIONS, Asked, Consequence, Step
 from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
-SHORT = ["--full", "0", "--missions", "acceleration", "--world-seeds", "1", "--window", "2"]
-ONE_CAR = [*SHORT, "--revisions", "2026"]
+SHORT = ["--full", "0", "--world-seeds", "1", "--window", "1"]
+ONE_CAR = [*SHORT, "--missions", "acceleration", "--revisions", "2026"]
 
 
 @pytest.mark.timeout(3600)  # minutes on a quiet machine, many on a busy one
@@ -46,20 +43,32 @@ def test_every_kind_of_fault_ends_as_the_safety_rules_demand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The short form of the campaign; the long one is a command of its own."""
-    short = [*SHORT, "--missions", "acceleration,autonomous_demo"]  # some kinds apply to one of them only
-    arguments = ["campaign", "--runs", str(len(ROWS)), "--jobs", "2", "--out", str(tmp_path), *short]
-    status = main(arguments)
-    told = capsys.readouterr().out
-    assert status == 0, told
-    runs = read(tmp_path / "record.jsonl")[1]
-    assert {run["fault"] for run in runs} == {kind.name for kind in ROWS}
-    assert "every run ended as the rules demand" in told
+    runs = []
+    for mission, kinds in _by_mission().items():
+        out = tmp_path / mission
+        chosen = ["--missions", mission, "--runs", str(len(kinds)), "--faults", ",".join(kinds)]
+        status = main(["campaign", *SHORT, "--revisions", "2021", "--jobs", "2", "--out", str(out), *chosen])
+        told = capsys.readouterr().out
+        assert status == 0, told
+        assert "every run ended as the rules demand" in told
+        runs += read(out / "record.jsonl")[1]
+    assert sorted(run["fault"] for run in runs) == sorted(kind.name for kind in ROWS)
     table = tmp_path / "faults.md"
-    assert main(["campaign", "--table", str(tmp_path / "record.jsonl"), "-o", str(table)]) == 0
+    assert main(["campaign", "--table", str(tmp_path / "acceleration/record.jsonl"), "-o", str(table)]) == 0
     text = table.read_text()
-    assert all(f"| `{kind.name}` |" in text for kind in ROWS)
-    assert f"Worse than the rules allow: 0 of {len(ROWS)} runs" in text
+    kinds = _by_mission()["acceleration"]
+    assert all(f"| `{name}` |" in text for name in kinds)
+    assert f"Worse than the rules allow: 0 of {len(kinds)} runs" in text
     assert f"signal databases): `{digest()}`." in text
+
+
+def _by_mission() -> dict[str, list[str]]:
+    """Every kind once, on the car of 2021 that has them all: each mission and car costs drives to its beginning."""
+    drives = {kind.name: Ami.ACCELERATION in kind.missions for kind in ROWS}
+    return {
+        "acceleration": [name for name, here in drives.items() if here],
+        "autonomous_demo": [name for name, here in drives.items() if not here],
+    }
 
 
 # ---------------------------------------------------------------- it can fail
@@ -67,15 +76,6 @@ def test_every_kind_of_fault_ends_as_the_safety_rules_demand(
 
 def _old_confirm(state: Any, role: str, run_id: int) -> Any:
     return replace(state, confirmed=state.confirmed | {role}) if run_id == state.run_id else state
-
-
-def _limited(**changes: object) -> Callable[..., Any]:
-    """Wraps what takes a configuration first: some of it is another."""
-
-    def wrap(original: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda config, *rest: original(replace(config, **changes), *rest)
-
-    return wrap
 
 
 def _fails_on_nothing(original: Callable[..., Any]) -> Callable[..., Any]:
@@ -102,91 +102,55 @@ def _stops_for_anything_else(original: Callable[..., Any]) -> Callable[..., Any]
     return begin_stop
 
 
-def _limit_for_ever(original: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda config, axle, left, right, now_ns: original(config, axle, left, right, axle.t_rx_ns)
+Patches = Callable[[], tuple[tuple[Any, str, object], ...]]
 
 
-def _patches_of(name: str) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+def _seed(name: str) -> Patches:
     return next(seed.patches for seed in SEEDS if seed.name == name)
 
 
-LATE_STOP = (Step("command_stale_ns", Consequence.HOLD), Step("implausible_lost_ns", Consequence.STOP_MANUAL))
-SEEDED: dict[str, tuple[str, Callable[[], tuple[tuple[Any, str, object], ...]]]] = {
-    **{
-        seed.name: (spec, seed.patches)
-        for seed in SEEDS
-        for name, spec in (
-            ("lost wheel speeds are only reported", "speeds_lost:duration=1500"),
-            ("lost steering feedback never asks for the emergency", "steering_lost:duration=1500"),
-            ("both pedals are only reported", "both_pedals:duration=1000"),
-            ("an intruder is only reported", "intruder:message=0x512,frames=1,payload=zeros"),
-            ("a fault of the loop only stops", "loop_late:late=51"),
-            ("Go off is only reported", "status_go_off:duration=500"),
-            ("an AS switch that falls is only reported", "status_as_switch_off:duration=500"),
-            ("a fault bit that rises is only reported", "status_one_fault_bit:duration=500,bit=BMS_FAULT"),
-            ("an AS_STATE that nobody knows is only reported", "status_undefined_as_state:duration=80,state=9"),
-            ("a pulse count contradicts no wheel speed", "wheels_dead:duration=2000"),
-            ("a lost command is only held", "controller_silent:duration=1500"),
-            ("odd wheels never ask for the emergency", "wheel_offset:wheel=fl,size=290"),
-            ("a stop without effect goes unnoticed", "brakes_failing"),
-            ("no command is out of order", "controller_nan:field=throttle,value=nan,duration=1500"),
-            ("torque rises right after the brake", "controller_pumping:duration=2000,period=40"),
-        )
-        if seed.name == name
-    },
-    "a lost command stops the car too late": (
-        "controller_silent:duration=1500",
-        lambda: ((supervisor, "REACTIONS", {**REACTIONS, Reason.COMMAND_STALE: LATE_STOP}),),
-    ),
-    "a restarted planner drives on": (
-        "planner_restarted:duration=100",
-        lambda: ((supervisor, "confirm", _old_confirm),),
-    ),
-    "the emergency brake that is asked for is forgotten": (
-        "emergency_asked",
-        lambda: ((supervisor, "ask_emergency", lambda state, *rest: state),),
-    ),
-    "an intruder is only reported, and the car stops itself for what it hears": (
+def _reaction(reason: Reason, *steps: Step) -> Patches:
+    return lambda: ((supervisor, "REACTIONS", {**REACTIONS, reason: steps}),)
+
+
+_LATE_STOP = (Step("command_stale_ns", Consequence.HOLD), Step("implausible_lost_ns", Consequence.STOP_MANUAL))
+# One defect of each way in which a run can be worse than the rules allow: `make verify` and the fuzz find many more.
+SEEDED: dict[str, tuple[str, Patches]] = {
+    "no reaction": ("speeds_lost:duration=1500", _seed("lost wheel speeds are only reported")),
+    "no ESTOP_REQUEST": (
         "intruder:message=0x510,frames=20,period=1,payload=zeros",
-        _patches_of("an intruder is only reported"),
+        _seed("an intruder is only reported"),
     ),
-    "the planner's process ends where there is nothing to see": (
-        "detector_blind:duration=1500",
-        lambda: ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
+    "torque stays": (
+        "status_undefined_as_state:duration=80,state=9",
+        _seed("an AS_STATE that nobody knows is only reported"),
     ),
-    "the bridge's process ends at wheel speeds": (
-        "remote_estop",
-        lambda: ((supervisor, "on_speeds", _fails),),
+    "implausible counts": ("wheels_dead:duration=2000", _seed("a pulse count contradicts no wheel speed")),
+    "an implausible wheel": ("wheel_offset:wheel=fl,size=290", _seed("odd wheels never ask for the emergency")),
+    "a refused command counts": (
+        "controller_nan:field=throttle,value=nan,duration=1500",
+        _seed("no command is out of order"),
     ),
-    "a deceleration is not looked for": (
+    "a rule of the bus": ("controller_pumping:duration=2000,period=40", _seed("torque rises right after the brake")),
+    "a stop too late": ("controller_silent:duration=1500", _reaction(Reason.COMMAND_STALE, *_LATE_STOP)),
+    "ESTOP_REQUEST too late": (
         "brakes_failing",
         lambda: ((supervisor, "_stop_ineffective", _only_the_clock),),
     ),
-    "the end of the mission is overheard": (
+    "a stop that nothing asks for": (
+        "status_lost:duration=70",
+        _reaction(Reason.VCU_SILENT, Step("vcu_stale_ns", Consequence.STOP)),
+    ),
+    "driving on by itself": ("planner_restarted:duration=100", lambda: ((supervisor, "confirm", _old_confirm),)),
+    "the end of the mission is missed": (
         "planner_finishes_early",
         lambda: ((supervisor, "_begin_stop", _stops_for_anything_else(supervisor._begin_stop)),),
     ),
-    "a torque limit holds for ever": (
-        "rear_limit_lost:duration=1500",
-        lambda: ((gating, "_axle_limit_nm", _limit_for_ever(gating._axle_limit_nm)),),
+    "the planner's process ends": (
+        "detector_blind:duration=1500",
+        lambda: ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
     ),
-    "steering turns as fast as it is asked to": (
-        "controller_swinging:duration=1500,period=300",
-        lambda: ((bridge, "gate", _limited(steer_rate_degps=1e6)(gating.gate)),),
-    ),
-    "0x520 lasts 70 ms": (
-        "status_lost:duration=84",
-        lambda: (
-            (bridge, "gate", _limited(vcu_stale_ns=70_000_000)(gating.gate)),
-            (supervisor, "supervise", _limited(vcu_stale_ns=70_000_000)(supervisor.supervise)),
-        ),
-    ),
-    "an unnecessary stop": (
-        "status_lost:duration=70",
-        lambda: (
-            (supervisor, "REACTIONS", {**REACTIONS, Reason.VCU_SILENT: (Step("vcu_stale_ns", Consequence.STOP),)}),
-        ),
-    ),
+    "the bridge's process ends": ("remote_estop", lambda: ((supervisor, "on_speeds", _fails),)),
 }
 
 
@@ -200,10 +164,6 @@ def _case(spec: str) -> Case:
     return case_from_spec(
         f"{name}:after=5500,{parameters}", mission=Ami.ACCELERATION, revision="2026", seed=0, full=False
     )
-
-
-def test_all_seeded_defects_were_found_by_name() -> None:
-    assert len(SEEDED) == 27
 
 
 @pytest.mark.parametrize("name", SEEDED)
@@ -240,8 +200,7 @@ def _lines(path: Path) -> int:
     return len(path.read_text().splitlines()) if path.exists() else 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_an_interrupted_campaign_continues_where_it_was(number: signal.Signals, tmp_path: Path) -> None:
+def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
     arguments = ["--runs", "12", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
@@ -249,16 +208,15 @@ def test_an_interrupted_campaign_continues_where_it_was(number: signal.Signals, 
         while _lines(record) < 3:
             assert run.poll() is None, run.communicate()
             time.sleep(0.02)
-        os.killpg(run.pid, number) if number is signal.SIGINT else run.send_signal(number)
+        os.killpg(run.pid, signal.SIGINT)
         _, error = run.communicate(timeout=60)
-    if number is signal.SIGINT:
-        assert run.returncode == 130
-        assert "--resume goes on" in error and "Traceback" not in error
+    assert run.returncode == 130
+    assert "--resume goes on" in error and "Traceback" not in error
     kept = _lines(record) - 1
     assert 2 <= kept < 12
     again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
-    assert f"{kept} runs are in" in again.stderr or f"{kept - 1} runs are in" in again.stderr
+    assert f"{kept} runs are in" in again.stderr
     assert sorted(run["index"] for run in read(record)[1]) == list(range(12))
 
 
@@ -320,16 +278,17 @@ def test_without_dask_one_line_says_what_to_install(
 
 def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = CampaignPlan(1, 1)
-    monkeypatch.setattr(runner, "digest", lambda: "other")
+    other = replace(plan.header(), sources="other")
+    monkeypatch.setattr(CampaignPlan, "header", lambda plan: other)
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
-        next(on_cluster(cluster, plan, batches(plan, plan.tasks())))
+        next(on_cluster(plan, batches(plan, plan.tasks()), cluster))
 
 
 def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fsai_hil.evidence.campaign.cluster.CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(runner, "CONNECT_TIMEOUT_S", 0.5)
     plan = CampaignPlan(1, 1)
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        next(on_cluster("tcp://127.0.0.1:9", plan, batches(plan, plan.tasks())))
+        next(on_cluster(plan, batches(plan, plan.tasks()), "tcp://127.0.0.1:9"))
 
 
 # ---------------------------------------------------------------- wrong use
@@ -354,11 +313,3 @@ def test_wrong_use_is_one_clear_line(
     assert main(["campaign", *arguments, "--out", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert complaint in error and error.count("\n") == 1
-
-
-def test_a_batch_of_a_plan_can_be_driven_anywhere() -> None:
-    """What a cluster's worker is sent is picklable, and small."""
-    import pickle
-
-    plan = CampaignPlan(1, 10_000, 300)
-    assert len(pickle.dumps((drive_batch, plan, [(False, 7)]))) < 2000

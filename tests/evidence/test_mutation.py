@@ -6,23 +6,20 @@ All mutants are tried by `make mutation`.
 from __future__ import annotations
 
 import ast
-import json
 import math
 import subprocess
 import sys
 from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import Path
 
 import pytest
 
-from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation.__main__ import main
-from fsai_hil.evidence.mutation.explained import DOCUMENT, ListError, judge, listed, load
+from fsai_hil.evidence.mutation.explained import load, row
 from fsai_hil.evidence.mutation.mutants import Mutant, mutants_of, mutated
-from fsai_hil.evidence.mutation.trial import COVERED, mutants, sources
+from fsai_hil.evidence.mutation.trial import mutants, sources
 
-SAMPLE = 60
+SAMPLE = 20
 
 
 @pytest.fixture(scope="module")
@@ -30,56 +27,29 @@ def everything() -> list[Mutant]:
     return mutants(sources())
 
 
-def test_core_is_covered_and_no_mutant_of_a_sample_survives(tmp_path: Path) -> None:
+def test_no_mutant_of_a_sample_survives() -> None:
     """The sample changes with the code and the tests, and with nothing else."""
-    record = tmp_path / "record.jsonl"
-    command = [sys.executable, "-m", "fsai_hil.evidence.mutation", "--sample", str(SAMPLE), "--record", str(record)]
+    command = [sys.executable, "-m", "fsai_hil.evidence.mutation", "--sample", str(SAMPLE)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-6000:] + run.stderr[-6000:]
-    assert f"every line and branch of {', '.join(COVERED)} is reached" in run.stdout
-    killers = [json.loads(line)[1] for line in record.read_text().splitlines()[1:]]
-    assert len(killers) == SAMPLE and all(killers)
+    in_all = run.stdout.splitlines()[-1].split()
+    assert in_all == ["in", "all", str(SAMPLE), str(SAMPLE), "0", "0", "100.00", "%"]
 
 
 def test_every_mutant_is_a_program_and_has_its_own_key(everything: list[Mutant]) -> None:
     texts = sources()
-    assert len({mutant.key for mutant in everything}) == len(everything) > 3000
+    assert len({mutant.key for mutant in everything}) == len(everything) > 2000
     for mutant in everything[::20]:
         ast.parse(mutated(texts[mutant.module], mutant))
 
 
 def test_every_explained_survivor_is_a_mutant(everything: list[Mutant]) -> None:
-    assert load().keys() <= {mutant.key for mutant in everything}
+    assert load() <= {mutant.key for mutant in everything}
 
 
-def test_the_page_lists_the_explained_survivors() -> None:
-    assert (CHECKOUT / DOCUMENT).read_text().endswith(listed(load())), "run `make mutation`"
-
-
-def test_only_an_explained_survivor_holds(everything: list[Mutant]) -> None:
-    known, other = everything[:2]
-    why = {known.key: "nobody can tell"}
-    good = judge([(known, ""), (other, "a test")], why)
-    assert good.row == ("2", "1", "1", "0", "100.00 %") and not (good.unexplained or good.wrongly_explained)
-    bad = judge([(known, "a test"), (other, "")], why)
-    assert (bad.wrongly_explained, bad.unexplained, bad.row[-1]) == ([known], [other], "50.00 %")
-
-
-ENTRY = '[[survivor]]\nwhere = "gate.f"\nminus = "a = 1"\nplus = ["a = 2", "a = 0"]\nwhy = "a is read by nobody here"\n'
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (ENTRY + ENTRY, "survivor 2: .* is listed twice"),
-        (ENTRY.replace("read by nobody here", ""), "a reason is a sentence"),
-        (ENTRY.replace("minus", "mimus"), r"unknown \['mimus'\], missing \['minus'\]"),
-    ],
-)
-def test_a_bad_list_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "survivors.toml").write_text(text)
-    with pytest.raises(ListError, match=words):
-        load(tmp_path / "survivors.toml")
+def test_the_figures_set_explained_survivors_apart(everything: list[Mutant]) -> None:
+    known, other, third = everything[:3]
+    assert row([(known, ""), (other, "a test"), (third, "")], {known.key}) == ("3", "1", "1", "1", "50.00 %")
 
 
 def test_a_sample_of_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -118,17 +88,16 @@ def made(line: str, returns: str = "int") -> set[str]:
 @pytest.mark.parametrize(
     ("line", "mistakes"),
     [
-        ("return rpm < 3", {"return rpm <= 3", "return rpm >= 3", "return rpm < 4", "return rpm < 2"}),
-        ("return 1 <= rpm < 3", {"return 1 < rpm < 3", "return 1 <= rpm <= 3", "return 1 <= rpm >= 3"}),
-        ("return rpm is not None", {"return rpm is None", "return True", "return False"}),
-        ("return rpm not in (1, 2)", {"return rpm in (1, 2)", "return rpm not in (2,)", "return rpm not in (1,)"}),
+        ("return rpm < 3", {"return rpm <= 3", "return True", "return False", "return rpm < 4", "return rpm < 2"}),
+        ("return 1 <= rpm < 3", {"return 1 < rpm < 3", "return 1 <= rpm <= 3"}),
+        ("return rpm is not None", {"return True", "return False"}),
+        ("return rpm not in (1, 2)", {"return rpm not in (2,)", "return rpm not in (1,)"}),
         ("return (rpm + 1) * rpm", {"return (rpm - 1) * rpm", "return (rpm + 1) / rpm"}),
         ("return rpm + 1.5", {"return rpm - 1.5", "return rpm + 2.5", "return rpm + -1.5"}),
         ("return -rpm", {"return rpm"}),
-        ("return not (rpm or car)", {"return rpm or car", "return not (rpm and car)", "return not (False or car)"}),
-        ("return rpm and car and 3", {"return rpm or (car and 3)", "return rpm and car or 3"}),
-        ("return rpm or car", {"return rpm or False", "return rpm and car"}),
-        ("return min(rpm, 3)", {"return max(rpm, 3)", "return (rpm)", "return (3)", "return min(rpm, 4)"}),
+        ("return not (rpm or car)", {"return not (False or car)", "return not (rpm or False)", "return True"}),
+        ("return rpm and car and 3", {"return True and car and 3", "return rpm and True and 3"}),
+        ("return min(rpm, 3)", {"return (rpm)", "return (3)", "return min(rpm, 4)"}),
         ("return math.floor(abs(rpm))", {"return math.ceil(abs(rpm))", "return math.floor((rpm))"}),
         ("return Gear.SECOND", {"return Gear.THIRD", "return Gear.FIRST"}),
         ("return replace(car, rpm=rpm)", {"return replace(car)"}),

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from fsai_hil.evidence.campaign.cases import Selection
-from fsai_hil.evidence.campaign.record import RecordError, Writer, of_other_sources, put_aside, read
+from fsai_hil.evidence.campaign.record import RecordError, Writer, put_aside, read
 from fsai_hil.evidence.campaign.runner import CampaignPlan, batches
 from fsai_hil.evidence.campaign.sources import digest, digest_of, files
 
@@ -57,17 +56,6 @@ def test_another_campaigns_record_is_not_continued(tmp_path: Path) -> None:
     Writer(path, plan(1).header(), resume=False).close()
     with pytest.raises(RecordError, match="another campaign"):
         Writer(path, plan(2).header(), resume=True)
-
-
-def test_a_record_of_other_sources_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
-    header = plan().header()
-    for before in (replace(header, sources="0123456789ab"), replace(header, sources="")):
-        path.unlink(missing_ok=True)
-        Writer(path, before, resume=False).close()
-        assert of_other_sources(path, header) and not of_other_sources(path, before)
-        with pytest.raises(RecordError, match=r"is of other sources .* without --resume"):
-            Writer(path, header, resume=True)
 
 
 def test_a_record_that_is_put_aside_keeps_a_name_of_its_own(tmp_path: Path) -> None:

@@ -12,15 +12,15 @@ import pytest
 from fsai_hil.evidence import __main__ as command
 from fsai_hil.evidence import abstraction
 from fsai_hil.evidence.__main__ import main
-from fsai_hil.evidence.model import CYCLE_NS, NOW, Composition, Scope, State, patched
+from fsai_hil.evidence.abstraction import NOW
+from fsai_hil.evidence.model import Composition, Scope, State
 from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
 from fsai_hil.evidence.search import Move, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
 from fsai_hil.rules.checker import RULES
+from fsai_hil.rules.numbers import CYCLE_NS
 from fsai_hil.rules.violation import Violation
 from fsai_vcu.core.bridge import BridgeConfig
-from fsai_vcu.core.supervision import supervisor
-from fsai_vcu.core.supervision.reasons import Reason
 
 
 @dataclass
@@ -134,13 +134,16 @@ def test_every_scope_has_timed_endings_or_gives_the_reason() -> None:
 
 
 def test_if_as_driving_is_never_left_a_stop_request_is_the_end() -> None:
-    found = explore(Composition(scope("power-up, any car")), bounds_ns=scope("power-up, any car").bounds_ns)
+    insisting = scope("any car")
+    choices = tuple(insisting.endings.values())
+    one = Scope("insisting", "", choices, len(choices), endings=insisting.endings)
+    found = explore(Composition(one), bounds_ns=insisting.bounds_ns)
     assert found.holds
     assert len(found.bounds_ns) == 2
     assert all(0 < bound_ns <= 5_000_000_000 for bound_ns in found.bounds_ns.values())
 
 
-@pytest.mark.parametrize("name", ["run", "commands", "sends", "trouble", "power cycle", "marks", "wheel speeds"])
+@pytest.mark.parametrize("name", ["commands", "sends", "trouble", "power cycle", "wheel speeds"])
 def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
     """A bridge that is saved and put back in each cycle sends what one that lives on sends, until an age is rounded."""
     chance = random.Random(name)
@@ -169,41 +172,22 @@ def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
 
 # ---------------------------------------------------------------- it can fail
 
+# One of each rule that is found soon; `make verify` finds them all.
 _QUICK = (
     "torque rises right after the brake",
-    "a cycle cut short counts as whole",
     "a command lasts 1 ns too long",
-    "one look at the wheels proves rest",
+    "a wheel under 301 rpm stands",
     "ANGLE_MAX is not looked at",
     "FORWARD in AS_READY",
     "AS_OFF clears the emergency",
     "no command is out of order",
-    "the echo follows believed frames only",
-    "a new process believes that it saw AS_OFF and AS_READY",
-    "Go that was on all along counts as given",
-    "torque without a mission",
-    "an AS_STATE that nobody knows is only reported",
-    "pulse counts are not asked whether the wheels stand",
-    "a jump that no tyre can follow is believed",
-    "an AS switch that falls is only reported",
-    "one fault bit hides the others",
-    "what has been shown since before the run stops it",
-    "65535 rpm is believed",
-    "a lost 0x520 is only held",
-    "a lost bus and a broken sequence are only reported",
-    "resets that nobody confirmed are no matter",
-    "a process that only listens sends",
     "the fifth frame has an id that is not ours",
-    "a stop without the brake",
-    "ESTOP_REQUEST without the brake",
-    "AS_READY without the holding brake",
-    "NEUTRAL in EMERGENCY_BRAKE while wheels turn",
-    "a brake in EMERGENCY_BRAKE",
-    "a stale command turns the steering to zero",
-    "a lost command leaves the mode autonomous",
-    "autonomous at power-up in every AS state",
+    "the echo follows believed frames only",
     "autonomous at power-up while wheels turn",
+    "an AS switch that falls is only reported",
+    "AS_READY without the holding brake",
 )
+_LONG = {"interval", "10", "safe end"}  # the times of sends are not searched, the others take long
 
 
 @pytest.mark.parametrize("seed", [seed for seed in SEEDS if seed.name in _QUICK], ids=lambda seed: seed.name)
@@ -214,19 +198,9 @@ def test_a_seeded_fault_is_found_and_told_in_words(seed: Seed) -> None:
     assert all("sent:" in line for line in trace)
 
 
-def test_the_quick_seeds_are_seeds() -> None:
-    assert set(_QUICK) <= {seed.name for seed in SEEDS}
-
-
-def test_a_lost_bus_ends_the_run_by_either_of_two_guards() -> None:
-    """So the one that is only reported cannot be seen from outside; both together are a seed."""
-    reported = {**supervisor.REACTIONS, Reason.BUS_LOST: (supervisor.Step(None, supervisor.Consequence.REPORT),)}
-    with patched(supervisor, "REACTIONS", reported):
-        assert explore(Composition(scope("trouble"))).holds
-
-
 def test_every_rule_has_a_seed_and_every_seed_an_existing_scope() -> None:
-    assert {seed.rule for seed in SEEDS} == set(RULES) - {"interval"}  # the times of sends are not searched
+    assert {seed.rule for seed in SEEDS} == set(RULES) - {"interval"}
+    assert {seed.rule for seed in SEEDS if seed.name in _QUICK} == set(RULES) - _LONG
     assert {seed.scope for seed in SEEDS if seed.scope or not seed.shows_in_fuzz} <= {one.name for one in all_scopes()}
     assert len({seed.name for seed in SEEDS}) == len(SEEDS)
 
@@ -240,6 +214,7 @@ def test_the_command_prints_figures_and_exits_0_if_all_holds(capsys: pytest.Capt
     assert "listen only" in out
     assert "states" in out
     assert "transitions" in out
+    assert "none in 'listen only': a process that never sends" in out
     assert "Every rule holds in every state." in out
 
 
@@ -260,11 +235,6 @@ def test_the_first_seed_of_each_rule_is_traced_and_all_on_demand(
     out = capsys.readouterr().out
     assert len([line for line in out.splitlines() if line.startswith("Rule ")]) == 3
     assert "sent: SELECTED FORWARD" in out
-
-
-def test_a_scope_without_an_end_says_why(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--scope", "listen only"]) == 0
-    assert "none in 'listen only': a process that never sends" in capsys.readouterr().out
 
 
 def test_the_command_exits_1_with_the_trace_where_a_rule_breaks(

@@ -1,6 +1,6 @@
 """Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
 
-The suite is run by `fsai-vcu hil`, which provides the interface. Every test begins and ends on a silent bus. A stall
+The suite is run by `fsai-vcu hil`, which provides the interface. Every test ends on a silent bus. A stall
 monitor watches the machine: what fails while it stood still or was too slow is run again, and that is said
 (`fsai_hil.rehearsal.undisturbed`).
 """
@@ -22,14 +22,24 @@ import pytest
 from fsai_hil.rehearsal.stack import Stack, await_condition
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rehearsal.undisturbed import Undisturbed
+from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
 SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
 LOG_BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
 LOG_DRAINED_S = 0.1
+VERB = (sys.executable, "-m", "fsai_vcu.cli.main")
+FRAMES = (  # one of each kind
+    Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),
+    Frame(0x510, bytes.fromhex("0100200000000000")),
+    Frame(0x514, b"\x0a\xff"),
+    Frame(0x080),
+    Frame(0x18FF0001, b"\x7f", extended=True),
+    Frame(0x123, extended=True, data=b"\x01\x02\x03"),
+    Frame(0x523, bytes(6), remote=True),
+)
 STALL_MONITOR = pytest.StashKey[StallMonitor]()
-_LOG_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -87,16 +97,11 @@ def new_folder(name: str) -> Path:
 
 @pytest.fixture(autouse=True)
 def silent_bus(interface: str) -> Iterator[None]:
-    """Nothing is on the bus before the test, and whatever the test started is off it afterwards."""
-    assert_silent(interface, "before the test")
+    """Whatever the test started is off the bus afterwards."""
     yield
-    assert_silent(interface, "after the test")
-
-
-def assert_silent(interface: str, when: str) -> None:
     with open_bus(interface) as bus:
-        heard = bus.recv(SILENCE_S)
-    assert heard is None, f"{when} somebody still sends on {interface}: {heard}"
+        received = bus.recv(SILENCE_S)
+    assert received is None, f"after the test somebody still sends on {interface}: {received}"
 
 
 @pytest.fixture
@@ -137,10 +142,8 @@ class BusLog:
 
     def frames(self) -> list[Frame]:
         """The frames so far, in order; `t_ns` is the wall clock's."""
-        frames = []
-        for seconds, micros, can_id, data in _LOG_LINE.findall(self.path.read_text()):
-            frames.append(Frame(int(can_id, 16), bytes.fromhex(data), (int(seconds) * 1_000_000 + int(micros)) * 1000))
-        return frames
+        with open_log(self.path) as log:
+            return [Frame(one.can_id, one.data, one.t_ns) for one in log.frames()]
 
     def _drain(self) -> None:
         """Wait until the log has come as far as now, or nothing comes any more."""
@@ -187,7 +190,6 @@ def verb() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs a verb of the command line to its end: `verb("mode", "autonomous")`."""
 
     def run(*arguments: str, timeout_s: float = 30.0) -> subprocess.CompletedProcess[str]:
-        argv = [sys.executable, "-m", "fsai_vcu.cli.main", *arguments]
-        return subprocess.run(argv, capture_output=True, text=True, timeout=timeout_s, check=False)
+        return subprocess.run([*VERB, *arguments], capture_output=True, text=True, timeout=timeout_s, check=False)
 
     return run

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from conftest import BusLog, listeners
+from conftest import FRAMES, VERB, BusLog, listeners
 from fsai_hil.rehearsal.stack import await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
@@ -20,22 +19,13 @@ from fsai_vcu.runtime.bus import CanBus, open_bus
 WITHIN_S = 20.0
 _STAMP = re.compile(r"\(\d+\.\d+\) ")
 
-FRAMES = [
-    Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),
-    Frame(0x510, bytes.fromhex("0100200000000000")),
-    Frame(0x514, b"\x0a\xff"),
-    Frame(0x080),
-    Frame(0x18FF0001, b"\x7f", extended=True),
-    Frame(0x523, bytes(6), remote=True),
-]
-
 
 class Recorder:
     """`fsai-vcu record`, listening; `said` is what it has printed."""
 
     def __init__(self, interface: str, output: Path, *options: str) -> None:
         before = listeners(interface)
-        argv = [sys.executable, "-m", "fsai_vcu.cli.main", "record", "-i", interface, "-o", str(output), *options]
+        argv = [*VERB, "record", "-i", interface, "-o", str(output), *options]
         self._errors = Path(tempfile.mkdtemp()) / "stderr"
         with self._errors.open("wb") as errors:
             self.process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stderr=errors)

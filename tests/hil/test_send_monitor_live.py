@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from conftest import BusLog
+from conftest import VERB, BusLog
 from fsai_hil.rehearsal.stack import await_condition
 
 WITHIN_S = 20.0
-VERB = [sys.executable, "-m", "fsai_vcu.cli.main"]
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 BENCH = """\

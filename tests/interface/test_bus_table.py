@@ -9,7 +9,7 @@ from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, BY_NAME, BusMessage, 
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import dbc_dir, load_database
 from fsai_vcu.interface.messages import VcuStatus, VcuSteer
-from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS
+from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS, VCU_IDS
 from fsai_vcu.interface.revisions import REVISIONS, Revision, revision
 from fsai_vcu.interface.units import MS
 
@@ -35,26 +35,14 @@ def test_names_and_identifiers_are_unique() -> None:
 
 
 @pytest.mark.parametrize("message", BUS_TABLE, ids=str)
-def test_the_flow_follows_from_who_speaks(message: BusMessage) -> None:
+def test_flow_and_time_out_follow_from_who_speaks(message: BusMessage) -> None:
     assert (message.flow is Flow.TO_VCU) == (message.owner == "AI")
     assert (message.flow is Flow.FROM_SENSOR) == (message.owner == "PCAN_GPS")
-    if message.flow is Flow.FROM_VCU:
-        assert message.owner == "VCU"
-
-
-@pytest.mark.parametrize("message", BUS_TABLE, ids=str)
-def test_a_timeout_is_longer_than_the_period(message: BusMessage) -> None:
-    if message.timeout_ns is not None:
-        assert all(message.timeout_ns >= 10 * period_ns for period_ns in message.period_ns.values())
-
-
-def test_the_supervised_messages_time_out_after_100_ms() -> None:
-    for can_id in (*range(0x510, 0x515), *range(0x520, 0x527)):
-        assert BY_ID[can_id].timeout_ns == 100 * MS
-
-
-def test_messages_between_others_are_not_supervised() -> None:
-    assert all(message.timeout_ns is None for message in BUS_TABLE if message.flow is Flow.OTHER)
+    assert message.flow is not Flow.FROM_VCU or message.owner == "VCU"
+    timeout_ns = message.timeout_ns
+    assert timeout_ns is None or all(timeout_ns >= 10 * period_ns for period_ns in message.period_ns.values())
+    assert timeout_ns is None or message.flow is not Flow.OTHER
+    assert timeout_ns == 100 * MS or message.can_id not in (*AI_IDS, *VCU_IDS)
 
 
 # ---------------------------------------------------------------- identifiers

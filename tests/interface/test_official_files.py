@@ -30,6 +30,7 @@ from fsai_vcu.interface.messages import (
     Faults,
     GpsAltitude,
     GpsStatus,
+    Image,
     VcuDriveFront,
     VcuDriveRear,
     VcuStatus,
@@ -51,6 +52,12 @@ def without_signal(text: str, frame_id: int, signal: str) -> str:
     block = re.sub(rf"^ SG_ {signal} :.*\n", "", text[start:end] + "\n", flags=re.MULTILINE).rstrip("\n")
     text = text[:start] + block + text[end:]
     return re.sub(rf"^(CM_ SG_|VAL_) {frame_id} {signal} .*\n", "", text, flags=re.MULTILINE)
+
+
+def without_signals(text: str, frame_id: int, *signals: str) -> str:
+    for signal in signals:
+        text = without_signal(text, frame_id, signal)
+    return text
 
 
 def with_signed_flags(text: str) -> str:
@@ -105,89 +112,39 @@ def test_a_table_for_a_signed_flag_names_1_after_loading(codec_of: Callable[[str
     assert values["GO_SIGNAL"].value == 1  # type: ignore[union-attr]
 
 
-def test_fault_bits_that_a_file_lacks_are_none(codec_of: Callable[[str], Codec]) -> None:
-    text = with_signed_flags(OURS)
-    for name in FAULTS:
-        if name != "HVIL_OPEN_FAULT":
-            text = without_signal(text, 0x520, name)
-    codec = codec_of(text)
-    image = codec.decode(Frame(0x520, bytes.fromhex("000001010002070B"))).image
-    assert isinstance(image, VcuStatus)
-    assert image.faults == Faults(hvil_open=True)
-    assert image.fault is True
-    every_fault = Faults(**dict.fromkeys(Faults.__dataclass_fields__, True))
-    assert codec.encode(VcuStatus(faults=every_fault)).data == bytes.fromhex("0000010000020000")
+EVERY_FAULT = Faults(**dict.fromkeys(Faults.__dataclass_fields__, True))
 
 
-def test_a_file_without_any_fault_bit_reads_none_of_them(codec_of: Callable[[str], Codec]) -> None:
-    text = OURS
-    for name in FAULTS:
-        text = without_signal(text, 0x520, name)
-    codec = codec_of(text)
-    image = codec.decode(Frame(0x520, bytes.fromhex("000001000002070B"))).image
-    assert isinstance(image, VcuStatus)
-    assert image.faults == Faults()
-    assert codec.encode(image).data == bytes.fromhex("000001000000000B")
-
-
-def test_a_missing_shutdown_cause_is_none(codec_of: Callable[[str], Codec]) -> None:
-    codec = codec_of(without_signal(OURS, 0x520, "SHUTDOWN_CAUSE"))
-    decoded = codec.decode(Frame(0x520, bytes.fromhex("00000100000000FF")))
-    assert isinstance(decoded.image, VcuStatus)
-    assert decoded.image.shutdown_cause is None
-    assert decoded.problems == ()
-    assert codec.encode(VcuStatus(shutdown_cause=ShutdownCause.BMS_FAULT)).data[7] == 0
-
-
-def test_logging_fields_that_0x510_lacks_are_left_out(codec_of: Callable[[str], Codec]) -> None:
-    text = OURS
-    for name in LOGGED:
-        text = without_signal(text, 0x510, name)
-    codec = codec_of(text)
-    command = AiCommand(
-        handshake=True,
-        mission_status=MissionStatus.RUNNING,
-        direction=Direction.FORWARD,
-        lap_counter=3,
-        cones_count_all=99,
-        speed_actual_kmh=20,
-    )
-    assert str(codec.encode_command(command)[0]) == "510#0160000000000000"
-    image = codec.decode(Frame(0x510, bytes.fromhex("0160FFFFFFFFFFFF"))).image
-    assert image == AiStatus(True, False, MissionStatus.RUNNING, Direction.FORWARD)
-
-
-def test_the_official_hil_file_with_all_its_quirks_at_once(codec_of: Callable[[str], Codec]) -> None:
-    text = OURS
-    for name in [*FAULTS, "SHUTDOWN_CAUSE"]:
-        if name != "HVIL_OPEN_FAULT":
-            text = without_signal(text, 0x520, name)
-    for name in LOGGED:
-        text = without_signal(text, 0x510, name)
-    codec = codec_of(with_signed_flags(text))
+@pytest.mark.parametrize("fault", [None, "HVIL_OPEN_FAULT"])
+def test_the_official_hil_file_with_all_its_quirks_at_once(codec_of: Callable[[str], Codec], fault: str | None) -> None:
+    """It lacks fault bits, the shutdown's cause and the logging fields, and its flags are signed."""
+    text = without_signals(OURS, 0x520, *(name for name in FAULTS if name != fault), "SHUTDOWN_CAUSE")
+    codec = codec_of(with_signed_flags(without_signals(text, 0x510, *LOGGED)))
     said = VcuStatus(
         handshake=True,
         go_signal=True,
         as_state=AsState.AS_DRIVING,
-        faults=Faults(hvil_open=False),
+        faults=Faults(hvil_open=True if fault else None),
         op_state=OpState.OP_AUTO,
         ts_state=TsState.TS_RUNNING,
         ebs_state=EbsState.EBS_ARMED,
     )
     assert codec.decode(codec.encode(said)).image == said
     assert codec.decode(codec.encode(AiSteer(-1.5))).image == AiSteer(-1.5)
-
-
-TOLD = ("SHUTDOWN_REQUEST", "AS_SWITCH_STATUS", "TS_SWITCH_STATUS", "STEERING_STATUS", "FAULT_STATUS", "WARNING_STATUS")
+    decoded = codec.decode(Frame(0x520, bytes.fromhex("000001010002070B")))
+    assert isinstance(decoded.image, VcuStatus) and decoded.problems == ()
+    assert (decoded.image.faults, decoded.image.fault, decoded.image.shutdown_cause) == (said.faults, True, None)
+    every = VcuStatus(faults=EVERY_FAULT, shutdown_cause=ShutdownCause.BMS_FAULT)
+    assert codec.encode(every).data == bytes.fromhex("0000010000020000" if fault else "0000010000000000")
+    asked = AiCommand(handshake=True, direction=Direction.FORWARD, lap_counter=3, speed_actual_kmh=20)
+    assert str(codec.encode_command(asked)[0]) == "510#0140000000000000"
+    image = codec.decode(Frame(0x510, bytes.fromhex("0160FFFFFFFFFFFF"))).image
+    assert image == AiStatus(True, False, MissionStatus.RUNNING, Direction.FORWARD)
 
 
 def test_a_file_without_21_signals_is_taken_and_they_are_named(codec_of: Callable[[str], Codec]) -> None:
     missing = [*FAULTS, "SHUTDOWN_CAUSE", "FAULT_STATUS", "WARNING_STATUS", "WARN_BATT_TEMP_HIGH", "WARN_BATT_SOC_LOW"]
-    text = OURS
-    for can_id, names in ((0x510, LOGGED), (0x520, missing)):
-        for name in names:
-            text = without_signal(text, can_id, name)
-    codec = codec_of(text)
+    codec = codec_of(without_signals(without_signals(OURS, 0x510, *LOGGED), 0x520, *missing))
     assert len([*LOGGED, *missing]) == 21
     assert all(re.search(rf"\b{name}\b", codec.unknown) for name in [*LOGGED, *missing])
     assert "that the VCU has found a fault is not seen (FAULT_STATUS)" in codec.unknown
@@ -196,11 +153,12 @@ def test_a_file_without_21_signals_is_taken_and_they_are_named(codec_of: Callabl
     assert not any(name in codec.unknown for name in ("HANDSHAKE", "OP_STATE", "GPS", "VCU_STATUS"))
 
 
+TOLD = ("SHUTDOWN_REQUEST", "AS_SWITCH_STATUS", "TS_SWITCH_STATUS", "STEERING_STATUS", "FAULT_STATUS", "WARNING_STATUS")
+
+
 def test_what_a_file_lacks_is_decoded_as_idle_or_as_none(codec_of: Callable[[str], Codec]) -> None:
-    text = OURS
-    for name in TOLD:
-        text = without_signal(text, 0x520, name)
-    image = codec_of(text).decode(Frame(0x520, bytes.fromhex("013F030300000000"))).image
+    codec = codec_of(without_signals(OURS, 0x520, *TOLD))
+    image = codec.decode(Frame(0x520, bytes.fromhex("013F030300000000"))).image
     assert isinstance(image, VcuStatus)
     assert (image.handshake, image.go_signal, image.as_state) == (True, True, AsState.AS_DRIVING)
     assert (image.shutdown_request, image.fault, image.warning) == (False, False, False)
@@ -230,29 +188,20 @@ def test_a_multiplexed_status_reads_what_it_lacks_alike(codec_of: Callable[[str]
     assert careful.decode(wire).image == compiled.decode(wire).image
 
 
-@pytest.mark.parametrize("suffix", ["_Nm", "_rpm"])
-def test_signals_are_found_under_a_name_with_a_unit(codec_of: Callable[[str], Codec], suffix: str) -> None:
-    text = with_names(OURS, "FRONT_AXLE_TRQ", "FRONT_AXLE_TRQ" + suffix)
-    text = with_names(text, "FL_WHEEL_SPEED", "FL_WHEEL_SPEED" + suffix)
-    codec = codec_of(text)
-    assert codec.decode(codec.encode(VcuDriveFront(-3.5, 1.0, 2.0))).image == VcuDriveFront(-3.5, 1.0, 2.0)
-    assert codec.decode(codec.encode(WheelSpeeds(1, 2, 3, 4))).image == WheelSpeeds(1, 2, 3, 4)
-
-
-def test_signals_are_found_under_a_name_without_its_unit(codec_of: Callable[[str], Codec]) -> None:
-    codec = codec_of(with_names(OURS, "HYD_PRESS_F_REQ_pct", "HYD_PRESS_F_REQ"))
-    assert str(codec.encode(AiBrake(front_pct=50.0))) == "514#6400"
-
-
-def test_a_message_is_found_under_a_name_with_nm(codec_of: Callable[[str], Codec]) -> None:
-    codec = codec_of(with_names(OURS, "VCU2AI_Drive_R", "VCU2AI_Drive_R_Nm"))
-    assert codec.decode(codec.encode(VcuDriveRear(1.5, 2.5, 3.5))).image == VcuDriveRear(1.5, 2.5, 3.5)
-
-
-def test_0x522_reads_alike_in_both_revisions() -> None:
-    wire = Frame(0x522, bytes.fromhex("C3000500E803"))
-    assert Codec(revision("2021")).decode(wire).image == VcuDriveRear(19.5, 0.5, 100.0)
-    assert Codec(revision("2026")).decode(wire).image == VcuDriveRear(19.5, 0.5, 100.0)
+@pytest.mark.parametrize(
+    ("name", "spelt", "image"),
+    [
+        ("FRONT_AXLE_TRQ", "FRONT_AXLE_TRQ_Nm", VcuDriveFront(-3.5, 1.0, 2.0)),
+        ("FL_WHEEL_SPEED", "FL_WHEEL_SPEED_rpm", WheelSpeeds(1, 2, 3, 4)),
+        ("HYD_PRESS_F_REQ_pct", "HYD_PRESS_F_REQ", AiBrake(front_pct=50.0)),
+        ("VCU2AI_Drive_R", "VCU2AI_Drive_R_Nm", VcuDriveRear(1.5, 2.5, 3.5)),
+    ],
+)
+def test_names_are_found_with_or_without_a_unit(
+    codec_of: Callable[[str], Codec], name: str, spelt: str, image: Image
+) -> None:
+    codec = codec_of(with_names(OURS, name, spelt))
+    assert codec.decode(codec.encode(image)).image == image
 
 
 def test_the_first_of_two_files_that_describe_an_identifier_wins(tmp_path: Path) -> None:
@@ -330,14 +279,14 @@ def test_multiplexed_messages_are_left_to_cantools(codec_of: Callable[[str], Cod
 # ---------------------------------------------------------------- wrong files
 
 
-def test_a_missing_file_gets_one_line() -> None:
-    with pytest.raises(DatabaseError, match=r"^/nowhere/car\.dbc: no such DBC file$"):
-        Codec(REVISION, ["/nowhere/car.dbc"])
-
-
-def test_a_folder_is_no_file(tmp_path: Path) -> None:
-    with pytest.raises(DatabaseError, match="cannot be read"):
-        load_database([tmp_path])
+def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    for paths, words in (
+        (["/nowhere/car.dbc"], r"^/nowhere/car\.dbc: no such DBC file$"),
+        ([tmp_path], "cannot be read"),
+        ([], "no DBC file"),
+    ):
+        with pytest.raises(DatabaseError, match=words):
+            load_database(paths)
 
 
 @pytest.mark.parametrize(
@@ -375,11 +324,6 @@ def test_a_file_may_end_with_its_last_signal(tmp_path: Path) -> None:
     path = tmp_path / "short.dbc"
     path.write_text('VERSION ""\n\nBU_: A B\n\nBO_ 1 M: 1 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" B\n')
     assert [message.name for message in load_database([path]).messages] == ["M"]
-
-
-def test_no_file_at_all_is_refused() -> None:
-    with pytest.raises(DatabaseError, match="no DBC file"):
-        load_database([])
 
 
 def test_another_cars_database_is_refused() -> None:

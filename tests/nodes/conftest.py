@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,3 +30,9 @@ def rig() -> Iterator[object]:
 
     with RosRig() as started:
         yield started
+
+
+@pytest.fixture
+def bus() -> str:
+    """A stand-in bus that nobody else is on."""
+    return f"loopback:{uuid.uuid4()}"

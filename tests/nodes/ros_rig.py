@@ -10,13 +10,19 @@ from dataclasses import replace
 from typing import Any
 
 import rclpy
+from builtin_interfaces.msg import Time
+from fsai_msgs.msg import ConeArray, PlannerStatus, RunState, VehicleState
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
 from rcl_interfaces.msg import Log
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fsai_nodes import qos
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.enums import AsState, Direction
+from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import (
     AiImage,
     AiStatus,
@@ -29,6 +35,7 @@ from fsai_vcu.interface.messages import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.revisions import revision
+from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.bus import open_bus
 
 PATIENCE_S = 20.0  # of a loaded machine; a condition that holds is seen at once
@@ -76,6 +83,19 @@ class RosRig:
         self.tester.create_subscription(message_type, topic, heard.append, qos)
         return heard
 
+    def stamp(self, age_ms: float = 0.0) -> Time:
+        """A header's stamp of so long ago."""
+        return (self.tester.get_clock().now() - Duration(nanoseconds=round(age_ms * MS))).to_msg()
+
+    def announce(self) -> None:
+        """Run 7, a trackdrive in AS_DRIVING, to every listener now or later."""
+        runs = self.tester.create_publisher(RunState, "/run_state", qos.STATE)
+        runs.publish(RunState(run_id=7, mission=int(Ami.TRACKDRIVE), as_state=int(AsState.AS_DRIVING), may_move=True))
+
+    def turns(self, number: int = 5) -> None:
+        for _ in range(number):
+            self.executor.spin_once(timeout_sec=0.01)
+
     def log(self) -> list[Log]:
         """What the nodes log from now on; waits until this is heard."""
         lines = self.hear(Log, "/rosout", 1000)
@@ -104,6 +124,41 @@ class RosRig:
         # The bridge's loop freezes what lives when it starts; a node left so would stay in the ROS graph.
         gc.unfreeze()
         gc.collect()
+
+
+def logged(log: list[Log], *words: str, level: int | None = None) -> list[str]:
+    """The lines with all these words."""
+    return [line.msg for line in log if level in (None, line.level) and all(word in line.msg for word in words)]
+
+
+class Stand:
+    """What stands in for a node before another: publishers of its topics, with stamps of now unless told otherwise."""
+
+    def __init__(self, rig: RosRig, node: Node | None = None) -> None:
+        self.rig, node = rig, node or rig.tester
+        self._state = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.STATE)
+        self._cones = node.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
+        self._path = node.create_publisher(Path, "/path", qos.PLAN)
+        self._status = node.create_publisher(PlannerStatus, "/planner_status", qos.PLAN)
+
+    def state(self, age_ms: float = 0.0, run_id: int = 7) -> None:
+        message = VehicleState(run_id=run_id)
+        message.header.stamp = self.rig.stamp(age_ms)
+        self._state.publish(message)
+
+    def cones(self, age_ms: float = 0.0) -> None:
+        message = ConeArray()
+        message.header.stamp = self.rig.stamp(age_ms)
+        self._cones.publish(message)
+        self.rig.turns()
+
+    def plan(self, age_ms: float = 0.0, poses: int = 3) -> None:
+        """As from the planner: in these cones it saw no way."""
+        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * poses)
+        status.header.stamp = path.header.stamp = self.rig.stamp(age_ms)
+        self._status.publish(status)
+        self._path.publish(path)
+        self.rig.turns(10)  # both are taken before the next pair comes
 
 
 class ScriptedVcu:
@@ -158,6 +213,3 @@ class ScriptedVcu:
         self._stop.set()
         self._thread.join(5.0)
         self._bus.close()
-
-
-__all__ = ["AsState", "Direction", "RosRig", "ScriptedVcu", "overrides"]

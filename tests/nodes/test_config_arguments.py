@@ -96,11 +96,14 @@ def test_a_node_notifies_systemd_and_listens_on_no_network(file: Path, tmp_path:
 
 
 @pytest.mark.parametrize(
-    "transport",
-    [{}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"ROS_LOCALHOST_ONLY": "1"}],
+    ("module", "transport"),
+    [
+        ("composed", {}),
+        ("cone_detector", {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}),
+        ("cone_detector", {"ROS_LOCALHOST_ONLY": "1"}),
+    ],
     ids=["nothing set", "LOCALHOST", "LOCALHOST_ONLY"],
 )
-@pytest.mark.parametrize("module", ["cone_detector", "composed"])
 def test_without_a_configuration_too_it_is_the_loopback_alone(
     tmp_path: Path, module: str, transport: dict[str, str]
 ) -> None:

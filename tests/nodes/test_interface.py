@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-v
 pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
 
 from fsai_msgs.msg import RunState, VehicleState
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -71,6 +71,12 @@ def all_nodes(rig: RosRig) -> None:
     rig.start(vehicle_controller.VehicleController)
 
 
+def promise(profile: QoSProfile, policy: str) -> object:
+    """A policy's value; a time that is not given is endless."""
+    value = getattr(profile, policy)
+    return 2**63 - 1 if isinstance(value, Duration) and not value.nanoseconds else getattr(value, "nanoseconds", value)
+
+
 def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) -> None:
     all_nodes(rig)
     see = rig.tester
@@ -83,28 +89,16 @@ def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) ->
     for node, wanted in PUBLISHERS.items():
         published = {name for name, _ in see.get_publisher_names_and_types_by_node(node, "/")}
         assert wanted <= published, node
-
-
-def promise(profile: QoSProfile, policy: str) -> object:
-    """A policy's value; a time that is not given is endless."""
-    value = getattr(profile, policy)
-    return 2**63 - 1 if isinstance(value, Duration) and not value.nanoseconds else getattr(value, "nanoseconds", value)
-
-
-def test_every_endpoint_has_the_quality_of_service_of_the_table(rig: RosRig) -> None:
-    all_nodes(rig)
-    see = rig.tester
-    rig.spin_until(lambda: set(MODULES) <= set(see.get_node_names()), "the five nodes")
-    for topic, wanted in qos.TOPICS.items():
-        name = f"/{topic}"
-        endpoints = see.get_publishers_info_by_topic(name) + see.get_subscriptions_info_by_topic(name)
+    for topic, wanted_qos in qos.TOPICS.items():
+        endpoints = see.get_publishers_info_by_topic(f"/{topic}") + see.get_subscriptions_info_by_topic(f"/{topic}")
         assert endpoints, topic
         for endpoint in endpoints:
-            found = endpoint.qos_profile
-            for policy in ("reliability", "durability", "deadline", "lifespan"):
-                if policy == "lifespan" and endpoint.endpoint_type.name == "SUBSCRIPTION":
-                    continue  # lifespan is a publisher's promise
-                assert promise(found, policy) == promise(wanted, policy), (topic, endpoint.node_name, policy)
+            policies = ["reliability", "durability", "deadline"]
+            if endpoint.endpoint_type.name != "SUBSCRIPTION":
+                policies.append("lifespan")  # a publisher's promise
+            for policy in policies:
+                found, wanted_value = promise(endpoint.qos_profile, policy), promise(wanted_qos, policy)
+                assert found == wanted_value, (topic, endpoint.node_name, policy)
 
 
 def test_commands_are_reliable_with_deadline_and_lifespan() -> None:
@@ -145,28 +139,15 @@ def test_the_readme_has_each_topics_quality_of_service() -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_the_readme_has_each_parameter(name: str) -> None:
+def test_each_parameter_has_words_range_and_a_place_in_readme(name: str) -> None:
     for setting in MODULES[name][0].SETTINGS:
         assert f"`{setting.name}`" in README, f"{name}: {setting.name}"
-
-
-@pytest.mark.parametrize("name", MODULES)
-def test_each_parameter_has_a_description_and_range(name: str, rig: RosRig) -> None:
-    module, kind = MODULES[name]
-    options = {"autostart": False} if name == "vcu_bridge" else {}
-    if name == "sensor_simulator":
-        options = {"truth_port": 20000 + os.getpid() % 10000}
-    rig.start(kind, **options)
-    names = [setting.name for setting in module.SETTINGS]
-    described = rig.ask(DescribeParameters, f"/{name}/describe_parameters", names=names).descriptors
-    for setting, descriptor in zip(module.SETTINGS, described, strict=True):
+        descriptor = setting.descriptor()
         assert len(descriptor.description) > 10, setting.name
-        if isinstance(setting.default, float):
-            assert descriptor.floating_point_range[0].from_value < descriptor.floating_point_range[0].to_value
-        elif isinstance(setting.default, int) and not isinstance(setting.default, bool):
-            assert descriptor.integer_range[0].from_value < descriptor.integer_range[0].to_value
-        if not setting.live:
-            assert "fixed while the node is active" in descriptor.additional_constraints, setting.name
+        if isinstance(setting.default, (int, float)) and not isinstance(setting.default, bool):
+            (bounds,) = (*descriptor.floating_point_range, *descriptor.integer_range)
+            assert bounds.from_value < bounds.to_value, setting.name
+        assert setting.live or "fixed while the node is active" in descriptor.additional_constraints, setting.name
 
 
 def set_parameter(rig: RosRig, node: str, name: str, value: object) -> tuple[bool, str]:
@@ -221,11 +202,11 @@ def test_a_whole_number_is_a_speed_too(rig: RosRig) -> None:
     assert node._controller.max_speed_mps(Ami.TRACKDRIVE) == 5.0
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, 100.0, float("nan"), float("inf"), "fast", True])
-def test_a_max_speed_that_is_none_is_refused_with_the_reason(rig: RosRig, value: object) -> None:
+def test_a_max_speed_that_is_none_is_refused_with_the_reason(rig: RosRig) -> None:
     rig.start(vehicle_controller.VehicleController)
-    done, reason = set_parameter(rig, "vehicle_controller", "max_speed", value)
-    assert not done and "max_speed" in reason
+    for value in (0.0, -1.0, 100.0, float("nan"), float("inf"), "fast", True):
+        done, reason = set_parameter(rig, "vehicle_controller", "max_speed", value)
+        assert not done and "max_speed" in reason
 
 
 def test_setting_an_unknown_parameter_is_refused_by_suggestion(rig: RosRig) -> None:
@@ -279,11 +260,11 @@ def test_noise_and_confidence_threshold_change_while_running(rig: RosRig) -> Non
     assert detector._threshold == 0.75
 
 
-@pytest.mark.parametrize(("name", "value"), [("can_interface", "vcan7"), ("revision", "2021"), ("listen_only", True)])
-def test_the_bridge_refuses_another_bus_while_active(rig: RosRig, name: str, value: object) -> None:
-    rig.start(vcu_bridge.VcuBridge, can_interface=f"loopback:fixed-{os.getpid()}", real_time=False)
-    done, reason = set_parameter(rig, "vcu_bridge", name, value)
-    assert not done and name in reason and "deactivate" in reason
+def test_the_bridge_refuses_another_bus_while_active(rig: RosRig, bus: str) -> None:
+    rig.start(vcu_bridge.VcuBridge, can_interface=bus, real_time=False)
+    for name, value in (("can_interface", "vcan7"), ("revision", "2021"), ("listen_only", True)):
+        done, reason = set_parameter(rig, "vcu_bridge", name, value)
+        assert not done and name in reason and "deactivate" in reason
 
 
 def test_a_bridge_that_waits_to_be_configured_takes_another_bus(rig: RosRig) -> None:
@@ -298,9 +279,20 @@ def test_a_revision_given_as_a_number_is_that_revision(rig: RosRig) -> None:
     assert node._configured.revision == "2021"
 
 
-def test_a_bridge_that_cannot_start_says_why() -> None:
-    with RosRig() as rig, pytest.raises(NodeError, match="no CAN interface 'nosuch0'"):
-        rig.start(vcu_bridge.VcuBridge, can_interface="nosuch0")
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"can_interface": "nosuch0"}, "no CAN interface 'nosuch0'"),
+        ({"dbc_files": "/nowhere/car.dbc"}, "/nowhere/car.dbc: no such DBC file"),
+        ({"limits": "/nowhere/limits.toml"}, "/nowhere/limits.toml"),
+        ({"limits": "max_sped_mps=3.0"}, "unknown limit max_sped_mps"),
+        ({"wheel_mapping": "fl=fr"}, "wheel mapping"),
+        ({"holding_brake_pct": float("nan")}, "holding_brake_pct"),
+    ],
+)
+def test_a_bridge_that_cannot_start_says_why(bus: str, values: dict[str, object], words: str) -> None:
+    with RosRig() as rig, pytest.raises(NodeError, match=words):
+        rig.start(vcu_bridge.VcuBridge, **{"can_interface": bus, **values})
 
 
 def test_the_detector_drops_unsure_cones_and_keeps_the_stamp(rig: RosRig) -> None:
@@ -352,10 +344,10 @@ def test_launch_and_parameter_files_name_what_exists() -> None:
         node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ARGUMENTS"
     )
     assert isinstance(table, ast.Dict)
-    for entry in table.values:
-        assert isinstance(entry, ast.Tuple)
+    for argument, entry in zip(table.keys, table.values, strict=True):
+        assert argument is not None and isinstance(entry, ast.Tuple)
         for node in ast.literal_eval(entry.elts[0]):
-            assert ast.literal_eval(entry.elts[1]) in known[node]
+            assert ast.literal_eval(argument) in known[node]
     assert set(CLASSES) == set(MODULES)
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from itertools import count
-
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
@@ -23,12 +20,6 @@ from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import VcuStatus
 
 NAMESPACE = "/car1"
-_numbers = count()
-
-
-@pytest.fixture
-def bus() -> str:
-    return f"loopback:namespace-{os.getpid()}-{next(_numbers)}"
 
 
 def start(rig: RosRig, kind: type, **parameters: object):  # type: ignore[no-untyped-def]

@@ -21,8 +21,8 @@ from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
 
 from fsai_nodes.qos import TOPICS
-from fsai_nodes.recorder import PROJECT_TOPICS, Heard, TopicRecorder, definition_of
-from fsai_vcu.diagnostics.export.mcap_file import McapTables, RosMessage, RosTopic
+from fsai_nodes.recorder import PROJECT_TOPICS, TopicRecorder, definition_of
+from fsai_vcu.diagnostics.export.mcap_file import McapTables, RosMessage
 from fsai_vcu.runtime.bus import open_bus
 
 
@@ -41,9 +41,9 @@ def await_it(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.01)
 
 
-def gather(recorder: TopicRecorder, topics: set[str], publish: Callable[[], None]) -> list[Heard]:
+def gather(recorder: TopicRecorder, topics: set[str], publish: Callable[[], None]) -> list[RosMessage]:
     """Publish again and again until something of each topic was heard."""
-    heard: list[Heard] = []
+    heard: list[RosMessage] = []
 
     def all_heard() -> bool:
         publish()
@@ -68,7 +68,7 @@ def test_messages_are_recorded_raw_latched_ones_too(rig: RosRig, recorder: Topic
     assert deserialize_message(by_topic["/vehicle_cmd"].data, VehicleCommand) == said
     assert by_topic["/vehicle_cmd"].topic.type_name == "fsai_msgs/msg/VehicleCommand"
     now_ns = time.time_ns()
-    assert all(0 < each.sent_ns <= each.taken_ns <= now_ns for each in heard)
+    assert all(0 < each.published_ns <= each.log_ns <= now_ns for each in heard)
 
 
 def test_topics_that_nobody_asked_for_are_left_alone(rig: RosRig, recorder: TopicRecorder) -> None:
@@ -108,8 +108,7 @@ def test_a_recorded_message_is_read_by_its_own_definition(rig: RosRig, recorder:
     (first, *_) = gather(recorder, {"/path"}, lambda: path.publish(said))
     stream = io.BytesIO()
     tables = McapTables(stream)
-    topic = RosTopic(first.topic.name, first.topic.type_name, first.topic.definition, first.topic.qos)
-    tables.write_message(RosMessage(topic, first.data, first.taken_ns, first.sent_ns))
+    tables.write_message(first)
     tables.finish()
     bag_path = tmp_path / "run.mcap"
     bag_path.write_bytes(stream.getvalue())
@@ -118,7 +117,7 @@ def test_a_recorded_message_is_read_by_its_own_definition(rig: RosRig, recorder:
         assert (connection.topic, connection.msgtype) == ("/path", "nav_msgs/msg/Path")
         ((_, taken_ns, data),) = list(bag.messages())
         read = bag.deserialize(data, connection.msgtype)
-    assert taken_ns == first.taken_ns
+    assert taken_ns == first.log_ns
     assert read.poses[1].pose.position.x == 2.5  # type: ignore[attr-defined]
 
 

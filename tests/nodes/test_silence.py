@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from itertools import count
+from functools import partial
 
 import pytest
 
@@ -12,16 +11,12 @@ from fsai_vcu.interface.units import MS
 pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
 pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
 
-from builtin_interfaces.msg import Time
-from fsai_msgs.msg import ConeArray, PlannerStatus, RunState, VehicleCommand, VehicleState
-from geometry_msgs.msg import PoseStamped
+from fsai_msgs.msg import ConeArray, ResetConfirmation, VehicleCommand
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from nav_msgs.msg import Odometry, Path
-from rcl_interfaces.msg import Log
-from rclpy.duration import Duration
 from rclpy.node import Node
-from ros_rig import RosRig, ScriptedVcu
+from rclpy.parameter import Parameter
+from ros_rig import RosRig, ScriptedVcu, Stand, logged
 
 from fsai_nodes import qos
 from fsai_nodes.clocks import LATE_NS, Input
@@ -29,34 +24,10 @@ from fsai_nodes.cone_detector import ConeDetector
 from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import VcuStatus
 
-WARN, ERROR = 30, 40  # rcl_interfaces/Log; its own constants are bytes
-_numbers = count()
-
-
-@pytest.fixture
-def bus() -> str:
-    return f"loopback:silence-{os.getpid()}-{next(_numbers)}"
-
-
-def stamp(rig: RosRig, age_ms: float = 0.0) -> Time:
-    return (rig.tester.get_clock().now() - Duration(nanoseconds=round(age_ms * MS))).to_msg()
-
-
-def announce(rig: RosRig, mission: Ami = Ami.TRACKDRIVE) -> None:
-    runs = rig.tester.create_publisher(RunState, "/run_state", qos.STATE)
-    runs.publish(RunState(run_id=7, mission=int(mission), as_state=int(AsState.AS_DRIVING), may_move=True))
-
-
-def turns(rig: RosRig, number: int = 5) -> None:
-    for _ in range(number):
-        rig.executor.spin_once(timeout_sec=0.01)
-
-
-def said(log: list[Log], level: int, *words: str) -> list[str]:
-    return [line.msg for line in log if line.level == level and all(word in line.msg for word in words)]
+warnings, errors = (partial(logged, level=level) for level in (30, 40))  # of rcl_interfaces/Log: its own are bytes
 
 
 # ---------------------------------------------------------------- the words
@@ -91,89 +62,57 @@ def test_the_detector_says_that_its_sensor_fell_silent(rig: RosRig) -> None:
         return bool(heard)
 
     rig.spin_until(detected, "cones pass")
-    rig.spin_until(lambda: bool(said(log, WARN, "/raw_cones of tester has been silent")), "the silence is said")
-    turns(rig, 30)
-    assert len(said(log, WARN, "has been silent")) == 1
+    rig.spin_until(lambda: bool(warnings(log, "/raw_cones of tester has been silent")), "the silence is said")
+    rig.turns(30)
+    assert len(warnings(log, "has been silent")) == 1
 
 
 def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> None:
     """Cones stop: the planner knows, the controller passes it on, with each command."""
     log = rig.log()
-    planner = rig.start(PathPlanner)
-    controller = rig.start(VehicleController)
-    announce(rig, Ami.TRACKDRIVE)
-    states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.STATE)
-    cones = rig.tester.create_publisher(ConeArray, "/detected_cones", qos.SENSOR)
-    paths = rig.tester.create_publisher(Path, "/path", qos.PLAN)
-    statuses = rig.tester.create_publisher(PlannerStatus, "/planner_status", qos.PLAN)
+    planner, controller = rig.start(PathPlanner), rig.start(VehicleController)
+    rig.announce()
+    stand = Stand(rig)
     commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
 
-    def car_speaks() -> None:
-        message = VehicleState(run_id=7)
-        message.header.stamp = stamp(rig)
-        states.publish(message)
-
     def planned() -> bool:
-        car_speaks()
-        message = ConeArray()
-        message.header.stamp = stamp(rig)
-        cones.publish(message)
-        turns(rig)
+        stand.state()
+        stand.cones()
         return planner._cones._heard_ns is not None and bool(commands)
 
-    rig.spin_until(planned, "cones and commands")
-
     def plan_taken() -> bool:
-        """A plan as from the planner: in these cones it saw no way."""
-        car_speaks()
-        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * 3)
-        status.header.stamp = path.header.stamp = stamp(rig)
-        statuses.publish(status)
-        paths.publish(path)
-        turns(rig, 10)
+        stand.state()
+        stand.plan()
         return controller._plan is not None
 
-    rig.spin_until(plan_taken, "a plan")
-
     def named() -> bool:
-        car_speaks()
+        stand.state()
         return "/detected_cones of tester has been silent" in commands[-1].late
 
+    rig.spin_until(planned, "cones and commands")
+    rig.spin_until(plan_taken, "a plan")
     rig.spin_until(named, "the command says what is late")
     assert "it, or the sensors before it" in commands[-1].late
-    assert len(said(log, WARN, "the data behind the commands grow old")) == 1
+    assert len(warnings(log, "the data behind the commands grow old")) == 1
 
 
 def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
     controller = rig.start(VehicleController)
-    announce(rig)
-    states = rig.tester.create_publisher(VehicleState, "/vehicle_state", qos.STATE)
-    planner = rig.add(Node("some_planner"))
-    paths = planner.create_publisher(Path, "/path", qos.PLAN)
-    statuses = planner.create_publisher(PlannerStatus, "/planner_status", qos.PLAN)
+    rig.announce()
+    stand = Stand(rig, rig.add(Node("some_planner")))
     commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
 
-    def car_speaks() -> None:
-        message = VehicleState(run_id=7)
-        message.header.stamp = stamp(rig)
-        states.publish(message)
-
     def planned() -> bool:
-        car_speaks()
-        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * 3)
-        status.header.stamp = path.header.stamp = stamp(rig)
-        statuses.publish(status)
-        paths.publish(path)
-        turns(rig, 10)
+        stand.state()
+        stand.plan()
         return controller._plan is not None and bool(commands)
+
+    def named() -> bool:
+        stand.state()
+        return commands[-1].late.startswith("/path of some_planner has been silent for")
 
     rig.spin_until(planned, "a plan")
     assert commands[-1].late == ""
-
-    def named() -> bool:
-        car_speaks()
-        return commands[-1].late.startswith("/path of some_planner has been silent for")
-
     rig.spin_until(named, "the planner is named")
 
 
@@ -184,8 +123,6 @@ class Driving:
     """A bridge in AS_DRIVING after the whole sequence, with the tester as its planner and controller."""
 
     def __init__(self, rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
-        from fsai_msgs.msg import ResetConfirmation
-
         self.rig = rig
         self.node = rig.start(
             VcuBridge,
@@ -205,7 +142,7 @@ class Driving:
             run_id = self.node._loop.report().run.run_id
             for role in ("planner", "controller"):
                 confirmations.publish(ResetConfirmation(role=role, run_id=run_id))
-            turns(rig)
+            rig.turns()
             return len(self.node._loop.report().confirmed) == 2 and vcu.last_status().mission_status == 1
 
         rig.spin_until(confirmed, "SELECTED")
@@ -220,7 +157,7 @@ class Driving:
     def command(self, age_ms: float = 0.0, late: str = "") -> None:
         report = self.node._loop.report()
         message = VehicleCommand(run_id=report.run.run_id, late=late)
-        message.header.stamp = stamp(self.rig, age_ms)
+        message.header.stamp = self.rig.stamp(age_ms)
         self.commands.publish(message)
 
     def driving(self) -> bool:
@@ -235,16 +172,11 @@ def test_the_bridge_names_the_controller_that_fell_silent(rig: RosRig, bus: str)
     log = rig.log()
     with ScriptedVcu(bus, STATUS) as vcu:
         Driving(rig, bus, vcu)
-        rig.spin_until(
-            lambda: any(
-                "/vehicle_cmd of tester has been silent for" in line
-                for line in said(log, ERROR, "the vehicle command is stale")
-            ),
-            "COMMAND_STALE, and whose silence it is",
-        )
-        rig.spin_until(
-            lambda: bool(said(log, ERROR, "/vehicle_cmd of tester missed its deadline of 100 ms")), "the deadline"
-        )
+        for words in (
+            ("the vehicle command is stale", "/vehicle_cmd of tester has been silent for"),
+            ("/vehicle_cmd of tester missed its deadline of 100 ms",),
+        ):
+            rig.spin_until(lambda words=words: bool(errors(log, *words)), words[-1])
 
 
 def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> None:
@@ -254,20 +186,17 @@ def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> 
 
         def stale() -> bool:
             car.command(age_ms=600.0, late="/path of path_planner has been silent for 580 ms")
-            return bool(said(log, ERROR, "the vehicle command is stale"))
+            return bool(errors(log, "command is stale", "(/path of path_planner has been silent for 580 ms)"))
 
-        rig.spin_until(stale, "COMMAND_STALE")
-    assert "(/path of path_planner has been silent for 580 ms)" in said(log, ERROR, "the vehicle command is stale")[0]
+        rig.spin_until(stale, "COMMAND_STALE, and what the command says is late")
 
 
 def test_emergency_brake_of_the_car_is_an_error_in_the_log(rig: RosRig, bus: str) -> None:
-    from fsai_vcu.interface.enums import ShutdownCause
-
     log = rig.log()
     with ScriptedVcu(bus, STATUS) as vcu:
         rig.start(VcuBridge, can_interface=bus, real_time=False)
         vcu.say(as_state=AsState.EMERGENCY_BRAKE, shutdown_cause=ShutdownCause.EBS_FAULT)
-        rig.spin_until(lambda: bool(said(log, ERROR, "EMERGENCY_BRAKE", "EBS_FAULT", "brake system")), "the error")
+        rig.spin_until(lambda: bool(errors(log, "EMERGENCY_BRAKE", "EBS_FAULT", "brake system")), "the error")
 
 
 # ---------------------------------------------------------------- lifecycle
@@ -280,9 +209,9 @@ def test_a_failed_transition_says_why_in_every_start_mode(rig: RosRig, bus: str,
     if autostart:
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
             assert change(rig, transition)
-    node.set_parameters([rig_parameter("limits", "/nowhere/limits.toml")])
+    node.set_parameters([Parameter("limits", value="/nowhere/limits.toml")])
     assert not change(rig, Transition.TRANSITION_CONFIGURE)
-    rig.spin_until(lambda: bool(said(log, ERROR, "transition failed", "/nowhere/limits.toml")), "the reason")
+    rig.spin_until(lambda: bool(errors(log, "transition failed", "/nowhere/limits.toml")), "the reason")
 
 
 def test_an_unexpected_error_in_a_transition_is_said_too(
@@ -297,35 +226,10 @@ def test_an_unexpected_error_in_a_transition_is_said_too(
     monkeypatch.setattr(node, "_configure", broken)
     assert not change(rig, Transition.TRANSITION_CONFIGURE)
     words = ("transition failed", "RuntimeError: nobody thought of this")
-    rig.spin_until(lambda: bool(said(log, ERROR, *words)), "the reason")
+    rig.spin_until(lambda: bool(errors(log, *words)), "the reason")
     monkeypatch.undo()
     assert change(rig, Transition.TRANSITION_CONFIGURE), "and it can be tried again"
 
 
 def change(rig: RosRig, transition: int) -> bool:
     return bool(rig.ask(ChangeState, "/vcu_bridge/change_state", transition=Transition(id=transition)).success)
-
-
-def rig_parameter(name: str, value: object):  # type: ignore[no-untyped-def]
-    from rclpy.parameter import Parameter
-
-    return Parameter(name, value=value)
-
-
-# ---------------------------------------------------------------- motion
-
-
-def test_motion_that_is_not_new_is_not_published_again(rig: RosRig, bus: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    with ScriptedVcu(bus, STATUS):
-        node = rig.start(VcuBridge, can_interface=bus, real_time=False)
-        heard = rig.hear(Odometry, "/odometry", 10)
-        rig.spin_until(lambda: bool(heard), "odometry")
-        stopped = node._loop.report()
-        monkeypatch.setattr(node._loop, "report", lambda: stopped)
-        turns(rig, 30)
-        so_far = len(heard)
-        states = rig.hear(VehicleState, "/vehicle_state", qos.STATE)
-        rig.spin_until(lambda: len(states) > 10, "the bridge publishes on")
-        assert len(heard) == so_far
-        monkeypatch.undo()
-        rig.spin_until(lambda: len(heard) > so_far, "new motion is published again")

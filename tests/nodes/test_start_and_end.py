@@ -41,40 +41,11 @@ def complaint(error_output: str) -> list[str]:
     return [line for line in error_output.splitlines() if "[INFO]" not in line]
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"can_interface": "nosuch0"}, "no CAN interface 'nosuch0'"),
-        ({"can_interface": "loopback:a", "dbc_files": "/nowhere/car.dbc"}, "/nowhere/car.dbc: no such DBC file"),
-        ({"can_interface": "loopback:a", "limits": "/nowhere/limits.toml"}, "/nowhere/limits.toml"),
-        ({"can_interface": "loopback:a", "limits": "max_sped_mps=3.0"}, "unknown limit max_sped_mps"),
-        ({"can_interface": "loopback:a", "revision": 2019}, "revision must be one of 2021, 2026"),
-        ({"can_interface": "loopback:a", "wheel_mapping": "fl=fr"}, "wheel mapping"),
-        ({"can_interface": "loopback:a", "holding_brake_pct": ".nan"}, "holding_brake_pct"),
-        ({"can_interfaze": "loopback:a"}, "unknown parameter can_interfaze: did you mean can_interface?"),
-    ],
-)
-def test_what_the_bridge_cannot_start_with_gets_one_clear_line(values: dict[str, object], words: str) -> None:
-    process = start("vcu_bridge", *parameters(**values))
+def test_what_the_bridge_cannot_start_with_gets_one_clear_line() -> None:
+    process = start("vcu_bridge", *parameters(can_interface="loopback:a", revision=2019))
     _, error_output = process.communicate(timeout=LONG_S)
     assert process.returncode == 1
-    lines = complaint(error_output)
-    assert len(lines) == 1, error_output
-    assert lines[0].startswith("vcu_bridge: ") and words in lines[0]
-
-
-def test_a_second_bridge_on_the_same_bus_refuses_to_start() -> None:
-    bus = f"loopback:second-{os.getpid()}"
-    from fsai_vcu.runtime.lock import InterfaceLock
-
-    lock = InterfaceLock(bus)
-    try:
-        process = start("vcu_bridge", *parameters(can_interface=bus))
-        _, error_output = process.communicate(timeout=LONG_S)
-    finally:
-        lock.release()
-    assert process.returncode == 1
-    assert "already drives" in complaint(error_output)[0]
+    assert complaint(error_output) == ["vcu_bridge: parameter revision must be one of 2021, 2026, not '2019'"]
 
 
 def test_an_occupied_truth_port_gets_one_clear_line() -> None:
@@ -147,19 +118,4 @@ def test_the_bridge_says_goodbye_before_it_falls_silent(number: signal.Signals, 
     for can_id in (0x511, 0x512, 0x513, 0x514):
         assert codec.decode(last[can_id]).image is not None
         assert not any(last[can_id].data[:2]), "at rest it leaves with zeros"
-    assert complaint(error_output) == []
-
-
-def test_all_driving_nodes_run_composed_in_one_process(tmp_path: Path) -> None:
-    process = start("composed")
-    from rclpy.node import Node
-    from ros_rig import RosRig
-
-    with RosRig() as rig:
-        observer: Node = rig.tester
-        wanted = {"cone_detector", "path_planner", "vehicle_controller"}
-        rig.spin_until(lambda: wanted <= set(observer.get_node_names()), "the three nodes", LONG_S)
-    process.send_signal(signal.SIGTERM)
-    _, error_output = process.communicate(timeout=LONG_S)
-    assert process.returncode == 0
     assert complaint(error_output) == []

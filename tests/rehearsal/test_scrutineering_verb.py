@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from measured_rows import measured, row
 
-from fsai_hil.vcan import VcanError, VcanHost
+from fsai_hil.vcan import VcanHost
 from fsai_vcu.cli.main import main
 
 
@@ -126,14 +126,3 @@ def test_a_measurement_that_broke_off_is_no_report(
     assert main(["scrutineering", "-o", str(tmp_path)]) == 1
     assert "nothing was measured (status 1); the logs of the processes are in" in capsys.readouterr().err
     assert not (tmp_path / "response-time.md").exists()
-
-
-def test_where_no_vcan_can_be_had_it_fails_with_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def no_place(wanted: str) -> VcanHost:
-        raise VcanError("no vcan here; as root: install it")
-
-    monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)
-    assert main(["scrutineering", "--native", "-o", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == "fsai-vcu scrutineering: no vcan here; as root: install it\n"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from fsai_hil.rules import numbers as numbers
 from fsai_vcu.core.supervision.config import BridgeConfig
-from fsai_vcu.core.supervision.gate import AXLE_TORQUE_MAX_NM, MOTOR_SPEED_MAX_RPM, constant_power_nm
+from fsai_vcu.core.supervision.gate import constant_power_nm
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, MOTOR_SPEED_MAX_RPM
 
 
 def test_the_bridge_has_the_times_of_the_evidence() -> None:

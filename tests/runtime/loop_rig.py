@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.messages import AiStatus
+from fsai_vcu.interface.enums import AsState
+from fsai_vcu.interface.messages import AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
-from fsai_vcu.runtime.bus import CanBus
+from fsai_vcu.runtime.bus import CanBus, open_bus
 from fsai_vcu.runtime.link import LinkEnd, link_pair
 from fsai_vcu.runtime.loop import BridgeLoop
 from fsai_vcu.runtime.loop_handle import LoopHandle
@@ -65,7 +72,7 @@ def eventually_within(wait_s: float, condition: Callable[[], bool]) -> bool:
     return False
 
 
-def status_heard(bus: CanBus) -> AiStatus:
+def status_received(bus: CanBus) -> AiStatus:
     """The next 0x510 on the bus."""
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
@@ -74,9 +81,59 @@ def status_heard(bus: CanBus) -> AiStatus:
             image = CODEC.decode(frame).image
             assert isinstance(image, AiStatus)
             return image
-    raise AssertionError("no 0x510 heard")
+    raise AssertionError("no 0x510 received")
 
 
 def drop_all(bus: CanBus) -> None:
     while bus.recv(0.0) is not None:
         pass
+
+
+@contextmanager
+def moving_car(spec: str) -> Iterator[list[AiStatus]]:
+    """A car in AS_DRIVING whose wheels turn, every 10 ms; the list grows by each 0x510 that it receives."""
+    received: list[AiStatus] = []
+    over = threading.Event()
+
+    def talk() -> None:
+        with open_bus(spec) as vcu:
+            while not over.is_set():
+                vcu.send(CODEC.encode(VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True)))
+                vcu.send(CODEC.encode(WheelSpeeds(200, 200, 200, 200)))
+                until = time.monotonic() + 0.01
+                while (left_s := until - time.monotonic()) > 0:
+                    frame = vcu.recv(left_s)
+                    image = None if frame is None else CODEC.decode(frame).image
+                    if isinstance(image, AiStatus):
+                        received.append(image)
+
+    talker = threading.Thread(target=talk)
+    talker.start()
+    try:
+        yield received
+    finally:
+        over.set()
+        talker.join()
+
+
+@contextmanager
+def systemd(folder: Path, monkeypatch: pytest.MonkeyPatch, watchdog_us: int) -> Iterator[socket.socket]:
+    """The service manager's socket, for what is started meanwhile; `told_nothing` asks it."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as told:
+        told.bind(str(folder / "notify"))
+        told.settimeout(WAIT_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(folder / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", str(watchdog_us))
+        monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))  # systemd names the process that it has started
+        yield told
+
+
+def told_nothing(told: socket.socket) -> bool:
+    told.setblocking(False)
+    try:
+        told.recv(64)
+    except BlockingIOError:
+        return True
+    finally:
+        told.settimeout(WAIT_S)
+    return False

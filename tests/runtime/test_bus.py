@@ -38,13 +38,21 @@ def test_an_unknown_kind_of_bus_is_one_clear_line() -> None:
         open_bus("nonsense:1")
 
 
-@pytest.mark.parametrize("can_id", sorted(RESERVED_IDS | {0x501, 0x520, 0x515}))
-def test_a_bus_of_the_ai_computer_refuses_every_other_id(can_id: int) -> None:
-    with (
-        open_bus("loopback:refusals", may_send=AI_IDS) as bus,
-        pytest.raises(ValueError, match="must never be transmitted"),
-    ):
-        bus.send(Frame(can_id, b"\x00"))
+def test_a_bus_of_the_ai_computer_refuses_every_other_id() -> None:
+    with open_bus("loopback:refusals", may_send=AI_IDS) as bus:
+        for can_id in sorted(RESERVED_IDS | {0x501, 0x520, 0x515}):
+            with pytest.raises(ValueError, match="must never be transmitted"):
+                bus.send(Frame(can_id, b"\x00"))
+
+
+@pytest.mark.parametrize("can_ids", [(), AI_IDS])
+def test_no_bus_is_opened_that_would_let_a_reserved_id_out(
+    monkeypatch: pytest.MonkeyPatch, can_ids: tuple[int, ...]
+) -> None:
+    monkeypatch.setattr(can, "Bus", lambda **_: pytest.fail("opened, and nobody would close it"))
+    for can_id in RESERVED_IDS:
+        with pytest.raises(ValueError, match="reserved for the car"):
+            open_bus("loopback:reserved", may_send=[*can_ids, can_id])
 
 
 class SilentBus(can.BusABC):
@@ -228,18 +236,6 @@ def test_a_full_socketcan_queue_drops_the_frame(kernel_pair: tuple[CanBus, socke
     far.close()
     with pytest.raises(BusLost, match="can0: "):
         bus.send(Frame(0x510, bytes(8)))
-
-
-@pytest.mark.parametrize("can_id", sorted(RESERVED_IDS))
-def test_no_bus_can_be_opened_that_would_let_a_reserved_id_out(can_id: int) -> None:
-    with pytest.raises(ValueError, match="reserved for the car"):
-        open_bus("loopback:reserved", may_send=[*AI_IDS, can_id])
-
-
-def test_a_bus_that_would_send_a_reserved_id_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(can, "Bus", lambda **_: pytest.fail("opened, and nobody would close it"))
-    with pytest.raises(ValueError, match="reserved for the car"):
-        open_bus("loopback:reserved", may_send=[min(RESERVED_IDS)])
 
 
 def test_nobody_drives_on_a_bus_where_a_sender_hears_himself() -> None:

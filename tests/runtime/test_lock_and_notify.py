@@ -13,33 +13,20 @@ from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock, holder_pid
 from fsai_vcu.runtime.notify import Notifier
 
 
-def test_a_second_bridge_is_refused_with_the_holder_of_the_lock() -> None:
-    lock = InterfaceLock("test-if")
+@pytest.mark.parametrize(("first", "second"), [("test-if", "test-if"), ("vcan77", "socketcan:vcan77")])
+def test_a_second_bridge_is_refused_with_the_holder_of_the_lock(first: str, second: str) -> None:
+    """However the interface is spelt; and the holder can be asked for again and again."""
+    words = rf"another bridge \(process {os.getpid()}\) already drives '{second}'"
+    lock = InterfaceLock(first)
     try:
-        with pytest.raises(AlreadyRunning, match=rf"another bridge \(process {os.getpid()}\) already drives 'test-if'"):
-            InterfaceLock("test-if")
-    finally:
-        lock.release()
-
-
-def test_who_holds_an_interface_can_be_asked_again_and_again() -> None:
-    lock = InterfaceLock("test-if")
-    try:
-        assert [holder_pid("test-if") for _ in range(20)] == [os.getpid()] * 20
+        with pytest.raises(AlreadyRunning, match=words):
+            InterfaceLock(second)
+        assert [holder_pid(second) for _ in range(20)] == [os.getpid()] * 20
         lock.answer_probes()
-        assert holder_pid("test-if") == os.getpid()
+        assert holder_pid(first) == os.getpid()
     finally:
         lock.release()
-    assert holder_pid("test-if") is None
-
-
-def test_one_interface_has_one_lock_however_it_is_spelt() -> None:
-    lock = InterfaceLock("vcan77")
-    try:
-        with pytest.raises(AlreadyRunning, match="already drives 'socketcan:vcan77'"):
-            InterfaceLock("socketcan:vcan77")
-    finally:
-        lock.release()
+    assert holder_pid(first) is None
 
 
 def test_a_lock_that_cannot_be_made_is_not_blamed_on_a_bridge() -> None:

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from fsai_hil.simulator.car import CarTruth, Pose, car_model
+from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict
 from fsai_hil.simulator.tracks import Track, acceleration_track, load_track, skidpad_track, small_oval
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 
-MODEL = car_model("2026")
+NOSE_M = CAR.nose_ahead_of_rear_axle_m
 LOOK_NS = 10_000_000
 
 
@@ -36,7 +37,7 @@ class Puppet:
     def look(self, seconds: float = 0.01) -> None:
         for _ in range(round(seconds / 0.01)):
             self.t_ns += LOOK_NS
-            rpm = self.rpm if self.air else self.speed_mps / (2.0 * math.pi * MODEL.wheel_radius_m) * 60.0
+            rpm = self.rpm if self.air else self.speed_mps / (2.0 * math.pi * CAR.rolling_radius_m) * 60.0
             wheels = (0.0, 0.0, rpm, rpm) if self.air else (rpm, rpm, rpm, rpm)
             truth = CarTruth(
                 self.t_ns, self.pose, self.speed_mps, 0.0, self.steer_deg, wheels, (0.0, 0.0), self.distance_m
@@ -80,8 +81,8 @@ class Puppet:
 
 
 def puppet(track: Track, mission: Ami, **settings: object) -> Puppet:
-    judge = Judge(track, mission, MODEL, JudgeSettings(**settings))  # type: ignore[arg-type]
-    return Puppet(judge, track.staging(mission, MODEL.nose_m), air=mission.name.startswith("STATIC"))
+    judge = Judge(track, mission, CAR, JudgeSettings(**settings))  # type: ignore[arg-type]
+    return Puppet(judge, track.staging(mission, NOSE_M), air=mission.name.startswith("STATIC"))
 
 
 def why(verdict: JudgeVerdict) -> str:
@@ -91,33 +92,41 @@ def why(verdict: JudgeVerdict) -> str:
 # ------------------------------------------------------------ acceleration
 
 
-def test_a_straight_run_that_stops_in_time_passes_with_its_time() -> None:
+def straight(*places: tuple[float, float, float], wait_s: float = 3.1) -> Puppet:
+    """On the acceleration track, from place to place (x and y in m, the speed in m/s)."""
     car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(75.0 + 50.0 - MODEL.nose_m, 0.0, 0.0, 10.0)
-    verdict = car.finish()
+    car.start(wait_s)
+    for x_m, y_m, speed_mps in places:
+        car.go(x_m, y_m, 0.0, speed_mps)
+    return car
+
+
+TO_THE_END = (75.0 + 20.0, 0.0, 10.0)
+
+
+def test_a_straight_run_that_stops_in_time_passes_with_its_time() -> None:
+    verdict = straight((75.0 + 50.0 - NOSE_M, 0.0, 10.0)).finish()
     assert verdict.passed, why(verdict)
     assert verdict.lap_times_s == pytest.approx((7.5,), abs=0.02)
     assert verdict.stop_distance_m == pytest.approx(50.0, abs=0.01)
     assert verdict.top_speed_mps == pytest.approx(10.0)
     assert verdict.mean_speed_mps == pytest.approx(10.0, rel=0.01)
+    found = verdict.as_dict()["as_states"]
+    assert [each["state"] for each in found] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
+    assert [each["t_s"] for each in found][:3] == pytest.approx([0.01, 0.51, 6.01])
 
 
-@pytest.mark.parametrize(("beyond_m", "passes"), [(99.9, True), (100.1, False)])
-def test_the_car_must_stop_within_100_m_after_the_finish_line(beyond_m: float, passes: bool) -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(75.0 + beyond_m - MODEL.nose_m, 0.0, 0.0, 15.0)
-    verdict = car.finish()
-    assert verdict.passed is passes, why(verdict)
-    assert passes or "100.1 m after the finish line" in why(verdict)
-
-
-def test_a_car_that_stops_before_the_finish_line_fails() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(60.0, 0.0, 0.0)
-    assert "finish line was never crossed" in why(car.finish())
+@pytest.mark.parametrize(
+    ("to_m", "words"),
+    [
+        (75.0 + 99.9 - NOSE_M, ""),
+        (75.0 + 100.1 - NOSE_M, "100.1 m after the finish line"),
+        (60.0, "finish line was never crossed"),
+    ],
+)
+def test_the_car_must_stop_within_100_m_after_the_finish_line(to_m: float, words: str) -> None:
+    verdict = straight((to_m, 0.0, 15.0)).finish()
+    assert verdict.passed is (not words) and words in why(verdict)
 
 
 # ------------------------------------------------------------ when the car may move
@@ -125,10 +134,7 @@ def test_a_car_that_stops_before_the_finish_line_fails() -> None:
 
 @pytest.mark.parametrize(("wait_s", "passes"), [(2.9, False), (3.02, True)])
 def test_the_car_must_not_move_in_the_first_3_s_of_driving(wait_s: float, passes: bool) -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start(wait_s)
-    car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
-    verdict = car.finish()
+    verdict = straight(TO_THE_END, wait_s=wait_s).finish()
     assert verdict.passed is passes, why(verdict)
     assert passes or "must wait 3 s" in why(verdict)
 
@@ -147,9 +153,7 @@ def test_a_car_that_moves_before_driving_fails(state: AsState) -> None:
 
 
 def test_a_car_that_rolls_on_in_as_finished_fails() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
+    car = straight(TO_THE_END)
     car.state = AsState.AS_FINISHED
     car.go(75.0 + 22.0, 0.0, 0.0, 1.0)
     assert "moved in AS_FINISHED" in why(car.finish())
@@ -159,82 +163,39 @@ def test_a_car_that_rolls_on_in_as_finished_fails() -> None:
 
 
 def test_an_emergency_brake_fails_a_run_and_the_cause_is_named() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
-    verdict = car.finish(AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMMS_FAULT)
+    verdict = straight(TO_THE_END).finish(AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMMS_FAULT)
     assert not verdict.passed
     assert "AI_COMMS_FAULT" in why(verdict)
     assert verdict.shutdown_cause == "AI_COMMS_FAULT"
 
 
-def test_a_run_that_never_starts_ends_by_its_time_limit() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION, start_timeout_s=20.0)
-    car.look(20.1)
-    assert car.judge.done
-    assert "no AS_DRIVING within 20 s" in why(car.judge.verdict())
-
-
-def test_a_car_that_never_finishes_ends_by_its_time_limit() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION, drive_timeout_s=30.0)
-    car.start()
+@pytest.mark.parametrize(
+    ("starts", "words"),
+    [(False, "no AS_DRIVING within 20 s"), (True, "still in AS_DRIVING after 30 s")],
+)
+def test_a_run_ends_by_its_time_limits_and_before_is_no_pass(starts: bool, words: str) -> None:
+    car = puppet(acceleration_track(), Ami.ACCELERATION, start_timeout_s=20.0, drive_timeout_s=30.0)
+    if starts:
+        car.start()
+    assert "the run is not over" in why(car.judge.verdict())
     car.look(28.0)
     assert car.judge.done
-    assert "still in AS_DRIVING after 30 s" in why(car.judge.verdict())
-
-
-def test_an_unfinished_run_is_no_pass() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    assert "the run is not over" in why(car.judge.verdict())
-
-
-def test_the_verdict_as_json_lists_the_as_states_with_times() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
-    found = car.finish().as_dict()
-    assert [each["state"] for each in found["as_states"]] == ["AS_OFF", "AS_READY", "AS_DRIVING", "AS_FINISHED"]
-    assert [each["t_s"] for each in found["as_states"]][:3] == pytest.approx([0.01, 0.51, 6.01])
-    wanted = {
-        "mission", "result", "reasons", "as_states", "laps", "lap_times_s", "cones_hit", "off_course",
-        "max_lateral_error_m", "mean_speed_mps", "top_speed_mps",
-    }  # fmt: skip
-    assert wanted <= set(found)
+    assert words in why(car.judge.verdict())
 
 
 # ------------------------------------------------------------ the track
 
 
-def test_a_car_with_all_four_wheels_off_the_track_fails() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(20.0, 0.0, 0.0)
-    car.go(30.0, 2.2, 0.0)
-    car.go(40.0, 0.0, 0.0)
-    car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
-    verdict = car.finish()
-    assert verdict.off_course == 1
-    assert "off course once" in why(verdict)
-    assert verdict.max_lateral_error_m == pytest.approx(2.2, abs=0.05)
-
-
-def test_two_wheels_on_the_track_are_enough() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(20.0, 0.0, 0.0)
-    car.go(30.0, 2.05, 0.0)
-    car.go(75.0 + 20.0, 0.0, 0.0, 10.0)
-    verdict = car.finish()
-    assert verdict.off_course == 0
-    assert verdict.passed, why(verdict)
+@pytest.mark.parametrize(("beside_m", "times", "words"), [(2.2, 1, "off course once"), (2.05, 0, "")])
+def test_two_wheels_on_the_track_are_enough_but_none_fails(beside_m: float, times: int, words: str) -> None:
+    verdict = straight((20.0, 0.0, 6.0), (30.0, beside_m, 6.0), (40.0, 0.0, 6.0), TO_THE_END).finish()
+    assert verdict.off_course == times
+    assert why(verdict) == words
+    assert verdict.max_lateral_error_m == pytest.approx(beside_m, abs=0.05)
 
 
 def test_a_cone_hit_counts_once_and_costs_2_s_but_no_pass() -> None:
-    car = puppet(acceleration_track(), Ami.ACCELERATION)
-    car.start()
-    car.go(18.0, 0.0, 0.0)
-    car.go(18.0, 0.65, 0.0)  # side at 1.365 m: the cones at 1.5 m have a radius of 0.114 m
+    car = straight((18.0, 0.0, 6.0), (18.0, 0.65, 6.0))  # side at 1.365 m: the cones at 1.5 m have a radius of 0.114 m
     car.look(0.1)
     assert car.judge.verdict().cones_hit == 0
     car.go(18.0, 0.70, 0.0)
@@ -256,41 +217,36 @@ def circuit(laps: int = 1) -> tuple[Puppet, np.ndarray]:
     return puppet(track, Ami.TRACKDRIVE, laps=laps), track.centreline_m
 
 
-@pytest.mark.parametrize("laps", [1, 3])
-def test_laps_are_counted_and_timed_from_line_to_line(laps: int) -> None:
+@pytest.mark.parametrize(("laps", "offset_m"), [(1, 0.6), (3, 0.0)])
+def test_laps_are_counted_and_timed_from_line_to_line(laps: int, offset_m: float) -> None:
     car, line = circuit(laps)
     car.start()
     for _ in range(laps):
-        car.along(line, speed_mps=5.0)  # a whole number of looks between two points
+        car.along(line, offset_m, speed_mps=5.0)  # a whole number of looks between two points
     car.along(line[:40])
     verdict = car.finish()
     assert verdict.passed, why(verdict)
     assert verdict.laps == laps
-    assert verdict.lap_times_s == pytest.approx([small_oval().length_m / 5.0] * laps, abs=0.25)
-    assert verdict.max_lateral_error_m < 0.05
+    assert verdict.max_lateral_error_m == pytest.approx(offset_m, abs=0.06)
+    if not offset_m:
+        assert verdict.lap_times_s == pytest.approx([small_oval().length_m / 5.0] * laps, abs=0.25)
 
 
-def test_a_lap_too_few_and_a_lap_too_many_fail() -> None:
-    few, line = circuit(2)
-    few.start()
-    few.along(line)
-    few.along(line[:40])
-    assert "1 of 2 laps" in why(few.finish())
-    many, _ = circuit(1)
-    many.start()
-    many.along(line)
-    many.along(line)
-    many.along(line[:40])
-    assert "2 laps driven where 1" in why(many.finish())
-
-
-def test_a_circuit_must_be_stopped_on_within_30_m() -> None:
-    car, line = circuit(1)
+@pytest.mark.parametrize(
+    ("wanted", "driven", "beyond", "words"),
+    [
+        (2, 1, 40, "1 of 2 laps"),
+        (1, 2, 40, "2 laps driven where 1"),
+        (1, 1, 150, "after the finish line, allowed are 30 m"),
+    ],
+)
+def test_too_few_or_many_laps_or_a_late_stop_fail(wanted: int, driven: int, beyond: int, words: str) -> None:
+    car, line = circuit(wanted)
     car.start()
-    car.along(line)
-    car.along(line[:150])
-    verdict = car.finish()
-    assert "after the finish line, allowed are 30 m" in why(verdict)
+    for _ in range(driven):
+        car.along(line)
+    car.along(line[:beyond])
+    assert words in why(car.finish())
 
 
 def test_driving_back_and_forth_over_the_line_makes_no_lap() -> None:
@@ -316,16 +272,6 @@ def test_a_short_cut_through_the_infield_is_off_course_no_lap() -> None:
     assert verdict.off_course >= 1
 
 
-def test_a_circuit_driven_beside_its_middle_reports_how_far() -> None:
-    car, line = circuit(1)
-    car.start()
-    car.along(line, offset_m=0.6)
-    car.along(line[:40])
-    verdict = car.finish()
-    assert verdict.passed, why(verdict)
-    assert verdict.max_lateral_error_m == pytest.approx(0.6, abs=0.06)
-
-
 # ------------------------------------------------------------ skidpad
 
 
@@ -338,7 +284,7 @@ def skidpad_run(sides: str, stop_at_m: float = 10.0) -> JudgeVerdict:
         sign = 1.0 if side == "L" else -1.0
         angles = np.linspace(0.0, 2.0 * math.pi, 240)
         car.along(np.column_stack([radius * np.sin(angles), sign * radius * (1.0 - np.cos(angles))]))
-    car.go(stop_at_m - MODEL.nose_m, 0.0, 0.0)
+    car.go(stop_at_m - NOSE_M, 0.0, 0.0)
     return car.finish()
 
 
@@ -350,13 +296,15 @@ def test_two_laps_right_two_left_and_a_stop_in_the_exit_pass() -> None:
     assert verdict.stop_distance_m == pytest.approx(10.0, abs=0.01)
 
 
-@pytest.mark.parametrize("sides", ["LLRR", "RRL", "RLLL", "RRRLL", ""])
-def test_any_other_order_of_laps_fails(sides: str) -> None:
-    assert "laps driven" in why(skidpad_run(sides))
-
-
-def test_the_skidpad_must_be_stopped_on_within_25_m() -> None:
-    assert "allowed are 25 m" in why(skidpad_run("RRLL", 25.5))
+@pytest.mark.parametrize(
+    ("sides", "stop_at_m", "words"),
+    [
+        *((sides, 10.0, "laps driven") for sides in ("LLRR", "RRL", "RLLL", "RRRLL", "")),
+        ("RRLL", 25.5, "allowed are 25 m"),
+    ],
+)
+def test_another_order_of_laps_or_a_late_stop_fails(sides: str, stop_at_m: float, words: str) -> None:
+    assert words in why(skidpad_run(sides, stop_at_m))
 
 
 # ------------------------------------------------------------ static inspections
@@ -380,14 +328,10 @@ def inspection_a(
     return car.finish()
 
 
-def test_inspection_a_passes_with_full_sweep_and_200_rpm_in_time() -> None:
-    verdict = inspection_a()
-    assert verdict.passed, why(verdict)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({}, ""),
         ({"sweep_deg": 20.0}, "steered 20.0 deg to the left"),
         ({"end_deg": 5.0}, "instead of straight"),
         ({"rpm": 150.0}, "reached 150 of 200 rpm"),
@@ -396,32 +340,29 @@ def test_inspection_a_passes_with_full_sweep_and_200_rpm_in_time() -> None:
     ],
 )
 def test_inspection_a_fails_where_it_falls_short(changes: dict[str, float], words: str) -> None:
-    assert words in why(inspection_a(**changes))
+    verdict = inspection_a(**changes)
+    assert verdict.passed is (not words) and words in why(verdict)
 
 
-def inspection_b(rpm: float, state: AsState, cause: ShutdownCause | None) -> JudgeVerdict:
+@pytest.mark.parametrize(
+    ("rpm", "cause", "words"),
+    [
+        (50.0, ShutdownCause.AI_COMPUTER_REQUEST, ""),
+        (40.0, ShutdownCause.AI_COMPUTER_REQUEST, "40 of 50 rpm"),
+        (50.0, ShutdownCause.AI_COMMS_FAULT, "AI_COMMS_FAULT"),
+        (50.0, None, "shutdown circuit"),
+    ],
+)
+def test_inspection_b_needs_50_rpm_and_an_estop_request(rpm: float, cause: ShutdownCause | None, words: str) -> None:
     car = puppet(load_track("static"), Ami.STATIC_INSPECTION_B)
     car.start()
     car.rpm = rpm
     car.look(2.0)
-    car.state, car.cause = state, cause
+    car.state, car.cause = AsState.EMERGENCY_BRAKE, cause
     car.look(0.3)
     car.rpm = 0.0
-    return car.finish(state, cause)
-
-
-def test_inspection_b_passes_with_50_rpm_and_an_estop_request() -> None:
-    verdict = inspection_b(50.0, AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMPUTER_REQUEST)
-    assert verdict.passed, why(verdict)
-
-
-def test_inspection_b_fails_too_slow_or_ended_by_anything_else() -> None:
-    slow = inspection_b(40.0, AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMPUTER_REQUEST)
-    assert "40 of 50 rpm" in why(slow)
-    other = inspection_b(50.0, AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMMS_FAULT)
-    assert "AI_COMMS_FAULT" in why(other)
-    by_button = inspection_b(50.0, AsState.EMERGENCY_BRAKE, None)
-    assert "shutdown circuit" in why(by_button)
+    verdict = car.finish(AsState.EMERGENCY_BRAKE, cause)
+    assert verdict.passed is (not words) and words in why(verdict)
 
 
 # ------------------------------------------------------------ demonstration
@@ -443,14 +384,10 @@ def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, sec
     return car.finish(AsState.EMERGENCY_BRAKE, ShutdownCause.AI_COMPUTER_REQUEST)
 
 
-def test_the_demonstration_passes_as_the_rules_describe_it() -> None:
-    verdict = demo()
-    assert verdict.passed, why(verdict)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({}, ""),
         ({"sweep_deg": 4.0}, "steered 4.0 deg to the left"),
         ({"fast_m": 10.5}, "acceleration 1 took"),
         ({"stop_m": 21.0}, "the first stop came after"),
@@ -458,7 +395,8 @@ def test_the_demonstration_passes_as_the_rules_describe_it() -> None:
     ],
 )
 def test_the_demonstration_fails_where_it_falls_short(changes: dict[str, float], words: str) -> None:
-    assert words in why(demo(**changes))
+    verdict = demo(**changes)
+    assert verdict.passed is (not words) and words in why(verdict)
 
 
 # ------------------------------------------------------------ bad questions
@@ -476,4 +414,4 @@ def test_a_mission_on_the_wrong_track_is_refused_in_one_line(
     make: Callable[[], Track], mission: Ami, words: str
 ) -> None:
     with pytest.raises(ValueError, match=words):
-        Judge(make(), mission, MODEL)
+        Judge(make(), mission, CAR)

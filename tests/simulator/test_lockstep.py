@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from fsai_hil.simulator.lockstep import Lockstep, LockstepResult
+from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.tracks import load_track
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.command import VehicleCommand
@@ -24,10 +24,6 @@ def oval(**changes: object) -> WorldSetup:
     """A short lap: the quickest run that has everything in it."""
     setup = WorldSetup(missions=[Ami.AUTOCROSS], track=load_track("small_oval"), gps=False)
     return replace(setup, **changes)  # type: ignore[arg-type]
-
-
-def states(result: LockstepResult) -> list[str]:
-    return [name for name, _ in result.verdict.as_states]
 
 
 def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
@@ -50,39 +46,30 @@ def test_every_mission_passes_by_the_rules_with_no_guard_acting(mission: Ami, re
     assert result.verdict.cones_hit == 0
 
 
-@pytest.mark.parametrize("mission", [Ami.ACCELERATION, Ami.AUTOCROSS], ids=lambda ami: ami.name.lower())
-def test_the_official_simulators_quirks_are_coped_with(mission: Ami) -> None:
-    result = Lockstep(WorldSetup(missions=[mission], profile="official-simulator", gps=False)).run()
+def test_the_official_simulators_quirks_are_coped_with() -> None:
+    result = Lockstep(oval(profile="official-simulator")).run()
     assert result.verdict.result == "pass", result.verdict.reasons
     assert not any("brake" in violation and "together" in violation for violation in result.wire.violations)
 
 
 @pytest.mark.parametrize(("revision", "power_cycles"), [("2021", 0), ("2026", 1)])
 def test_a_second_mission_follows_without_a_restart(revision: str, power_cycles: int) -> None:
-    lockstep = Lockstep(oval(missions=[Ami.AUTOCROSS, Ami.ACCELERATION], revision=revision))
+    lockstep = Lockstep(WorldSetup(missions=[Ami.ACCELERATION, Ami.STATIC_INSPECTION_B], revision=revision, gps=False))
     result = lockstep.run()
-    assert [run.track.name for run in lockstep.world.runs] == ["small_oval", "acceleration"]
+    assert [run.track.name for run in lockstep.world.runs] == ["acceleration", "static"]
     assert lockstep.world.vcu.power_cycles == power_cycles
     assert [verdict.result for verdict in lockstep.world.verdicts] == ["pass", "pass"], lockstep.world.verdicts
     assert result.wire.ok, result.wire
 
 
 def test_the_same_seed_is_the_same_run_and_another_seed_another() -> None:
-    runs = [Lockstep(WorldSetup(missions=[Ami.ACCELERATION], seed=seed)).run().as_dict() for seed in (3, 3, 4)]
-    for run in runs:
-        del run["wall_time_s"]
+    runs = []
+    for seed in (3, 3, 4):
+        lockstep = Lockstep(oval(seed=seed))
+        drive_until(lockstep, 3.0)
+        runs.append((replace(lockstep.world.truth, seed=0), lockstep.computer.report()))
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]
-
-
-def test_a_silent_planner_is_a_service_brake_stop() -> None:
-    lockstep = Lockstep(oval())
-    drive_until(lockstep, 3.0)
-    lockstep.computer.on_cones = lambda observation: None  # type: ignore[method-assign]
-    result = lockstep.run()
-    assert states(result)[-1] == "AS_FINISHED"
-    assert result.report.mode == "manual", "the stop for lost commands is latched"
-    assert result.wire.ok, result.wire
 
 
 def test_operational_limits_are_never_exceeded() -> None:
@@ -96,8 +83,11 @@ def test_operational_limits_are_never_exceeded() -> None:
         return replace(command, speed_limit_mps=20.0)  # whoever drives does not care
 
     lockstep.computer.command_filter = watch
-    result = lockstep.run()
-    assert result.verdict.result == "pass", result.verdict.reasons
+    drive_until(lockstep, 2.0)
+    half_a_lap_ns = lockstep.now_ns + 15 * S
+    while lockstep.now_ns < half_a_lap_ns:
+        lockstep.step()
+    assert lockstep.world.vcu.state is AsState.AS_DRIVING
     assert max(torque for torque, _, _ in asked) <= 60.0
     assert max(steer for _, steer, _ in asked) <= 18.0
     assert max(speed for _, _, speed in asked) <= 3.0 * 1.05
@@ -120,6 +110,9 @@ def test_max_speed_is_kept_by_each_kind_of_control(mission: Ami) -> None:
         return command
 
     lockstep.computer.command_filter = watch
-    while lockstep.now_ns < 45 * S:
+    reached_ns = 0
+    while not reached_ns or lockstep.now_ns < reached_ns + 3 * S:
         lockstep.step()
-    assert 2.5 < max(speeds) < 3.0 * 1.03
+        assert lockstep.now_ns < 60 * S, "it never came near its limit"
+        reached_ns = reached_ns or (lockstep.now_ns if max(speeds) > 2.5 else 0)
+    assert max(speeds) < 3.0 * 1.03

@@ -95,23 +95,6 @@ def test_a_go_that_starts_nothing_is_taken_back_and_given_again() -> None:
     drive(bench, driver, lambda: bench.state is AsState.AS_DRIVING)
 
 
-@pytest.mark.parametrize(("name", "cycles"), [("2021", 1), ("2026", 2)])
-def test_missions_follow_one_another_as_the_car_wants_it(name: str, cycles: int) -> None:
-    bench = Bench(name)
-    bench.operator = Operator.auto(name, [Ami.ACCELERATION, Ami.SKIDPAD])
-    chosen: list[Ami] = []
-
-    def done() -> bool:
-        if bench.state is AsState.AS_DRIVING and bench.vcu.in_state_ns == S:
-            chosen.append(bench.switches.ami)
-        return bench.operator.done
-
-    drive(bench, Driver(bench), done)
-    assert chosen == [Ami.ACCELERATION, Ami.SKIDPAD]
-    assert bench.vcu.power_cycles == cycles
-    assert states(bench).count(AsState.AS_FINISHED) == 2
-
-
 @pytest.mark.parametrize("name", ["2021", "2026"])
 def test_after_an_emergency_the_operator_waits_and_cycles_power(name: str) -> None:
     bench = Bench(name)
@@ -125,14 +108,6 @@ def test_after_an_emergency_the_operator_waits_and_cycles_power(name: str) -> No
     drive(bench, driver, lambda: bench.operator.done)
     assert states(bench).count(AsState.AS_FINISHED) == 1
     assert bench.vcu.power_cycles == 2
-
-
-def test_the_car_can_be_left_on_after_the_last_mission() -> None:
-    bench = Bench()
-    bench.operator = Operator.auto("2021", [Ami.SKIDPAD], switch_off_at_end=False)
-    drive(bench, Driver(bench), lambda: bench.operator.done)
-    bench.run(S)
-    assert bench.state is AsState.AS_FINISHED
 
 
 def test_the_operator_copes_with_the_official_simulator() -> None:

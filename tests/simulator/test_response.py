@@ -43,15 +43,6 @@ def test_a_percentile_is_the_smallest_time_that_covers_its_share(times_ns: list[
     assert sum(time_ns < found for time_ns in times_ns) < needed
 
 
-@given(TIMES, TIMES)
-def test_merged_times_equal_counting_together_and_keep_the_other(one: list[int], other: list[int]) -> None:
-    merged, rest = ResponseTimes(one), ResponseTimes(other)
-    merged.quantile_ns(0.5)  # what has been asked before must not matter
-    merged.merge(rest)
-    assert merged.as_dict() == ResponseTimes([*one, *other]).as_dict()
-    assert rest.as_dict() == ResponseTimes(other).as_dict()
-
-
 @given(TIMES)
 def test_each_time_is_in_exactly_one_bin(times_ns: list[int]) -> None:
     bins = ResponseTimes(times_ns).histogram()
@@ -67,15 +58,13 @@ def test_each_time_is_in_exactly_one_bin(times_ns: list[int]) -> None:
 def test_a_time_at_the_limit_is_kept_and_1_ns_more_is_above() -> None:
     times = ResponseTimes([10 * MS - 1, 10 * MS, 10 * MS + 1])
     assert times.count_above(10 * MS) == 1
-    assert times.share_above(10 * MS) == pytest.approx(1 / 3)
     assert times.as_dict()["above_ms"] == {
         str(limit): 3 if limit < 10 else 1 if limit == 10 else 0 for limit in THRESHOLDS_MS
     }
 
 
-def test_no_times_have_no_percentiles_and_no_share() -> None:
+def test_no_times_have_no_percentiles() -> None:
     nothing = ResponseTimes()
-    assert len(nothing) == 0 and nothing.share_above(0) == 0.0
     assert nothing.as_dict()["p50_ms"] is None and nothing.as_dict()["max_ms"] is None
 
 

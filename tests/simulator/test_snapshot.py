@@ -9,14 +9,15 @@ import pytest
 
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.tracks import load_track
-from fsai_hil.simulator.world import World, WorldSetup
+from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import S
 
-MISSIONS = [ami for ami in Ami if ami is not Ami.NOT_SELECTED]
+# Every kind of planning, control and judging; the other missions are made of the same parts.
+MISSIONS = {Ami.ACCELERATION: "2026", Ami.SKIDPAD: "2021", Ami.AUTOCROSS: "2021", Ami.STATIC_INSPECTION_A: "2026"}
 INTO_DRIVING_NS = 6 * S
-GOES_ON_NS = 3 * S
+GOES_ON_NS = 2 * S
 
 
 class Log:
@@ -38,7 +39,7 @@ class Log:
 
 def driving(mission: Ami, revision: str) -> Lockstep:
     """A run some seconds into AS_DRIVING, with everything under way that can be: GPS, plans, delayed requests."""
-    track = load_track("small_oval") if mission in (Ami.TRACKDRIVE, Ami.AUTOCROSS) else None
+    track = load_track("small_oval") if mission is Ami.AUTOCROSS else None
     lockstep = Lockstep(WorldSetup(missions=[mission, mission], revision=revision, track=track, seed=5, laps=1))
     vcu = lockstep.world.vcu
     while vcu.state is not AsState.AS_DRIVING or vcu.in_state_ns < INTO_DRIVING_NS:
@@ -72,7 +73,7 @@ def outcome(lockstep: Lockstep) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("mission", MISSIONS, ids=lambda ami: ami.name.lower())
 def test_a_copy_of_a_run_continues_as_the_run_and_undisturbed(mission: Ami) -> None:
-    run = driving(mission, "2021" if mission in (Ami.SKIDPAD, Ami.AUTOCROSS) else "2026")
+    run = driving(mission, MISSIONS[mission])
     kept = copy.deepcopy(run)
     before = outcome(run)
 
@@ -96,16 +97,16 @@ def test_a_copy_of_a_run_continues_as_the_run_and_undisturbed(mission: Ami) -> N
 
 
 def test_a_copy_taken_between_operator_actions_ends_as_the_run() -> None:
-    setup = WorldSetup(missions=[Ami.STATIC_INSPECTION_B, Ami.STATIC_INSPECTION_A], gps=False)
+    setup = WorldSetup(missions=[Ami.STATIC_INSPECTION_B], gps=False)
     run = Lockstep(setup)
     copies: list[Lockstep] = []
-    for doing in ("turning ASMS on", "giving Go", "waiting until the siren falls silent"):
+    for doing in ("giving Go", "waiting until the siren falls silent"):
         while run.world.operator.doing != doing:
             run.step()
             assert run.now_ns < 120 * S, f"never {doing}"
         copies.append(copy.deepcopy(run))
     result = run.run()
-    assert [verdict.result for verdict in run.world.verdicts] == ["pass", "pass"]
+    assert result.verdict.result == "pass"
     for kept in copies:
         again = kept.run()
         assert again.verdict == result.verdict
@@ -114,18 +115,10 @@ def test_a_copy_taken_between_operator_actions_ends_as_the_run() -> None:
 
 
 def test_a_copy_shares_what_never_changes_and_nothing_else() -> None:
-    run = driving(Ami.AUTOCROSS, "2026")
+    run = Lockstep(WorldSetup(missions=[Ami.AUTOCROSS]))
     kept = copy.deepcopy(run)
     assert kept.world.codec is run.world.codec
     assert kept.world.track is run.world.track
     assert kept.bridge is not run.bridge
     assert kept.world.vcu is not run.world.vcu
     assert kept.world.vcu.switches is not run.world.vcu.switches
-
-
-def test_a_world_without_an_onboard_computer_can_be_copied_too() -> None:
-    world = World(WorldSetup(missions=[Ami.SKIDPAD], gps=True))
-    world.advance(8 * S)
-    kept = copy.deepcopy(world)
-    assert kept.advance(9 * S) == world.advance(9 * S)
-    assert kept.truth == world.truth

@@ -135,15 +135,6 @@ def test_a_lost_message_or_echo_in_as_driving_stops_the_car(
     assert bench.status().faults.ai_comms_lost
 
 
-@pytest.mark.parametrize("way", ["to_ready", "to_finished"])
-def test_ai_silence_is_an_emergency_in_as_ready_and_as_finished(way: str) -> None:
-    bench: Bench = getattr(Bench(), way)()
-    bench.talks = False
-    bench.run(150 * MS)
-    assert bench.state is AsState.EMERGENCY_BRAKE
-    assert bench.vcu.shutdown_cause is ShutdownCause.AI_COMMS_FAULT
-
-
 @pytest.mark.parametrize("name", ["2021", "2026"])
 def test_in_as_off_a_lost_link_is_reported_and_recovers(name: str) -> None:
     bench = Bench(name).power_up()
@@ -200,6 +191,5 @@ def test_the_2021_status_message_names_each_timeout() -> None:
     del bench.sent[:]
     bench.run(20 * MS)
     system = bench.images(VcuSystemStatus)[-1]
-    assert isinstance(system, VcuSystemStatus)
     assert system.drive_rear_timeout and system.brake_timeout and system.warn_ai_comms_lost
     assert not (system.status_timeout or system.drive_front_timeout or system.steer_timeout or system.handshake_timeout)

@@ -50,7 +50,7 @@ def test_2021_the_vcu_stays_in_aux_until_ai_data_arrives() -> None:
     assert bench.tsal() is Tsal.GREEN
     bench.talks = True
     bench.run(5 * S)
-    said = [image for image in bench.images(VcuSystemStatus) if isinstance(image, VcuSystemStatus)]
+    said = bench.images(VcuSystemStatus)
     assert distinct([image.sm_sys for image in said]) == [
         SystemState.POWER_ON_SELF_TEST,
         SystemState.AUX,
@@ -85,7 +85,7 @@ def test_2026_ts_and_ebs_come_up_when_valid_can_data_arrives() -> None:
     del bench.sent[:]
     bench.talks = True
     bench.run(5 * S)
-    said = [image for image in bench.images(VcuStatus) if isinstance(image, VcuStatus)]
+    said = bench.images(VcuStatus)
     assert distinct([image.ts_state for image in said]) == [
         TsState.TS_INIT,
         TsState.TS_PRECHARGE,
@@ -119,7 +119,6 @@ def test_the_ebs_is_not_armed_without_both_switches(name: str, missing: str) -> 
         setattr(bench.switches, switch, True)
     bench.run(10 * S)
     brake = bench.images(VcuBrake)[-1]
-    assert isinstance(brake, VcuBrake)
     assert brake.ebs_status is EbsStatus.UNAVAILABLE
     assert brake.brake_status is BrakeStatus.READY
 
@@ -229,26 +228,19 @@ def test_an_unknown_revision_is_refused_by_name() -> None:
 # ---------------------------------------------------------------- indicators
 
 
-def test_assi_and_siren_tell_the_run() -> None:
-    bench = Bench()
-    seen: list[tuple[str, str]] = []
-    bench.power_up()
-    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
-    bench = Bench().to_ready()
-    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
-    bench = Bench().to_driving()
-    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
-    bench = Bench().to_finished()
-    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
-    bench = Bench().to_emergency()
-    seen.append((bench.vcu.indicators.assi, bench.vcu.indicators.siren))
-    assert seen == [
-        ("off", "off"),
-        ("yellow", "off"),
-        ("yellow flashing", "on"),
-        ("blue", "off"),
-        ("blue flashing", "on"),
-    ]
+@pytest.mark.parametrize(
+    ("way", "assi", "siren"),
+    [
+        ("power_up", Assi.OFF, Siren.OFF),
+        ("to_ready", Assi.YELLOW, Siren.OFF),
+        ("to_driving", Assi.YELLOW_FLASHING, Siren.ON),
+        ("to_finished", Assi.BLUE, Siren.OFF),
+        ("to_emergency", Assi.BLUE_FLASHING, Siren.ON),
+    ],
+)
+def test_assi_and_siren_tell_the_run(way: str, assi: Assi, siren: Siren) -> None:
+    shown = getattr(Bench(), way)().vcu.indicators
+    assert (shown.assi, shown.siren) == (assi, siren)
 
 
 def test_blue_joins_yellow_for_one_second_after_the_five_seconds() -> None:

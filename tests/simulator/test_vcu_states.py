@@ -8,19 +8,21 @@ from typing import Any
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.as_machine import AI_FAULTS, CAR_FAULTS, ROWS, Fault, Row, Situation, taken, transition_table
-from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, SPECIFICATION, Profile
+from fsai_hil.simulator.as_machine import AI_FAULTS, CAR_FAULTS, Situation, taken, transition_table
+from fsai_hil.simulator.profiles import SPECIFICATION
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.messages import Faults
 from fsai_vcu.interface.units import MS, S
 
 TABLE = transition_table(SPECIFICATION)
+INIT, OFF, READY, DRIVING = AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
+FINISHED, EMERGENCY = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE
 
 # A situation in which each state stays as it is: a sound car whose AI computer does what it should.
 QUIET: dict[AsState, Situation] = {
-    AsState.AS_INIT: Situation(),
-    AsState.AS_OFF: Situation(),
-    AsState.AS_READY: Situation(
+    INIT: Situation(),
+    OFF: Situation(),
+    READY: Situation(
         asms=True,
         tsms=True,
         ami=Ami.TRACKDRIVE,
@@ -28,7 +30,7 @@ QUIET: dict[AsState, Situation] = {
         ebs_unavailable=False,
         mission_status=MissionStatus.SELECTED,
     ),
-    AsState.AS_DRIVING: Situation(
+    DRIVING: Situation(
         asms=True,
         tsms=True,
         go=True,
@@ -42,48 +44,36 @@ QUIET: dict[AsState, Situation] = {
         torque_requested=True,
         steer_requested=True,
     ),
-    AsState.AS_FINISHED: Situation(
-        asms=True, tsms=True, go=True, ebs_armed=True, mission_status=MissionStatus.FINISHED
-    ),
-    AsState.EMERGENCY_BRAKE: Situation(asms=True, tsms=True, sdc_open=True),
+    FINISHED: Situation(asms=True, tsms=True, go=True, ebs_armed=True, mission_status=MissionStatus.FINISHED),
+    EMERGENCY: Situation(asms=True, tsms=True, sdc_open=True),
 }
 
 ROWS_OF_THE_SPECIFICATION: list[tuple[AsState, AsState, dict[str, Any]]] = [
-    (AsState.AS_INIT, AsState.AS_OFF, {"tractive_system_running": True, "ebs_armed": True}),
+    (INIT, OFF, {"tractive_system_running": True, "ebs_armed": True}),
     (
-        AsState.AS_OFF,
-        AsState.AS_READY,
-        {
-            "asms": True,
-            "tsms": True,
-            "ebs_armed": True,
-            "ami": Ami.SKIDPAD,
-            "mission_status": MissionStatus.SELECTED,
-        },
+        OFF,
+        READY,
+        {"asms": True, "tsms": True, "ebs_armed": True, "ami": Ami.SKIDPAD, "mission_status": MissionStatus.SELECTED},
     ),
-    (AsState.AS_READY, AsState.AS_DRIVING, {"ready_wait_over": True, "go": True, "go_rising": True}),
-    (AsState.AS_READY, AsState.EMERGENCY_BRAKE, {"sdc_open": True}),
-    (AsState.AS_READY, AsState.EMERGENCY_BRAKE, {"comms_lost": True}),
-    (AsState.AS_READY, AsState.AS_OFF, {"asms": False}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"sdc_open": True}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"asms": False}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"go": False}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"estop_request": True}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"mission_status": MissionStatus.FINISHED}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"direction": Direction.NEUTRAL}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"comms_lost": True}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"brake_requested": True}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"bms_fault": True}),
-    (AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, {"ebs_unavailable": True}),
-    (
-        AsState.AS_DRIVING,
-        AsState.AS_FINISHED,
-        {"mission_status": MissionStatus.FINISHED, "fastest_wheel_rpm": 9.9, "slowest_wheel_rpm": 0.0},
-    ),
-    (AsState.AS_FINISHED, AsState.AS_OFF, {"asms": False}),
-    (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, {"sdc_open": True}),
-    (AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, {"comms_lost": True}),
-    (AsState.EMERGENCY_BRAKE, AsState.AS_OFF, {"emergency_timer_over": True, "asms": False}),
+    (READY, DRIVING, {"ready_wait_over": True, "go": True, "go_rising": True}),
+    (READY, EMERGENCY, {"sdc_open": True}),
+    (READY, EMERGENCY, {"comms_lost": True}),
+    (READY, OFF, {"asms": False}),
+    (DRIVING, EMERGENCY, {"sdc_open": True}),
+    (DRIVING, EMERGENCY, {"asms": False}),
+    (DRIVING, EMERGENCY, {"go": False}),
+    (DRIVING, EMERGENCY, {"estop_request": True}),
+    (DRIVING, EMERGENCY, {"mission_status": MissionStatus.FINISHED}),
+    (DRIVING, EMERGENCY, {"direction": Direction.NEUTRAL}),
+    (DRIVING, EMERGENCY, {"comms_lost": True}),
+    (DRIVING, EMERGENCY, {"brake_requested": True}),
+    (DRIVING, EMERGENCY, {"bms_fault": True}),
+    (DRIVING, EMERGENCY, {"ebs_unavailable": True}),
+    (DRIVING, FINISHED, {"mission_status": MissionStatus.FINISHED, "fastest_wheel_rpm": 9.9, "slowest_wheel_rpm": 0.0}),
+    (FINISHED, OFF, {"asms": False}),
+    (FINISHED, EMERGENCY, {"sdc_open": True}),
+    (FINISHED, EMERGENCY, {"comms_lost": True}),
+    (EMERGENCY, OFF, {"emergency_timer_over": True, "asms": False}),
 ]
 
 
@@ -91,18 +81,6 @@ def named(case: Any) -> str | None:
     if isinstance(case, AsState):
         return case.label
     return "+".join(case) if isinstance(case, dict) else None
-
-
-def test_every_state_has_an_entry_in_the_table_of_every_profile() -> None:
-    for profile in (SPECIFICATION, OFFICIAL_SIMULATOR):
-        assert set(transition_table(profile)) == set(AsState)
-
-
-def test_every_row_that_depends_on_a_profile_names_a_field_of_it() -> None:
-    names = {field.name for field in fields(Profile)}
-    items: list[Row | Fault] = [*ROWS, *AI_FAULTS, *CAR_FAULTS]
-    conditions = {name for item in items for name in (item.only, item.unless) if name}
-    assert conditions and conditions <= names
 
 
 def test_every_fault_is_a_fault_bit_of_the_status_message() -> None:
@@ -146,21 +124,15 @@ def test_a_row_needs_each_of_its_conditions(source: AsState, target: AsState, co
     ids=named,
 )
 def test_the_car_does_not_start_with_an_unmet_as_ready_condition(hindrance: dict[str, Any]) -> None:
-    willing = replace(QUIET[AsState.AS_READY], ready_wait_over=True, go=True, go_rising=True, steer_deg=4.99)
-    assert taken(TABLE, AsState.AS_READY, willing) is not None
-    assert taken(TABLE, AsState.AS_READY, replace(willing, **hindrance)) is None
+    willing = replace(QUIET[READY], ready_wait_over=True, go=True, go_rising=True, steer_deg=4.99)
+    assert taken(TABLE, READY, willing) is not None
+    assert taken(TABLE, READY, replace(willing, **hindrance)) is None
 
 
 @pytest.mark.parametrize("status", [s for s in MissionStatus if s is not MissionStatus.SELECTED])
 def test_as_ready_needs_the_ai_computers_acknowledgement(status: MissionStatus) -> None:
-    situation = replace(QUIET[AsState.AS_READY], mission_status=status)
-    assert taken(TABLE, AsState.AS_OFF, situation) is None
-
-
-def test_as_ready_is_refused_while_a_power_cycle_is_due() -> None:
-    willing = QUIET[AsState.AS_READY]
-    assert taken(TABLE, AsState.AS_OFF, willing) is not None
-    assert taken(TABLE, AsState.AS_OFF, replace(willing, power_cycle_needed=True)) is None
+    situation = replace(QUIET[READY], mission_status=status)
+    assert taken(TABLE, OFF, situation) is None
 
 
 @pytest.mark.parametrize("rpm", [10.0, 9.99, 0.0])
@@ -168,15 +140,15 @@ def test_as_ready_is_refused_while_a_power_cycle_is_due() -> None:
     "lie", [{"mission_status": MissionStatus.FINISHED}, {"direction": Direction.NEUTRAL}], ids=named
 )
 def test_finished_or_neutral_at_10_rpm_or_less_is_no_fault(rpm: float, lie: dict[str, Any]) -> None:
-    situation = replace(QUIET[AsState.AS_DRIVING], fastest_wheel_rpm=rpm, slowest_wheel_rpm=0.0, **lie)
-    row = taken(TABLE, AsState.AS_DRIVING, situation)
-    assert row is None or row.target is AsState.AS_FINISHED
+    situation = replace(QUIET[DRIVING], fastest_wheel_rpm=rpm, slowest_wheel_rpm=0.0, **lie)
+    row = taken(TABLE, DRIVING, situation)
+    assert row is None or row.target is FINISHED
 
 
 def test_finished_needs_every_wheel_under_ten_rpm_and_not_at_it() -> None:
-    for rpm, target in ((10.0, None), (9.99, AsState.AS_FINISHED)):
-        situation = replace(QUIET[AsState.AS_DRIVING], mission_status=MissionStatus.FINISHED, fastest_wheel_rpm=rpm)
-        row = taken(TABLE, AsState.AS_DRIVING, situation)
+    for rpm, target in ((10.0, None), (9.99, FINISHED)):
+        situation = replace(QUIET[DRIVING], mission_status=MissionStatus.FINISHED, fastest_wheel_rpm=rpm)
+        row = taken(TABLE, DRIVING, situation)
         assert (row.target if row else None) is target
 
 
@@ -201,8 +173,8 @@ def test_finished_needs_every_wheel_under_ten_rpm_and_not_at_it() -> None:
 def test_a_fault_in_as_driving_brings_its_fault_bit_and_cause(
     lie: dict[str, Any], fault: str, cause: ShutdownCause
 ) -> None:
-    row = taken(TABLE, AsState.AS_DRIVING, replace(QUIET[AsState.AS_DRIVING], **lie))
-    assert row is not None and row.target is AsState.EMERGENCY_BRAKE
+    row = taken(TABLE, DRIVING, replace(QUIET[DRIVING], **lie))
+    assert row is not None and row.target is EMERGENCY
     assert row.fault is not None
     assert (row.fault.name, row.fault.cause) == (fault, cause)
 
@@ -215,7 +187,7 @@ def test_a_whole_run_goes_through_the_states_in_their_order() -> None:
     bench.switches.asms = False
     bench.run(10 * MS)
     states = [state for _, state in bench.vcu.history]
-    assert states == [AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED, AsState.AS_OFF]
+    assert states == [OFF, READY, DRIVING, FINISHED, OFF]
     assert [str(t) for t in bench.vcu.transitions][1] == "AS_READY -> AS_DRIVING: Go"
 
 
@@ -227,12 +199,12 @@ def test_go_1_ns_before_5_s_in_as_ready_is_lost() -> None:
     bench.tick(0)
     assert bench.vcu.in_state_ns == 5 * S - 1
     bench.run(2 * S)
-    assert bench.state is AsState.AS_READY, "a Go that was on too early must not start the car later"
+    assert bench.state is READY, "a Go that was on too early must not start the car later"
     bench.switches.go = False
     bench.run(10 * MS)
     bench.switches.go = True
     bench.run(10 * MS)
-    assert bench.state is AsState.AS_DRIVING
+    assert bench.state is DRIVING
 
 
 def test_go_at_five_seconds_in_as_ready_starts_the_car() -> None:
@@ -240,7 +212,7 @@ def test_go_at_five_seconds_in_as_ready_starts_the_car() -> None:
     bench.run(bench.vcu.history[-1][0] + 5 * S - bench.now_ns)
     bench.switches.go = True
     bench.tick(0)
-    assert bench.vcu.history[-1] == (bench.now_ns, AsState.AS_DRIVING)
+    assert bench.vcu.history[-1] == (bench.now_ns, DRIVING)
 
 
 def test_a_go_left_on_since_power_up_does_not_start_the_car() -> None:
@@ -248,7 +220,7 @@ def test_a_go_left_on_since_power_up_does_not_start_the_car() -> None:
     bench.switches.go = True
     bench.to_ready()
     bench.run(8 * S)
-    assert bench.state is AsState.AS_READY
+    assert bench.state is READY
 
 
 def test_the_car_is_not_started_with_its_wheels_turned() -> None:
@@ -257,7 +229,7 @@ def test_the_car_is_not_started_with_its_wheels_turned() -> None:
     bench.run(6 * S)
     bench.switches.go = True
     bench.run(10 * MS)
-    assert bench.state is AsState.AS_READY
+    assert bench.state is READY
 
 
 @pytest.mark.parametrize(
@@ -272,7 +244,7 @@ def test_whatever_opens_the_shutdown_circuit_is_an_emergency(switch: str, value:
     bench = Bench().to_driving()
     setattr(bench.switches, switch, value)
     bench.tick()
-    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.state is EMERGENCY
     assert bench.vcu.actuation.ebs_engaged
 
 
@@ -281,7 +253,7 @@ def test_tsms_off_while_driving_is_an_emergency() -> None:
     bench = Bench().to_driving()
     bench.switches.tsms = False
     bench.tick()
-    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.state is EMERGENCY
     assert bench.vcu.shutdown_cause is ShutdownCause.EBS_FAULT
 
 
@@ -291,7 +263,7 @@ def test_a_fault_stays_in_the_status_until_power_is_cycled() -> None:
     bench.run(16 * S)
     bench.switches.asms = False
     status = bench.status()
-    assert status.as_state is AsState.AS_OFF
+    assert status.as_state is OFF
     assert status.fault and status.faults.ai_estop_request
     assert status.shutdown_cause is ShutdownCause.AI_COMPUTER_REQUEST
     bench.switches.lvms = False
@@ -306,9 +278,9 @@ def test_an_emergency_ends_after_15_s_and_not_1_ns_before() -> None:
     bench = Bench().to_emergency()
     bench.switches.asms = False
     bench.run(bench.vcu.history[-1][0] + 15 * S - 1 - bench.now_ns)
-    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.state is EMERGENCY
     bench.tick(1)
-    assert bench.state is AsState.AS_OFF
+    assert bench.state is OFF
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])
@@ -320,25 +292,25 @@ def test_after_an_emergency_only_a_power_cycle_makes_ready_again(name: str) -> N
     bench.run(S)
     bench.switches.asms = True
     bench.run(10 * S)
-    assert bench.state is AsState.AS_OFF
+    assert bench.state is OFF
     assert bench.vcu.power_cycle_needed
     bench.switches.lvms = False
     bench.run(S)
     bench.switches.lvms = True
-    bench.run_until(lambda: bench.state is AsState.AS_READY, 10 * S)
+    bench.run_until(lambda: bench.state is READY, 10 * S)
     assert bench.vcu.power_cycles == 1
 
 
 def test_torque_and_brake_meeting_between_two_frames_are_a_fault() -> None:
     bench = Bench().to_driving()
     bench.deliver(rear_torque_nm=50.0, rear_motor_speed_max_rpm=500)
-    assert bench.state is AsState.AS_DRIVING
+    assert bench.state is DRIVING
     # the next cycle brakes without torque, but its brake frame comes before the torque frames
-    braking = replace(bench.command, handshake=bench.vcu.handshake, rear_torque_nm=0.0, rear_brake_pct=20.0)
+    braking = replace(bench.command, handshake=bench.echo, rear_torque_nm=0.0, rear_brake_pct=20.0)
     status, front, rear, steer, brake = bench.codec.encode_command(braking, bench.now_ns)
     for frame in (status, brake, front, rear, steer):
         bench.vcu.on_frame(frame)
-    assert bench.state is AsState.EMERGENCY_BRAKE
+    assert bench.state is EMERGENCY
     assert bench.vcu.shutdown_cause is ShutdownCause.BRAKE_PLAUSIBILITY_FAULT
 
 
@@ -347,7 +319,7 @@ def test_torque_before_brake_in_one_cycle_is_no_fault() -> None:
     bench.deliver(rear_torque_nm=50.0, rear_motor_speed_max_rpm=500)
     bench.deliver(rear_torque_nm=0.0, rear_brake_pct=20.0)
     bench.run(S)
-    assert bench.state is AsState.AS_DRIVING
+    assert bench.state is DRIVING
 
 
 # ---------------------------------------------------------------- what it orders

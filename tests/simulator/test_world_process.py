@@ -12,7 +12,6 @@ import time
 from pathlib import Path
 
 import pytest
-from scripted_driver import ScriptedDriver
 
 from fsai_hil.simulator import plot, process
 from fsai_hil.simulator.ground_truth import TruthReceiver
@@ -22,6 +21,7 @@ from fsai_hil.simulator.tracks import load_track
 from fsai_hil.simulator.world import World, WorldSetup
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS
 from fsai_vcu.runtime.bus import BusLost, open_bus
 
 
@@ -75,6 +75,8 @@ def test_typed_commands_move_switches_and_answer_in_words() -> None:
     assert switches.ami is Ami.SKIDPAD
     vcu.command("go")
     assert switches.go
+    assert vcu.command("go") == "go: off and on again", "only a rising edge starts the car"
+    assert not switches.go
     vcu.command("estop")
     assert switches.remote_estop
     vcu.command("estop off")
@@ -85,13 +87,6 @@ def test_typed_commands_move_switches_and_answer_in_words() -> None:
     assert "quit" in vcu.command("help")
     vcu.command("quit")
     assert vcu.interrupted == "asked to quit"
-
-
-def test_a_go_that_is_on_already_is_taken_back_first() -> None:
-    vcu = made(FakeBus())
-    vcu.command("go")
-    assert vcu.command("go") == "go: off and on again"
-    assert not vcu.world.vcu.switches.go
 
 
 @pytest.mark.parametrize("line", ["fly", "asms maybe", "ami rally", "torque_limit_nm on", "__class__"])
@@ -162,7 +157,6 @@ def test_an_auto_run_ends_when_the_time_is_up_and_fails(capsys: pytest.CaptureFi
         (["-i", "loopback:t", "--track", "gone.csv"], "gone.csv: cannot be read"),
         (["-i", "loopback:t", "--mission", "rally"], "unknown mission 'rally'"),
         (["-i", "loopback:t", "--mission", "skidpad", "--track", "autocross"], "needs a track of kind skidpad"),
-        (["-i", "loopback:t", "--laps", "0"], "--laps is 0"),
         (["-i", "loopback:t", "--truth", "70000"], "--truth is 70000"),
         (["-i", "loopback:t", "--timeout", "nan"], "--timeout is nan"),
         (["-i", "loopback:t", "--timeout", "inf"], "--timeout is inf"),
@@ -220,13 +214,43 @@ def test_the_process_sends_frames_and_truth_and_ends_cleanly(tmp_path: Path) -> 
     assert " 520#" in log.read_text()
 
 
+def test_a_measurement_covers_one_mark_to_the_next() -> None:
+    vcu = made(FakeBus())
+    assert process.result_of(vcu)["measurements"] == []
+    answered, late = vcu.world.vcu.response_times_ns, vcu.status_late_ns
+    answered += [90 * MS]  # before anybody measured
+    assert vcu.command("measure idle") == "measuring: idle"
+    answered += [1 * MS, 2 * MS]
+    late += [3 * MS]
+    vcu.held_up_ns += 60 * MS
+    assert vcu.command("measure") == "measuring: 2"
+    answered += [40 * MS]
+    vcu.world.vcu.comms_losses += 1
+    idle, second = process.result_of(vcu)["measurements"]
+    assert (idle["name"], idle["response"]["count"], idle["response"]["max_ms"]) == ("idle", 2, 2.0)
+    assert (idle["status_late"]["max_ms"], idle["held_up_ms"], idle["comms_losses"]) == (3.0, 60.0, 0)
+    assert (second["name"], second["response"]["max_ms"], second["comms_losses"]) == ("2", 40.0, 1)
+    assert second["held_up_ms"] == 0.0
+
+
+def test_each_status_that_was_sent_tells_how_late_it_was() -> None:
+    bus = FakeBus()
+    vcu = made(bus, "--timeout", "0.6")
+    vcu.command("on")
+    vcu.loop()
+    sent = [frame for frame in bus.sent if frame.can_id == 0x520]
+    assert len(sent) > 0
+    assert len(vcu.status_late_ns) == len(sent)
+    assert min(vcu.status_late_ns) >= 0
+
+
 # ------------------------------------------------------------ pictures
 
 
 def test_a_picture_of_a_run_is_a_png(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     world = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False))
-    ScriptedDriver(world).run(15.0)
+    world.advance(5_000_000_000)
     path = tmp_path / "run.png"
     save_plot(path, world.track, world.samples, world.verdict())
     assert path.read_bytes().startswith(b"\x89PNG")

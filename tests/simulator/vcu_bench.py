@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 from fsai_hil.simulator.car_signals import CarFeedback
 from fsai_hil.simulator.indicators import Siren, Tsal
@@ -20,6 +20,7 @@ from fsai_vcu.interface.messages import AiCommand, Image, VcuStatus
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.units import MS, S
 
+ImageT = TypeVar("ImageT", bound=Image)
 CYCLE_NS = 10 * MS
 ANSWER_NS = 1 * MS
 
@@ -46,7 +47,7 @@ class Bench:
         self.operator = Operator()
         self.sent: list[Frame] = []
         self._answer_due_ns: int | None = None
-        self._echo = False
+        self.echo = False  # the HANDSHAKE that it received last
 
     @property
     def switches(self) -> Switches:
@@ -74,7 +75,7 @@ class Bench:
         frames = self.vcu.step(self.now_ns, self.car)
         for frame in frames:
             if frame.can_id == 0x520:
-                self._echo = bool(frame.data[0] & 1)
+                self.echo = bool(frame.data[0] & 1)
                 if self.talks:
                     self._answer_due_ns = frame.t_ns + self.answer_ns
         self.sent.extend(frames)
@@ -82,7 +83,7 @@ class Bench:
 
     def answer(self, t_ns: int) -> None:
         """The five frames of the AI computer, at `t_ns`."""
-        handshake = self._echo if self.echoes else not self._echo
+        handshake = self.echo if self.echoes else not self.echo
         for frame in self.codec.encode_command(replace(self.command, handshake=handshake), t_ns):
             if frame.can_id not in self.silent_ids:
                 self.vcu.on_frame(frame)
@@ -105,7 +106,7 @@ class Bench:
             assert self.now_ns < until_ns, f"still {self.state.label} after {limit_ns / S:g} s"
             self.tick()
 
-    def images(self, kind: type[Image]) -> list[Image]:
+    def images(self, kind: type[ImageT]) -> list[ImageT]:
         decoded = (self.codec.decode(frame).image for frame in self.sent)
         return [image for image in decoded if isinstance(image, kind)]
 
@@ -113,9 +114,7 @@ class Bench:
         """The next 0x520."""
         del self.sent[:]
         self.run_until(lambda: bool(self.images(VcuStatus)), 20 * MS + S)
-        status = self.images(VcuStatus)[-1]
-        assert isinstance(status, VcuStatus)
-        return status
+        return self.images(VcuStatus)[-1]
 
     def siren(self) -> Siren:
         return self.vcu.indicators.siren

@@ -58,6 +58,9 @@ def test_it_says_which_place_and_why_and_runs_the_whole_suite(
 
 
 def test_what_is_not_its_own_option_is_pytests_in_the_same_order(place: FakePlace, tmp_path: Path) -> None:
+    part = "tests/hil/test_vcan.py::test_ones_own_frames_do_not_come_back"
+    assert main(["hil", "--results", str(tmp_path), part]) == 0
+    assert pytest_arguments(place) == [part], "instead of the whole suite"
     assert main(["hil", "-x", "--uml", "-k", "killed", "--timeout", "30", "--results", str(tmp_path), "-v"]) == 0
     assert pytest_arguments(place) == ["tests/hil", "-x", "-k", "killed", "-v"]
     assert place.options["timeout_s"] == 30.0 * place.options["pace"], "by the clock inside"
@@ -103,12 +106,6 @@ def test_sigterm_ends_it_as_ctrl_c_does(place: FakePlace, tmp_path: Path, monkey
     assert main(["hil", "--results", str(tmp_path)]) == 0
     assert handlers == [signal.default_int_handler]
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_a_named_part_of_the_suite_is_run_instead_of_all_of_it(place: FakePlace, tmp_path: Path) -> None:
-    part = "tests/hil/test_vcan.py::test_ones_own_frames_do_not_come_back"
-    assert main(["hil", "--results", str(tmp_path), part]) == 0
-    assert pytest_arguments(place) == [part]
 
 
 @pytest.mark.parametrize("status", [1, 5, 124])
@@ -167,12 +164,14 @@ def test_secrets_of_the_callers_environment_stay_outside(
     assert place.options["env"]["LANG"] == "C.UTF-8"
 
 
+@pytest.mark.parametrize("words", [["hil"], ["scrutineering", "--native"]])
 def test_where_no_vcan_can_be_had_it_fails_with_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
 ) -> None:
     def no_place(wanted: str) -> VcanHost:
         raise VcanError("no vcan here; as root: install it")
 
     monkeypatch.setattr("fsai_hil.vcan.choose_place", no_place)
-    assert main(["hil", "--results", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == "fsai-vcu hil: no vcan here; as root: install it\n"
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 1
+    assert capsys.readouterr().err == f"fsai-vcu {words[0]}: no vcan here; as root: install it\n"

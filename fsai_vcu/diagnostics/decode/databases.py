@@ -1,7 +1,7 @@
 """Signal databases as the diagnostics use them: several at once, the project's own or any that cantools can read.
 
 Of each message there is a `MessageLayout`: plain data, enough to take a plain message apart. Messages that are not
-plain (big-endian, multiplexed, longer than eight bytes, …) are decoded by cantools, which is loaded when one is met.
+plain (multiplexed, longer than eight bytes, …) are decoded by cantools, which is loaded when one is met.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
@@ -27,6 +27,10 @@ _INT64 = 1 << 63
 
 class DatabasesError(UserError, ValueError):
     """A database that cannot be used; the message is one clear line."""
+
+
+class UndecodableError(ValueError):
+    """The bits of a frame mean nothing in its message; the message says why."""
 
 
 class Databases:
@@ -52,6 +56,19 @@ class Databases:
     @cached_property
     def _messages(self) -> Mapping[int, Message]:
         return self._load()
+
+    def decoded(
+        self, layout: MessageLayout, data: bytes, *, scaling: bool = True, choices: bool = False
+    ) -> dict[str, Any]:
+        """One frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
+
+        Raises UndecodableError.
+        """
+        message = self.message(layout.key)
+        try:
+            return dict(message.decode_simple(data, choices, scaling, allow_truncated=True, allow_excess=True))
+        except Exception as error:  # cantools lets several unrelated kinds of errors through
+            raise UndecodableError(" ".join(str(error).split()) or type(error).__name__) from error
 
     def by_name(self, name: str) -> MessageLayout | None:
         return next((layout for layout in self.layouts.values() if layout.name == name), None)
@@ -148,7 +165,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="cp1252", errors="replace")
     except OSError:
-        return ""  # said properly by the loader
+        return ""  # reported by the loader
 
 
 def _layout(message: Message) -> MessageLayout:
@@ -180,8 +197,9 @@ def _layout(message: Message) -> MessageLayout:
 def _signal_layout(signal: Signal) -> SignalLayout:
     return SignalLayout(
         signal.name,
-        signal.start,
+        _lowest_bit(signal),
         signal.length,
+        signal.byte_order == "big_endian",
         signal.is_signed,
         signal.is_float,
         signal.scale,
@@ -191,8 +209,17 @@ def _signal_layout(signal: Signal) -> SignalLayout:
     )
 
 
+def _lowest_bit(signal: Signal) -> int:
+    """As in SignalLayout; of a big-endian signal cantools names the highest bit, by its place in its byte."""
+    if signal.byte_order != "big_endian":
+        return signal.start
+    return 8 * (_MAX_PLAIN_BYTES - 1 - signal.start // 8) + signal.start % 8 - signal.length + 1
+
+
 def _is_plain(signal: Signal, length: int) -> bool:
-    if signal.byte_order != "little_endian" or not 0 < signal.length <= 64 or signal.start + signal.length > 8 * length:
+    lowest = _lowest_bit(signal)
+    first = 8 * (_MAX_PLAIN_BYTES - length) if signal.byte_order == "big_endian" else 0
+    if not 0 < signal.length <= 64 or lowest < first or lowest + signal.length > first + 8 * length:
         return False
     if signal.unit is not None and "\0" in signal.unit:
         return False

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.decode.databases import Databases, UndecodableError
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, Words
 
@@ -56,10 +56,6 @@ class MessageTable:
     wrong_length: Ints
 
 
-class UndecodableError(ValueError):
-    """The bits of a frame mean nothing in its message; the message says why."""
-
-
 class Decoder:
     """Decodes with the messages of `databases`."""
 
@@ -100,7 +96,7 @@ class Decoder:
             at += count
 
     def tables(self, frames: Frames, names: set[str] | None = None) -> dict[str, MessageTable]:
-        """Every message heard (or those called `names`) as a table."""
+        """Every message received (or those called `names`) as a table."""
         return {
             layout.name: self.table(layout, frames, rows)
             for layout, rows in self.by_message(frames)
@@ -133,7 +129,7 @@ class Decoder:
         convert = {signal.name: signal.conversion for signal in message.signals}
         for row in rows.tolist():
             try:
-                decoded = self.careful(layout, frames.payload(row), scaling=False)
+                decoded = self.databases.decoded(layout, frames.payload(row), scaling=False)
             except UndecodableError:
                 continue  # it has no values to put into columns; the printed line says why
             for name, raw in decoded.items():
@@ -156,19 +152,6 @@ class Decoder:
             )
         return series
 
-    def careful(
-        self, layout: MessageLayout, data: bytes, *, scaling: bool = True, choices: bool = False
-    ) -> dict[str, Any]:
-        """One frame through cantools: all signals that lie in its data. `choices`: words, not numbers.
-
-        Raises UndecodableError.
-        """
-        message = self.databases.message(layout.key)
-        try:
-            return dict(message.decode_simple(data, choices, scaling, allow_truncated=True, allow_excess=True))
-        except Exception as error:  # cantools lets several unrelated kinds of errors through
-            raise UndecodableError(" ".join(str(error).split()) or type(error).__name__) from error
-
 
 def values_of(signal: SignalLayout, words: Words) -> tuple[Numbers, Numbers]:
     """(physical values, raw values) of a signal of a plain message, from its payloads as numbers."""
@@ -186,6 +169,8 @@ def _values_of(signal: SignalLayout, raw: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def raw_of(signal: SignalLayout, words: Words) -> Numbers:
+    if signal.big_endian:
+        words = words.byteswap()
     above = np.uint64(64 - signal.start - signal.length)
     if signal.is_float:
         kind = "<u4" if signal.length == 32 else "<u8"

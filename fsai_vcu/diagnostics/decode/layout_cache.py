@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 
-_FORMAT: Final = 1  # counts up when what is remembered, or how it is made of a file, changes
+_FORMAT: Final = 3  # counts up when what is remembered, or how it is made of a file, changes
 
 
 def digest(paths: Sequence[Path]) -> str:
@@ -30,16 +30,16 @@ def digest(paths: Sequence[Path]) -> str:
 def recall(key: str) -> tuple[list[MessageLayout], int | None] | None:
     """What was kept under `key`: (layouts, baud rate)."""
     try:
-        kept = json.loads(_file(key).read_bytes())
-        return [_layout(entry) for entry in kept["layouts"]], kept["baudrate"]
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
+        layouts, baudrate = json.loads(_file(key).read_bytes())  # named tuples have become lists
+        return [_layout(*entry) for entry in layouts], baudrate
+    except (OSError, ValueError, TypeError, AttributeError, RuntimeError):
         return None
 
 
 def keep(key: str, layouts: Sequence[MessageLayout], baudrate: int | None) -> None:
     import tempfile  # here, and not for every command that finds what it needs
 
-    text = json.dumps({"layouts": [_entry(layout) for layout in layouts], "baudrate": baudrate})
+    text = json.dumps([layouts, baudrate])
     with suppress(OSError, RuntimeError):  # no home, no room, no right: then the next run loads the files again
         file = _file(key)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -54,13 +54,9 @@ def _file(key: str) -> Path:
     return Path(base) / "fsai-vcu" / f"layouts-{key[:32]}.json"
 
 
-def _entry(layout: MessageLayout) -> dict[str, Any]:
-    return {**layout._asdict(), "signals": [signal._asdict() for signal in layout.signals]}
-
-
-def _layout(entry: dict[str, Any]) -> MessageLayout:
-    signals = tuple(
-        SignalLayout(**{**signal, "choices": {int(raw): word for raw, word in signal["choices"].items()}})
-        for signal in entry["signals"]
+def _layout(*entry: Any) -> MessageLayout:
+    *head, senders, signals, plain = entry
+    read = (
+        SignalLayout._make([*rest, {int(raw): word for raw, word in choices.items()}]) for *rest, choices in signals
     )
-    return MessageLayout(**{**entry, "senders": tuple(entry["senders"]), "signals": signals})
+    return MessageLayout._make([*head, tuple(senders), tuple(read), plain])

@@ -6,6 +6,7 @@ Named tuples: to load `dataclasses` takes as long as to decode ten thousand fram
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
 EXTENDED_KEY: Final = 1 << 29
@@ -13,14 +14,16 @@ EXTENDED_KEY: Final = 1 << 29
 
 
 class SignalLayout(NamedTuple):
-    """Where a signal of a plain message lies (little-endian: `start` is its lowest bit) and what its bits mean.
+    """Where a signal of a plain message lies and what its bits mean.
 
+    start: its lowest bit in the eight bytes (zeros behind the message's own) as a number, little-endian or big-endian.
     The value is raw * scale + offset, reckoned with the very types that the database has: int or float.
     """
 
     name: str
     start: int
     length: int
+    big_endian: bool
     signed: bool
     is_float: bool
     scale: float
@@ -44,6 +47,10 @@ class MessageLayout(NamedTuple):
     senders: tuple[str, ...]
     signals: tuple[SignalLayout, ...]
     plain: bool
+
+    def is_called(self, name: str) -> bool:
+        """Whether that is its name (with * and ?) or its identifier (520 or 0x520)."""
+        return fnmatchcase(self.name.lower(), name.lower()) or name.lower().removeprefix("0x") == f"{self.can_id:x}"
 
     @property
     def key(self) -> int:

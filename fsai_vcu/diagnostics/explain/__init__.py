@@ -10,6 +10,8 @@ find causes by rules, with `causes.py` as the table of their words; nothing here
 
 from __future__ import annotations
 
+import numpy as np
+
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain.actuation import mismatches
@@ -55,6 +57,7 @@ def story_of(record: Record) -> Explanation:
         incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
         closing=_closing(record),
         problems=tuple(_missing(record)),
+        recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
 
 

@@ -24,9 +24,9 @@ from fsai_vcu.diagnostics.explain.incident import (
     candidate,
     ranked,
 )
-from fsai_vcu.diagnostics.explain.link import link_losses, ms, timeouts_said
+from fsai_vcu.diagnostics.explain.link import gap_at, link_losses, ms, timeouts_said
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
-from fsai_vcu.diagnostics.explain.signals import first_on, label, like_official_simulator
+from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
 from fsai_vcu.interface.specification import STANDING_RPM
@@ -298,10 +298,14 @@ def _state_before(record: Record, t_ns: int) -> float | None:
 def _radio(record: Record, t_ns: int, said: set[str]) -> list[Candidate]:
     """The remote's own words (0x181), and what a Go that vanishes may mean."""
     found = []
-    pressed = first_on(record.series(sig.REMOTE_ESTOP), t_ns - 2 * S, t_ns)
-    if pressed is not None:
-        step = sig.REMOTE_ESTOP.step(pressed, "ESTOP_STATUS is ON at the remote")
+    # Which of its two values means pressed is not in the interface: what held before the edge was released.
+    for edge in record.series(sig.REMOTE_ESTOP).changes(t_ns - 2 * S, t_ns)[:1]:
+        step = sig.REMOTE_ESTOP.step(edge.begin_ns, f"the remote's ESTOP_STATUS {edge.before:g} → {edge.value:g}")
         found.append(candidate("remote_estop", Sureness.SHOWN, [step]))
+    silent = gap_at(record, sig.REMOTE_ESTOP.can_id, t_ns, SILENT_NS)
+    if silent is not None:
+        step = ChainLink(silent.begin_ns, "the last 0x181 (RES_TPDO) before it is missing", sig.REMOTE_ESTOP.can_id)
+        found.append(candidate("radio_lost", Sureness.SHOWN, [step]))
     weak = [s for s in record.series(sig.RADIO_STRENGTH).changes(t_ns - 2 * S, t_ns) if s.value == 0]
     if weak:
         step = sig.RADIO_STRENGTH.step(weak[-1].begin_ns, "RADIO_STRENGTH falls to 0 %")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
@@ -134,6 +135,12 @@ class Explanation:
     incidents: tuple[Incident, ...]
     closing: str
     problems: tuple[str, ...] = field(default=())
+    recorded: frozenset[int] = frozenset()  # identifiers in the log
+
+    def to_record(self, cause: Cause) -> str:
+        """What to record next time for that cause; empty where this log has it already."""
+        wanted = {int(number, 16) for number in re.findall(r"0x([0-9A-F]{3})", cause.record)}
+        return "" if wanted and wanted <= self.recorded else cause.record
 
     @property
     def clean(self) -> bool:

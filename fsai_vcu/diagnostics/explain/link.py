@@ -75,8 +75,9 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
             steps.append(_error_step(record, int(errors[0]), len(errors)))
         if is_on(record, sig.ESTOP, first):
             steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped in order"))
-        found.append(candidate("ai_silent", said, steps))
-        return found
+        # An adapter that goes bus-off silences a program that runs on.
+        off = any("bus-off" in error_text(record, int(t_error_ns)) for t_error_ns in errors)
+        return [candidate("bus_lost" if off else "ai_silent", said, steps)]
     for can_id, gap in gaps.items():
         wrong = record.wrong_length.get(can_id)
         if wrong is not None and wrong[1] <= t_ns:

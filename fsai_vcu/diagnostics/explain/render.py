@@ -85,11 +85,10 @@ def _incident_lines(story: Explanation, incident: Incident, paint: Any) -> Itera
     yield from _wrapped(f"because {first.cause.words}", "  ", paint, "1")
     yield from _chain(incident, first, paint)
     yield from _wrapped(f"what to do: {first.cause.remedy}.", "  ", paint)
-    if first.sureness < Sureness.SHOWN or first.cause.record:
-        if first.sureness < Sureness.SHOWN:
-            yield from _wrapped(f"how sure: this {first.sureness.words}; the log does not prove it.", "  ", paint)
-        if first.cause.record:
-            yield from _wrapped(f"to know more, record next time: {first.cause.record}.", "  ", paint)
+    if first.sureness < Sureness.SHOWN:
+        yield from _wrapped(f"how sure: this {first.sureness.words}; the log does not prove it.", "  ", paint)
+    if record := story.to_record(first.cause):
+        yield from _wrapped(f"to know more, record next time: {record}.", "  ", paint)
     for other in incident.candidates[1 : 1 + _ALSO]:
         step = other.steps[0]
         yield from _wrapped(f"also ({other.sureness.words}): {other.cause.words}. {step.words}.", "  ", paint)
@@ -190,7 +189,7 @@ def incident_dict(story: Explanation, incident: Incident) -> dict[str, Any]:
                 "words": one.cause.words,
                 "sureness": one.sureness.name.lower(),
                 "remedy": one.cause.remedy,
-                "record": one.cause.record or None,
+                "record": story.to_record(one.cause) or None,
                 "chain": [
                     {
                         "t_s": round(seconds(story, step.t_ns), 6),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fsai_vcu.diagnostics.explain.record import Record, Series, Signal
+from fsai_vcu.diagnostics.explain.record import Record, Signal
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -116,13 +116,6 @@ def label(signal: Signal, value: float | None) -> str:
 def is_on(record: Record, signal: Signal, t_ns: int) -> bool:
     """Whether the signal's newest value at `t_ns` is not zero; False before it was heard."""
     return bool(record.series(signal).at(t_ns))
-
-
-def first_on(series: Series, begin_ns: int, end_ns: int) -> int | None:
-    """The first frame in the time given whose value is not zero."""
-    part = series.between(begin_ns, end_ns)
-    hits = part.values.nonzero()[0]
-    return int(part.t_ns[hits[0]]) if len(hits) else None
 
 
 def like_official_simulator(record: Record) -> bool:

@@ -50,8 +50,9 @@ def early_stops(record: Record) -> list[Incident]:
             found += _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
-        # Slow, or on stands, a mission that is done stops like this too: then only what the bus shows is a cause.
-        slow = (record.fastest_wheel().at(began_ns) or 0) < FAST_RPM
+        # Slow after a drive, or on stands, a mission that is done stops like this: then only what the bus shows counts.
+        wheels = record.fastest_wheel().between(span.begin_ns, began_ns).values
+        slow = len(wheels) and wheels[-1] < FAST_RPM <= wheels.max()
         on_stands = record.series(sig.AMI).at(began_ns) == Ami.STATIC_INSPECTION_A
         shown = any(one.slug not in NOT_SHOWN for one in stop.candidates)
         if shown or not (slow or on_stands):
@@ -71,10 +72,11 @@ def _without_a_stop(record: Record, span: Span) -> list[Incident]:
     candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
     inspected = record.series(sig.AMI).at(span.end_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
     long = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
-    if wheels.max() < STANDING_RPM and not inspected and (finished or long):
+    if wheels.max() < STANDING_RPM and (finished or long):
         candidates += _start_was_wrong(record, span)
-        step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
-        candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
+        if not inspected:
+            step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
+            candidates.append(candidate("stop_asked", Sureness.POSSIBLE, [step]))
     if not candidates:
         return []
     what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"

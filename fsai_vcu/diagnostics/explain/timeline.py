@@ -36,10 +36,10 @@ SWITCHES: Final = (
     (
         sig.REMOTE_ESTOP,
         "switches",
-        "the remote's E-stop is released",
-        "the remote's E-stop is pressed",
+        "the remote's ESTOP_STATUS is 0",
+        "the remote's ESTOP_STATUS is 1",
         Weight.STATE,
-        Weight.FAULT,
+        Weight.STATE,
     ),
     (sig.SHUTDOWN_REQUEST, "power", "SHUTDOWN_REQUEST ends", "the car asks for shutdown", Weight.NOTE, Weight.STATE),
     (

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
-from fsai_vcu.diagnostics.log.candump import Part, assembled, time_text
+from fsai_vcu.diagnostics.log.candump import time_text
+from fsai_vcu.diagnostics.log.characters import Part, assembled
 
 _QUOTED: Final = ('"', ",", "\n", "\r")
 

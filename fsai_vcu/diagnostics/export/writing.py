@@ -84,15 +84,14 @@ def export(
         whole = work / f"whole.{form}"
         if folder:
             whole.mkdir()
+        tables = Tables(decoder, several_buses=len(buses_in(frames)) > 1)
         if step_ns is not None:
-            left_out = LeftOut()
-            wide = WideTable(decoder, frames, step_ns, left_out)
+            wide = WideTable(tables, frames, step_ns)
             sink = _sink(form, lambda _: whole, whole, frames, words)
             count = _write(sink, wide, lambda rows: progress(rows, wide.rows))
-            written = Written(1, count, left_out, tuple(_notes(wide)))
+            written = Written(1, count, tables.left_out, tuple(_notes(wide)))
         else:
             names = _FileNames(whole, form)
-            tables = Tables(decoder, several_buses=len(buses_in(frames)) > 1)
             sink = _sink(form, names, whole, frames, words)
             seen: set[str] = set()
             count = _write(sink, _parts(tables, frames, seen, progress), lambda rows: None)

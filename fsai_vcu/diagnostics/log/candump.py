@@ -1,20 +1,29 @@
-"""candump's text formats: a whole block of lines taken apart at once, and single lines where they are unusual.
+"""candump's text formats as columns: a whole block of lines read and written at once.
 
-Fast is what `candump -L`, `candump -l` and python-can write for classic data frames. Lines of one shape (digits of the
-time, channel, width of the id) are read together: eight characters at a time as one 64-bit number, each step for all
-lines. Whatever does not pass every check there is read by the patterns of this module, or reported.
+Lines of one shape (the constant text around time, identifier and payload) are read together, as columns of characters.
+Whatever does not pass every check there is read by candump_line.py.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from datetime import datetime
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fsai_vcu.diagnostics.log.candump_line import (
+    ERROR_FLAG,
+    MAX_EXTENDED_ID,
+    MAX_FD_BYTES,
+    MAX_SECONDS,
+    MAX_STANDARD_ID,
+    UnreadableError,
+    log_line,
+    parse_line,
+    read_line,
+)
+from fsai_vcu.diagnostics.log.characters import Characters, Part, assembled
 from fsai_vcu.diagnostics.log.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -27,37 +36,19 @@ from fsai_vcu.diagnostics.log.frames import (
     Ints,
     LogFrame,
     Mask,
-    Words,
+    frames_of,
+    joined,
 )
 
-MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
-MAX_STANDARD_ID: Final = 0x7FF
-MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
-ERROR_FLAG: Final = 0x2000_0000  # linux/can.h, CAN_ERR_FLAG
-MAX_CLASSIC_DLC: Final = 8
-MAX_FD_BYTES: Final = 64
-
-_FRONT, _BACK = 16, 64  # bytes around a block, so that a window of eight may begin before it and end behind it
+_FRONT, _BACK = 16, 128  # bytes around a block: the columns of a line may end behind it
+_EIGHT = np.arange(CLASSIC_BYTES)[:, np.newaxis]
 _SHAPES = 40  # more kinds of lines than that in one block, and the rest is read one by one
 
-_SHAPE = re.compile(rb"\((\d{1,10})\.\d{6}\) (\S{1,15}) ([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#")
-_LOG_LINE = re.compile(
-    r"\s*\((?P<s>\d{1,11})\.(?P<f>\d{1,9})\)\s+(?P<ch>\S+)\s+(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
-    r"#(?:(?P<fd>#[0-9A-Fa-f])?(?P<data>(?:[0-9A-Fa-f]{2}|\.)*)(?P<raw_dlc>_[9A-Fa-f])?|(?P<remote>[Rr](?P<asked>[0-8]?)(?:_[9A-Fa-f])?))"
-    r"(?:\s+(?P<way>[RTrt])(?:\s.*)?)?\s*"
+_SHAPE = re.compile(
+    rb"(?P<before> {0,8})(?:(?P<open>\()(?P<time>\d{1,10})\.\d{6}(?P<close>\) {1,8}))?"
+    rb"(?P<between>(?P<channel>[^\s()]{1,15}) {1,8}(?:(?P<way>[RT])X - -  )?)"
+    rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?P<behind>#| {1,8}\[)"
 )
-_SCREEN_LINE = re.compile(
-    r"\s*(?:\((?P<time>[^()]*)\)\s+)?(?P<ch>\S+)\s+(?:(?P<way>[RT]X)\s+(?P<brs>[B-])\s+(?P<esi>[E-])\s+)?"
-    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+(?P<open>[\[{])(?P<length>\d+)[\]}]"
-    r"(?:\s+(?P<data>remote request|[0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2})*))?(?:\s+.*)?"
-)
-_SECONDS = re.compile(r"(\d{1,11})\.(\d{1,9})")
-
-_U = np.uint64
-
-
-def _each(byte: int) -> np.uint64:
-    return _U(byte * 0x0101_0101_0101_0101)
 
 
 class Unreadable(NamedTuple):
@@ -68,9 +59,27 @@ class Unreadable(NamedTuple):
 
 
 class _Shape(NamedTuple):
+    """What lines of one kind have in common. digits: of the seconds; 0: no time. flags: of the direction."""
+
+    before: bytes
     digits: int
-    channel: bytes
+    between: bytes
+    channel: str
     id_width: int
+    behind: bytes
+    flags: int
+
+    @classmethod
+    def of(cls, found: re.Match[bytes]) -> _Shape:
+        return cls(
+            found["before"] + (found["open"] or b""),
+            len(found["time"] or b""),
+            (found["close"] or b"") + found["between"],
+            found["channel"].decode("ascii", "replace"),
+            len(found["id"]),
+            found["behind"],
+            {None: 0, b"R": RECEIVED, b"T": SENT}[found["way"]],
+        )
 
 
 def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Frames, list[Unreadable], int]:
@@ -80,438 +89,200 @@ def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Fram
     """
     text = np.concatenate([np.zeros(_FRONT, np.uint8), block, np.zeros(_BACK, np.uint8)])
     ends = np.flatnonzero(text == ord("\n"))
-    count = len(ends)
-    starts = np.empty(count, np.int64)
-    if count:
-        starts[0] = _FRONT
-        starts[1:] = ends[:-1] + 1
-    if count and text[ends[0] - 1] == ord("\r"):
+    starts = np.concatenate([[_FRONT], ends[:-1] + 1])[: len(ends)]
+    if len(ends) and text[ends[0] - 1] == ord("\r"):
         ends = ends - (text[ends - 1] == ord("\r"))
-    columns = _Columns(count, channels)
-    rest = np.arange(count)
+    parts: list[Frames] = []
+    rows: list[Ints] = []
+    rest = np.arange(len(ends))
     for _ in range(_SHAPES):
-        if not len(rest):
-            break
         shape = _next_shape(text, starts, ends, rest)
         if shape is None:
             break
-        rest = rest[~_read_shape(columns, text, starts, ends, rest, shape)]
-    unreadable = _read_singly(columns, text, starts, ends, rest)
-    return columns.frames(), unreadable, count
-
-
-class _Columns:
-    """The columns as they fill up, one row for each line."""
-
-    def __init__(self, count: int, channels: list[str]) -> None:
-        self.t_ns = np.zeros(count, np.int64)
-        self.can_id = np.zeros(count, np.uint32)
-        self.flags = np.zeros(count, np.uint8)
-        self.length = np.zeros(count, np.uint8)
-        self.word = np.zeros(count, np.uint64)
-        self.channel = np.zeros(count, np.int32)
-        self.filled = np.zeros(count, np.bool_)
-        self.long: dict[int, bytes] = {}
-        self.channels = channels
-
-    def channel_index(self, name: str) -> int:
-        if name not in self.channels:
-            self.channels.append(name)
-        return self.channels.index(name)
-
-    def put(self, row: int, frame: LogFrame) -> None:
-        self.t_ns[row] = frame.t_ns
-        self.can_id[row] = frame.can_id
-        self.flags[row] = frame.flags
-        self.length[row] = frame.length
-        self.word[row] = int.from_bytes(frame.data[:CLASSIC_BYTES], "little")
-        self.channel[row] = self.channel_index(frame.channel)
-        self.filled[row] = True
-        if len(frame.data) > CLASSIC_BYTES:
-            self.long[row] = frame.data
-
-    def frames(self) -> Frames:
-        whole = Frames(
-            self.t_ns, self.can_id, self.flags, self.length, self.word, self.channel, self.channels, self.long
-        )
-        return whole if self.filled.all() else whole.only(self.filled)
-
-
-# ---------------------------------------------------------------- many lines at once
+        frames, read = _of_shape(text, starts[rest], ends[rest], shape, channels)
+        parts.append(frames)
+        rows.append(rest[read])
+        rest = rest[~read]
+    singly: list[LogFrame] = []
+    unreadable: list[Unreadable] = []
+    for row in rest.tolist():
+        try:
+            frame = read_line(text[starts[row] : ends[row]].tobytes(), parse_line)
+        except UnreadableError as error:
+            unreadable.append(Unreadable(row, str(error)))
+        else:
+            singly += [frame] if frame else []
+            rows += [np.array([row])] if frame else []
+    whole = joined([*parts, frames_of(singly, channels)])
+    if len(rows) > 1:
+        whole = whole.only(np.argsort(np.concatenate(rows)))
+    return whole, unreadable, len(ends)
 
 
 def _next_shape(text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints) -> _Shape | None:
     """The shape of the first of the remaining lines that has one."""
     for row in rest[:200]:
         found = _SHAPE.match(text[starts[row] : ends[row]].tobytes())
-        if found:
-            return _Shape(len(found[1]), found[2], len(found[3]))
+        if found and (found["behind"] != b"#" or (found["time"] and not found["way"])):
+            return _Shape.of(found)
     return None
 
 
-def _read_shape(
-    columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints, shape: _Shape
-) -> Mask:
-    """Read those of the lines `rest` that have this shape; returns which of them were read."""
-    # A number at every byte: window[i] is the eight characters from i on.
-    window: Words = np.ndarray((len(text) - 7,), "<u8", buffer=text.data, strides=(1,))
-    everything = len(rest) == len(starts)
-    base = starts if everything else starts[rest]
-    end = ends if everything else ends[rest]
-    dot = 1 + shape.digits
-    channel_at = dot + 8
-    hash_at = channel_at + 1 + len(shape.channel) + 1 + shape.id_width
-    ok: Mask = (end - base > hash_at) & (text[base] == ord("("))
+def _of_shape(
+    text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, shape: _Shape, channels: list[str]
+) -> tuple[Frames, Mask]:
+    """The frames on those of the lines that have this shape, and which these are."""
+    time_at = len(shape.before)
+    between_at = time_at + (shape.digits + len(".uuuuuu") if shape.digits else 0)
+    id_at = between_at + len(shape.between)
+    behind_at = id_at + shape.id_width
+    data_at = behind_at + len(shape.behind)
 
-    micros = window[base + dot]  # ".uuuuuu)"
-    ok &= (micros & _U(0xFF00_0000_0000_00FF)) == _U(0x2900_0000_0000_002E)
-    micros = ((micros >> _U(8)) << _U(16)) | _U(0x3030)
-    ok &= _are_digits(micros)
-    low_digits = min(shape.digits, 8)
-    seconds = _zeros_in_front(window[base + (dot - 8)], 8 - low_digits)
-    ok &= _are_digits(seconds)
-    t_s = _number(seconds)
-    if shape.digits > 8:
-        high = _zeros_in_front(window[base + (dot - 16)], 16 - shape.digits)
-        ok &= _are_digits(high)
-        t_s += _number(high) * _U(100_000_000)
-        ok &= t_s <= _U(MAX_SECONDS)
-    between = b" " + shape.channel + b" "
-    for at in range(0, len(between), 8):
-        piece = between[at : at + 8]
-        mask = _U((1 << (8 * len(piece))) - 1)
-        ok &= (window[base + (channel_at + at)] & mask) == _U(int.from_bytes(piece, "little"))
-    ok &= text[base + hash_at] == ord("#")
+    def columns(at: int, end: int, step: int = 1) -> Characters:
+        """Characters of all lines, a row for each place: what is done to a row is done to all lines at once."""
+        found: Characters = text[starts + np.arange(at, end, step)[:, np.newaxis]]
+        return found
 
-    id_text = _zeros_in_front(window[base + (hash_at - 8)], 8 - shape.id_width)
-    id_bytes, id_ok = _hex_bytes(id_text)
-    ok &= id_ok
-    can_id = id_bytes.astype(np.uint32).byteswap()  # the first byte is the highest
+    ok: Mask = ends - starts >= data_at
+    for at, constant in ((0, shape.before), (between_at, shape.between), (behind_at, shape.behind)):
+        expected = np.frombuffer(constant, np.uint8)[:, np.newaxis]
+        ok &= (columns(at, at + len(constant)) == expected).all(axis=0)
+
+    t_ns = np.zeros(len(starts), np.int64)
+    if shape.digits:
+        dot = time_at + shape.digits
+        ok &= text[starts + dot] == ord(".")
+        digits = np.concatenate([columns(time_at, dot), columns(dot + 1, between_at)]) - np.uint8(ord("0"))
+        ok &= (digits <= 9).all(axis=0)
+        t_ns = _number(digits, 10) * 1000
+        ok &= (t_ns >= 0) & (t_ns < (MAX_SECONDS + 1) * 1_000_000_000)  # too great a number has become negative
+
+    nibbles, id_ok = _nibbles(columns(id_at, behind_at))
+    ok &= id_ok.all(axis=0)
+    can_id = _number(nibbles, 16)
+    flags = np.full(len(starts), shape.flags, np.uint8)
     if shape.id_width == 3:
         ok &= can_id <= MAX_STANDARD_ID
-        flags = np.zeros(len(base), np.uint8)
     else:
-        error = (can_id & np.uint32(ERROR_FLAG)) != 0
-        ok &= (can_id & np.uint32(0xC000_0000)) == 0
-        can_id = can_id & np.uint32(MAX_EXTENDED_ID)
-        flags = np.where(error, np.uint8(ERROR), np.uint8(EXTENDED))
+        ok &= can_id <= ERROR_FLAG | MAX_EXTENDED_ID
+        flags |= np.where(can_id & ERROR_FLAG, np.uint8(ERROR), np.uint8(EXTENDED))
+        can_id &= MAX_EXTENDED_ID
 
-    payload_at = base + (hash_at + 1)
-    characters = end - payload_at
-    way = text[end - 1]
-    told = (text[end - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (characters >= 2)
-    if told.any():
-        characters = characters - 2 * told
-        flags |= np.where(told, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
-    ok &= (characters >= 0) & (characters <= 16) & (characters & 1 == 0)
-    characters = np.clip(characters, 0, 16)
-    first, first_ok = _hex_bytes(_zeros_behind(window[payload_at], characters))
-    second, second_ok = _hex_bytes(_zeros_behind(window[payload_at + 8], characters - 8))
-    ok &= first_ok & second_ok
+    length = ends - starts - data_at
+    if shape.behind == b"#":
+        way = text[ends - 1]
+        marked = (text[ends - 2] == ord(" ")) & ((way == ord("R")) | (way == ord("T"))) & (length >= 2)
+        flags |= np.where(marked, np.where(way == ord("T"), np.uint8(SENT), np.uint8(RECEIVED)), np.uint8(0))
+        length -= 2 * marked
+        ok &= (length >= 0) & (length & 1 == 0)
+        length >>= 1
+        high, low = columns(data_at, data_at + 16, 2), columns(data_at + 1, data_at + 17, 2)
+    else:  # "2]  01 23": a space before each byte, and one more before the first
+        characters, length = length, text[starts + data_at].astype(np.int64) - ord("0")
+        ok &= (length > 0) & (characters == 3 + 3 * length)
+        ok &= (columns(data_at + 1, data_at + 3) == [[ord("]")], [ord(" ")]]).all(axis=0)
+        spaces, high, low = (columns(data_at + 3 + at, data_at + 27 + at, 3) for at in range(3))
+        ok &= ((spaces == ord(" ")) | (length <= _EIGHT)).all(axis=0)
+    ok &= length <= CLASSIC_BYTES
+    (high, high_ok), (low, low_ok) = _nibbles(high), _nibbles(low)
+    ok &= ((high_ok & low_ok) | (length <= _EIGHT)).all(axis=0)
+    payload = (high << np.uint8(4) | low) * (length > _EIGHT)
 
-    rows: Ints | slice = slice(None) if everything and ok.all() else rest[ok]
-    keep: Mask | slice = slice(None) if isinstance(rows, slice) else ok
-    t_ns = (t_s * _U(1_000_000) + _number(micros)) * _U(1000)
-    columns.t_ns[rows] = t_ns[keep].astype(np.int64)
-    columns.can_id[rows] = can_id[keep]
-    columns.flags[rows] = flags[keep]
-    columns.length[rows] = (characters[keep] >> 1).astype(np.uint8)
-    columns.word[rows] = (first | (second << _U(32)))[keep]
-    columns.channel[rows] = columns.channel_index(shape.channel.decode("utf-8", "replace"))
-    columns.filled[rows] = True
-    return ok
-
-
-def _are_digits(word: Words) -> Mask:
-    high = _each(0xF0)
-    ok: Mask = ((word & high) == _each(0x30)) & (((word + _each(0x06)) & high) == _each(0x30))
-    return ok
-
-
-def _number(digits: Words) -> Words:
-    """The number that eight decimal digits say, the first in the lowest byte."""
-    pairs = (digits & _each(0x0F)) * _U(10) + ((digits & _each(0x0F)) >> _U(8))
-    even = _U(0x0000_00FF_0000_00FF)
-    return ((pairs & even) * _U(0x000F_4240_0000_0064) + ((pairs >> _U(16)) & even) * _U(0x0000_2710_0000_0001)) >> _U(
-        32
-    )
-
-
-def _zeros_in_front(word: Words, count: int) -> Words:
-    """The first `count` characters become '0'."""
-    if not count:
-        return word
-    mask = (1 << (8 * count)) - 1
-    return (word & _U(~mask & 0xFFFF_FFFF_FFFF_FFFF)) | _U(0x3030_3030_3030_3030 & mask)
-
-
-_KEEP: Final = np.array([(1 << (8 * count)) - 1 for count in range(9)], np.uint64)
-
-
-def _zeros_behind(word: Words, count: Ints) -> Words:
-    """All but the first `count` characters become '0'."""
-    keep = _KEEP[np.clip(count, 0, 8)]
-    return (word & keep) | (_each(0x30) & ~keep)
-
-
-def _hex_bytes(word: Words) -> tuple[Words, Mask]:
-    """Four bytes from eight hexadecimal digits, the first in the lowest byte; and whether they are such digits."""
-    letter = (word >> _U(6)) & _each(0x01)
-    value = (word & _each(0x0F)) + letter * _U(9)
-    right_column = (word & _each(0xF0) & ~(letter << _U(5))) == _each(0x30) + (letter << _U(4))
-    right_row = (((value + _each(0x06)) >> _U(4)) & _each(0x01)) == letter
-    ok = right_column & right_row & ((value & _each(0x10)) == 0)
-    out = ((value & _U(0x000F_000F_000F_000F)) << _U(4)) | ((value >> _U(8)) & _U(0x000F_000F_000F_000F))
-    out = (out | (out >> _U(8))) & _U(0x0000_FFFF_0000_FFFF)
-    return (out | (out >> _U(16))) & _U(0xFFFF_FFFF), ok
-
-
-# ---------------------------------------------------------------- one line
-
-
-def _read_singly(
-    columns: _Columns, text: npt.NDArray[np.uint8], starts: Ints, ends: Ints, rest: Ints
-) -> list[Unreadable]:
-    unreadable = []
-    for row in rest.tolist():
-        line = text[starts[row] : ends[row]].tobytes()
-        if not line.strip():
-            continue
-        try:
-            columns.put(row, parse_line(line.decode("ascii")))
-        except (ValueError, UnicodeDecodeError) as error:
-            shown = line[:60].decode("ascii", "backslashreplace")
-            shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
-            what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
-            unreadable.append(Unreadable(row, f"{what}: '{shown}{'…' if len(line) > 60 else ''}'"))
-    return unreadable
-
-
-def parse_line(line: str) -> LogFrame:
-    """The frame on one line of `candump -L` or of candump's screen output. Raises ValueError."""
-    found = _LOG_LINE.fullmatch(line)
-    if found:
-        return _from_log_line(found)
-    found = _SCREEN_LINE.fullmatch(line)
-    if found:
-        return _from_screen_line(found)
-    raise ValueError("not a line of candump")
-
-
-def _from_log_line(found: re.Match[str]) -> LogFrame:
-    t_ns = _time_ns(found["s"], found["f"])
-    can_id, extended, error = _identifier(found["id"])
-    sent = {"T": True, "R": False}.get((found["way"] or "").upper())
-    channel = found["ch"]
-    if found["remote"]:
-        return LogFrame(t_ns, channel, can_id, b"", extended, True, error, sent=sent, length=int(found["asked"] or 0))
-    data = bytes.fromhex(found["data"].replace(".", ""))
-    bits = int(found["fd"][1], 16) if found["fd"] else 0
-    _check_length(len(data), found["fd"] is not None)
-    return LogFrame(
+    if shape.channel not in channels:
+        channels.append(shape.channel)
+    frames = Frames(
         t_ns,
-        channel,
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=found["fd"] is not None,
-        brs=bool(bits & 1),  # linux/can.h, CANFD_BRS and CANFD_ESI
-        esi=bool(bits & 2),
-        sent=sent,
+        can_id.astype(np.uint32),
+        flags,
+        length.astype(np.uint8),
+        np.ascontiguousarray(payload.T).view("<u8").ravel(),
+        np.full(len(starts), channels.index(shape.channel), np.int32),
+        channels,
     )
+    return frames if ok.all() else frames.only(ok), ok
 
 
-def _from_screen_line(found: re.Match[str]) -> LogFrame:
-    can_id, extended, error = _identifier(found["id"])
-    length = int(found["length"])
-    text = found["data"] or ""
-    sent = {"TX": True, "RX": False}.get(found["way"] or "")
-    t_ns = _screen_time_ns(found["time"])
-    if text == "remote request":
-        return LogFrame(t_ns, found["ch"], can_id, b"", extended, True, error, sent=sent, length=length)
-    data = bytes.fromhex(text)
-    if len(data) < length:
-        raise ValueError(f"{len(data)} data bytes where {length} are announced")
-    data = data[:length]
-    fd = length > MAX_CLASSIC_DLC or found["brs"] == "B" or found["esi"] == "E"
-    _check_length(length, fd)
-    return LogFrame(
-        t_ns,
-        found["ch"],
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=fd,
-        brs=found["brs"] == "B",
-        esi=found["esi"] == "E",
-        sent=sent,
-    )
+def _nibbles(characters: Characters) -> tuple[Characters, Mask]:
+    """What hexadecimal digits are worth, and whether they are such digits."""
+    digit, letter = characters - np.uint8(ord("0")), (characters | np.uint8(0x20)) - np.uint8(ord("a"))
+    return np.where(digit <= 9, digit, letter + np.uint8(10)), (digit <= 9) | (letter <= 5)
 
 
-def _identifier(text: str) -> tuple[int, bool, bool]:
-    number = int(text, 16)
-    if len(text) == 3:
-        if number > MAX_STANDARD_ID:
-            raise ValueError(f"no 11-bit identifier: {text}")
-        return number, False, False
-    if number & ERROR_FLAG and number <= ERROR_FLAG | MAX_EXTENDED_ID:
-        return number & MAX_EXTENDED_ID, False, True
-    if number > MAX_EXTENDED_ID:
-        raise ValueError(f"no 29-bit identifier: {text}")
-    return number, True, False
-
-
-def _check_length(length: int, fd: bool) -> None:
-    if length > (MAX_FD_BYTES if fd else MAX_CLASSIC_DLC):
-        raise ValueError(f"{length} data bytes")
-
-
-def _time_ns(seconds: str, fraction: str) -> int:
-    if int(seconds) > MAX_SECONDS:
-        raise ValueError(f"no time: {seconds}.{fraction}")
-    return int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
-
-
-def _screen_time_ns(text: str | None) -> int:
-    """0 where candump was told to write no times."""
-    if text is None:
-        return 0
-    found = _SECONDS.fullmatch(text.strip())
-    if found:
-        return _time_ns(found[1], found[2])
-    try:
-        date, _, fraction = text.strip().partition(".")
-        return int(datetime.strptime(date, "%Y-%m-%d %H:%M:%S").timestamp()) * 1_000_000_000 + int(
-            (fraction or "0").ljust(9, "0")[:9]
-        )
-    except (ValueError, OverflowError):
-        raise ValueError(f"no time: {text}") from None
+def _number(digits: Characters, base: int) -> Ints:
+    """Of each column of digits, the highest first."""
+    number = np.zeros(digits.shape[1], np.int64)
+    for row in digits:
+        number = number * base + row
+    return number
 
 
 # ---------------------------------------------------------------- writing
 
 
-def _packed(texts: Sequence[str], dtype: str) -> npt.NDArray[np.unsignedinteger]:
-    """Short texts as numbers whose bytes, the lowest first, are the characters."""
-    return np.array([int.from_bytes(text.encode(), "little") for text in texts], dtype)
+_THREE: Final = np.array([f"{n:03d}" for n in range(1000)], "S3")
+_ID3: Final = np.array([f"{n:03X}" for n in range(MAX_STANDARD_ID + 1)], "S3")
+_BYTE: Final = np.array([f"{n:02X}" for n in range(256)], "S2")
 
 
-_THREE: Final = _packed([f"{n:03d}" for n in range(1000)], "<u8")
-_ID3: Final = _packed([f"{n:03X}" for n in range(0x800)], "<u4")
-_BYTE: Final = _packed([f"{n:02X}" for n in range(256)], "<u4")
-_TWO_BYTES: Final = (_BYTE[np.newaxis, :] << np.uint32(16) | _BYTE[:, np.newaxis]).T.ravel()  # first byte: the lower
-_KEEP_HEX: Final = np.array([[_KEEP[min(2 * n, 8)], _KEEP[max(2 * n - 8, 0)]] for n in range(9)], "<u8")
-
-Characters = npt.NDArray[np.uint8]
-Part = bytes | Characters
+def _taken(table: npt.NDArray[np.bytes_], index: npt.NDArray[np.integer]) -> Characters:
+    """The texts of a table, one row for each row of `index`."""
+    width = table.itemsize * (index.shape[1] if index.ndim > 1 else 1)
+    return np.take(table, index).view(np.uint8).reshape(len(index), width)
 
 
-def assembled(parts: Sequence[Part], count: int) -> list[bytes]:
-    """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters vanish."""
-    width = sum(len(part) if isinstance(part, bytes) else part.shape[1] for part in parts)
-    if not count or not width:
-        return [b""] * count
-    matrix = np.empty((count, width), np.uint8)
-    at = 0
-    for part in parts:
-        wide = len(part) if isinstance(part, bytes) else part.shape[1]
-        matrix[:, at : at + wide] = np.frombuffer(part, np.uint8) if isinstance(part, bytes) else part
-        at += wide
-    rows: list[bytes] = matrix.view(f"S{width}").ravel().tolist()  # numpy leaves out NULs at the end itself
-    # NULs only pad, so that they are in the first or the last column of a part if anywhere.
-    inner = any(not isinstance(part, bytes) and not part[:, [0, -1]].all() for part in parts[:-1] if len(part))
-    if inner:
-        return b"\n".join(rows).translate(None, b"\0").split(b"\n")
-    return rows
-
-
-def time_text(t_ns: Ints, width: int = 1) -> npt.NDArray[np.uint8]:
+def time_text(t_ns: Ints, width: int = 1) -> Characters:
     """Seconds with six decimals as candump writes them, at least `width` digits before the point; NUL in front."""
     count = len(t_ns)
-    seconds, below = np.divmod(t_ns, 1_000_000_000)
-    micros = below.astype(np.uint32) // np.uint32(1000)
+    seconds = t_ns // 1_000_000_000  # dividing is quick, the remainder is not
+    micros = (t_ns - seconds * 1_000_000_000).astype(np.uint32) // np.uint32(1000)
+    millis = micros // np.uint32(1000)
     distinct = np.flatnonzero(np.diff(seconds, prepend=-1))  # in a log a second lasts for many frames
     texts = np.array([f"{second:0{width}d}.".rjust(12, "\0").encode() for second in seconds[distinct].tolist()], "S12")
     wide = max((len(text.lstrip(b"\0")) for text in texts.tolist()), default=width + 1)
     out = np.empty((count, wide + 6), np.uint8)
     table = np.ascontiguousarray(texts.view(np.uint8).reshape(-1, 12)[:, 12 - wide :])
     out[:, :wide] = np.repeat(table, np.diff(distinct, append=count), axis=0)
-    packed = _THREE[micros // np.uint32(1000)] | (_THREE[micros % np.uint32(1000)] << _U(24))
-    out[:, wide:] = packed.view(np.uint8).reshape(count, 8)[:, :6]
+    out[:, wide : wide + 3] = _taken(_THREE, millis)
+    out[:, wide + 3 :] = _taken(_THREE, micros - millis * np.uint32(1000))
     return out
 
 
-def id_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def id_text(frames: Frames) -> Characters:
     """Identifiers as candump writes them: three or eight digits, NUL behind."""
     wide = (frames.flags & (EXTENDED | ERROR)) != 0
-    narrow = _ID3[frames.can_id & np.uint32(MAX_STANDARD_ID)]
+    three = _taken(_ID3, frames.can_id & np.uint32(MAX_STANDARD_ID))
     if not wide.any():
-        three: Characters = narrow.view(np.uint8).reshape(-1, 4)[:, :3]
         return three
     number = frames.can_id | np.where((frames.flags & ERROR) != 0, np.uint32(ERROR_FLAG), np.uint32(0))
-    out = np.zeros((len(frames), 2), np.uint32)
-    swapped = number.byteswap()
-    out[:, 0] = np.where(wide, _TWO_BYTES[swapped & np.uint32(0xFFFF)], narrow)
-    out[:, 1] = np.where(wide, _TWO_BYTES[swapped >> np.uint32(16)], np.uint32(0))
-    return out.view(np.uint8)
+    eight = _taken(_BYTE, number.astype(">u4").view(np.uint8).reshape(-1, 4))
+    return np.where(wide[:, np.newaxis], eight, np.pad(three, ((0, 0), (0, 5))))
 
 
-def hex_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def hex_text(frames: Frames) -> Characters:
     """The first eight data bytes as sixteen digits, NUL behind."""
-    lengths = np.minimum(frames.length, CLASSIC_BYTES)
-    if (frames.flags & REMOTE).any():
-        lengths = np.where((frames.flags & REMOTE) != 0, np.uint8(0), lengths)
-    digits = _TWO_BYTES[np.ascontiguousarray(frames.word).astype("<u8", copy=False).view("<u2")].view("<u8")
-    kept: Characters = (digits.reshape(-1, 2) & _KEEP_HEX[lengths]).view(np.uint8)
-    return kept
+    digits = np.where((frames.flags & REMOTE) != 0, np.uint8(0), 2 * np.minimum(frames.length, CLASSIC_BYTES))
+    return _taken(_BYTE, frames.data) * (np.arange(2 * CLASSIC_BYTES) < digits[:, np.newaxis])
 
 
-def channel_text(frames: Frames) -> npt.NDArray[np.uint8]:
+def channel_text(frames: Frames) -> Part:
+    if len(frames.channels) == 1:
+        return frames.channels[0].encode("utf-8", "replace")
     names = np.array([name.encode("utf-8", "replace") for name in frames.channels] or [b"-"])
-    table = names.view(np.uint8).reshape(len(names), -1)
-    return table[frames.channel]
+    return np.take(names.view(np.uint8).reshape(len(names), -1), frames.channel, axis=0)
+
+
+def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
+    """The columns of lines of `candump -L`; at least `time_digits` digits of seconds. Not of remote and FD frames."""
+    time, can_id = time_text(frames.t_ns, time_digits), id_text(frames)
+    return [b"(", time, b") ", channel_text(frames), b" ", can_id, b"#", hex_text(frames)]
 
 
 def log_lines(frames: Frames, time_digits: int = 1) -> list[bytes]:
-    """Each frame as a line of `candump -L`, without its line end; at least `time_digits` digits of seconds."""
-    if not len(frames):
-        return []
-    lines = assembled(
-        [
-            b"(",
-            time_text(frames.t_ns, time_digits),
-            b") ",
-            channel_text(frames),
-            b" ",
-            id_text(frames),
-            b"#",
-            hex_text(frames),
-        ],
-        len(frames),
-    )
-    for row in unusual_rows(frames):
-        head = lines[row].partition(b"#")[0]
-        lines[row] = head + b"#" + payload_text(frames.frame(row)).encode()
+    """Each frame as a line of `candump -L`, without its line end."""
+    lines = assembled(log_parts(frames, time_digits), len(frames))
+    for row in np.flatnonzero(frames.flags & (REMOTE | FD)).tolist():
+        lines[row] = log_line(frames.frame(row), time_digits).encode()
     return lines
-
-
-def unusual_rows(frames: Frames) -> list[int]:
-    """Rows whose payload is not simply up to eight bytes in hexadecimal."""
-    rows: list[int] = np.flatnonzero(frames.flags & (REMOTE | FD)).tolist()
-    return rows
-
-
-def payload_text(frame: LogFrame) -> str:
-    """What stands behind the '#' in a log of candump."""
-    if frame.remote:
-        return f"R{frame.length or ''}"
-    if frame.fd:
-        return f"#{int(frame.brs) | int(frame.esi) << 1:X}{frame.data.hex().upper()}"
-    return frame.data.hex().upper()
 
 
 def screen_lines(

@@ -1,4 +1,4 @@
-"""What can be told of a log without reading its frames, and what is told of the parts that cannot be read."""
+"""What can be known of a log without reading its frames, and what is reported of the parts that cannot be read."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Final
 _KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
 _GZIP, _BLF, _MF4 = b"\x1f\x8b", b"LOGG", b"MDF "
 _ASC_STARTS = (b"date ", b"base hex", b"base dec", b"// version")
+_TRC_STARTS = (b";$FILEVERSION=", b";##############")  # the latter: version 1.0
+_GVRET = b"time stamp,id,"
 _CLASSIC_HEX_DIGITS = 16
 
 
@@ -52,6 +54,10 @@ def kind_of(head: bytes) -> str:
         return "MF4"
     if head.lower().startswith(_ASC_STARTS):
         return "ASC"
+    if head.startswith(_TRC_STARTS):
+        return "TRC"
+    if head.lower().startswith(_GVRET):
+        return "GVRET"
     return "candump"
 
 

@@ -25,7 +25,7 @@ class FrameFilter:
     """What candump would let through.
 
     ids: (id, mask, inverted) with SocketCAN's flag bits; none: every data and remote frame. joined: all of them must
-    match, not any. error_mask: classes of error frames to let through; None: not said.
+    match, not any. error_mask: classes of error frames to let through; None: not given.
     """
 
     ids: tuple[tuple[int, int, bool], ...] = ()

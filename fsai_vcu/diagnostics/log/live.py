@@ -18,7 +18,7 @@ _CAN_DEVICE: Final = "280"  # linux/if_arp.h, ARPHRD_CAN
 
 
 class LiveSource:
-    """Hears buses, and never sends.
+    """Receives from buses, and never sends.
 
     `lost` is the one clear line of what ended it, None while all is well. Times are the bus's own stamps of the wall
     clock.
@@ -38,22 +38,22 @@ class LiveSource:
             raise
 
     def chunks(self, seconds: float | None = None) -> Iterator[Frames]:
-        """What is heard, every 50 ms or so, possibly nothing; ends after `seconds` or when a bus is lost."""
+        """What is received, every 50 ms or so, possibly nothing; ends after `seconds` or when a bus is lost."""
         until = None if seconds is None else time.monotonic() + seconds
         while self.lost is None and (until is None or time.monotonic() < until):
             wait_s = _GATHER_S if until is None else max(0.0, min(_GATHER_S, until - time.monotonic()))
-            heard: list[LogFrame] = []
+            received: list[LogFrame] = []
             try:
-                self._gather(heard, wait_s)
+                self._gather(received, wait_s)
             except KeyboardInterrupt:
-                yield frames_of(heard, self._channels)  # what was heard before Ctrl-C is not lost
+                yield frames_of(received, self._channels)  # what was received before Ctrl-C is not lost
                 raise
-            heard.sort(key=lambda frame: frame.t_ns)
-            yield frames_of(heard, self._channels)
+            received.sort(key=lambda frame: frame.t_ns)
+            yield frames_of(received, self._channels)
 
-    def _gather(self, heard: list[LogFrame], wait_s: float) -> None:
+    def _gather(self, received: list[LogFrame], wait_s: float) -> None:
         until = time.monotonic() + wait_s
-        while len(heard) < _MOST_AT_ONCE and self.lost is None:
+        while len(received) < _MOST_AT_ONCE and self.lost is None:
             left_s = until - time.monotonic()
             if left_s <= 0.0:
                 break
@@ -65,7 +65,7 @@ class LiveSource:
                     break
                 if found is not None:
                     frame, stamp_ns = found
-                    heard.append(
+                    received.append(
                         LogFrame(
                             stamp_ns,
                             name,

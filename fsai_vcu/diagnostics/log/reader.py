@@ -1,6 +1,6 @@
-"""Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4.
+"""Logs of a bus, whatever wrote them: candump (text, gzip), BLF, ASC, MF4, TRC, and SavvyCAN's CSV.
 
-The format is told by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
+The format is known by the content, not by the name. Everything readable is read: what is not becomes a `Problem` of the
 log, with its place, and never an exception. Only a log that cannot be opened at all raises `LogError`.
 """
 
@@ -11,23 +11,30 @@ import gzip
 import io
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
-import numpy as np
-
-from fsai_vcu.diagnostics.log.candump import MAX_SECONDS, parse_block
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, parse_line, read_line
 from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of, last_line
-from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.frame import LogFrame
+from fsai_vcu.diagnostics.log.gvret import GvretLines
 
 if TYPE_CHECKING:
     import can
 
+    from fsai_vcu.diagnostics.log.candump import Unreadable
+    from fsai_vcu.diagnostics.log.frames import Frames
+
+Done = TypeVar("Done")
+
 STDIN: Final = "-"
-_BLOCK_BYTES: Final = 1 << 19  # what fits a processor's cache is read fastest
+_BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
+# glibc gives freed memory back to the kernel, to fetch it again for the next block, until so much was freed at once
+# (M_MMAP_THRESHOLD in mallopt(3)). Nothing is written there, so that it costs nothing.
+_FREED_BYTES: Final = 31 << 20
 
 
 class LogError(Exception):
@@ -43,74 +50,104 @@ class Log:
         self._stream = stream
         self._path = path
         self._pipe = path is None
-        self._broken = False
+        self._broken: str | None = None  # why it cannot be read to its end
+        self._cut_off: str | None = None  # what is wrong with its last line
         self._announced_bytes = 0
-        self._channels: list[str] = []
+        self._lines = 0
         self.kind = kind_of(_head(stream))
 
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
-        if self.kind == "candump":
-            yield from self._text_chunks()
+        return (frames for frames in self.mapped(lambda frames: frames) if len(frames))
+
+    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
+        """What `work` makes of each chunk. `in_order` is a `map`; it may do several at once."""
+        import numpy as np
+
+        from fsai_vcu.diagnostics.log.candump import parse_block
+        from fsai_vcu.diagnostics.log.frames import frames_of
+
+        np.empty(_FREED_BYTES, np.uint8)
+        channels: list[str] = []
+        if self.kind != "candump":
+            frames = self.frames()
+            batches = iter(lambda: list(islice(frames, _BATCH)), [])
+            yield from in_order(lambda batch: work(frames_of(batch, channels)), batches)
             return
-        messages = self._messages()
-        while batch := list(islice(messages, _BATCH)):
-            yield frames_of(batch, self._channels)
+
+        def done(block: bytes) -> tuple[Done, list[Unreadable], int]:
+            columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
+            return work(columns), unreadable, lines
+
+        for what, unreadable, lines in in_order(done, self._blocks()):
+            for problem in unreadable:
+                self._unreadable(problem.line, problem.reason)
+            self._lines += lines
+            yield what
+        self._end()
 
     def frames(self) -> Iterator[LogFrame]:
-        """All frames one by one."""
-        for chunk in self.chunks():
-            yield from chunk
+        """All frames one by one; of text without numpy."""
+        if self.kind == "candump":
+            yield from self._text_frames(parse_line)
+        elif self.kind == "GVRET":
+            yield from self._text_frames(GvretLines())
+        else:
+            yield from self._messages()
 
     # ------------------------------------------------------------ text
 
-    def _text_chunks(self) -> Iterator[Frames]:
-        lines_before = 0
+    def _text_frames(self, parse: Callable[[str], LogFrame | None]) -> Iterator[LogFrame]:
+        for block in self._blocks():
+            for line in block.split(b"\n")[:-1]:
+                try:
+                    frame = read_line(line.removesuffix(b"\r"), parse)
+                except UnreadableError as error:
+                    self._unreadable(0, str(error))
+                else:
+                    if frame is not None:
+                        yield frame
+                self._lines += 1
+        self._end()
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Whole lines, many at a time."""
         carried = b""
-        while True:
-            read = self._read_block()
-            block = carried + read if carried else read
-            if read:
-                cut = block.rfind(b"\n") + 1
-                carried = block[cut:]
-                if not cut:
-                    continue
-                block = block[:cut]
-            elif carried and not self._broken:  # else where it breaks off is said already
-                block, carried = self._last_line(carried, lines_before), b""
-            else:
-                return
-            frames, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), self._channels)
-            for problem in unreadable:
-                self.problems.add(f"{self.name}: line {lines_before + problem.line + 1}: {problem.reason}")
-            lines_before += lines
-            if len(frames):
-                yield frames
-            if not read:
-                return
+        while read := self._read_block():
+            whole, end, carried = (carried + read).rpartition(b"\n")
+            if end:
+                yield whole + end
+        if carried and self._broken is None:
+            line, self._cut_off = last_line(carried)
+            if line:
+                yield line
+
+    def _end(self) -> None:
+        """What is wrong with the end, after all that comes before it."""
+        if self._broken is not None:
+            self.problems.add(f"{self.name}: cannot be read to its end: {self._broken}")
+        if self._cut_off is not None:
+            self._unreadable(0, self._cut_off)
+
+    def _unreadable(self, line: int, reason: str) -> None:
+        """`line`: how many come between those that are done and this one."""
+        self.problems.add(f"{self.name}: line {self._lines + line + 1}: {reason}")
 
     def _read_block(self) -> bytes:
         """As much as makes a block; from a pipe what there is, so that its reader need not wait."""
         parts: list[bytes] = []
         size = 0
-        while size < _BLOCK_BYTES and not (self._pipe and parts) and not self._broken:
+        while size < _BLOCK_BYTES and not (self._pipe and parts) and self._broken is None:
             try:
                 part = self._stream.read1(_BLOCK_BYTES - size)  # type: ignore[attr-defined]
             except (OSError, EOFError, zlib.error) as error:
-                self.problems.add(f"{self.name}: cannot be read to its end: {_why(error)}")
-                self._broken = True
+                self._broken = _why(error)
                 break
             if not part:
                 break
             parts.append(part)
             size += len(part)
         return b"".join(parts)
-
-    def _last_line(self, line: bytes, lines_before: int) -> bytes:
-        whole, reason = last_line(line)
-        if reason is not None:
-            self.problems.add(f"{self.name}: line {lines_before + 1}: {reason}")
-        return whole
 
     # ------------------------------------------------------------ other formats, through python-can
 
@@ -138,11 +175,12 @@ class Log:
             reader = BLFReader(self._stream)  # type: ignore[arg-type]
             self._announced_bytes = reader.file_size
             return iter(reader)
-        if self.kind == "ASC":
+        if self.kind in ("ASC", "TRC"):
             from can.io.asc import ASCReader
+            from can.io.trc import TRCReader
 
             text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
-            return iter(ASCReader(text, relative_timestamp=False))
+            return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
         return self._mf4_reader()
 
     def _mf4_reader(self) -> Iterator[can.Message]:
@@ -170,7 +208,7 @@ class Log:
             return False  # of a packed log the unpacking tells
         with self._path.open("rb") as file:
             length = file.seek(0, io.SEEK_END)
-            if self.kind == "ASC":
+            if self.kind in ("ASC", "TRC"):
                 file.seek(max(0, length - 1))
                 return file.read(1) != b"\n"
         return length < self._announced_bytes
@@ -199,6 +237,8 @@ def open_log(path: Path | str) -> Log:
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
+    from fsai_vcu.diagnostics.log.frames import joined
+
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
 
@@ -214,7 +254,7 @@ def _head(stream: IO[bytes]) -> bytes:
     try:
         return stream.peek(16)[:16]  # type: ignore[attr-defined, no-any-return]
     except (OSError, EOFError, zlib.error):
-        return b""  # what is wrong is told when the frames are asked for
+        return b""  # what is wrong is reported when the frames are asked for
 
 
 def _frame_of(message: can.Message) -> LogFrame | None:

@@ -152,8 +152,8 @@ def _incident(story: Explanation, incident: Incident) -> Iterator[str]:
     yield f"<p><b>What to do:</b> {escape(first.cause.remedy)}.</p>\n"
     if first.sureness < Sureness.SHOWN:
         yield f"<p>How sure: this {escape(first.sureness.words)}; the log does not prove it.</p>\n"
-    if first.cause.record:
-        yield f"<p>To know more, record next time: {escape(first.cause.record)}.</p>\n"
+    if record := story.to_record(first.cause):
+        yield f"<p>To know more, record next time: {escape(record)}.</p>\n"
     others = incident.candidates[1 : 1 + _ALSO]
     if others:
         yield "<p>Also:</p><ul>"

@@ -141,7 +141,7 @@ class BusStatistics:
     duration_s: float
     timed: bool  # the log has times
     messages: tuple[MessageStatistics, ...]
-    missing: tuple[MessageLayout, ...]  # described with a period, and not heard
+    missing: tuple[MessageLayout, ...]  # described with a period, and not received
     error_frames: Mapping[str, int]
     load: float
     peak_load: float
@@ -228,19 +228,21 @@ def _measure_channel(
     keys = frames.can_id.astype(np.int64) | np.where((frames.flags & EXTENDED) != 0, EXTENDED_KEY, 0)
     keys[errors] = -1
     order = np.argsort(keys, kind="stable")
-    distinct, begins = np.unique(keys[order], return_index=True)
+    keys = keys[order]
+    begins = np.flatnonzero(np.diff(keys, prepend=-2))
+    distinct = keys[begins]
     for key, rows in zip(distinct.tolist(), np.split(order, begins[1:]), strict=True):
         if key >= 0:
             expected_ns = expected_period_ns(key, layouts.get(key), revision)
             messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
-    heard = set(distinct.tolist())
+    received = set(distinct.tolist())
     missing = (
         ()
-        if heard.isdisjoint(layouts)
+        if received.isdisjoint(layouts)
         else tuple(
             layout
             for key, layout in layouts.items()
-            if key not in heard and expected_period_ns(key, layout, revision) is not None
+            if key not in received and expected_period_ns(key, layout, revision) is not None
         )
     )
     return BusStatistics(
@@ -308,7 +310,7 @@ def _measure_message(
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
-        payloads=len(np.unique(word)),
+        payloads=1 + int(np.count_nonzero(np.diff(np.sort(word)))),
         bits=total_bits,
         load=_share(total_bits, duration_ns, bitrate),
     )
@@ -334,12 +336,11 @@ def _share(bits: int, duration_ns: int, bitrate: int) -> float:
 
 
 def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
-    """In the busiest 100 ms; of a shorter log, as if it had lasted that long."""
+    """In the busiest 100 ms; of a shorter log, as if it had lasted that long. `t_ns` must not go backwards."""
     if not len(t_ns):
         return 0.0
-    windows = (t_ns - t_ns.min()) // LOAD_WINDOW_NS
-    _, where = np.unique(windows, return_inverse=True)
-    return float(np.bincount(where, weights=bits).max()) / (bitrate * LOAD_WINDOW_NS / S)
+    begins = np.flatnonzero(np.diff((t_ns - t_ns[0]) // LOAD_WINDOW_NS, prepend=-1))
+    return float(np.add.reduceat(bits, begins).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
 def _handshake(frames: Frames, databases: Databases) -> Handshake | None:

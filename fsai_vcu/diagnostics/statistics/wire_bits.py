@@ -17,6 +17,7 @@ from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames,
 CRC15: Final = 0x4599
 _UNSTUFFED_BITS: Final = 1 + 1 + 1 + 7 + 3  # behind the CRC
 _CRC_BITS: Final = 15
+_AT_ONCE: Final = 1 << 15  # frames: what fits a processor's cache is done fastest
 
 # Where stuffing stands: the last bit and how many alike came, 1 to 4 (at five the stuff bit itself comes, and is one).
 _RUNS: Final = 4
@@ -75,8 +76,10 @@ def wire_bits(frames: Frames) -> Ints:
     FD frames are estimated, without a faster data phase and with a tenth of stuff bits.
     """
     bits = np.zeros(len(frames), np.int64)
-    classic = np.flatnonzero((frames.flags & (ERROR | FD)) == 0)
-    bits[classic] = _classic_bits(frames.only(classic))
+    every = np.flatnonzero((frames.flags & (ERROR | FD)) == 0)
+    for begin in range(0, len(every), _AT_ONCE):
+        classic = every[begin : begin + _AT_ONCE]
+        bits[classic] = _classic_bits(frames.only(classic))
     for row in np.flatnonzero((frames.flags & FD) != 0).tolist():
         length = int(frames.length[row])
         arbitration = 32 if frames.flags[row] & EXTENDED else 12

@@ -6,7 +6,7 @@ from typing import Final
 VERBS: Final = {
     "drive": ("fsai_hil.cli.drive", "drive a mission against the simulated car, in lockstep, without ROS or hardware"),
     "campaign": ("fsai_hil.cli.campaign", "drive thousands of runs with a fault in each, judged by the safety rules"),
-    "vcu": ("fsai_hil.cli.vcu", "run the simulated VCU and car as a process on a bus"),
+    "vcu": ("fsai_hil.simulator.process", "run the simulated VCU and car as a process on a bus"),
     "hil": ("fsai_hil.cli.hil", "run the hardware-in-the-loop suite on a real vcan0"),
     "scrutineering": (
         "fsai_hil.cli.scrutineering",

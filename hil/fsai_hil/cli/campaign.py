@@ -6,13 +6,13 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fsai_hil.evidence.campaign.runner import CampaignPlan, Pace, Task
+    from fsai_hil.evidence.campaign.runner import CampaignPlan, Pace
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
 
@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_hil.evidence.campaign.cluster import ClusterError
     from fsai_hil.evidence.campaign.record import RecordError
+    from fsai_hil.evidence.campaign.runner import ClusterError
     from fsai_vcu.cli.main import UserError
 
     try:
@@ -89,7 +89,7 @@ def _table(record: Path, output: Path | None) -> int:
 
 def _campaign(args: argparse.Namespace) -> int:
     from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside
-    from fsai_hil.evidence.campaign.runner import campaign
+    from fsai_hil.evidence.campaign.runner import campaign, in_processes, on_cluster
     from fsai_hil.evidence.campaign.table import failures
     from fsai_vcu.cli.main import WrongUse
 
@@ -111,12 +111,8 @@ def _campaign(args: argparse.Namespace) -> int:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
         told = CampaignProgress()
         try:
-            if args.dask:
-                from fsai_hil.evidence.campaign.cluster import on_cluster
-
-                campaign(plan, writer, partial(on_cluster, args.dask), told)
-            else:
-                campaign(plan, writer, partial(_local, jobs), told)
+            spread = partial(on_cluster, address=args.dask) if args.dask else partial(in_processes, jobs=jobs)
+            campaign(plan, writer, spread, told)
         except KeyboardInterrupt:
             told.end()
             print(f"{len(writer.runs)} runs are kept in {writer.path}; --resume goes on", file=sys.stderr)
@@ -134,12 +130,6 @@ def _campaign(args: argparse.Namespace) -> int:
             return 1
         print("every run ended as the rules demand")
         return 0
-
-
-def _local(jobs: int, plan: CampaignPlan, work: Sequence[Sequence[Task]]) -> Iterator[list[dict[str, Any]]]:
-    from fsai_hil.evidence.campaign.runner import in_processes
-
-    return in_processes(plan, work, jobs)
 
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:

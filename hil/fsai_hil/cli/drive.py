@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fsai_hil.simulator.judge import JudgeVerdict
-    from fsai_hil.simulator.lockstep import Lockstep
     from fsai_hil.simulator.world import World
     from fsai_vcu.core.report import BridgeReport
 
@@ -22,29 +20,27 @@ EXAMPLE = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--mission", help="what the AMI is set to (default: autocross)")
-    parser.add_argument("--track", metavar="FILE.csv|NAME", help="default: the mission's own built-in track")
-    parser.add_argument("--laps", type=int, metavar="N", help="laps of a trackdrive (default: 10)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every chance in the run (default: 0)")
-    parser.add_argument("--revision", default="2026", help="interface revision: 2021 or 2026 (default: 2026)")
-    parser.add_argument(
-        "--profile", default="specification", help="the VCU's manners: specification or official-simulator"
-    )
-    parser.add_argument("--noise", type=float, default=1.0, metavar="X", help="noise of the cone sensor (default: 1)")
-    parser.add_argument("--max-speed", type=float, metavar="M/S", help="highest speed in every mission")
-    parser.add_argument("--limits", type=Path, metavar="FILE.toml", help="operational limits imposed by an official")
-    parser.add_argument(
+    from fsai_hil.simulator.profiles import PROFILES
+    from fsai_hil.simulator.setup_arguments import add_setup_arguments
+
+    add_setup_arguments(parser, "autocross")
+    add = parser.add_argument
+    add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
+    add("--noise", type=float, default=1.0, metavar="X", help="noise of the cone sensor (1)")
+    add("--max-speed", type=float, metavar="M/S", help="highest speed in every mission")
+    add("--limits", type=Path, metavar="FILE.toml", help="operational limits imposed by an official")
+    add(
         "--fault",
         metavar="NAME[:PARAMETER=VALUE,…]",
         help="break something on the way, and explain what follows; since=start|ready|driving|finished and after=MS"
         " say when, what is not given is drawn by --seed",
     )
-    parser.add_argument("--full", action="store_true", help="with --fault: drive to the end of the mission")
-    parser.add_argument("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
-    parser.add_argument("--realtime", action="store_true", help="as fast as the clock, not as the computer")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="save a plot of track, path driven and speed")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
-    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+    add("--full", action="store_true", help="with --fault: drive to the end of the mission")
+    add("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
+    add("--realtime", action="store_true", help="as fast as the clock, not as the computer")
+    add("--plot", type=Path, metavar="FILE.png", help="save a plot of track, path driven and speed")
+    add("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
+    add("--json", action="store_true", help="print one JSON object as the last line")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,23 +62,13 @@ def _drive(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from fsai_hil.simulator.lockstep import Lockstep
-    from fsai_hil.simulator.tracks import load_track
-    from fsai_hil.simulator.world import WorldSetup, mission_named
+    from fsai_hil.simulator.plot import plotted
+    from fsai_hil.simulator.setup_arguments import setup_of
     from fsai_vcu.core.control.settings import ControllerSettings
     from fsai_vcu.runtime.limits_file import read_limits
     from fsai_vcu.runtime.recording import CandumpWriter
 
-    if args.laps is not None and args.laps < 1:
-        raise ValueError(f"--laps is {args.laps}, but at least 1 lap can be driven")
-    setup = WorldSetup(
-        missions=[mission_named(args.mission or "autocross")],
-        track=load_track(args.track) if args.track else None,
-        revision=args.revision,
-        profile=args.profile,
-        seed=args.seed,
-        laps=args.laps,
-        noise_level=args.noise,
-    )
+    setup = setup_of(args, [args.mission or "autocross"], profile=args.profile, noise_level=args.noise)
     settings = ControllerSettings()
     if args.max_speed is not None:
         settings = replace(settings, max_speed_mps=args.max_speed)
@@ -97,7 +83,7 @@ def _drive(args: argparse.Namespace) -> int:
                 print(line, file=sys.stderr)
         result = lockstep.run(None if args.json else DriveProgress(), realtime=args.realtime)
     status = 0 if result.passed else 1
-    if args.plot and not _plotted(args.plot, lockstep, result.verdict):
+    if args.plot and not plotted("fsai-vcu drive", args.plot, lockstep.world.runs[-1]):
         status = 1
     if args.json:
         print(json.dumps(result.as_dict()))
@@ -117,23 +103,13 @@ def _drive(args: argparse.Namespace) -> int:
     return status
 
 
-def _plotted(path: Path, lockstep: Lockstep, verdict: JudgeVerdict) -> bool:
-    from fsai_hil.simulator.plot import PlotError, save_plot
-
-    try:
-        save_plot(path, lockstep.world.track, lockstep.world.samples, verdict)
-    except PlotError as error:
-        print(f"fsai-vcu drive: {error}", file=sys.stderr)
-        return False
-    return True
-
-
 def _drive_with_fault(args: argparse.Namespace) -> int:
-    """One case of the fault campaign, told to a person. Exit status 1: worse than the safety rules allow."""
+    """One case of the fault campaign, reported to a person. Exit status 1: worse than the safety rules allow."""
     from fsai_hil.evidence.campaign.cases import case_from_spec
     from fsai_hil.evidence.campaign.explain import ScenarioNarrator
     from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
     from fsai_hil.evidence.campaign.verdict import as_record
+    from fsai_hil.simulator.plot import plotted
     from fsai_hil.simulator.world import mission_named
     from fsai_vcu.interface.revisions import revision
     from fsai_vcu.runtime.recording import CandumpWriter
@@ -163,7 +139,7 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
                 story.listen(scenario)
     verdict = scenario.verdict()
     status = 0 if verdict.ok else 1
-    if args.plot and not _plotted(args.plot, rig, rig.world.verdict()):
+    if args.plot and not plotted("fsai-vcu drive", args.plot, rig.world.runs[-1]):
         status = 1
     if args.json:
         print(json.dumps(as_record(case, verdict, {})))

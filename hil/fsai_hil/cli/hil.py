@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"--soak is {args.soak:g}, but must be a time in minutes")
     if not (CHECKOUT / _SUITE).is_dir():
         raise UserError(f"the suite is part of the source checkout, and {CHECKOUT} has no {_SUITE}")
-    # A polite kill ends everything in order, as Ctrl-C does: the logs are still to be put into their place.
+    # A polite kill ends everything properly, as Ctrl-C does: the logs are still to be put into their place.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         place = prepared_place(args)
@@ -97,11 +97,11 @@ def run(args: argparse.Namespace) -> int:
 
         def suite(words: Sequence[str], results: Path, pace: float, put_off: Path | None) -> int:
             # Always said: one that a caller has in his environment must not let a failure be put off for ever.
-            told = {"FSAI_HIL_PUT_OFF": "" if put_off is None else str(put_off)}
+            reruns = {"FSAI_HIL_PUT_OFF": "" if put_off is None else str(put_off)}
             return place.run(
                 [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words],
                 cwd=CHECKOUT,
-                env={**environment(os.environ, INTERFACE, place.name, results), **_extent(args), **told},
+                env={**environment(os.environ, INTERFACE, place.name, results), **_extent(args), **reruns},
                 timeout_s=pace * timeout_s,
                 results_dir=results,
                 **({"pace": pace} if place.has_pace else {}),
@@ -160,7 +160,7 @@ def _selection(args: argparse.Namespace) -> list[str]:
 
 
 def _extent(args: argparse.Namespace) -> dict[str, str]:
-    """What the suite is told of how much of it is wanted."""
+    """What the suite is given of how much of it is wanted."""
     return {
         **({"FSAI_HIL_ALL": "1"} if args.all or args.soak else {}),
         **({} if args.soak is None else {"FSAI_HIL_SOAK_MINUTES": f"{args.soak:g}"}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from fsai_vcu.core.supervision.config import MS, BridgeConfig
+from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.gate import LIMITERS
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import (
@@ -18,6 +18,7 @@ from fsai_vcu.core.supervision.supervisor import (
     Steer,
     Step,
 )
+from fsai_vcu.interface.units import MS
 
 _HEAD = """# Supervision: the tables of supervisor and gate
 

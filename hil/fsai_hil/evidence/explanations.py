@@ -28,6 +28,7 @@ from fsai_vcu.interface.units import MS
 
 RIGHT_SHARE: Final = 0.95
 LOOK_NS: Final = 10 * MS
+PLANNED: Final = "planned_end"  # the emergency brake with which some missions end
 NOTHING: Final = frozenset({""})
 SILENT_STOP: Final = frozenset({"", Reason.COMMAND_STALE.slug, "stop_asked"})  # what the bus cannot tell
 LINK: Final = frozenset(
@@ -39,6 +40,9 @@ VCU_WHY: Final[Mapping[str, frozenset[str]]] = {
     "the EBS is not available any more": frozenset({"tsms_off", "ebs_fault"}),
     "shutdown circuit open": frozenset({"sdc_open", "remote_estop", "radio_lost", "go_off"}),
     "the AI computer's messages or echo are missing": LINK,
+    "torque and brake requested together": frozenset({"torque_with_brake"}),
+    "mission FINISHED while a wheel turns": frozenset({"finished_while_moving"}),
+    "direction NEUTRAL while a wheel turns": frozenset({"neutral_while_moving"}),
     "BMS fault": frozenset({"bms"}),
     "EBS fault": frozenset({"ebs_fault"}),
     "high-voltage interlock open": frozenset({"hvil_open"}),
@@ -82,13 +86,14 @@ class Explained:
 
     @property
     def grade(self) -> str:
-        if self.expected.intersection(self.named or ("",)):
+        named = self.named if PLANNED in self.expected else [slug for slug in self.named if slug != PLANNED]
+        if self.expected.intersection(named or ("",)):
             return "right"
         return "partly" if self.expected.intersection(self.others) else "wrong"
 
     @property
     def falsely_green(self) -> bool:
-        return self.ok and "" not in self.expected
+        return self.ok and not self.expected & {"", PLANNED}
 
 
 def explained(case: Case, snapshots: Snapshots) -> Explained:
@@ -113,7 +118,7 @@ def explained(case: Case, snapshots: Snapshots) -> Explained:
     record = record_for(frames)
     story = story_of(record)
     verdict = judge_log(record, story, measure(frames, record.decoder, revision=record.revision.name))
-    incidents = [i for i in story.incidents if not i.planned and i.kind is not IncidentKind.MISMATCH]
+    incidents = [incident for incident in story.incidents if incident.kind is not IncidentKind.MISMATCH]
     named = tuple(incident.candidates[0].slug for incident in incidents)
     others = tuple(one.slug for incident in incidents for one in incident.candidates[1:])
     return Explained(case, _expected(end, reasons, why), named, others, verdict.ok)
@@ -129,7 +134,7 @@ def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset
     words = reasons.get("emergency" if end is End.ESTOP else "stopping", "")
     reason = next((reason for reason in Reason if words.startswith(reason.words)), None)
     if reason is None or (reason not in ON_THE_BUS and reason not in ALIKE):
-        return frozenset({"not_on_the_bus", "planned_end"}) if end is End.ESTOP else SILENT_STOP
+        return frozenset({"not_on_the_bus", PLANNED}) if end is End.ESTOP else SILENT_STOP
     return ALIKE.get(reason, frozenset({reason.slug}))
 
 

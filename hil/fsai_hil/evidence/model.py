@@ -27,6 +27,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.evidence.abstraction import CLOCKS, NEVER, NOW, Abstraction, Content
@@ -43,13 +44,7 @@ from fsai_hil.evidence.car_frames import (
 )
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
-from fsai_hil.rules.numbers import (
-    BACKLOG_NS,
-    CAR_PATIENCE_NS,
-    CYCLE_NS,
-    MS,
-    S,
-)
+from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS, MS, S
 from fsai_hil.rules.seen import EDGES, Process
 from fsai_hil.rules.violation import Violation
 from fsai_hil.simulator.as_machine import Situation, Table, taken, transition_table
@@ -66,10 +61,7 @@ from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import replace
-from fsai_vcu.interface.messages import (
-    AiCommand,
-    AiImage,
-)
+from fsai_vcu.interface.messages import AiCommand, AiImage
 from fsai_vcu.interface.revisions import revision
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
@@ -86,10 +78,10 @@ _THIS_RUN, _OTHER_RUN = 0, -1
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A command as the searched controller sends it. `in_order` is what the safety rules say of it."""
+    """A command as the searched controller sends it. `valid` is what the safety rules say of it."""
 
     words: str
-    in_order: bool
+    valid: bool
     steering_rad: float = 0.0
     throttle: float = 0.0
     brake: float = 0.0
@@ -154,52 +146,33 @@ class Choice:
         """The choice in words: only what is out of the ordinary, and what matters in every cycle."""
         if self.event == "restart":
             return "the process dies and another one takes its place"
-        parts: list[str] = []
-        if self.car_off:
-            parts.append("the car is switched off")
-        else:
-            if self.says is not None:
-                parts.append(f"the car says {self.says.label}")
-            parts.append(
-                "wheels turn with " + "/".join(map(str, self.rpm)) + " rpm" if any(self.rpm) else "wheels stand"
-            )
-            parts.append("Go on" if self.go else "Go off")
-            if not self.asms:
-                parts.append("ASMS off")
-            if not self.tsms:
-                parts.append("TSMS off")
-            if self.sdc_open:
-                parts.append("the shutdown circuit opens")
-            if self.fault:
-                parts.append("FAULT_STATUS 1")
-            parts += [mark for mark in MARKS if mark in self.marks]
-            if self.counting:
-                parts.append("a pulse count runs")
-            if self.ami is not Ami.TRACKDRIVE:
-                parts.append(f"the AMI shows {self.ami.label}")
-            if self.lost:
-                parts.append("lost: " + ", ".join(name for name in CAR_MESSAGES if name in self.lost))
-            if self.unreadable:
-                parts.append("0x520 with an AS_STATE outside the table")
-            if self.angle_max_deg != 30.0:
-                parts.append(f"ANGLE_MAX {self.angle_max_deg:g} deg")
-            if self.torque_max_nm != 195.0:
-                parts.append(f"TRQ_MAX {self.torque_max_nm:g} Nm")
-        if self.steer_odd:
-            parts.append("the steering does not follow")
-        if self.wheel_odd:
-            parts.append("one wheel does not fit the others")
-        if self.event is not None:
-            parts.append(self.event)
-        if self.request is not None:
-            parts.append(f"asked for: {self.request}")
-        if self.confirm != BOTH:
-            missing = " and ".join(sorted(BOTH - self.confirm))
-            parts.append(f"reset not confirmed by {missing}")
-        parts.append("no command" if self.command == _NO_COMMAND else f"command: {COMMANDS[self.command].words}")
-        if self.frames < 5:
-            parts.append("no frame goes out" if not self.frames else f"only {self.frames} of 5 frames go out")
-        return "; ".join(parts)
+        said = (
+            (self.says is not None and f"the car says {self.says.label}"),
+            "wheels turn with " + "/".join(map(str, self.rpm)) + " rpm" if any(self.rpm) else "wheels stand",
+            "Go on" if self.go else "Go off",
+            not self.asms and "ASMS off",
+            not self.tsms and "TSMS off",
+            self.sdc_open and "the shutdown circuit opens",
+            self.fault and "FAULT_STATUS 1",
+            *(mark for mark in MARKS if mark in self.marks),
+            self.counting and "a pulse count runs",
+            self.ami is not Ami.TRACKDRIVE and f"the AMI shows {self.ami.label}",
+            self.lost and "lost: " + ", ".join(name for name in CAR_MESSAGES if name in self.lost),
+            self.unreadable and "0x520 with an AS_STATE outside the table",
+            self.angle_max_deg != 30.0 and f"ANGLE_MAX {self.angle_max_deg:g} deg",
+            self.torque_max_nm != 195.0 and f"TRQ_MAX {self.torque_max_nm:g} Nm",
+        )
+        parts = (
+            *(("the car is switched off",) if self.car_off else said),
+            self.steer_odd and "the steering does not follow",
+            self.wheel_odd and "one wheel does not fit the others",
+            self.event,
+            self.request and f"asked for: {self.request}",
+            self.confirm != BOTH and "reset not confirmed by " + " and ".join(sorted(BOTH - self.confirm)),
+            "no command" if self.command == _NO_COMMAND else f"command: {COMMANDS[self.command].words}",
+            self.frames < 5 and (f"only {self.frames} of 5 frames go out" if self.frames else "no frame goes out"),
+        )
+        return "; ".join(str(part) for part in parts if part)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,30 +229,28 @@ class SearchedBridge(Bridge):
         return steering, wheels
 
 
+@dataclass(slots=True)
 class _Vcu:
-    """The other end: the real transition table, what was heard last, and the handshake."""
+    """The other end: the real transition table, what it received last, and the handshake."""
 
-    __slots__ = (
-        "ai_ns", "bit", "brake", "direction", "echo_ns", "estop", "front", "go_before", "heard", "needs_power_cycle",
-        "rear", "since_ns", "state", "status", "steer",
-    )  # fmt: skip
+    state: AsState
+    received: bool = False
+    go_before: bool = True
+    needs_power_cycle: bool = False
+    estop: bool = False
+    status: MissionStatus = MissionStatus.NOT_SELECTED
+    direction: Direction = Direction.NEUTRAL
+    front: bool = False
+    rear: bool = False
+    steer: bool = False
+    brake: bool = False
+    since_ns: int = NOW
+    ai_ns: int | None = None  # the last complete cycle
+    echo_ns: int | None = None  # since when the echo is awaited
+    bit: bool = False
 
-    def __init__(self, first: AsState) -> None:
-        self.switch_off(first)
 
-    def switch_off(self, first: AsState) -> None:
-        self.state = first
-        self.since_ns = NOW
-        self.heard = False
-        self.ai_ns: int | None = None  # the last complete cycle
-        self.echo_ns: int | None = None  # since when the echo is awaited
-        self.bit = False
-        self.go_before = True
-        self.needs_power_cycle = False
-        self.estop = False
-        self.status = MissionStatus.NOT_SELECTED
-        self.direction = Direction.NEUTRAL
-        self.front = self.rear = self.steer = self.brake = False
+_asked_of = attrgetter("estop", "status", "direction", "front", "rear", "steer", "brake")
 
 
 @contextmanager
@@ -400,7 +371,7 @@ class Composition:
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
-        """Nothing has been sent or heard: both sides have just been switched on."""
+        """Nothing has been sent or received: both sides have just been switched on."""
         self._bridge = self._new_bridge()
         self._vcu = _Vcu(self.scope.setting.first_state)
         self._checker = self._new_checker()
@@ -432,8 +403,8 @@ class Composition:
         disc = (
             content,
             # VCU
-            (v.state, v.heard and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
-             v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake),
+            (v.state, v.received and table, v.go_before or v.state is not AsState.AS_READY, v.needs_power_cycle,
+             *_asked_of(v)),
             wire,
         )  # fmt: skip
         vcu_age = NEVER
@@ -454,19 +425,13 @@ class Composition:
         """The bridge's half of it, at `NOW`."""
         return self._abstraction.whole(state[0][0], state[1][: len(CLOCKS)])
 
-    def _load(self, state: State) -> None:
-        """Put the composition back as it was saved, at `NOW`."""
+    def _load(self, state: State, bridge: BridgeState | None = None) -> None:
+        """Put the composition back as it was saved, at `NOW`; `bridge` is the bridge's half where it is known."""
         (_, vcu, wire), ages = cast(Any, state)
-        v = self._vcu
-        self._bridge.state = self.bridge_of(state)
-        t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) :]]
-
-        (v.state, v.heard, v.go_before, v.needs_power_cycle, v.estop, v.status, v.direction, v.front, v.rear, v.steer,
-         v.brake) = vcu  # fmt: skip
-        v.bit = False
-        v.since_ns = NOW if t[0] is None else t[0]
-        v.ai_ns, v.echo_ns = t[1], t[2]
-
+        self._bridge.state = bridge or self.bridge_of(state)
+        t = [None if age < 0 else NOW - age for age in ages[len(CLOCKS) : -len(EDGES)]]
+        self._vcu = v = _Vcu(*vcu)
+        v.since_ns, v.ai_ns, v.echo_ns = NOW if t[0] is None else t[0], t[1], t[2]
         self._checker.load((wire, ages[-len(EDGES) :]), NOW)
 
     # ------------------------------------------------------------ moves
@@ -488,11 +453,12 @@ class Composition:
         listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self._path
         count = len(self.choices) if driving else self._path if listening else self._anywhere
         braked = state[0][1][0] is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
-        if self._path and (braked or self.bridge_of(state).stop_cycles_left == 0):
+        bridge = self.bridge_of(state)
+        if self._path and (braked or bridge.stop_cycles_left == 0):
             count = self._path  # the car brakes by itself for good, or the software has stopped for good
         for label in range(count):
             choice = self.choices[label]
-            (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS)
+            (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS, bridge)
             target = disc, self._rounded(raw)
             if problems or target != state:
                 yield Move(label, CYCLE_NS, target, problems, asked)
@@ -527,9 +493,9 @@ class Composition:
                     break
         return () if nearest is None else (nearest - 1, nearest)
 
-    def _cycle(self, state: State, choice: Choice, step_ns: int) -> Outcome:
+    def _cycle(self, state: State, choice: Choice, step_ns: int, bridge: BridgeState | None = None) -> Outcome:
         """One cycle of the whole composition, `step_ns` after the state was saved."""
-        self._load(state)
+        self._load(state, bridge)
         return self.live(choice, NOW + step_ns)
 
     def live(self, choice: Choice, now: int) -> Outcome:
@@ -540,7 +506,7 @@ class Composition:
             self._checker.restarted()
         checker = self._checker
         if choice.car_off:
-            self._vcu.switch_off(self.scope.setting.first_state)
+            self._vcu = _Vcu(self.scope.setting.first_state)
         else:
             self._look(choice, now)
             self._car_speaks(choice, now)
@@ -589,7 +555,7 @@ class Composition:
             checks["5"] += 1
         if w.latched:
             checks["6"] += 1
-        if choice.command != _NO_COMMAND and not COMMANDS[choice.command].in_order:
+        if choice.command != _NO_COMMAND and not COMMANDS[choice.command].valid:
             checks["7"] += 1
         if w.restarted:
             checks["10"] += 1
@@ -604,11 +570,11 @@ class Composition:
                 v.state, v.since_ns = choice.says, now
             return
         s = self._situation
-        lost = v.heard and (
+        lost = v.received and (
             (v.ai_ns is not None and now - v.ai_ns >= CAR_PATIENCE_NS)
             or (v.echo_ns is not None and now - v.echo_ns >= CAR_PATIENCE_NS)
         )
-        up = v.heard and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
+        up = v.received and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
         s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, choice.tsms, choice.go, choice.ami, choice.sdc_open
         s.go_rising = choice.go and not v.go_before
         v.go_before = choice.go
@@ -741,8 +707,8 @@ class Composition:
         checker.cycle_over(now)
         if not choice.car_off:
             for number in range(choice.frames):
-                before = (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake)
-                v.heard = True
+                before = _asked_of(v)
+                v.received = True
                 match number:
                     case 0:
                         v.estop, v.status, v.direction = asked.estop_request, asked.mission_status, asked.direction
@@ -759,7 +725,7 @@ class Composition:
                         v.ai_ns = now
                 if v.ai_ns is None:
                     v.ai_ns = now
-                if before != (v.estop, v.status, v.direction, v.front, v.rear, v.steer, v.brake):
+                if before != _asked_of(v):
                     self._look(choice, now)
         b.on_sent(choice.frames == 5, now)
 
@@ -772,11 +738,11 @@ class Composition:
         time_ns = 0
         for move in trace:
             time_ns += move.duration_ns
-            heard = self.bridge_of(move.target).supervisor.as_state
-            heard_words = "no AS state seen" if heard is None else f"{heard.label} seen"
+            state = self.bridge_of(move.target).supervisor.as_state
+            seen = "no AS state seen" if state is None else f"{state.label} seen"
             words = (
                 f"{self.choices[move.label].words}\n"
-                f"            -> {heard_words}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
+                f"            -> {seen}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
             )
             if words == before:
                 lines.pop()

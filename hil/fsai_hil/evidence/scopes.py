@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import combinations, product
-from typing import Final
+from typing import Any, Final
 
 from fsai_hil.evidence.car_frames import MARKS
 from fsai_hil.evidence.model import (
@@ -27,7 +27,7 @@ from fsai_hil.evidence.model import (
 )
 from fsai_hil.rules.numbers import S
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
-from fsai_vcu.core.bridge import BridgeConfig, official_simulator
+from fsai_vcu.core.bridge import official_simulator
 from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
@@ -49,7 +49,7 @@ _SILENT_MOVING = replace(GO, command="none", rpm=MOVING)
 _CUT_OFF = replace(GO, lost=frozenset(CAR_MESSAGES), rpm=MOVING)
 _SILENCE_AND_STANDS: Final = "a silent planner and a car that comes to rest"
 _SILENCE_AND_MOVES: Final = "a silent planner and a car that never brakes"
-_DEAF: Final = "a car that is not heard any more"
+_DEAF: Final = "a car that is not received any more"
 
 ENDINGS: Final = {
     _SILENCE_AND_STANDS: _SILENT_STANDING,
@@ -75,7 +75,11 @@ _INSISTING: Final = {
     _INSISTS_STANDING: replace(GO, says=AsState.AS_DRIVING, command="none"),
     _INSISTS_MOVING: replace(GO, says=AsState.AS_DRIVING, command="none", rpm=MOVING),
 }
-_INSISTING_NS: Final = {_INSISTS_STANDING: 5 * S, _INSISTS_MOVING: 5 * S}
+_ANY_CAR: Final[dict[str, Any]] = {
+    "endings": _INSISTING,
+    "bounds_ns": {_INSISTS_STANDING: 5 * S, _INSISTS_MOVING: 5 * S},
+    "from_start": True,
+}
 
 
 def _scope(
@@ -132,113 +136,31 @@ _PEOPLE: Final[tuple[dict[str, object], ...]] = (
 )
 
 
-def _run(name: str = "run", setting: Setting | None = None, *, bounds_ns: Mapping[str, int] = BOUNDS_NS) -> Scope:
-    return _scope(
-        name,
-        "people: mode requests, emergency brake, reset, Go, ASMS, TSMS, E-stop, faults, AMI, resets not confirmed; "
-        "wheels standing, moving; planner driving, finished, silent",
-        _each(GO, *_PEOPLE),
-        (replace(GO, rpm=MOVING), *_each(replace(GO, rpm=MOVING), *_PEOPLE)),
-        setting=setting,
-        bounds_ns=bounds_ns,
-    )
-
-
-def _confirmations() -> Scope:
-    planner = frozenset(("planner",))
-    kinds = [
-        {"ami": ami, "confirm": who}
-        for ami, who in product((Ami.TRACKDRIVE, Ami.ACCELERATION), (BOTH, planner, BOTH - planner, NOBODY))
-    ]
-    return _scope(
-        "confirmations",
-        "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none",
-        [*_each(_WELL, *kinds), *_each(GO, *kinds), replace(GO, asms=False)],
-        (replace(GO, rpm=MOVING), replace(GO, rpm=MOVING, ami=Ami.ACCELERATION, confirm=NOBODY)),
-    )
-
-
-def _power_cycle() -> Scope:
-    return _scope(
-        "power cycle",
-        "the car switched off for any time and on again in every state, with and without an emergency; its reset",
-        _each(GO, {"car_off": True}, {"request": "the emergency brake"}, {"request": "reset"}),
-        (replace(GO, rpm=MOVING), replace(GO, rpm=MOVING, car_off=True)),
-    )
-
-
-def _commands() -> Scope:
-    kinds = ("none", *(kind for kind in COMMANDS if kind != "drive right"))
-    return _scope(
-        "commands",
-        "every kind of command: in order, absurd, stale, of another run, both pedals; wheels standing, slowing, moving",
-        _each(GO, {"command": "estop"}, {"command": "finished"}, {"command": "both"}),
-        [
-            *(replace(GO, command=kind, rpm=MOVING) for kind in kinds),
-            *(replace(GO, command=kind) for kind in ("none", "drive", "coast", "brake", "both", "finished", "estop")),
-            *(replace(GO, command=kind, rpm=ROLLING) for kind in ("none", "drive", "brake")),
-        ],
-    )
-
-
-def _messages() -> Scope:
-    pairs = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
-    choices = [replace(GO, lost=lost, rpm=MOVING) for lost in pairs]
-    choices += [replace(GO, lost=lost) for lost in pairs if len(lost) < 2]
-    choices += [replace(GO, lost=lost, command="brake", rpm=MOVING) for lost in (frozenset(), frozenset((BRAKE,)))]
-    unreadable = _each(replace(GO, unreadable=True), {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))})
-    everywhere = [replace(GO, lost=frozenset((STATUS,))), replace(GO, unreadable=True), _CUT_OFF]
-    return _scope(
-        "messages",
-        "each of the car's messages and each pair of them fresh, late and lost; 0x520 that cannot be read",
-        everywhere,
-        (*choices, *unreadable),
-        endings=ENDINGS,
-    )
-
-
-def _sends() -> Scope:
-    return _scope(
-        "sends",
-        "cycles that go out whole, in part, not at all, for any time; pedals changing under it",
-        _each(GO, {"frames": 0}, {"frames": 3}),
-        [
-            *(replace(GO, frames=f, command=c, rpm=MOVING) for f, c in product((0, 1, 3, 4, 5), ("drive", "brake"))),
-            *(replace(GO, frames=f, command=c) for f, c in product((0, 3, 5), ("drive", "none"))),
-        ],
-        endings=ENDINGS,
-    )
-
-
-_TROUBLE: Final = (
-    "an intruder sends 0x511",
-    "the loop misses its deadline",
-    "the bus is lost",
-    "the bus is back",
-    "the software is stopped",
-    "frames waited for 20 ms",
+_PLANNER: Final = frozenset(("planner",))
+_CONFIRMED: Final[tuple[dict[str, object], ...]] = tuple(
+    {"ami": ami, "confirm": who}
+    for ami, who in product((Ami.TRACKDRIVE, Ami.ACCELERATION), (BOTH, _PLANNER, BOTH - _PLANNER, NOBODY))
 )
-_TROUBLES: Final[tuple[dict[str, object], ...]] = tuple({"event": event} for event in _TROUBLE)
+_LOST: Final = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
+_TROUBLES: Final[tuple[dict[str, object], ...]] = tuple(
+    {"event": event}
+    for event in (
+        "an intruder sends 0x511",
+        "the loop misses its deadline",
+        "the bus is lost",
+        "the bus is back",
+        "the software is stopped",
+        "frames waited for 20 ms",
+    )
+)
 _RESTART: Final = "restart"
-
-
-def _trouble() -> Scope:
-    return _scope(
-        "trouble",
-        "intruder, fault of the loop, bus lost and back, orderly end, frames that waited, in any order and at any time",
-        _each(GO, *_TROUBLES),
-        _each(replace(GO, rpm=MOVING), {}, *_TROUBLES),
-        setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, stop_cycles=2)),
-    )
-
-
-def _restarts() -> Scope:
-    return _scope(
-        "restarts",
-        "the process dies and comes back in every state of the car, moving and standing; so does the car",
-        _each(GO, {"event": _RESTART}, {"asms": False}, {"car_off": True}),
-        _each(replace(GO, rpm=MOVING), {}, {"event": _RESTART}, {"command": "brake"}),
-    )
+_EVERY_MARK: Final = frozenset(MARKS)
+_EACH_MARK: Final = [frozenset((mark,)) for mark in MARKS]
+_CONFIG: Final = Setting().config
+_AT_POWER_UP: Final = Setting(config=replace(_CONFIG, autonomous_at_power_up=True))
+_DRIVES: Final = replace(GO, rpm=MOVING)
+_SAYS_DRIVING: Final = replace(_DRIVES, says=AsState.AS_DRIVING)
+_OFF, _READY, _DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 
 
 def _said(state: AsState, **changes: object) -> Choice:
@@ -247,192 +169,15 @@ def _said(state: AsState, **changes: object) -> Choice:
     return replace(said, **changes)  # type: ignore[arg-type]
 
 
-def _any_car() -> Scope:
-    says = [_said(state) for state in AsState]
-    says += [_said(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)]
-    says += [_said(AsState.AS_DRIVING, go=False, rpm=MOVING)]
-    driving = replace(GO, says=AsState.AS_DRIVING, rpm=MOVING)
+def _run(name: str = "run", setting: Setting | None = None, *, bounds_ns: Mapping[str, int] = BOUNDS_NS) -> Scope:
     return _scope(
-        "any car",
-        "a VCU that says any AS state at any time, whatever came before: reboots, jumps, faults; people's requests",
-        [
-            *says,
-            *_each(driving, {"fault": True}, {"request": "manual"}, {"lost": frozenset((STATUS,))}),
-            *_each(replace(driving, says=AsState.AS_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
-            _said(AsState.AS_READY, request="autonomous"),
-        ],
-        endings=_INSISTING,
-        bounds_ns=_INSISTING_NS,
-        from_start=True,
-    )
-
-
-def _restarts_any_car() -> Scope:
-    states = (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)
-    return _scope(
-        "restarts, any car",
-        "the process dies and comes back beside a VCU that goes on as if nothing had happened",
-        [
-            *(_said(state) for state in states),
-            _said(AsState.AS_DRIVING, rpm=MOVING),
-            *(_said(state, event=_RESTART) for state in states),
-            *(_said(state, request="autonomous") for state in states[:2]),
-        ],
-        endings=_INSISTING,
-        bounds_ns=_INSISTING_NS,
-        from_start=True,
-    )
-
-
-def _beginnings() -> Scope:
-    off, ready, driving = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
-    return _scope(
-        "beginnings",
-        "a VCU that comes to AS_DRIVING after any time, with Go on or off before it, with no mission on the AMI, and "
-        "with SELECTED that never went out whole",
-        [
-            *_each(_said(off), {"request": "autonomous"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
-            *_each(_said(ready), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
-            *_each(_said(driving), {}, {"rpm": MOVING}),
-        ],
-        endings=_INSISTING,
-        bounds_ns=_INSISTING_NS,
-        from_start=True,
-    )
-
-
-def _marks() -> Scope:
-    every = frozenset(MARKS)
-    each = [frozenset((mark,)) for mark in MARKS]
-    return _scope(
-        "marks",
-        "switches, SHUTDOWN_REQUEST, fault bits and SHUTDOWN_CAUSE in 0x520 while FAULT_STATUS stays 0: there since "
-        "before the run, and turning in AS_DRIVING, each and all of them",
-        [replace(_WELL, marks=every), replace(GO, marks=every), replace(_WELL, marks=each[3])],
-        [
-            *(replace(GO, rpm=MOVING, marks=marks) for marks in (NOBODY, every, *each, every - each[3])),
-            replace(GO, marks=each[0]),
-        ],
-    )
-
-
-def _wheel_speeds() -> Scope:
-    return _scope(
-        "wheel speeds",
-        "wheel speeds beyond the database and beyond what a tyre can follow, on all wheels and on one; pulse counts "
-        "that run while the wheels stand",
-        _each(GO, {"rpm": IMPOSSIBLE}, {"counting": True}),
-        [
-            *_each(
-                GO, {"rpm": MOVING}, {"rpm": TOO_FAST}, {"rpm": (200, 200, 1251, 200)}, {"rpm": (200, 200, 1200, 200)}
-            ),
-            *_each(GO, {"command": "finished"}, {"command": "finished", "counting": True}),
-        ],
-    )
-
-
-def _plausibility() -> Scope:
-    return _scope(
-        "plausibility",
-        "steering that does not follow, a wheel that does not fit, planner driving and finished",
-        (),
-        [
-            replace(GO, steer_odd=steer, wheel_odd=wheel, command=command, rpm=rpm)
-            for (steer, wheel), (command, rpm) in product(
-                product((False, True), (False, True)), (("drive", MOVING), ("finished", MOVING), ("drive", STANDING))
-            )
-        ],
-    )
-
-
-def _limits() -> Scope:
-    steering = product(("drive", "drive right"), (30.0, 5.0))
-    speeds = [  # no more than 300 rpm from one to the next: else they are not believed
-        ((450, 450, 450, 450), 195.0),
-        ((450, 300, 300, 501), 195.0),
-        ((401, 300, 601, 450), 195.0),
-        ((450, 701, 450, 401), 195.0),
-        (MOVING, 40.0),
-        (MOVING, 0.0),
-    ]
-    return _scope(
-        "limits",
-        "live ANGLE_MAX and TRQ_MAX, wheel speeds round the constant-power steps, steering left and right at its rate",
-        (),
-        [
-            *(replace(GO, command=command, rpm=MOVING, angle_max_deg=angle) for command, angle in steering),
-            *(replace(GO, command="drive right", rpm=rpm, torque_max_nm=torque) for rpm, torque in speeds),
-        ],
-        setting=Setting(
-            config=BridgeConfig(steer_rate_degps=1500.0),
-            revision="2021",
-            car=CARS["2021"],
-            first_state=AsState.AS_OFF,
-        ),
-    )
-
-
-def _power_up() -> Scope:
-    setting = Setting(config=BridgeConfig(steer_rate_degps=1500.0, autonomous_at_power_up=True))
-    return _scope(
-        "power-up",
-        "a process that enters autonomous by itself: car off and on, manual asked for, wheels turning",
-        _each(GO, {"car_off": True}, {"request": "manual"}, {"request": "sideways"}, {"rpm": MOVING}),
+        name,
+        "people: mode requests, emergency brake, reset, Go, ASMS, TSMS, E-stop, faults, AMI, resets not confirmed; "
+        "wheels standing, moving; planner driving, finished, silent",
+        _each(GO, *_PEOPLE),
+        (_DRIVES, *_each(_DRIVES, *_PEOPLE)),
         setting=setting,
-    )
-
-
-def _power_up_any_car() -> Scope:
-    setting = Setting(config=BridgeConfig(steer_rate_degps=1500.0, autonomous_at_power_up=True))
-    states = (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)
-    return _scope(
-        "power-up, any car",
-        "the same beside a VCU that says any of its states from the start, wheels standing and turning",
-        [
-            *(_said(state, rpm=rpm) for state, rpm in product(states, (STANDING, MOVING))),
-        ],
-        setting=setting,
-        endings=_INSISTING,
-        bounds_ns=_INSISTING_NS,
-        from_start=True,
-    )
-
-
-def _official() -> Scope:
-    return _run(
-        "official simulator",
-        Setting(
-            config=replace(official_simulator(), steer_rate_degps=1500.0),
-            car=CARS["official-simulator"],
-            profile=OFFICIAL_SIMULATOR,
-            first_state=AsState.AS_OFF,
-            limits=OperationalLimits(),
-        ),
-        # Its motors brake more weakly: a deceleration has 2 s to show, not 0.5 s.
-        bounds_ns={**BOUNDS_NS, _SILENCE_AND_MOVES: BOUNDS_NS[_SILENCE_AND_MOVES] + 3 * S // 2},
-    )
-
-
-def _listening() -> Scope:
-    return _scope(
-        "listen only",
-        "a process that only listens: nothing that happens makes it send",
-        [
-            *(_said(state) for state in (AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING)),
-            *_each(
-                replace(GO, says=AsState.AS_DRIVING, rpm=MOVING),
-                {"event": "an intruder sends 0x511"},
-                {"event": "the loop misses its deadline"},
-                {"event": "the software is stopped"},
-                {"request": "the emergency brake"},
-            ),
-            _said(AsState.AS_OFF, request="autonomous"),
-        ],
-        setting=Setting(config=BridgeConfig(steer_rate_degps=1500.0, listen_only=True)),
-        endings={},
-        bounds_ns={},
-        from_start=True,
-        endless="a process that never sends brings no car to any end",
+        bounds_ns=bounds_ns,
     )
 
 
@@ -440,24 +185,212 @@ def all_scopes() -> tuple[Scope, ...]:
     """Every scope of the full search."""
     return (
         _run(),
-        _confirmations(),
-        _commands(),
-        _messages(),
-        _sends(),
-        _trouble(),
-        _restarts(),
-        _power_cycle(),
-        _any_car(),
-        _beginnings(),
-        _marks(),
-        _wheel_speeds(),
-        _restarts_any_car(),
-        _plausibility(),
-        _limits(),
-        _power_up(),
-        _power_up_any_car(),
-        _official(),
-        _listening(),
+        _scope(
+            "confirmations",
+            "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none",
+            [*_each(_WELL, *_CONFIRMED), *_each(GO, *_CONFIRMED), replace(GO, asms=False)],
+            (_DRIVES, replace(_DRIVES, ami=Ami.ACCELERATION, confirm=NOBODY)),
+        ),
+        _scope(
+            "commands",
+            "every kind of command: valid, absurd, stale, of another run, both pedals; wheels standing, slowing, "
+            "moving",
+            _each(GO, {"command": "estop"}, {"command": "finished"}, {"command": "both"}),
+            [
+                *(replace(_DRIVES, command=kind) for kind in ("none", *COMMANDS) if kind != "drive right"),
+                *(
+                    replace(GO, command=kind)
+                    for kind in ("none", "drive", "coast", "brake", "both", "finished", "estop")
+                ),
+                *(replace(GO, command=kind, rpm=ROLLING) for kind in ("none", "drive", "brake")),
+            ],
+        ),
+        _scope(
+            "messages",
+            "each of the car's messages and each pair of them fresh, late and lost; 0x520 that cannot be read",
+            [replace(GO, lost=frozenset((STATUS,))), replace(GO, unreadable=True), _CUT_OFF],
+            [
+                *(replace(_DRIVES, lost=lost) for lost in _LOST),
+                *(replace(GO, lost=lost) for lost in _LOST if len(lost) < 2),
+                *(replace(_DRIVES, lost=lost, command="brake") for lost in (frozenset[str](), frozenset((BRAKE,)))),
+                *_each(replace(GO, unreadable=True), {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))}),
+            ],
+            endings=ENDINGS,
+        ),
+        _scope(
+            "sends",
+            "cycles that go out whole, in part, not at all, for any time; pedals changing under it",
+            _each(GO, {"frames": 0}, {"frames": 3}),
+            [
+                *(replace(_DRIVES, frames=f, command=c) for f, c in product((0, 1, 3, 4, 5), ("drive", "brake"))),
+                *(replace(GO, frames=f, command=c) for f, c in product((0, 3, 5), ("drive", "none"))),
+            ],
+            endings=ENDINGS,
+        ),
+        _scope(
+            "trouble",
+            "intruder, fault of the loop, bus lost and back, orderly end, frames that waited, in any order and at any "
+            "time",
+            _each(GO, *_TROUBLES),
+            _each(_DRIVES, {}, *_TROUBLES),
+            setting=Setting(config=replace(_CONFIG, stop_cycles=2)),
+        ),
+        _scope(
+            "restarts",
+            "the process dies and comes back in every state of the car, moving and standing; so does the car",
+            _each(GO, {"event": _RESTART}, {"asms": False}, {"car_off": True}),
+            _each(_DRIVES, {}, {"event": _RESTART}, {"command": "brake"}),
+        ),
+        _scope(
+            "power cycle",
+            "the car switched off for any time and on again in every state, with and without an emergency; its reset",
+            _each(GO, {"car_off": True}, {"request": "the emergency brake"}, {"request": "reset"}),
+            _each(_DRIVES, {}, {"car_off": True}),
+        ),
+        _scope(
+            "any car",
+            "a VCU that says any AS state at any time, whatever came before: reboots, jumps, faults; people's requests",
+            [
+                *(_said(state) for state in AsState),
+                *(_said(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)),
+                _said(_DRIVING, go=False, rpm=MOVING),
+                *_each(_SAYS_DRIVING, {"fault": True}, {"request": "manual"}, {"lost": frozenset((STATUS,))}),
+                *_each(replace(_SAYS_DRIVING, says=_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
+                _said(_READY, request="autonomous"),
+            ],
+            **_ANY_CAR,
+        ),
+        _scope(
+            "beginnings",
+            "a VCU that comes to AS_DRIVING after any time, with Go on or off before it, with no mission on the AMI, "
+            "and with SELECTED that never went out whole",
+            [
+                *_each(_said(_OFF), {"request": "autonomous"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+                *_each(_said(_READY), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+                *_each(_said(_DRIVING), {}, {"rpm": MOVING}),
+            ],
+            **_ANY_CAR,
+        ),
+        _scope(
+            "marks",
+            "switches, SHUTDOWN_REQUEST, fault bits and SHUTDOWN_CAUSE in 0x520 while FAULT_STATUS stays 0: there "
+            "since before the run, and turning in AS_DRIVING, each and all of them",
+            [replace(_WELL, marks=_EVERY_MARK), replace(GO, marks=_EVERY_MARK), replace(_WELL, marks=_EACH_MARK[3])],
+            [
+                *(
+                    replace(_DRIVES, marks=marks)
+                    for marks in (NOBODY, _EVERY_MARK, *_EACH_MARK, _EVERY_MARK - _EACH_MARK[3])
+                ),
+                replace(GO, marks=_EACH_MARK[0]),
+            ],
+        ),
+        _scope(
+            "wheel speeds",
+            "wheel speeds beyond the database and beyond what a tyre can follow, on all wheels and on one; pulse "
+            "counts that run while the wheels stand",
+            _each(GO, {"rpm": IMPOSSIBLE}, {"counting": True}),
+            _each(
+                GO,
+                {"rpm": MOVING},
+                {"rpm": TOO_FAST},
+                {"rpm": (200, 200, 1251, 200)},
+                {"rpm": (200, 200, 1200, 200)},
+                {"command": "finished"},
+                {"command": "finished", "counting": True},
+            ),
+        ),
+        _scope(
+            "restarts, any car",
+            "the process dies and comes back beside a VCU that goes on as if nothing had happened",
+            [
+                *(_said(state) for state in (_OFF, _READY, _DRIVING)),
+                _said(_DRIVING, rpm=MOVING),
+                *(_said(state, event=_RESTART) for state in (_OFF, _READY, _DRIVING)),
+                *(_said(state, request="autonomous") for state in (_OFF, _READY)),
+            ],
+            **_ANY_CAR,
+        ),
+        _scope(
+            "plausibility",
+            "steering that does not follow, a wheel that does not fit, planner driving and finished",
+            (),
+            [
+                replace(GO, steer_odd=steer, wheel_odd=wheel, command=command, rpm=rpm)
+                for (steer, wheel), (command, rpm) in product(
+                    product((False, True), (False, True)),
+                    (("drive", MOVING), ("finished", MOVING), ("drive", STANDING)),
+                )
+            ],
+        ),
+        _scope(
+            "limits",
+            "live ANGLE_MAX and TRQ_MAX, wheel speeds round the constant-power steps, steering left and right at its "
+            "rate",
+            (),
+            [
+                *(
+                    replace(_DRIVES, command=command, angle_max_deg=angle)
+                    for command, angle in product(("drive", "drive right"), (30.0, 5.0))
+                ),
+                *(
+                    replace(GO, command="drive right", rpm=rpm, torque_max_nm=torque)
+                    for rpm, torque in (  # no more than 300 rpm from one to the next: else they are not believed
+                        ((450, 450, 450, 450), 195.0),
+                        ((450, 300, 300, 501), 195.0),
+                        ((401, 300, 601, 450), 195.0),
+                        ((450, 701, 450, 401), 195.0),
+                        (MOVING, 40.0),
+                        (MOVING, 0.0),
+                    )
+                ),
+            ],
+            setting=Setting(revision="2021", car=CARS["2021"], first_state=_OFF),
+        ),
+        _scope(
+            "power-up",
+            "a process that enters autonomous by itself: car off and on, manual asked for, wheels turning",
+            _each(GO, {"car_off": True}, {"request": "manual"}, {"request": "sideways"}, {"rpm": MOVING}),
+            setting=_AT_POWER_UP,
+        ),
+        _scope(
+            "power-up, any car",
+            "the same beside a VCU that says any of its states from the start, wheels standing and turning",
+            [_said(state, rpm=rpm) for state, rpm in product((_OFF, _READY, _DRIVING), (STANDING, MOVING))],
+            setting=_AT_POWER_UP,
+            **_ANY_CAR,
+        ),
+        _run(
+            "official simulator",
+            Setting(
+                config=replace(official_simulator(), steer_rate_degps=1500.0),
+                car=CARS["official-simulator"],
+                profile=OFFICIAL_SIMULATOR,
+                first_state=_OFF,
+                limits=OperationalLimits(),
+            ),
+            # Its motors brake more weakly: a deceleration has 2 s to show, not 0.5 s.
+            bounds_ns={**BOUNDS_NS, _SILENCE_AND_MOVES: BOUNDS_NS[_SILENCE_AND_MOVES] + 3 * S // 2},
+        ),
+        _scope(
+            "listen only",
+            "a process that only listens: nothing that happens makes it send",
+            [
+                *(_said(state) for state in (_OFF, _READY, _DRIVING)),
+                *_each(
+                    _SAYS_DRIVING,
+                    {"event": "an intruder sends 0x511"},
+                    {"event": "the loop misses its deadline"},
+                    {"event": "the software is stopped"},
+                    {"request": "the emergency brake"},
+                ),
+                _said(_OFF, request="autonomous"),
+            ],
+            setting=Setting(config=replace(_CONFIG, listen_only=True)),
+            endings={},
+            bounds_ns={},
+            from_start=True,
+            endless="a process that never sends brings no car to any end",
+        ),
     )
 
 

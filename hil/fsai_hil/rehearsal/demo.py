@@ -21,13 +21,14 @@ from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, Stack, StackError
 from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
 from fsai_hil.rules.checker import check_candump
-from fsai_hil.simulator.tracks import load_track
-from fsai_hil.simulator.world import World, WorldSetup, mission_named
+from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
+from fsai_hil.simulator.world import World
 from fsai_hil.vcan import INTERFACE
 from fsai_hil.vcan.native import existing_vcan, namespace_prefix
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.revisions import REVISIONS, revision
+from fsai_vcu.interface.revisions import revision
 
+MISSION = "autocross"
 START_TIMEOUT_S = 60.0
 RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 15.0
@@ -38,20 +39,17 @@ _INSIDE = "FSAI_DEMO_INSIDE"  # set in the process that already has its own vcan
 def main() -> int:
     """0: the judge says pass and the bus log is clean; 1: not; 130: interrupted."""
     parser = argparse.ArgumentParser(prog="fsai_hil.rehearsal.demo", description=__doc__.splitlines()[0])
-    parser.add_argument("--mission", default="autocross", help="what is chosen on the display (default: autocross)")
-    parser.add_argument("--laps", type=int, help="laps of a trackdrive")
-    parser.add_argument("--track", help="a CSV file or a built-in name (default: the mission's own)")
-    parser.add_argument("--revision", default="2026", choices=sorted(REVISIONS))
-    parser.add_argument("--seed", type=int, default=0)
+    add_setup_arguments(parser, MISSION)
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
     args = parser.parse_args()
+    args.mission = args.mission or MISSION
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
         _check(args)
     except (ValueError, OSError) as error:
-        known = isinstance(error, OSError) and error.filename
-        print(f"demo: {f'{error.filename}: {error.strerror}' if known else error}", file=sys.stderr)
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        print(f"demo: {text}", file=sys.stderr)
         return 1
     inside = _in_own_vcan(args)
     if inside is not None:
@@ -87,10 +85,7 @@ def rehearse(drive: Callable[[], int]) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Raises ValueError or OSError for what would only fail once everything is running."""
-    if args.laps is not None and args.laps < 1:
-        raise ValueError(f"--laps is {args.laps}, but must be 1 or more")
-    track = load_track(args.track) if args.track else None
-    World(WorldSetup(missions=[mission_named(args.mission)], track=track, revision=args.revision, seed=args.seed))
+    World(setup_of(args, [args.mission]))
     args.out.mkdir(parents=True, exist_ok=True)
 
 

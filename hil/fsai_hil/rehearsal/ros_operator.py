@@ -100,7 +100,7 @@ class RosOperator:
         """The newest state in a line, for messages about waiting in vain."""
         state = self.state
         if state is None:
-            return "no /vehicle_state was ever heard"
+            return "no /vehicle_state was ever received"
         return (
             f"last seen {state.as_state_label}, mode {state.mode}, {state.speed_mps:.1f} m/s, lap {state.laps}, "
             f"emergency '{state.emergency}', stopping '{state.stopping}', why not driving {list(state.why_not_driving)}"

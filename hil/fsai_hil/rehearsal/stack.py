@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from fsai_vcu.runtime.transport import loopback_environment
@@ -59,7 +58,7 @@ class RunningProcess:
             stdout=self._log,
             stderr=subprocess.STDOUT,
             env=dict(environ),
-            # A Ctrl-C at the terminal is for the one who started the rehearsal; it ends the others in order.
+            # A Ctrl-C at the terminal is for the one who started the rehearsal; it ends the others properly.
             start_new_session=True,
         )
 
@@ -88,6 +87,12 @@ class RunningProcess:
     def last_words(self, lines: int = 15) -> str:
         return "\n".join("    " + line for line in self.log().splitlines()[-lines:])
 
+    def type(self, line: str) -> None:
+        """A line on its standard input, which is a pipe."""
+        assert self.popen.stdin is not None
+        self.popen.stdin.write(line.encode() + b"\n")
+        self.popen.stdin.flush()
+
     def signal(self, number: signal.Signals) -> None:
         if self.alive:
             self.popen.send_signal(number)
@@ -115,22 +120,14 @@ class RunningProcess:
 class Stack:
     """Starts processes that share a bus, a ROS domain and a folder for their logs; ends them all on exit."""
 
-    def __init__(
-        self,
-        bus: str,
-        folder: Path,
-        *,
-        domain_id: int | None = None,
-        truth_port: int | None = None,
-        slow_place: bool = False,
-    ) -> None:
+    def __init__(self, bus: str, folder: Path, *, slow_place: bool = False) -> None:
         """slow_place: one slow processor for all of it, as in User-Mode Linux: what can be, is done less often."""
         self.bus = bus
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         # Two rehearsals side by side must not hear each other; ids up to 101 are safe on every platform.
-        self.domain_id = 1 + os.getpid() % 100 if domain_id is None else domain_id
-        self.truth_port = 30000 + os.getpid() % 20000 if truth_port is None else truth_port
+        self.domain_id = 1 + os.getpid() % 100
+        self.truth_port = 30000 + os.getpid() % 20000
         self.processes: dict[str, RunningProcess] = {}
         self._parameters: dict[str, dict[str, object]] = {name: {} for name in NODES}
         self._parameters["vcu_bridge"] |= {"can_interface": bus}
@@ -181,9 +178,7 @@ class Stack:
     def __enter__(self) -> Stack:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 

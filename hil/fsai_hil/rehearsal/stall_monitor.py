@@ -31,7 +31,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, TypeVar
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
@@ -123,9 +122,8 @@ def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> RunVali
 Noted = TypeVar("Noted", Stall, SlowSpell, BusySpell)
 
 
-def _touching(noted: Sequence[Noted], since_ns: int, until_ns: int | None) -> list[Noted]:
-    last_ns = time.monotonic_ns() if until_ns is None else until_ns
-    return [one for one in noted if one.until_ns >= since_ns and one.due_ns <= last_ns]
+def _since(noted: Sequence[Noted], since_ns: int) -> list[Noted]:
+    return [one for one in noted if one.until_ns >= since_ns]
 
 
 class StallMonitor:
@@ -145,25 +143,20 @@ class StallMonitor:
                 raise OSError("the stall monitor to the machine's own delays does not start")
             time.sleep(SLEEP_NS / 1e9)
 
-    @property
-    def real_time(self) -> bool:
-        """Whether it goes before bridge and car; where that is not allowed, others may hold it up too."""
-        return self._lines()[0] == "real-time"
-
-    def stalls(self, since_ns: int, until_ns: int | None = None, *, at_least_ns: int = STOOD_STILL_NS) -> list[Stall]:
-        """When the machine stood still for `at_least_ns` or longer between two instants of CLOCK_MONOTONIC."""
+    def stalls(self, since_ns: int, *, at_least_ns: int = STOOD_STILL_NS) -> list[Stall]:
+        """When the machine stood still for `at_least_ns` or longer since an instant of CLOCK_MONOTONIC."""
         noted = [Stall(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _STALL]
-        return [stall for stall in _touching(noted, since_ns, until_ns) if stall.late_ns >= at_least_ns]
+        return [stall for stall in _since(noted, since_ns) if stall.late_ns >= at_least_ns]
 
-    def slow_spells(self, since_ns: int, until_ns: int | None = None) -> list[SlowSpell]:
+    def slow_spells(self, since_ns: int) -> list[SlowSpell]:
         """When it ran far below its best speed."""
         noted = [SlowSpell(int(note[1]), int(note[2]), float(note[3])) for note in self._notes() if note[0] == _SLOW]
-        return _touching(noted, since_ns, until_ns)
+        return _since(noted, since_ns)
 
-    def busy_spells(self, since_ns: int, until_ns: int | None = None) -> list[BusySpell]:
+    def busy_spells(self, since_ns: int) -> list[BusySpell]:
         """When it had no time to spare, whoever was busy."""
         noted = [BusySpell(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _BUSY]
-        return _touching(noted, since_ns, until_ns)
+        return _since(noted, since_ns)
 
     def disturbances(self, since_ns: int) -> list[Disturbance]:
         """All that happened to the machine since then, and that lets a rehearsal show nothing."""
@@ -186,9 +179,7 @@ class StallMonitor:
     def __enter__(self) -> StallMonitor:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 

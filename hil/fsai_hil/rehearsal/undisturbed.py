@@ -70,7 +70,7 @@ class Undisturbed:
                     for report in failed:
                         print(item.nodeid, report.when, report.longreprtext, sep="\n", file=story)
                 for report in failed:
-                    report.outcome = PUT_OFF
+                    report.outcome = PUT_OFF  # type: ignore[assignment]
                 return reports
             if outcome is RunValidity.AGAIN:
                 self._say(item, f"{item.name}: the machine {describe(disturbances)}: run {run} shows nothing")

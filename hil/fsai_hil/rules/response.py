@@ -29,11 +29,6 @@ class ResponseTimes:
         self._times_ns.append(time_ns)
         self._in_order = False
 
-    def merge(self, other: ResponseTimes) -> None:
-        """Take in all times of `other`, which stays as it is."""
-        self._times_ns.extend(other._times_ns)
-        self._in_order = False
-
     def __len__(self) -> int:
         return len(self._times_ns)
 
@@ -54,9 +49,6 @@ class ResponseTimes:
     def count_above(self, limit_ns: int) -> int:
         """How many are longer than `limit_ns`."""
         return len(self._times_ns) - bisect_right(self._ordered(), limit_ns)
-
-    def share_above(self, limit_ns: int) -> float:
-        return self.count_above(limit_ns) / len(self._times_ns) if self._times_ns else 0.0
 
     def histogram(self) -> list[tuple[float | None, int]]:
         """(upper edge in ms, how many are up to it and above the edge before); the last bin has no upper edge."""

@@ -1,36 +1,14 @@
-"""What the checker of the rules has seen on the bus and heard from people, as a value."""
+"""What the checker of the rules has seen on the bus and was asked by people, as a value."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from operator import attrgetter
 from typing import Final, NamedTuple
 
-from fsai_hil.rules.numbers import (
-    COMMAND_FRESH_NS,
-    COMMAND_LOST_NS,
-    COUNTED_NS,
-    CYCLE_NS,
-    FEEDBACK_LOST_NS,
-    FEEDBACK_STALE_NS,
-    LAUNCH_NS,
-    LISTEN_FIRST_NS,
-    ODD_LOST_NS,
-    ODD_NS,
-    PEDALS_NS,
-    POWER_CYCLE_NS,
-    READY_SEEN_NS,
-    SEND_LOST_NS,
-    SPEED_JUMP_NS,
-    SPEEDS_FRESH_NS,
-    STATUS_FRESH_NS,
-    STATUS_LOST_NS,
-    STILL_NS,
-    STOP_CYCLES,
-    STOP_TIMEOUT_NS,
-)
+from fsai_hil.rules import numbers as n
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
 
@@ -38,7 +16,7 @@ NOBODY: Final[frozenset[str]] = frozenset()
 
 
 class Order(NamedTuple):
-    """What a command in order asks for."""
+    """What a valid command asks for."""
 
     steer_deg: float
     throttle: float
@@ -58,14 +36,14 @@ class Process:
     listen_only: bool = False
     autonomous_at_power_up: bool = False
     service_brake_pct: float = 80.0  # what a stop is made with
-    stop_cycles: int = STOP_CYCLES
-    stop_timeout_ns: int = STOP_TIMEOUT_NS
+    stop_cycles: int = n.STOP_CYCLES
+    stop_timeout_ns: int = n.STOP_TIMEOUT_NS
     nothing_hidden: bool = False
 
 
 @dataclass(slots=True)
 class Seen:
-    """What has been seen on the bus and heard from people, as a value: no part of it is ever changed in place.
+    """What has been seen on the bus and was asked by people, as a value: no part of it is ever changed in place.
 
     Times are ns; None: never. What the wheels say is in `Wheels`.
     """
@@ -75,7 +53,7 @@ class Seen:
     go: bool = False
     fault: bool = False
     status_ns: int | None = None
-    heard_ns: int | None = None  # any 0x520, believed or not
+    any_status_ns: int | None = None  # any 0x520, believed or not
     unknown: bool = False  # the last 0x520 is none that anybody knows
     silent: bool = False  # the car was silent for as long as a power cycle takes, and was not believed since
     marks: frozenset[str] | None = None  # what 0x520 shows that must not turn up in AS_DRIVING
@@ -99,7 +77,7 @@ class Seen:
     confirmed: frozenset[str] = NOBODY  # who has reset himself for this mission
     acknowledged: bool = False  # SELECTED went out whole for it
     latched: bool = False  # an emergency: granted, or seen on the wire
-    order: Order | None = None  # the newest command in order
+    order: Order | None = None  # the newest valid command
     command_ns: int | None = None  # of it; data of 500 ms ages like a command of 100 ms
     pedals_ns: int | None = None  # since when every command has asked for both
     # what went wrong
@@ -110,8 +88,8 @@ class Seen:
     wheel_odd_ns: int | None = None
     restarted: bool = True  # the process is new and has not seen AS_OFF yet
     bus_gone: bool = False
-    reopening: bool = False  # the bus is back, and the car has not been heard on it
-    back_ns: int | None = None  # what could not be heard before then is not missing
+    reopening: bool = False  # the bus is back, and the car has not been received on it
+    back_ns: int | None = None  # what could not be received before then is not missing
     ended: int | None = None  # cycles sent since the software was told to stop
     # what went out
     began_ns: int | None = None  # the first cycle, sent or not
@@ -130,36 +108,32 @@ class Seen:
 
 # The times, and the ages at which each of them matters. What is seen when a frame comes matters a cycle earlier too.
 TIMES: Final[Mapping[str, tuple[int, ...]]] = {
-    "status_ns": (STATUS_FRESH_NS, STATUS_LOST_NS),
-    "heard_ns": (POWER_CYCLE_NS - CYCLE_NS, POWER_CYCLE_NS),
-    "ready_ns": (READY_SEEN_NS,),
-    "driving_ns": (LAUNCH_NS, LAUNCH_NS + COMMAND_FRESH_NS, LAUNCH_NS + COMMAND_LOST_NS),
-    "steer_ns": (FEEDBACK_STALE_NS, FEEDBACK_LOST_NS),
-    "front_ns": (FEEDBACK_STALE_NS,),
-    "rear_ns": (FEEDBACK_STALE_NS,),
-    "command_ns": (COMMAND_FRESH_NS, COMMAND_LOST_NS),
-    "pedals_ns": (PEDALS_NS,),
-    "steer_odd_ns": (ODD_NS, ODD_LOST_NS),
-    "wheel_odd_ns": (ODD_NS, ODD_LOST_NS),
-    "back_ns": (STATUS_LOST_NS, FEEDBACK_LOST_NS),
-    "began_ns": (LISTEN_FIRST_NS,),
-    "complete_ns": (SEND_LOST_NS,),
+    "status_ns": (n.STATUS_FRESH_NS, n.STATUS_LOST_NS),
+    "any_status_ns": (n.POWER_CYCLE_NS - n.CYCLE_NS, n.POWER_CYCLE_NS),
+    "ready_ns": (n.READY_SEEN_NS,),
+    "driving_ns": (n.LAUNCH_NS, n.LAUNCH_NS + n.COMMAND_FRESH_NS, n.LAUNCH_NS + n.COMMAND_LOST_NS),
+    "steer_ns": (n.FEEDBACK_STALE_NS, n.FEEDBACK_LOST_NS),
+    "front_ns": (n.FEEDBACK_STALE_NS,),
+    "rear_ns": (n.FEEDBACK_STALE_NS,),
+    "command_ns": (n.COMMAND_FRESH_NS, n.COMMAND_LOST_NS),
+    "pedals_ns": (n.PEDALS_NS,),
+    "steer_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
+    "wheel_odd_ns": (n.ODD_NS, n.ODD_LOST_NS),
+    "back_ns": (n.STATUS_LOST_NS, n.FEEDBACK_LOST_NS),
+    "began_ns": (n.LISTEN_FIRST_NS,),
+    "complete_ns": (n.SEND_LOST_NS,),
     "steered_ns": (),
 }
 EDGES: Final = (
     *TIMES.values(),
-    (SPEED_JUMP_NS - CYCLE_NS, SPEED_JUMP_NS),
-    (SPEEDS_FRESH_NS - CYCLE_NS, SPEEDS_FRESH_NS, FEEDBACK_LOST_NS),
-    (STILL_NS,),
-    (COUNTED_NS,),
+    (n.SPEED_JUMP_NS - n.CYCLE_NS, n.SPEED_JUMP_NS),
+    (n.SPEEDS_FRESH_NS - n.CYCLE_NS, n.SPEEDS_FRESH_NS, n.FEEDBACK_LOST_NS),
+    (n.STILL_NS,),
+    (n.COUNTED_NS,),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""
-PLAIN: Final = (
-    "as_state", "go", "fault", "unknown", "silent", "marks", "handshake", "mission", "waited", "path", "angle_max_deg",
-    "front_max_nm", "rear_max_nm", "autonomous", "power_up", "confirmed", "acknowledged", "latched", "order", "alarm",
-    "stopped", "restarted", "bus_gone", "reopening", "ended", "torque_nm", "brake_pct", "braked_pct",
-    "torque_may_be_there", "torque_runs", "zeros", "echoed", "steer_deg", "whole",
-)  # fmt: skip
+_OF_ITSELF: Final = ("turned", "angle_deg", "stopped_ns")  # of a log, or where stops may be hidden
+PLAIN: Final = tuple(one.name for one in fields(Seen) if one.name not in (*TIMES, *_OF_ITSELF))
 plain_of, times_of = attrgetter(*PLAIN), attrgetter(*TIMES)
 put_plain = [getattr(Seen, name).__set__ for name in PLAIN]
 put_times = [getattr(Seen, name).__set__ for name in TIMES]

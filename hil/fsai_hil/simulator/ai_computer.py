@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
@@ -81,10 +82,7 @@ class OnboardComputer:
             if len(self._unread) < RECEIVE_BUFFER_FRAMES:
                 self._unread.append(frame)
         elif self.bridge_running and self._bus_up:
-            if self.confine_failures:
-                self._confined("bridge", lambda: self._engine.on_frame(frame))
-            else:
-                self._engine.on_frame(frame)
+            self._confined("bridge", lambda: self._engine.on_frame(frame))
 
     def on_cones(self, observation: ConeObservation) -> None:
         """Cones that a detector reports; the planner gets them after the perception's delay."""
@@ -97,22 +95,15 @@ class OnboardComputer:
         while self._seen and self._seen[0].t_ns + PERCEPTION_DELAY_NS <= now_ns:
             observation = self._seen.popleft()
             if self._planner_run_id is not None and self.planner_running:
-                if self.confine_failures:
-                    self._confined("planner", lambda seen=observation: self._plan(seen, now_ns))  # type: ignore[misc]
-                else:
-                    self._plan(observation, now_ns)
+                self._confined("planner", partial(self._plan, observation, now_ns))
         if now_ns >= self._next_control_ns:
             self._next_control_ns += CONTROL_PERIOD_NS
             self._control(now_ns)
         if self._edge_hung_until_ns is not None and now_ns >= self._edge_hung_until_ns:
             self._edge_hung_until_ns = None
-            if self._slot is not None and self._hung_until_ns is None and self.bridge_running:
-                self.bridge.on_command(self._slot, now_ns)
-                self._slot = None
-        if self.confine_failures:
-            self._confined("bridge", lambda: self._turn(now_ns))
-        else:
-            self._turn(now_ns)
+            if self._hung_until_ns is None and self.bridge_running:
+                self._read_slot(now_ns)
+        self._confined("bridge", lambda: self._turn(now_ns))
         return self._out
 
     def report(self) -> BridgeReport:
@@ -156,10 +147,13 @@ class OnboardComputer:
         if late_ns >= DEADLINE_MISS_NS:
             self.bridge.loop_fault(f"the CAN loop was {late_ns / 1e6:.0f} ms late", now_ns)
         self._engine.on_frames(tuple(waiting), now_ns)
+        self._read_slot(now_ns)
+        self._poll(now_ns)
+
+    def _read_slot(self, now_ns: int) -> None:
         if self._slot is not None:
             self.bridge.on_command(self._slot, now_ns)
             self._slot = None
-        self._poll(now_ns)
 
     def _after_the_edge(self, now_ns: int) -> None:
         """The edge's process is gone: its commands get old, and when the car does not drive any more the loop ends."""
@@ -170,17 +164,15 @@ class OnboardComputer:
             self.bridge_running = False
 
     def _confined(self, process: str, work: Callable[[], object]) -> None:
-        """Do `work`; what it raises ends its process, as it does on the car."""
+        """Do `work`; what it raises ends its process, as it does on the car, where failures are confined."""
         try:
             work()
         except Exception as error:
+            if not self.confine_failures:
+                raise
             self.failures.append((self._now_ns, process, f"{type(error).__name__}: {error}"))
-            if process == "planner":
-                self.planner_running = False
-            elif process == "controller":
-                self.controller_running = False
-            else:
-                self.bridge_running = False  # the loop's last words fail too, or come too late to matter: silence
+            # Of the bridge: the loop's last frames fail too, or come too late to matter: silence.
+            setattr(self, f"{process}_running", False)
 
     def due_ns(self) -> int:
         """When the bridge next has something to send, as things stand."""
@@ -188,15 +180,17 @@ class OnboardComputer:
 
     def hang_bridge(self, until_ns: int) -> None:
         """The loop's process is stopped until then; what the bus brings meanwhile waits in its socket."""
-        if not self._hangs:
-            self._last_report = self.report()
+        self._keep_report()
         self._hung_until_ns = until_ns
 
     def hang_edge(self, until_ns: int) -> None:
         """The edge's process is stopped until then: no command reaches the loop, and no report gets out."""
+        self._keep_report()
+        self._edge_hung_until_ns = until_ns
+
+    def _keep_report(self) -> None:
         if not self._hangs:
             self._last_report = self.report()
-        self._edge_hung_until_ns = until_ns
 
     @property
     def _hangs(self) -> bool:
@@ -222,7 +216,7 @@ class OnboardComputer:
         self._hung_until_ns = self._edge_hung_until_ns = None
 
     def lose_bus(self, why: str, now_ns: int) -> None:
-        """Bus-off, or the interface is down: nothing is heard and nothing sent until `find_bus`."""
+        """Bus-off, or the interface is down: nothing is received and nothing sent until `find_bus`."""
         self._bus_up = False
         self._unread.clear()
         if self.bridge_running:
@@ -257,12 +251,8 @@ class OnboardComputer:
         if not (self.bridge_running and self.edge_running):
             return  # without the bridge's state nothing is planned, and there is nobody to take a command
         report = self._last_report if self._hangs and self._last_report is not None else self.report()
-        if self.confine_failures:
-            self._confined("planner", lambda: self._inform_planner(report))
-            self._confined("controller", lambda: self._command(report, now_ns))
-        else:
-            self._inform_planner(report)
-            self._command(report, now_ns)
+        self._confined("planner", lambda: self._inform_planner(report))
+        self._confined("controller", lambda: self._command(report, now_ns))
 
     def _inform_planner(self, report: BridgeReport) -> None:
         if not self.planner_running:

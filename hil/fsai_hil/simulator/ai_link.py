@@ -93,24 +93,24 @@ class AiLink:
     # ------------------------------------------------------------ what follows from it
 
     @property
-    def heard(self) -> bool:
+    def received(self) -> bool:
         """AI data has arrived since the VCU was switched on."""
         return self._first_ns is not None
 
     def missing(self, message: type, now_ns: int) -> bool:
         """That message has failed to come ten times in a row."""
-        return self.heard and now_ns - self._received_ns[message] >= self._profile.message_timeout_ns
+        return self.received and now_ns - self._received_ns[message] >= self._profile.message_timeout_ns
 
     def echo_missing(self, now_ns: int) -> bool:
         """The echo has not matched for the time the VCU grants."""
-        return self.heard and not self._echoed and now_ns - self._echo_since_ns >= self._profile.echo_timeout_ns
+        return self.received and not self._echoed and now_ns - self._echo_since_ns >= self._profile.echo_timeout_ns
 
     def lost(self, now_ns: int) -> bool:
-        """AI_COMMS_LOST: the echo, or any one of the five messages, is missing. Never before AI data has been heard."""
+        """AI_COMMS_LOST: the echo, or any one of the five messages, is missing. Never before the first AI data."""
         return now_ns >= self.deadline_ns()
 
     def deadline_ns(self) -> int:
-        """When the link will be lost if nothing more arrives; far away while no AI data has been heard."""
+        """When the link will be lost if nothing more arrives; far away while no AI data has been received."""
         if self._first_ns is None:
             return FAR_AWAY_NS
         deadline = min(self._received_ns.values()) + self._profile.message_timeout_ns

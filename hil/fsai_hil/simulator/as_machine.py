@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from fsai_hil.simulator.profiles import Profile
-from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
+from fsai_vcu.interface.enums import ShutdownCause as Cause
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.specification import READY_STEER_DEG, STANDING_RPM
 
@@ -63,6 +64,8 @@ class Situation:
 
 
 Condition = Callable[[Situation], bool]
+INIT, OFF, READY, DRIVING = AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
+FINISHED, EMERGENCY = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,7 @@ class Fault(Immutable):
     """A fault bit of 0x520: what raises it, and the SHUTDOWN_CAUSE of the stop that it brings."""
 
     name: str  # a field of fsai_vcu.interface.messages.Faults
-    cause: ShutdownCause
+    cause: Cause
     when: Condition
     why: str
     only: str | None = None
@@ -80,33 +83,33 @@ class Fault(Immutable):
 # In AS_DRIVING these stop the car; elsewhere they are warnings of 0x120. Order: the first one names the cause.
 AI_COMMS_LOST: Final = Fault(
     "ai_comms_lost",
-    ShutdownCause.AI_COMMS_FAULT,
+    Cause.AI_COMMS_FAULT,
     lambda s: s.comms_lost,
     "the AI computer's messages or echo are missing",
 )
 AI_FAULTS: Final[tuple[Fault, ...]] = (
     Fault(
         "ai_estop_request",
-        ShutdownCause.AI_COMPUTER_REQUEST,
+        Cause.AI_COMPUTER_REQUEST,
         lambda s: s.estop_request,
         "the AI computer requests an emergency stop",
     ),
     Fault(
         "mission_status",
-        ShutdownCause.MISSION_STATUS_FAULT,
+        Cause.MISSION_STATUS_FAULT,
         lambda s: s.mission_status is MissionStatus.FINISHED and s.fastest_wheel_rpm > STANDING_RPM,
         "mission FINISHED while a wheel turns",
     ),
     Fault(
         "autonomous_braking",
-        ShutdownCause.AUTONOMOUS_BRAKING_FAULT,
+        Cause.AUTONOMOUS_BRAKING_FAULT,
         lambda s: s.direction is Direction.NEUTRAL and s.fastest_wheel_rpm > STANDING_RPM,
         "direction NEUTRAL while a wheel turns",
         unless="neutral_fault_needs_all_wheels",
     ),
     Fault(
         "autonomous_braking",
-        ShutdownCause.AUTONOMOUS_BRAKING_FAULT,
+        Cause.AUTONOMOUS_BRAKING_FAULT,
         lambda s: s.direction is Direction.NEUTRAL and s.slowest_wheel_rpm > STANDING_RPM,
         "direction NEUTRAL while all wheels turn",
         only="neutral_fault_needs_all_wheels",
@@ -114,7 +117,7 @@ AI_FAULTS: Final[tuple[Fault, ...]] = (
     AI_COMMS_LOST,
     Fault(
         "brake_plausibility",
-        ShutdownCause.BRAKE_PLAUSIBILITY_FAULT,
+        Cause.BRAKE_PLAUSIBILITY_FAULT,
         lambda s: s.torque_requested and s.brake_requested,
         "torque and brake requested together",
     ),
@@ -122,26 +125,20 @@ AI_FAULTS: Final[tuple[Fault, ...]] = (
 
 # Critical faults of the VCU and the battery: they open the shutdown circuit.
 CAR_FAULTS: Final[tuple[Fault, ...]] = (
-    Fault("hvil_open", ShutdownCause.HVIL_OPEN_FAULT, lambda s: s.hvil_open, "high-voltage interlock open"),
-    Fault("hvil_short", ShutdownCause.HVIL_SHORT_FAULT, lambda s: s.hvil_short, "high-voltage interlock shorted"),
-    Fault("ebs", ShutdownCause.EBS_FAULT, lambda s: s.ebs_fault, "EBS fault"),
+    Fault("hvil_open", Cause.HVIL_OPEN_FAULT, lambda s: s.hvil_open, "high-voltage interlock open"),
+    Fault("hvil_short", Cause.HVIL_SHORT_FAULT, lambda s: s.hvil_short, "high-voltage interlock shorted"),
+    Fault("ebs", Cause.EBS_FAULT, lambda s: s.ebs_fault, "EBS fault"),
     Fault(
-        "offboard_charger",
-        ShutdownCause.OFFBOARD_CHARGER_FAULT,
-        lambda s: s.offboard_charger_fault,
-        "off-board charger fault",
+        "offboard_charger", Cause.OFFBOARD_CHARGER_FAULT, lambda s: s.offboard_charger_fault, "off-board charger fault"
     ),
     Fault(
-        "charge_procedure",
-        ShutdownCause.CHARGE_PROCEDURE_FAULT,
-        lambda s: s.charge_procedure_fault,
-        "charge procedure fault",
+        "charge_procedure", Cause.CHARGE_PROCEDURE_FAULT, lambda s: s.charge_procedure_fault, "charge procedure fault"
     ),
-    Fault("bms", ShutdownCause.BMS_FAULT, lambda s: s.bms_fault, "BMS fault"),
+    Fault("bms", Cause.BMS_FAULT, lambda s: s.bms_fault, "BMS fault"),
 )
 
 _EBS_UNAVAILABLE: Final = Fault(
-    "ebs", ShutdownCause.EBS_FAULT, lambda s: s.ebs_unavailable, "the EBS is not available any more"
+    "ebs", Cause.EBS_FAULT, lambda s: s.ebs_unavailable, "the EBS is not available any more"
 )
 
 
@@ -179,15 +176,12 @@ def _may_start(s: Situation) -> bool:
 
 
 def _by_fault(source: AsState, faults: Iterable[Fault]) -> tuple[Row, ...]:
-    return tuple(
-        Row(source, AsState.EMERGENCY_BRAKE, f.why, f.when, fault=f, only=f.only, unless=f.unless) for f in faults
-    )
+    return tuple(Row(source, EMERGENCY, f.why, f.when, fault=f, only=f.only, unless=f.unless) for f in faults)
 
 
 def _resets(*sources: AsState) -> tuple[Row, ...]:
     return tuple(
-        Row(source, AsState.AS_OFF, "ASMS off", lambda s: not s.asms, reset=True, only="asms_off_resets")
-        for source in sources
+        Row(source, OFF, "ASMS off", lambda s: not s.asms, reset=True, only="asms_off_resets") for source in sources
     )
 
 
@@ -195,7 +189,7 @@ def _deselected(*sources: AsState) -> tuple[Row, ...]:
     return tuple(
         Row(
             source,
-            AsState.AS_OFF,
+            OFF,
             "mission status NOT_SELECTED",
             lambda s: s.mission_status is MissionStatus.NOT_SELECTED and not s.comms_lost,
             only="not_selected_is_as_off",
@@ -210,93 +204,55 @@ def _sdc_open(s: Situation) -> bool:
 
 def _brake_is_emergency(source: AsState) -> Row:
     return Row(
-        source,
-        AsState.EMERGENCY_BRAKE,
-        "hydraulic brake requested",
-        lambda s: s.brake_requested,
-        only="brake_request_is_emergency",
+        source, EMERGENCY, "hydraulic brake requested", lambda s: s.brake_requested, only="brake_request_is_emergency"
     )
 
 
 ROWS: Final[tuple[Row, ...]] = (
     # ---- AS_INIT (2026)
-    Row(
-        AsState.AS_INIT,
-        AsState.AS_OFF,
-        "tractive system and EBS are up",
-        lambda s: s.tractive_system_running and s.ebs_armed,
-    ),
+    Row(INIT, OFF, "tractive system and EBS are up", lambda s: s.tractive_system_running and s.ebs_armed),
     # ---- AS_OFF
-    Row(
-        AsState.AS_OFF,
-        AsState.EMERGENCY_BRAKE,
-        AI_FAULTS[0].why,
-        AI_FAULTS[0].when,
-        fault=AI_FAULTS[0],
-        only="estop_request_in_as_off",
-    ),
-    Row(
-        AsState.AS_OFF,
-        AsState.AS_READY,
-        "mission chosen and acknowledged, EBS armed",
-        _acknowledged_and_may_get_ready,
-    ),
-    Row(
-        AsState.AS_OFF,
-        AsState.AS_READY,
-        "mission chosen, EBS armed",
-        _may_get_ready,
-        only="ready_without_acknowledgement",
-    ),
+    Row(OFF, EMERGENCY, AI_FAULTS[0].why, AI_FAULTS[0].when, fault=AI_FAULTS[0], only="estop_request_in_as_off"),
+    Row(OFF, READY, "mission chosen and acknowledged, EBS armed", _acknowledged_and_may_get_ready),
+    Row(OFF, READY, "mission chosen, EBS armed", _may_get_ready, only="ready_without_acknowledgement"),
     # ---- AS_READY
-    *_resets(AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE),
-    *_by_fault(AsState.AS_READY, CAR_FAULTS),
-    Row(AsState.AS_READY, AsState.EMERGENCY_BRAKE, "shutdown circuit open", _sdc_open),
-    *_by_fault(AsState.AS_READY, (AI_COMMS_LOST,)),
-    _brake_is_emergency(AsState.AS_READY),
-    *_deselected(AsState.AS_READY, AsState.AS_DRIVING, AsState.AS_FINISHED),
-    Row(AsState.AS_READY, AsState.AS_OFF, "ASMS off", lambda s: not s.asms),
-    Row(AsState.AS_READY, AsState.AS_DRIVING, "Go", _may_start, unless="start_needs_selected"),
+    *_resets(READY, DRIVING, FINISHED, EMERGENCY),
+    *_by_fault(READY, CAR_FAULTS),
+    Row(READY, EMERGENCY, "shutdown circuit open", _sdc_open),
+    *_by_fault(READY, (AI_COMMS_LOST,)),
+    _brake_is_emergency(READY),
+    *_deselected(READY, DRIVING, FINISHED),
+    Row(READY, OFF, "ASMS off", lambda s: not s.asms),
+    Row(READY, DRIVING, "Go", _may_start, unless="start_needs_selected"),
     Row(
-        AsState.AS_READY,
-        AsState.AS_DRIVING,
+        READY,
+        DRIVING,
         "Go",
         lambda s: _may_start(s) and s.mission_status is MissionStatus.SELECTED,
         only="start_needs_selected",
     ),
     # ---- AS_DRIVING
-    *_by_fault(AsState.AS_DRIVING, CAR_FAULTS),
-    Row(AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, "shutdown circuit open", _sdc_open),
-    Row(AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, "ASMS off", lambda s: not s.asms),
+    *_by_fault(DRIVING, CAR_FAULTS),
+    Row(DRIVING, EMERGENCY, "shutdown circuit open", _sdc_open),
+    Row(DRIVING, EMERGENCY, "ASMS off", lambda s: not s.asms),
+    Row(DRIVING, EMERGENCY, "Go off", lambda s: not s.go, unless="go_off_ignored_in_driving"),
+    *_by_fault(DRIVING, AI_FAULTS),
+    *_by_fault(DRIVING, (_EBS_UNAVAILABLE,)),
+    _brake_is_emergency(DRIVING),
     Row(
-        AsState.AS_DRIVING,
-        AsState.EMERGENCY_BRAKE,
-        "Go off",
-        lambda s: not s.go,
-        unless="go_off_ignored_in_driving",
-    ),
-    *_by_fault(AsState.AS_DRIVING, AI_FAULTS),
-    *_by_fault(AsState.AS_DRIVING, (_EBS_UNAVAILABLE,)),
-    _brake_is_emergency(AsState.AS_DRIVING),
-    Row(
-        AsState.AS_DRIVING,
-        AsState.AS_FINISHED,
+        DRIVING,
+        FINISHED,
         "mission FINISHED at rest",
         lambda s: s.mission_status is MissionStatus.FINISHED and s.fastest_wheel_rpm < STANDING_RPM,
     ),
     # ---- AS_FINISHED
-    *_by_fault(AsState.AS_FINISHED, CAR_FAULTS),
-    Row(AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE, "shutdown circuit open", _sdc_open),
-    *_by_fault(AsState.AS_FINISHED, (AI_COMMS_LOST,)),
-    _brake_is_emergency(AsState.AS_FINISHED),
-    Row(AsState.AS_FINISHED, AsState.AS_OFF, "ASMS off", lambda s: not s.asms),
+    *_by_fault(FINISHED, CAR_FAULTS),
+    Row(FINISHED, EMERGENCY, "shutdown circuit open", _sdc_open),
+    *_by_fault(FINISHED, (AI_COMMS_LOST,)),
+    _brake_is_emergency(FINISHED),
+    Row(FINISHED, OFF, "ASMS off", lambda s: not s.asms),
     # ---- EMERGENCY_BRAKE
-    Row(
-        AsState.EMERGENCY_BRAKE,
-        AsState.AS_OFF,
-        "emergency-brake timer over, then ASMS off",
-        lambda s: s.emergency_timer_over and not s.asms,
-    ),
+    Row(EMERGENCY, OFF, "emergency-brake timer over, then ASMS off", lambda s: s.emergency_timer_over and not s.asms),
 )
 
 Table = dict[AsState, tuple[Row, ...]]

@@ -17,10 +17,9 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
-from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import CARS, GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.immutable import Immutable
 
-GRAVITY_MPS2: Final = 9.81
 SUBSTEP_NS: Final = 2_000_000
 RPM_PER_RADPS: Final = 60.0 / (2.0 * math.pi)
 EARTH_METRES_PER_DEGREE: Final = 111_320.0
@@ -46,38 +45,15 @@ class Pose(Immutable):
         return self.x_m + distance_m * c - left_m * s, self.y_m + distance_m * s + left_m * c
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class CarModel(Immutable):
-    """The truth about the simulated car. It may differ from what the AI side believes: that is what testing is for."""
+    """The truth about the simulated car: its published facts, and what was never published.
 
-    # published facts, which `car_model` takes from the place where everybody takes them
-    wheelbase_m: float
-    cog_to_rear_m: float
-    cog_height_m: float
-    track_m: float
-    length_m: float
-    width_m: float
-    nose_m: float  # the foremost point, ahead of the rear axle
-    mass_kg: float
-    yaw_inertia_kgm2: float
-    wheel_radius_m: float
-    gear_ratio: float
-    motor_speed_max_rpm: float
-    driven_front: bool
-    driven_rear: bool
-    torque_table: tuple[tuple[float, float], ...]  # axle torque available at a motor speed
-    torque_slew_nmps: float
-    steer_limit_deg: float
-    steer_dead_time_ns: int
-    steer_rate_degps: float
-    steer_backlash_deg: float
-    brake_dead_time_ns: int
-    brake_gain: float
-    brake_minimum_pct: float
-    brake_full_mps2: float
-    pulses_per_rev: int
+    The latter is chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out. It may differ from what the AI side
+    believes: that is what testing is for.
+    """
 
-    # never published; chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out
+    facts: VehicleParameters
     driveline_efficiency: float = 0.89
     rotating_mass_kg: float = 27.0  # wheels and motor as the road feels them
     rolling_resistance: float = 0.016
@@ -98,43 +74,13 @@ class CarModel(Immutable):
     origin_latitude_deg: float = 52.0706
     origin_longitude_deg: float = -1.0174
 
-    @property
-    def cog_to_front_m(self) -> float:
-        return self.wheelbase_m - self.cog_to_rear_m
-
 
 def car_model(revision: str, official_simulator: bool = False) -> CarModel:
     """The simulated car of an interface revision; facts that car and AI side share come from one place."""
-    car: VehicleParameters = CARS[revision]
+    facts = CARS[revision]
     if official_simulator:
-        car = replace(CARS["official-simulator"], steer_max_rad=car.steer_max_rad)
-    return CarModel(
-        wheelbase_m=car.wheelbase_m,
-        cog_to_rear_m=car.cog_ahead_of_rear_axle_m,
-        cog_height_m=car.cog_height_m,
-        track_m=car.track_m,
-        length_m=car.length_m,
-        width_m=car.width_m,
-        nose_m=car.nose_ahead_of_rear_axle_m,
-        mass_kg=car.mass_kg,
-        yaw_inertia_kgm2=car.yaw_inertia_kgm2,
-        wheel_radius_m=car.rolling_radius_m,
-        gear_ratio=car.gear_ratio,
-        motor_speed_max_rpm=car.motor_speed_max_rpm,
-        driven_front=car.driven_front,
-        driven_rear=car.driven_rear,
-        torque_table=car.torque_curve_rpm_nm,
-        torque_slew_nmps=car.torque_rate_nmps,
-        steer_limit_deg=math.degrees(car.steer_max_rad),
-        steer_dead_time_ns=round(car.steer_dead_time_s * 1e9),
-        steer_rate_degps=math.degrees(car.steer_rate_radps),
-        steer_backlash_deg=math.degrees(car.steer_backlash_rad),
-        brake_dead_time_ns=round(car.brake_dead_time_s * 1e9),
-        brake_gain=car.brake_excess,
-        brake_minimum_pct=100.0 * car.brake_minimum,
-        brake_full_mps2=car.brake_full_mps2,
-        pulses_per_rev=car.wheel_pulses_per_rev,
-    )
+        facts = replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad)
+    return CarModel(facts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,31 +116,23 @@ class _DeadTime:
             self.value = pending.popleft()[1]
         return self.value
 
-    def forget(self) -> None:
-        self.pending.clear()
-        self.value = 0.0
-
 
 class _Constants(Immutable):
-    """What a substep on the ground needs of the model and need not work out 500 times a second."""
-
-    __slots__ = (
-        "front_braking_n",
-        "front_weight_n",
-        "rear_braking_n",
-        "rear_weight_n",
-        "resistance_n",
-        "weight_n",
-    )
+    """What a substep needs of the model and need not work out 500 times a second."""
 
     def __init__(self, m: CarModel) -> None:
-        full_n = m.brake_full_mps2 * m.mass_kg
+        f = m.facts
+        full_n = f.brake_full_mps2 * f.mass_kg
         self.front_braking_n = full_n * m.brake_front_share
         self.rear_braking_n = full_n * (1.0 - m.brake_front_share)
-        self.weight_n = m.mass_kg * GRAVITY_MPS2
-        self.front_weight_n = self.weight_n * m.cog_to_rear_m / m.wheelbase_m
-        self.rear_weight_n = self.weight_n * m.cog_to_front_m / m.wheelbase_m
+        self.weight_n = f.mass_kg * GRAVITY_MPS2
+        self.cog_to_front_m = f.wheelbase_m - f.cog_ahead_of_rear_axle_m
+        self.front_weight_n = self.weight_n * f.cog_ahead_of_rear_axle_m / f.wheelbase_m
+        self.rear_weight_n = self.weight_n * self.cog_to_front_m / f.wheelbase_m
         self.resistance_n = m.rolling_resistance * self.weight_n
+        self.steer_limit_deg = math.degrees(f.steer_max_rad)
+        self.steer_rate_degps = math.degrees(f.steer_rate_radps)
+        self.steer_backlash_deg = math.degrees(f.steer_backlash_rad)
 
 
 class Car:
@@ -207,22 +145,23 @@ class Car:
         self.t_ns = now_ns
         self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(self.model.origin_latitude_deg))
         self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
+        self._facts = self.model.facts
         self._constants = _Constants(self.model)
         self.place(pose if pose is not None else Pose(), wheels_in_air)
 
     def place(self, pose: Pose, wheels_in_air: bool = False) -> None:
         """Put the car somewhere, at rest with straight wheels (people push it; its pulse counters do not notice)."""
-        m = self.model
+        f = self._facts
         self.wheels_in_air = wheels_in_air
         self._yaw = pose.yaw_rad
-        self._x, self._y = pose.ahead(m.cog_to_rear_m)  # the centre of gravity
+        self._x, self._y = pose.ahead(f.cog_ahead_of_rear_axle_m)  # the centre of gravity
         self._vx = self._vy = self._yaw_rate = 0.0
         self._ax = self._ay = 0.0
         self._distance = 0.0
         self._rack_deg = self._road_deg = 0.0
-        self._steer_request = _DeadTime(m.steer_dead_time_ns)
-        self._front_brake = _DeadTime(m.brake_dead_time_ns)
-        self._rear_brake = _DeadTime(m.brake_dead_time_ns)
+        self._steer_request = _DeadTime(round(f.steer_dead_time_s * 1e9))
+        self._front_brake = _DeadTime(round(f.brake_dead_time_s * 1e9))
+        self._rear_brake = _DeadTime(round(f.brake_dead_time_s * 1e9))
         self._front_pct = self._rear_pct = 0.0
         self._front_magnitude = self._rear_magnitude = 0.0
         self._front_torque = self._rear_torque = 0.0
@@ -235,7 +174,7 @@ class Car:
 
     @property
     def pose(self) -> Pose:
-        back = self.model.cog_to_rear_m
+        back = self._facts.cog_ahead_of_rear_axle_m
         return Pose(self._x - back * math.cos(self._yaw), self._y - back * math.sin(self._yaw), self._yaw)
 
     @property
@@ -260,14 +199,13 @@ class Car:
         )
 
     def feedback(self) -> CarFeedback:
-        m = self.model
+        m, per_rev = self.model, self._facts.wheel_pulses_per_rev
         rpm = self._rpm
         if self._stopped_ns is not None and self.t_ns - self._stopped_ns < m.rpm_rest_ns:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
             rest = float(m.rpm_rest)
             rpm = (max(rpm[0], rest), max(rpm[1], rest), max(rpm[2], rest), max(rpm[3], rest))
         fl, fr, rl, rr = self._pulse_revs
-        per_rev = m.pulses_per_rev
         return CarFeedback(
             rpm,
             (
@@ -305,20 +243,20 @@ class Car:
             self._substep(step_ns * 1e-9, order)
 
     def _pressure(self, request_pct: float) -> float:
-        m = self.model
+        f = self._facts
         if request_pct <= 0.0:
             return 0.0
-        return min(100.0, max(m.brake_minimum_pct, m.brake_gain * request_pct))
+        return min(100.0, max(100.0 * f.brake_minimum, f.brake_excess * request_pct))
 
     def available_torque_nm(self, motor_rpm: float) -> float:
         """The most that a motor can give to its axle at a speed."""
-        table = self.model.torque_table
+        table = self._facts.torque_curve_rpm_nm
         low_rpm, low_nm = table[0]
         for high_rpm, high_nm in table[1:]:
             if motor_rpm < high_rpm:
                 return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
             low_rpm, low_nm = high_rpm, high_nm
-        return low_nm if motor_rpm < self.model.motor_speed_max_rpm else 0.0
+        return low_nm if motor_rpm < self._facts.motor_speed_max_rpm else 0.0
 
     def _motor_torque(self, magnitude_nm: float, motor_rpm: float, limit_rpm: float) -> float:
         """Signed axle torque: a request is absolute; it drives below MOTOR_SPEED_MAX and brakes above it."""
@@ -330,20 +268,20 @@ class Car:
         return limited * max(-1.0, share)
 
     def _substep(self, dt: float, order: Actuation) -> None:
-        m = self.model
+        m, f, const = self.model, self._facts, self._constants
         now = self.t_ns
 
         # steering: dead time, then a rate, then the play between rack and road wheels
-        limit = m.steer_limit_deg
+        limit = const.steer_limit_deg
         target = self._steer_request.at(now)
         target = limit if target > limit else -limit if target < -limit else target
         if self._rack_deg != target:
-            self._rack_deg = _toward(self._rack_deg, target, m.steer_rate_degps * dt)
+            self._rack_deg = _toward(self._rack_deg, target, const.steer_rate_degps * dt)
             play = self._rack_deg - self._road_deg
-            if play > m.steer_backlash_deg:
-                self._road_deg = self._rack_deg - m.steer_backlash_deg
-            elif play < -m.steer_backlash_deg:
-                self._road_deg = self._rack_deg + m.steer_backlash_deg
+            if play > const.steer_backlash_deg:
+                self._road_deg = self._rack_deg - const.steer_backlash_deg
+            elif play < -const.steer_backlash_deg:
+                self._road_deg = self._rack_deg + const.steer_backlash_deg
 
         # brake pressure
         front_target, rear_target = self._front_brake.at(now), self._rear_brake.at(now)
@@ -353,16 +291,16 @@ class Car:
             self._rear_pct = _toward(self._rear_pct, rear_target, m.brake_rate_pctps * dt)
 
         # torque
-        front_target = order.front_torque_nm if m.driven_front else 0.0
-        rear_target = order.rear_torque_nm if m.driven_rear else 0.0
+        front_target = order.front_torque_nm if f.driven_front else 0.0
+        rear_target = order.rear_torque_nm if f.driven_rear else 0.0
         if not order.tractive_system_live:
             self._front_magnitude = self._rear_magnitude = front_target = rear_target = 0.0
         if self._front_magnitude != front_target:
-            self._front_magnitude = _toward(self._front_magnitude, front_target, m.torque_slew_nmps * dt)
+            self._front_magnitude = _toward(self._front_magnitude, front_target, f.torque_rate_nmps * dt)
         if self._rear_magnitude != rear_target:
-            self._rear_magnitude = _toward(self._rear_magnitude, rear_target, m.torque_slew_nmps * dt)
+            self._rear_magnitude = _toward(self._rear_magnitude, rear_target, f.torque_rate_nmps * dt)
         rpm = self._rpm
-        ratio = 0.5 * m.gear_ratio
+        ratio = 0.5 * f.gear_ratio
         self._front_torque = self._rear_torque = 0.0
         if self._front_magnitude > 0.0:
             motor_rpm = (rpm[0] + rpm[1]) * ratio
@@ -388,8 +326,8 @@ class Car:
 
     def _spin(self, dt: float) -> None:
         """Wheels in the air: only the axles turn."""
-        m = self.model
-        full_nm = m.brake_full_mps2 * m.mass_kg * m.wheel_radius_m
+        m, f = self.model, self._facts
+        full_nm = f.brake_full_mps2 * f.mass_kg * f.rolling_radius_m
         gain = dt / m.axle_inertia_kgm2
         front_hold = m.air_drag_nm + full_nm * m.brake_front_share * self._front_pct / 100.0
         rear_hold = m.air_drag_nm + full_nm * (1.0 - m.brake_front_share) * self._rear_pct / 100.0
@@ -405,22 +343,22 @@ class Car:
 
     def _roll(self, dt: float) -> None:
         """Wheels on the ground."""
-        m, const = self.model, self._constants
+        m, f, const = self.model, self._facts, self._constants
         vx, vy, yaw_rate = self._vx, self._vy, self._yaw_rate
-        radius = m.wheel_radius_m
+        radius = f.rolling_radius_m
         front_drive = self._front_torque * m.driveline_efficiency / radius
         rear_drive = self._rear_torque * m.driveline_efficiency / radius
         front_brake = const.front_braking_n * self._front_pct / 100.0
         rear_brake = const.rear_braking_n * self._rear_pct / 100.0
 
         if vx <= 0.0:
-            rest = m.rolling_resistance * m.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
+            rest = m.rolling_resistance * f.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
             if front_drive + rear_drive <= rest:
                 self._ax = self._ay = 0.0
                 return
 
         # loads on the axles, with the transfer of the last substep
-        transfer = m.mass_kg * self._ax * m.cog_height_m / m.wheelbase_m
+        transfer = f.mass_kg * self._ax * f.cog_height_m / f.wheelbase_m
         front_load = const.front_weight_n - transfer
         rear_load = const.rear_weight_n + transfer
         front_grip = m.friction * front_load
@@ -436,10 +374,10 @@ class Car:
 
         steer = math.radians(self._road_deg)
         resistance = const.resistance_n + 0.6 * m.drag_area_m2 * vx * vx  # half of 1.2 kg/m3 of air
-        inertia = m.mass_kg + m.rotating_mass_kg
+        inertia = f.mass_kg + m.rotating_mass_kg
 
         blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
-        to_front, to_rear = m.cog_to_front_m, m.cog_to_rear_m
+        to_front, to_rear = const.cog_to_front_m, f.cog_ahead_of_rear_axle_m
         if blend > 0.0:
             cos_steer, sin_steer = math.cos(steer), math.sin(steer)
             front_angle = steer - math.atan2(vy + to_front * yaw_rate, vx)
@@ -451,9 +389,9 @@ class Car:
             along = front_force * cos_steer - front_side * sin_steer + rear_force - resistance
             across = front_force * sin_steer + front_side * cos_steer + rear_side
             vx_rate = along / inertia + yaw_rate * vy
-            vy_next = vy + (across / m.mass_kg - yaw_rate * vx) * dt
+            vy_next = vy + (across / f.mass_kg - yaw_rate * vx) * dt
             turn = to_front * (front_force * sin_steer + front_side * cos_steer) - to_rear * rear_side
-            yaw_rate_next = yaw_rate + turn / m.yaw_inertia_kgm2 * dt
+            yaw_rate_next = yaw_rate + turn / f.yaw_inertia_kgm2 * dt
         else:
             vx_rate = (front_force + rear_force - resistance) / inertia
             vy_next = yaw_rate_next = 0.0
@@ -461,7 +399,7 @@ class Car:
         if vx_next < 0.0:
             vx_next = 0.0  # brakes and rolling resistance stop a car; they do not drive it backwards
         if blend < 1.0:
-            kinematic_rate = vx_next * math.tan(steer) / m.wheelbase_m
+            kinematic_rate = vx_next * math.tan(steer) / f.wheelbase_m
             share = max(0.0, blend)
             yaw_rate_next = share * yaw_rate_next + (1.0 - share) * kinematic_rate
             vy_next = share * vy_next + (1.0 - share) * kinematic_rate * to_rear
@@ -483,7 +421,7 @@ class Car:
                 self._stopped_ns = self.t_ns
             return
         self._stopped_ns = None
-        half = 0.5 * m.track_m * yaw_rate_next
+        half = 0.5 * f.track_m * yaw_rate_next
         cos_steer, sin_steer = math.cos(steer), math.sin(steer)
         sideways = (vy_next + to_front * yaw_rate_next) * sin_steer
         per_mps = RPM_PER_RADPS / radius
@@ -497,9 +435,9 @@ class Car:
 
     def _slip(self, slip_mps: float, excess_n: float, used: float, vx: float, dt: float) -> float:
         """How fast a driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip."""
-        m = self.model
+        m, f = self.model, self._facts
         if excess_n != 0.0:
-            slip_mps += excess_n * m.wheel_radius_m**2 / m.axle_inertia_kgm2 * dt
+            slip_mps += excess_n * f.rolling_radius_m**2 / m.axle_inertia_kgm2 * dt
             return max(-vx, slip_mps)
         creep = used / m.slip_stiffness * vx
         share = dt / 0.02

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2
 from fsai_vcu.interface.immutable import Immutable
 
 
@@ -19,7 +20,11 @@ class CarFeedback(Immutable):
     front_brake_pct: float = 0.0
     rear_brake_pct: float = 0.0
     speed_mps: float = 0.0
-    accel_xyz_mps2: tuple[float, float, float] = (0.0, 0.0, 9.81)  # as an accelerometer reads it: z holds gravity
+    accel_xyz_mps2: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        GRAVITY_MPS2,
+    )  # as an accelerometer reads it: z holds gravity
     yaw_rate_radps: float = 0.0
     latitude_deg: float = 0.0
     longitude_deg: float = 0.0
@@ -39,3 +44,8 @@ class Actuation(Immutable):
     rear_brake_pct: float = 0.0
     ebs_engaged: bool = False
     tractive_system_live: bool = False
+
+
+def limited(value: float, most: float, least: float | None = None) -> float:
+    """The value, kept from `least` (else from `-most`) to `most`, as a signal's range has it."""
+    return min(most, max(-most if least is None else least, value))

@@ -1,8 +1,8 @@
-"""Faults between the simulated car and the AI computer: frames that vanish, freeze, lie, come late or from nowhere.
+"""Faults between the simulated car and the AI computer: frames that vanish, freeze, lie or come late.
 
 A fault looks at one frame and says what becomes of it: nothing, itself, something else, several, some of them later.
-New kinds are one class each, in force while their `Window` is open and for the frames they choose; `KINDS` names them
-for scenarios. Faults of switches, sensors and people are elsewhere (`switches.py`): these are the wire's.
+New kinds are one class each, in force while their `Window` is open and for the frames they choose. Faults of switches,
+sensors and people are elsewhere (`switches.py`): these are the wire's.
 
 Pure: time is the frames' own, chance comes from a seed.
 """
@@ -10,9 +10,8 @@ Pure: time is the frames' own, chance comes from a seed.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 from fsai_vcu.interface.codec import Codec
@@ -46,10 +45,6 @@ class FrameFault:
     def met(self, frame: Frame) -> Iterable[Frame]:
         """The same, of a frame that the window meets."""
         return (frame,)
-
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        """Frames which nobody sent, up to and including `to_ns`."""
-        return ()
 
 
 @dataclass
@@ -180,45 +175,6 @@ class Repeat(FrameFault):
         return (frame,) * self.times
 
 
-@dataclass
-class Intruder(FrameFault):
-    """Somebody else sends a frame of his own every `period_ns` while the window is open."""
-
-    frame: Frame
-    window: Window = field(default_factory=Window)
-    period_ns: int = 10_000_000
-
-    def __post_init__(self) -> None:
-        if self.period_ns <= 0:
-            raise ValueError("an intruder's period must be positive")
-        self._next_ns = self.window.from_ns
-
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        return (frame,)
-
-    def uncalled(self, to_ns: int) -> Iterable[Frame]:
-        sent = []
-        while self._next_ns <= to_ns and self._next_ns < self.window.until_ns:
-            sent.append(replace(self.frame, t_ns=self._next_ns))
-            self._next_ns += self.period_ns
-        return sent
-
-
-KINDS: Final[Mapping[str, Callable[..., FrameFault]]] = MappingProxyType(
-    {
-        "drop": Drop,
-        "freeze": Freeze,
-        "delay": Delay,
-        "flip_bits": FlipBits,
-        "wrong_length": WrongLength,
-        "overwrite": Overwrite,
-        "wrong_values": WrongValues,
-        "repeat": Repeat,
-        "intruder": Intruder,
-    }
-)
-
-
 class FaultyWire:
     """A wire with faults on it, in the order in which a frame meets them."""
 
@@ -233,9 +189,6 @@ class FaultyWire:
         """Take a fault away; what it has delayed still arrives."""
         self._faults.remove(fault)
 
-    def clear(self) -> None:
-        self._faults.clear()
-
     @property
     def sound(self) -> bool:
         """Nothing is wrong and nothing is under way: frames may pass by unchanged."""
@@ -246,7 +199,6 @@ class FaultyWire:
         under_way = list(frames)
         for fault in self._faults:
             under_way = [out for frame in under_way for out in fault.frames(frame)]
-            under_way.extend(fault.uncalled(now_ns))
         under_way = self._waiting + under_way
         self._waiting = [frame for frame in under_way if frame.t_ns > now_ns]
         return sorted((frame for frame in under_way if frame.t_ns <= now_ns), key=lambda frame: frame.t_ns)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from fsai_hil.simulator.car_signals import CarFeedback
+from fsai_hil.simulator.car_signals import CarFeedback, limited
 from fsai_vcu.interface.messages import (
     Acceleration,
     DeviceClock,
@@ -118,9 +118,9 @@ class PcanGps:
 def _acceleration(now_ns: int, car: CarFeedback) -> GpsImage:
     x, y, z = car.accel_xyz_mps2
     return Acceleration(
-        _limited(x * MILLI_G_PER_MPS2, MILLI_G_MOST),
-        _limited(y * MILLI_G_PER_MPS2, MILLI_G_MOST),
-        _limited(z * MILLI_G_PER_MPS2, MILLI_G_MOST),
+        limited(x * MILLI_G_PER_MPS2, MILLI_G_MOST),
+        limited(y * MILLI_G_PER_MPS2, MILLI_G_MOST),
+        limited(z * MILLI_G_PER_MPS2, MILLI_G_MOST),
         TEMPERATURE_DEGC,
         VERTICAL_AXIS_Z,
         0,
@@ -136,15 +136,11 @@ def _dynamics(now_ns: int, car: CarFeedback) -> GpsImage:
     along, across, _ = car.accel_xyz_mps2
     yaw_rate = math.degrees(car.yaw_rate_radps)
     return LogDynamics2(
-        _limited(along, DYNAMICS_MOST_MPS2),
-        _limited(across, DYNAMICS_MOST_MPS2),
-        _limited(yaw_rate, DYNAMICS_MOST_DEGPS),
+        limited(along, DYNAMICS_MOST_MPS2),
+        limited(across, DYNAMICS_MOST_MPS2),
+        limited(yaw_rate, DYNAMICS_MOST_DEGPS),
         now_ns,
     )
-
-
-def _limited(value: float, most: float) -> float:
-    return min(most, max(-most, value))
 
 
 _INERTIAL: Final[dict[type[GpsImage], Callable[[int, CarFeedback], GpsImage]]] = {

@@ -1,6 +1,6 @@
 """The ground truth as a side channel: where the simulated car really is, for simulated sensors in other processes.
 
-A real camera looks at the world; a simulated one has to be told. The process that simulates the car sends datagrams
+A real camera looks at the world; a simulated one has to be given it. The process that simulates the car sends datagrams
 to a port of this machine's loopback address, a sensor simulator listens there. It is not part of the car: nothing of
 the AI side but the sensor simulator may read it.
 """
@@ -11,14 +11,15 @@ import contextlib
 import json
 import math
 import socket
-from dataclasses import asdict, dataclass
-from typing import Final
+from dataclasses import asdict, dataclass, fields
+from typing import Final, Self
 
 from fsai_hil.simulator.car import Pose
 
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 25_510
 MOST_BYTES: Final = 4096
+_TYPES: Final[dict[str, type | tuple[type, ...]]] = {"int": int, "float": (int, float), "str": str}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +47,6 @@ class Truth:
         return Pose(self.x_m, self.y_m, self.yaw_rad)
 
 
-_NUMBERS: Final = ("x_m", "y_m", "yaw_rad", "speed_mps", "yaw_rate_radps", "steer_deg")
-_WHOLE: Final = ("t_ns", "seed", "laps")
-_WORDS: Final = ("as_state", "mission", "track")
-
-
 def pack(truth: Truth) -> bytes:
     return json.dumps(asdict(truth), separators=(",", ":")).encode()
 
@@ -61,29 +57,42 @@ def unpack(datagram: bytes) -> Truth:
         found = json.loads(datagram)
     except (UnicodeDecodeError, json.JSONDecodeError):
         raise ValueError("not a ground-truth datagram: no JSON") from None
-    names = {*_NUMBERS, *_WHOLE, *_WORDS}
-    if not isinstance(found, dict) or set(found) != names:
+    kinds = {field.name: str(field.type) for field in fields(Truth)}
+    if not isinstance(found, dict) or set(found) != set(kinds):
         raise ValueError("not a ground-truth datagram: other fields than expected")
-    for name in _NUMBERS:
-        value = found[name]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    for name, value in found.items():
+        good = isinstance(value, _TYPES[kinds[name]]) and not isinstance(value, bool)
+        if not good or (isinstance(value, float) and not math.isfinite(value)):
             raise ValueError(f"not a ground-truth datagram: {name} is {value!r}")
-        found[name] = float(value)
-    for name in _WHOLE:
-        if isinstance(found[name], bool) or not isinstance(found[name], int):
-            raise ValueError(f"not a ground-truth datagram: {name} is {found[name]!r}")
-    for name in _WORDS:
-        if not isinstance(found[name], str):
-            raise ValueError(f"not a ground-truth datagram: {name} is {found[name]!r}")
     return Truth(**found)
 
 
-class TruthSender:
-    """Sends to whoever listens; nobody listening is no error."""
+class _Socket:
+    """A datagram socket at this machine's loopback address. Raises OSError if the port is taken."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((HOST, port))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class TruthSender(_Socket):
+    """Sends to the one who listens; nobody listening is no error."""
 
     def __init__(self, port: int = DEFAULT_PORT) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((HOST, 0))  # else an answer would be taken from any network
+        super().__init__(0)  # bound: else an answer would be taken from any network
         self._socket.setblocking(False)
         self._address = (HOST, port)
 
@@ -92,26 +101,12 @@ class TruthSender:
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             self._socket.sendto(pack(truth), self._address)
 
-    def close(self) -> None:
-        self._socket.close()
 
-    def __enter__(self) -> TruthSender:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class TruthReceiver:
-    """Hears the truth. `latest` never blocks; `wait` does, for a while. Raises OSError if the port is taken."""
+class TruthReceiver(_Socket):
+    """Receives the truth. `latest` never blocks; `wait` does, for a while. Raises OSError if the port is taken."""
 
     def __init__(self, port: int = DEFAULT_PORT) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((HOST, port))
-        except OSError:
-            self._socket.close()
-            raise
+        super().__init__(port)
         self.port: int = self._socket.getsockname()[1]
         self.malformed = 0
 
@@ -143,12 +138,3 @@ class TruthReceiver:
         except ValueError:
             self.malformed += 1
             return None
-
-    def close(self) -> None:
-        self._socket.close()
-
-    def __enter__(self) -> TruthReceiver:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
-from fsai_hil.simulator.car import CarModel, CarTruth, Pose
+from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.tracks import (
     ACCELERATION_STOP_M,
     CIRCUIT_STOP_M,
@@ -26,6 +26,7 @@ from fsai_hil.simulator.tracks import (
     TrackKind,
 )
 from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.specification import STANDING_RPM
@@ -35,52 +36,26 @@ STILL_M: Final = 0.10  # a car that must not move may settle by this much
 CONE_PENALTY_S: Final = 2.0
 LINE_HALF_WIDTH_M: Final = 4.0  # a line is crossed within so much of its middle
 RPM_TOLERANCE: Final = 0.95  # a wheel speed asked for counts as reached from here
+WAIT_S: Final = 3.0  # the car must not move so long after it entered AS_DRIVING
+INSPECTION_A_RPM: Final = 200.0
+INSPECTION_A_SPIN_UP_S: Final = 10.0
+INSPECTION_A_SPIN_DOWN_S: Final = 5.0
+INSPECTION_B_RPM: Final = 50.0
+SWEEP_TOLERANCE_DEG: Final = 2.0
+DEMO_SPEED_KMH: Final = 15.0
+DEMO_ACCELERATE_M: Final = 10.0
+DEMO_STOP_M: Final = 10.0
+DEMO_SWEEP_DEG: Final = 10.0
+LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is not racing
 
 
 @dataclass(frozen=True, slots=True)
 class JudgeSettings(Immutable):
-    """The rules of the year. Lengths and times have the defaults of missions.md."""
+    """What may be asked of a judge beside the rules."""
 
     laps: int | None = None  # of a trackdrive; None: ten
-    wait_s: float = 3.0  # the car must not move so long after it entered AS_DRIVING
     start_timeout_s: float | None = 120.0  # until AS_DRIVING; None waits for ever
     drive_timeout_s: float | None = None  # in AS_DRIVING; None: the mission's own
-    acceleration_stop_m: float = ACCELERATION_STOP_M
-    skidpad_stop_m: float = SKIDPAD_STOP_M
-    circuit_stop_m: float = CIRCUIT_STOP_M
-    inspection_a_rpm: float = 200.0
-    inspection_a_spin_up_s: float = 10.0
-    inspection_a_spin_down_s: float = 5.0
-    inspection_b_rpm: float = 50.0
-    sweep_tolerance_deg: float = 2.0
-    demo_speed_kmh: float = 15.0
-    demo_accelerate_m: float = 10.0
-    demo_stop_m: float = 10.0
-    demo_sweep_deg: float = 10.0
-
-
-MISSION_LAPS: Final[Mapping[Ami, int]] = MappingProxyType({Ami.SKIDPAD: 4, Ami.AUTOCROSS: 1, Ami.TRACKDRIVE: 10})
-MISSION_END: Final[Mapping[Ami, AsState]] = MappingProxyType(
-    {
-        Ami.ACCELERATION: AsState.AS_FINISHED,
-        Ami.SKIDPAD: AsState.AS_FINISHED,
-        Ami.AUTOCROSS: AsState.AS_FINISHED,
-        Ami.TRACKDRIVE: AsState.AS_FINISHED,
-        Ami.STATIC_INSPECTION_A: AsState.AS_FINISHED,
-        Ami.STATIC_INSPECTION_B: AsState.EMERGENCY_BRAKE,
-        Ami.AUTONOMOUS_DEMO: AsState.EMERGENCY_BRAKE,
-    }
-)
-DRIVE_TIMEOUT_S: Final[Mapping[Ami, float]] = MappingProxyType(
-    {
-        Ami.ACCELERATION: 60.0,
-        Ami.SKIDPAD: 180.0,
-        Ami.STATIC_INSPECTION_A: 90.0,
-        Ami.STATIC_INSPECTION_B: 90.0,
-        Ami.AUTONOMOUS_DEMO: 90.0,
-    }
-)
-LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is not racing
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +108,8 @@ class JudgeVerdict(Immutable):
 class _Crossing:
     """Notices when a point crosses a line forward, and when exactly."""
 
-    def __init__(self, line: TimingLine) -> None:
+    def __init__(self, line: TimingLine | None) -> None:
+        assert line is not None  # check_track has looked
         self.line = line
         self._ahead_m: float | None = None
         self._t_ns = 0
@@ -208,9 +184,9 @@ class _Surroundings:
 
     CELL_M = 2.5
 
-    def __init__(self, track: Track, model: CarModel) -> None:
+    def __init__(self, track: Track, car: VehicleParameters) -> None:
         self._track = track
-        self._model = model
+        self._car = car
         cells: dict[tuple[int, int], list[tuple[int, float, float, float]]] = {}
         for i, ((x, y), color) in enumerate(zip(track.cones_xy_m, track.cone_colors, strict=True)):
             cell = (math.floor(x / self.CELL_M), math.floor(y / self.CELL_M))
@@ -226,29 +202,29 @@ class _Surroundings:
         self._borders(pose, lateral_m)
 
     def _cones(self, pose: Pose) -> None:
-        m = self._model
-        middle = m.nose_m - m.length_m / 2.0
+        car = self._car
+        middle = car.nose_ahead_of_rear_axle_m - car.length_m / 2.0
         x, y = pose.ahead(middle)
         column, row = math.floor(x / self.CELL_M), math.floor(y / self.CELL_M)
         forward, left = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
         for i in (column - 1, column, column + 1):
             for j in (row - 1, row, row + 1):
                 for cone, cx, cy, radius in self._grid.cells.get((i, j), ()):
-                    along = abs((cx - x) * forward + (cy - y) * left) - m.length_m / 2.0
-                    across = abs((cy - y) * forward - (cx - x) * left) - m.width_m / 2.0
+                    along = abs((cx - x) * forward + (cy - y) * left) - car.length_m / 2.0
+                    across = abs((cy - y) * forward - (cx - x) * left) - car.width_m / 2.0
                     if math.hypot(max(0.0, along), max(0.0, across)) < radius:
                         self.hit.add(cone)
 
     def _borders(self, pose: Pose, lateral_m: float | None) -> None:
-        track, m = self._track, self._model
+        track, car = self._track, self._car
         if not track.lane:
             return
         if lateral_m is not None and abs(lateral_m) < 1.2:  # no lane is narrower than 3 m; spares the exact look
             self._off = False
             return
-        half = m.track_m / 2.0
+        half = car.track_m / 2.0
         off = not any(
-            track.on_lane(*pose.ahead(along, across)) for along in (0.0, m.wheelbase_m) for across in (half, -half)
+            track.on_lane(*pose.ahead(along, across)) for along in (0.0, car.wheelbase_m) for across in (half, -half)
         )
         if off and not self._off:
             self.off_course += 1
@@ -258,30 +234,38 @@ class _Surroundings:
 # ---------------------------------------------------------------- the missions
 
 
-class _Referee(Protocol):
-    """Watches what one mission asks for. `watch` is called in AS_DRIVING, and after it until the car stands."""
+class _Referee:
+    """Watches what one mission asks for: in AS_DRIVING, and after it until the car stands."""
 
-    lap_times_s: list[float]
-    stop_distance_m: float | None  # beyond the finish line, once it has been crossed
+    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
+        self.car = car
+        self.wanted = laps
+        self.lap_times_s: list[float] = []
+        self.stop_distance_m: float | None = None  # beyond the finish line, once it has been crossed
 
     @property
-    def laps(self) -> int: ...
+    def laps(self) -> int:
+        return len(self.lap_times_s)
 
-    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None: ...
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        raise NotImplementedError
 
-    def complaints(self) -> list[str]: ...
+    def complaints(self) -> list[str]:
+        raise NotImplementedError
+
+    def _stopped_late(self, most_m: float) -> list[str]:
+        distance_m = self.stop_distance_m or 0.0
+        if distance_m <= most_m:
+            return []
+        return [f"stopped {distance_m:.1f} m after the finish line, allowed are {most_m:g} m"]
 
 
-class _AccelerationReferee:
-    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
-        assert track.start_line is not None and track.finish_line is not None  # check_track has looked
+class _AccelerationReferee(_Referee):
+    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
+        super().__init__(track, car, laps)
         self._start = _Crossing(track.start_line)
         self._finish = _Crossing(track.finish_line)
-        self._stop_m = settings.acceleration_stop_m
         self._started_ns: float | None = None
-        self.laps = 0
-        self.lap_times_s: list[float] = []
-        self.stop_distance_m: float | None = None
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         started = self._start.watch(truth.t_ns, *nose)
@@ -289,7 +273,6 @@ class _AccelerationReferee:
             self._started_ns = started
         finished = self._finish.watch(truth.t_ns, *nose)
         if finished is not None and self._started_ns is not None and not self.laps:
-            self.laps = 1
             self.lap_times_s.append((finished - self._started_ns) / S)
         if self.laps:
             self.stop_distance_m = self._finish.line.ahead_of(*nose)
@@ -299,39 +282,26 @@ class _AccelerationReferee:
             return ["the start line was never crossed"]
         if self.stop_distance_m is None:
             return ["the finish line was never crossed"]
-        return _stop_complaints(self.stop_distance_m, self._stop_m)
+        return self._stopped_late(ACCELERATION_STOP_M)
 
 
-def _stop_complaints(distance_m: float, most_m: float) -> list[str]:
-    if distance_m > most_m:
-        return [f"stopped {distance_m:.1f} m after the finish line, allowed are {most_m:g} m"]
-    return []
-
-
-class _SkidpadReferee:
+class _SkidpadReferee(_Referee):
     """Counts the turns round both centres between one crossing of the timing line and the next."""
 
     ORDER = ("right", "right", "left", "left")
 
-    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
-        line = track.start_line
-        assert line is not None  # check_track has looked
-        self._crossing = _Crossing(line)
+    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
+        super().__init__(track, car, laps)
+        self._crossing = _Crossing(track.start_line)
+        line = self._crossing.line
         across = Pose(line.x_m, line.y_m, line.heading_rad)
         half = SKIDPAD_CENTRES_APART_M / 2.0
         self._centres = {"left": across.ahead(0.0, half), "right": across.ahead(0.0, -half)}
         self._turned = {"left": 0.0, "right": 0.0}  # rad, counter-clockwise, since the last crossing
         self._angles: dict[str, float] = {}
-        self._stop_m = settings.skidpad_stop_m
         self._crossed_ns: float | None = None
         self._crossed_at_m = 0.0
         self.sequence: list[str] = []
-        self.lap_times_s: list[float] = []
-        self.stop_distance_m: float | None = None
-
-    @property
-    def laps(self) -> int:
-        return len(self.sequence)
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         for side, (cx, cy) in self._centres.items():
@@ -363,27 +333,22 @@ class _SkidpadReferee:
             return [f"laps driven: {', '.join(self.sequence) or 'none'}; asked for: {', '.join(self.ORDER)}"]
         if self.stop_distance_m is None or self.stop_distance_m < 0.0:
             return ["did not leave the skidpad through the exit lane"]
-        return _stop_complaints(self.stop_distance_m, self._stop_m)
+        return self._stopped_late(SKIDPAD_STOP_M)
 
 
-class _CircuitReferee:
+class _CircuitReferee(_Referee):
     """Laps: a crossing of the line counts when the track before it was really driven."""
 
     SHARE_OF_LAP = 0.85
     LEAST_LAP_M = 30.0  # where no centreline is known
 
-    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
-        assert track.start_line is not None  # check_track has looked
+    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
+        super().__init__(track, car, laps)
         self._crossing = _Crossing(track.start_line)
         self._lap_m = track.length_m * self.SHARE_OF_LAP if track.closed else self.LEAST_LAP_M
-        self._wanted = laps
-        self._stop_m = settings.circuit_stop_m
         self._crossed_ns: float | None = None
         self._crossed_at_m = 0.0
         self._finished_at_m = 0.0
-        self.laps = 0
-        self.lap_times_s: list[float] = []
-        self.stop_distance_m: float | None = None
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         at_m = route.progress_m if route is not None else truth.distance_m
@@ -391,126 +356,101 @@ class _CircuitReferee:
         if crossed is not None and self._crossed_ns is None:
             self._crossed_ns, self._crossed_at_m = crossed, at_m
         elif crossed is not None and self._crossed_ns is not None and at_m - self._crossed_at_m > self._lap_m:
-            self.laps += 1
             self.lap_times_s.append((crossed - self._crossed_ns) / S)
             self._crossed_ns, self._crossed_at_m = crossed, at_m
-            if self.laps == self._wanted:
+            if self.laps == self.wanted:
                 self._finished_at_m = truth.distance_m
-        if self.laps >= self._wanted:
+        if self.laps >= self.wanted:
             self.stop_distance_m = truth.distance_m - self._finished_at_m
 
     def complaints(self) -> list[str]:
         if self._crossed_ns is None:
             return ["the start line was never crossed"]
-        if self.laps < self._wanted:
-            return [f"{self.laps} of {self._wanted} laps driven"]
-        if self.laps > self._wanted:
-            return [f"{self.laps} laps driven where {self._wanted} were asked for"]
-        return _stop_complaints(self.stop_distance_m or 0.0, self._stop_m)
+        if self.laps < self.wanted:
+            return [f"{self.laps} of {self.wanted} laps driven"]
+        if self.laps > self.wanted:
+            return [f"{self.laps} laps driven where {self.wanted} were asked for"]
+        return self._stopped_late(CIRCUIT_STOP_M)
 
 
-class _Sweep:
-    """How far the road wheels have been steered, and whether they came back."""
+class _StandReferee(_Referee):
+    """What is asked of a car that is judged without a track: how far it steers, and how fast its driven wheels turn."""
 
-    def __init__(self) -> None:
-        self.left_deg = self.right_deg = self.now_deg = 0.0
-
-    def watch(self, steer_deg: float) -> None:
-        self.left_deg = max(self.left_deg, steer_deg)
-        self.right_deg = min(self.right_deg, steer_deg)
-        self.now_deg = steer_deg
-
-    def complaints(self, least_deg: float) -> list[str]:
-        found = []
-        if self.left_deg < least_deg:
-            found.append(f"steered {self.left_deg:.1f} deg to the left, asked for are {least_deg:.1f} deg")
-        if -self.right_deg < least_deg:
-            found.append(f"steered {-self.right_deg:.1f} deg to the right, asked for are {least_deg:.1f} deg")
-        return found
-
-
-def _driven_rpm(truth: CarTruth, model: CarModel) -> float:
-    """The slowest driven wheel."""
-    fl, fr, rl, rr = truth.wheel_rpm
-    return min(
-        min(fl, fr) if model.driven_front else math.inf,
-        min(rl, rr) if model.driven_rear else math.inf,
-    )
-
-
-class _InspectionAReferee:
-    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
-        self._model, self._settings = model, settings
-        self._sweep = _Sweep()
-        self._began_ns: int | None = None  # a driven wheel turns
-        self._reached_ns: int | None = None
-        self._left_ns: int | None = None  # last seen at the wheel speed asked for
-        self._rest_ns: int | None = None
-        self._top_rpm = 0.0
-        self.laps = 0
-        self.lap_times_s: list[float] = []
-        self.stop_distance_m: float | None = None
+    left_deg = right_deg = steer_deg = top_rpm = 0.0
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
-        self._sweep.watch(truth.steer_deg)
-        rpm = _driven_rpm(truth, self._model)
-        self._top_rpm = max(self._top_rpm, rpm)
+        self.top_rpm = max(self.top_rpm, self._driven_rpm(truth))
+
+    def _sweep(self, truth: CarTruth) -> None:
+        self.steer_deg = truth.steer_deg
+        self.left_deg = max(self.left_deg, self.steer_deg)
+        self.right_deg = min(self.right_deg, self.steer_deg)
+
+    def _swept_too_little(self, least_deg: float) -> list[str]:
+        return [
+            f"steered {deg:.1f} deg to the {side}, asked for are {least_deg:.1f} deg"
+            for side, deg in (("left", self.left_deg), ("right", -self.right_deg))
+            if deg < least_deg
+        ]
+
+    def _driven_rpm(self, truth: CarTruth) -> float:
+        """The slowest driven wheel."""
+        fl, fr, rl, rr = truth.wheel_rpm
+        car = self.car
+        return min(min(fl, fr) if car.driven_front else math.inf, min(rl, rr) if car.driven_rear else math.inf)
+
+    def _too_slow(self, wanted_rpm: float) -> list[str]:
+        return [f"driven wheels reached {self.top_rpm:.0f} of {wanted_rpm:.0f} rpm"]
+
+
+class _InspectionAReferee(_StandReferee):
+    _began_ns: int | None = None  # a driven wheel turns
+    _reached_ns: int | None = None
+    _left_ns: int | None = None  # last seen at the wheel speed asked for
+    _rest_ns: int | None = None
+
+    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
+        super().watch(truth, nose, route)
+        self._sweep(truth)
+        rpm = self._driven_rpm(truth)
         if self._began_ns is None and rpm > STANDING_RPM:
             self._began_ns = truth.t_ns
-        if rpm >= self._settings.inspection_a_rpm * RPM_TOLERANCE:
+        if rpm >= INSPECTION_A_RPM * RPM_TOLERANCE:
             self._reached_ns = self._reached_ns or truth.t_ns
             self._left_ns, self._rest_ns = truth.t_ns, None
         elif self._left_ns is not None and self._rest_ns is None and max(truth.wheel_rpm) < STANDING_RPM:
             self._rest_ns = truth.t_ns
 
     def complaints(self) -> list[str]:
-        s = self._settings
-        found = self._sweep.complaints(self._model.steer_limit_deg - s.sweep_tolerance_deg)
-        if abs(self._sweep.now_deg) > s.sweep_tolerance_deg:
-            found.append(f"steering ended at {self._sweep.now_deg:.1f} deg instead of straight")
+        found = self._swept_too_little(math.degrees(self.car.steer_max_rad) - SWEEP_TOLERANCE_DEG)
+        if abs(self.steer_deg) > SWEEP_TOLERANCE_DEG:
+            found.append(f"steering ended at {self.steer_deg:.1f} deg instead of straight")
         if self._began_ns is None or self._reached_ns is None or self._left_ns is None:
-            return [*found, f"driven wheels reached {self._top_rpm:.0f} of {s.inspection_a_rpm:.0f} rpm"]
+            return [*found, *self._too_slow(INSPECTION_A_RPM)]
         up_s = (self._reached_ns - self._began_ns) / S
-        if up_s > s.inspection_a_spin_up_s:
-            found.append(f"driven wheels took {up_s:.1f} s to reach {s.inspection_a_rpm:.0f} rpm")
+        if up_s > INSPECTION_A_SPIN_UP_S:
+            found.append(f"driven wheels took {up_s:.1f} s to reach {INSPECTION_A_RPM:.0f} rpm")
         if self._rest_ns is None:
             found.append("the wheels did not come to rest")
-        elif (down_s := (self._rest_ns - self._left_ns) / S) > s.inspection_a_spin_down_s:
+        elif (down_s := (self._rest_ns - self._left_ns) / S) > INSPECTION_A_SPIN_DOWN_S:
             found.append(f"the wheels took {down_s:.1f} s to come to rest")
         return found
 
 
-class _InspectionBReferee:
-    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
-        self._model, self._settings = model, settings
-        self._top_rpm = 0.0
-        self.laps = 0
-        self.lap_times_s: list[float] = []
-        self.stop_distance_m: float | None = None
-
-    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
-        self._top_rpm = max(self._top_rpm, _driven_rpm(truth, self._model))
-
+class _InspectionBReferee(_StandReferee):
     def complaints(self) -> list[str]:
-        wanted = self._settings.inspection_b_rpm
-        if self._top_rpm < wanted * RPM_TOLERANCE:
-            return [f"driven wheels reached {self._top_rpm:.0f} of {wanted:.0f} rpm"]
-        return []
+        return [] if self.top_rpm >= INSPECTION_B_RPM * RPM_TOLERANCE else self._too_slow(INSPECTION_B_RPM)
 
 
-class _DemoReferee:
+class _DemoReferee(_StandReferee):
     """Sweep, accelerate, stop, accelerate: each step begins where the last one ended."""
 
-    def __init__(self, track: Track, model: CarModel, settings: JudgeSettings, laps: int) -> None:
-        self._settings = settings
-        self._sweep = _Sweep()
+    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
+        super().__init__(track, car, laps)
         self._legs: list[tuple[float, float | None]] = []  # (where it pulled away, where it reached the speed)
-        self._moving = False
         self._stops: list[float] = []
+        self._moving = False
         self._straight_deg = 0.0  # steering when it pulled away first
-        self.laps = 0
-        self.lap_times_s: list[float] = []
-        self.stop_distance_m: float | None = None
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         at = truth.distance_m
@@ -523,75 +463,66 @@ class _DemoReferee:
             self._moving = False
             self._stops.append(at)
         if not self._legs:
-            self._sweep.watch(truth.steer_deg)
-        elif (
-            self._moving
-            and self._legs[-1][1] is None
-            and truth.speed_mps * KMH_PER_MPS >= self._settings.demo_speed_kmh
-        ):
+            self._sweep(truth)
+        elif self._moving and self._legs[-1][1] is None and truth.speed_mps * KMH_PER_MPS >= DEMO_SPEED_KMH:
             self._legs[-1] = (self._legs[-1][0], at)
 
     def complaints(self) -> list[str]:
-        s = self._settings
-        found = self._sweep.complaints(s.demo_sweep_deg)
+        found = self._swept_too_little(DEMO_SWEEP_DEG)
         if abs(self._straight_deg) > 3.0:
             found.append(f"pulled away with the steering at {self._straight_deg:.1f} deg instead of straight")
         for number, (begin, fast) in enumerate(self._legs[:2], 1):
             if fast is None:
-                found.append(f"acceleration {number} did not reach {s.demo_speed_kmh:g} km/h")
-            elif fast - begin > s.demo_accelerate_m:
-                found.append(f"acceleration {number} took {fast - begin:.1f} m to {s.demo_speed_kmh:g} km/h")
+                found.append(f"acceleration {number} did not reach {DEMO_SPEED_KMH:g} km/h")
+            elif fast - begin > DEMO_ACCELERATE_M:
+                found.append(f"acceleration {number} took {fast - begin:.1f} m to {DEMO_SPEED_KMH:g} km/h")
         if len(self._legs) != 2:
             found.append(f"{len(self._legs)} accelerations instead of 2")
         if self._legs and self._stops:
-            length = self._stops[0] - self._legs[0][0]
-            most = s.demo_accelerate_m + s.demo_stop_m
+            length, most = self._stops[0] - self._legs[0][0], DEMO_ACCELERATE_M + DEMO_STOP_M
             if length > most:
                 found.append(f"the first stop came after {length:.1f} m, allowed are {most:g} m")
         return found
 
 
-_REFEREES: Final[Mapping[Ami, type[Any]]] = MappingProxyType(
+@dataclass(frozen=True, slots=True)
+class _Criteria(Immutable):
+    """How one mission is judged."""
+
+    referee: type[_Referee]
+    ends_in: AsState
+    timeout_s: float | None  # in AS_DRIVING; None: LAP_TIMEOUT_S a lap
+    track: TrackKind | None = None  # on which it can be driven; None: on any
+    laps: int = 1
+
+
+_CRITERIA: Final[Mapping[Ami, _Criteria]] = MappingProxyType(
     {
-        Ami.ACCELERATION: _AccelerationReferee,
-        Ami.SKIDPAD: _SkidpadReferee,
-        Ami.AUTOCROSS: _CircuitReferee,
-        Ami.TRACKDRIVE: _CircuitReferee,
-        Ami.STATIC_INSPECTION_A: _InspectionAReferee,
-        Ami.STATIC_INSPECTION_B: _InspectionBReferee,
-        Ami.AUTONOMOUS_DEMO: _DemoReferee,
+        Ami.ACCELERATION: _Criteria(_AccelerationReferee, AsState.AS_FINISHED, 60.0, TrackKind.ACCELERATION),
+        Ami.SKIDPAD: _Criteria(_SkidpadReferee, AsState.AS_FINISHED, 180.0, TrackKind.SKIDPAD, laps=4),
+        Ami.AUTOCROSS: _Criteria(_CircuitReferee, AsState.AS_FINISHED, None, TrackKind.CIRCUIT),
+        Ami.TRACKDRIVE: _Criteria(_CircuitReferee, AsState.AS_FINISHED, None, TrackKind.CIRCUIT, laps=10),
+        Ami.STATIC_INSPECTION_A: _Criteria(_InspectionAReferee, AsState.AS_FINISHED, 90.0),
+        Ami.STATIC_INSPECTION_B: _Criteria(_InspectionBReferee, AsState.EMERGENCY_BRAKE, 90.0),
+        Ami.AUTONOMOUS_DEMO: _Criteria(_DemoReferee, AsState.EMERGENCY_BRAKE, 90.0),
     }
 )
 
 
 def check_track(track: Track, mission: Ami) -> str | None:
     """Why a mission cannot be judged on a track; None when it can."""
-    wanted = {
-        Ami.ACCELERATION: TrackKind.ACCELERATION,
-        Ami.SKIDPAD: TrackKind.SKIDPAD,
-        Ami.AUTOCROSS: TrackKind.CIRCUIT,
-        Ami.TRACKDRIVE: TrackKind.CIRCUIT,
-    }.get(mission)
-    if mission not in _REFEREES:
+    criteria = _CRITERIA.get(mission)
+    if criteria is None:
         return f"{mission.label} is no mission"
-    if wanted is not None and track.kind is not wanted:
-        name = mission.name.lower()
-        return f"mission {name} needs a track of kind {wanted.value}, but {track.name} is of kind {track.kind.value}"
+    if criteria.track is not None and criteria.track is not track.kind:
+        return (
+            f"mission {mission.name.lower()} needs a track of kind {criteria.track.value}, "
+            f"but {track.name} is of kind {track.kind.value}"
+        )
     return None
 
 
 # ---------------------------------------------------------------- the judge
-
-
-@dataclass
-class _Stay:
-    """A time in which the car must not move."""
-
-    state: AsState
-    x_m: float
-    y_m: float
-    since_ns: int
-    excused: bool = field(default=False)
 
 
 class Judge:
@@ -604,7 +535,7 @@ class Judge:
         self,
         track: Track,
         mission: Ami,
-        model: CarModel,
+        car: VehicleParameters,
         settings: JudgeSettings | None = None,
         now_ns: int = 0,
         epoch_ns: int = 0,
@@ -615,18 +546,19 @@ class Judge:
             raise ValueError(problem)
         self.mission = mission
         self._settings = settings if settings is not None else JudgeSettings()
-        self._model = model
+        self._car = car
         self._epoch_ns = epoch_ns
         self._begin_ns = now_ns
-        self.laps_wanted = MISSION_LAPS.get(mission, 1)
+        self._criteria = _CRITERIA[mission]
+        self.laps_wanted = self._criteria.laps
         if mission is Ami.TRACKDRIVE and self._settings.laps is not None:
             self.laps_wanted = self._settings.laps
-        self._referee: _Referee = _REFEREES[mission](track, model, self._settings, self.laps_wanted)
+        self._referee = self._criteria.referee(track, car, self.laps_wanted)
         self._route = _Route(track) if track.centreline_m is not None else None
-        self._surroundings = _Surroundings(track, model)
+        self._surroundings = _Surroundings(track, car)
         self._states: list[tuple[AsState, int]] = []
         self._reasons: list[str] = []
-        self._stay: _Stay | None = None
+        self._stay: tuple[float, float, int] | None = None  # where and since when the car must not move
         self._driving_ns: int | None = None
         self._over_ns: int | None = None  # left AS_DRIVING
         self._stood_ns: int | None = None
@@ -661,8 +593,7 @@ class Judge:
         now = truth.t_ns
         self._states.append((state, now))
         pose = truth.pose
-        may_roll = state is AsState.EMERGENCY_BRAKE
-        self._stay = None if may_roll else _Stay(state, pose.x_m, pose.y_m, now)
+        self._stay = None if state is AsState.EMERGENCY_BRAKE else (pose.x_m, pose.y_m, now)
         if state is AsState.AS_DRIVING:
             if self._driving_ns is not None:
                 self._blame("drove a second time without a new run")
@@ -672,18 +603,18 @@ class Judge:
             self._over_ns = now
 
     def _watch_stay(self, truth: CarTruth, state: AsState) -> None:
-        stay = self._stay
-        if stay is None or stay.excused:
+        if self._stay is None:
             return
-        since_s = (truth.t_ns - stay.since_ns) / S
-        if state is AsState.AS_DRIVING and since_s >= self._settings.wait_s:
+        x_m, y_m, since_ns = self._stay
+        since_s = (truth.t_ns - since_ns) / S
+        if state is AsState.AS_DRIVING and since_s >= WAIT_S:
             self._stay = None
             return
-        moved = math.hypot(truth.pose.x_m - stay.x_m, truth.pose.y_m - stay.y_m) > STILL_M
+        moved = math.hypot(truth.pose.x_m - x_m, truth.pose.y_m - y_m) > STILL_M
         if moved or (max(truth.wheel_rpm) > STANDING_RPM and since_s > 0.1):
-            stay.excused = True  # once is enough
+            self._stay = None  # once is enough
             if state is AsState.AS_DRIVING:
-                self._blame(f"moved {since_s:.2f} s after entering AS_DRIVING, must wait {self._settings.wait_s:g} s")
+                self._blame(f"moved {since_s:.2f} s after entering AS_DRIVING, must wait {WAIT_S:g} s")
             else:
                 self._blame(f"moved in {state.label}")
 
@@ -692,7 +623,7 @@ class Judge:
         if self._route is not None:
             self._route.follow(pose.x_m, pose.y_m)
         lateral = self._route.lateral_m if self._route is not None else None
-        self._referee.watch(truth, pose.ahead(self._model.nose_m), self._route)
+        self._referee.watch(truth, pose.ahead(self._car.nose_ahead_of_rear_axle_m), self._route)
         self._surroundings.look(pose, lateral)
         speed = truth.speed_mps
         if lateral is not None and speed > 0.1:
@@ -713,7 +644,7 @@ class Judge:
                 self._end(f"did not start: no AS_DRIVING within {s.start_timeout_s:g} s")
             return
         if state is AsState.AS_DRIVING:
-            most_s = s.drive_timeout_s or DRIVE_TIMEOUT_S.get(self.mission, LAP_TIMEOUT_S * self.laps_wanted)
+            most_s = s.drive_timeout_s or self._criteria.timeout_s or LAP_TIMEOUT_S * self.laps_wanted
             if now - self._driving_ns > most_s * S:
                 self._end(f"did not finish: still in AS_DRIVING after {most_s:g} s")
             return
@@ -753,7 +684,7 @@ class Judge:
         found = list(self._reasons)
         if self._driving_ns is None:
             return found or ["never entered AS_DRIVING"]
-        wanted = MISSION_END[self.mission]
+        wanted = self._criteria.ends_in
         last = self._states[-1][0]
         if last is not wanted:
             by = f" ({self._cause.label})" if self._cause is not None and last is AsState.EMERGENCY_BRAKE else ""

@@ -104,7 +104,7 @@ class Lockstep:
             Controller(car, settings, missions),
             self._now_ns,
         )
-        # Nothing is in flight in lockstep: what the car has said, the bridge has heard before it speaks.
+        # Nothing is in flight in lockstep: what the car has sent, the bridge has received before it sends.
         self.wire = WireChecker(
             self.world.codec,
             in_flight_ns=STEP_NS,

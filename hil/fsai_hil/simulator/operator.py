@@ -8,14 +8,14 @@ been seen. Scripts are data, not running code, so that a run can be copied in th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from typing import Any, Final, Protocol
 
 from fsai_hil.simulator.indicators import Assi, Indicators, Siren
 from fsai_hil.simulator.power import POWER_UP, PowerUp
-from fsai_hil.simulator.switches import Switches
+from fsai_hil.simulator.switches import SWITCH_NAMES, Switches
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.units import MS, S
@@ -27,9 +27,8 @@ OFF_NS: Final = 2 * S  # a power cycle is no flick: the AI computer must see the
 GO_PATIENCE_NS: Final = 1500 * MS  # a Go that starts nothing is taken back and given again
 
 READY: Final = frozenset({Assi.YELLOW, Assi.YELLOW_AND_BLUE})
+READY_FOR_GO: Final = frozenset({Assi.YELLOW_AND_BLUE, Assi.BLUE_FLASHING})
 ENDED: Final = frozenset({Assi.BLUE, Assi.BLUE_FLASHING, Assi.OFF})
-
-SWITCH_NAMES: Final = tuple(field.name for field in fields(Switches))
 
 
 class CarShows(Protocol):
@@ -47,16 +46,12 @@ class CarShows(Protocol):
     def shut_down(self) -> bool: ...
 
 
-def _at_once(car: CarShows) -> bool:
-    return True
-
-
 @dataclass(frozen=True, slots=True)
 class Await(Immutable):
     """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on unseen instead."""
 
     what: str
-    seen: Callable[[CarShows], bool] = _at_once
+    seen: Callable[[CarShows], bool] = lambda car: True
     delay_ns: int = HAND_NS
     patience_ns: int | None = None
 
@@ -114,11 +109,9 @@ class Operator:
         self.log: list[tuple[int, str]] = []
 
     @classmethod
-    def auto(
-        cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = (), switch_off_at_end: bool = True
-    ) -> Operator:
+    def auto(cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = ()) -> Operator:
         """One who has these missions driven one after another, from a car that is off to a car that is off."""
-        return cls(drive_missions(POWER_UP[revision], missions, switch_off_at_end), at)
+        return cls(drive_missions(POWER_UP[revision], missions), at)
 
     @property
     def done(self) -> bool:
@@ -180,7 +173,11 @@ class Operator:
 # ---------------------------------------------------------------- scripts
 
 
-def drive_missions(power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end: bool = True) -> Script:
+def _emergency(car: CarShows) -> bool:
+    return car.indicators.assi is Assi.BLUE_FLASHING
+
+
+def drive_missions(power_up: PowerUp, missions: Sequence[Ami]) -> Script:
     """Power up, choose the mission, give Go, wait for the end, switch off what this car wants off; then the next."""
     script: list[Await | Do] = [*power_on(power_up)]
     for number, mission in enumerate(missions, start=1):
@@ -188,15 +185,19 @@ def drive_missions(power_up: PowerUp, missions: Sequence[Ami], switch_off_at_end
         if number > 1:
             script.append(Do(partial(_power_on_again, power_up)))
         script += (
-            Await("waiting until the display offers the missions", _offers_missions, REACTION_NS),
+            Await("waiting until the display offers the missions", lambda car: car.mission_selectable, REACTION_NS),
             _put("ami", mission),
             Do(_asms_on_again),  # the mission before may have ended with it
-            Await("waiting for yellow and blue: 5 s in AS_READY", _ready_for_go, REACTION_NS),
+            Await(
+                "waiting for yellow and blue: 5 s in AS_READY",
+                lambda car: car.indicators.assi in READY_FOR_GO,
+                REACTION_NS,
+            ),
             Await("looking whether the car is still ready", _emergency, 0, patience_ns=0),
             Do(_go_unless_emergency),
-            Await("waiting for the end of the mission", _ended, 0),
+            Await("waiting for the end of the mission", lambda car: car.indicators.assi in ENDED, 0),
             Await("looking how it ended", _emergency, 0, patience_ns=0),
-            Do(partial(_let_it_end, power_up, last, switch_off_at_end)),
+            Do(partial(_let_it_end, power_up, last)),
         )
     return script
 
@@ -219,7 +220,7 @@ def power_down(names: Iterable[str]) -> Script:
     script: list[Await | Do] = []
     for name in names:
         if name == "lvms":
-            script.append(Await("waiting until the car has shut down", _shut_down))
+            script.append(Await("waiting until the car has shut down", lambda car: car.shut_down))
         script += _turn(name, False)
         if name == "lvms":
             script.append(_put("ami", Ami.NOT_SELECTED))  # the display forgets
@@ -230,7 +231,7 @@ def give_go() -> Script:
     """Go; off and on again as long as the car stays ready and does not start."""
     return (
         _put("go", True),
-        Await("giving Go", _no_longer_ready, delay_ns=0, patience_ns=GO_PATIENCE_NS),
+        Await("giving Go", lambda car: car.indicators.assi not in READY, delay_ns=0, patience_ns=GO_PATIENCE_NS),
         Do(_again_unless_started),
     )
 
@@ -269,44 +270,13 @@ def _again_unless_started(switches: Switches, started: bool) -> Script:
     return _put("go", False), Await("taking Go back", delay_ns=REACTION_NS), *give_go()
 
 
-def _let_it_end(power_up: PowerUp, last: bool, switch_off_at_end: bool, switches: Switches, emergency: bool) -> Script:
+def _let_it_end(power_up: PowerUp, last: bool, switches: Switches, emergency: bool) -> Script:
     everything = emergency or last  # after an emergency only a power cycle leads on
     off = power_down(("asms", "tsms", "lvms") if everything else power_up.switches_off)
     return (
-        Await("waiting until the siren falls silent", _silent)
+        Await("waiting until the siren falls silent", lambda car: car.indicators.siren is Siren.OFF)
         if emergency
         else Await("letting the car stand", delay_ns=FINISHED_NS),
         _put("go", False),
-        *(() if last and not switch_off_at_end else off),
+        *off,
     )
-
-
-# ---------------------------------------------------------------- what is seen
-
-
-def _offers_missions(car: CarShows) -> bool:
-    return car.mission_selectable
-
-
-def _ready_for_go(car: CarShows) -> bool:
-    return car.indicators.assi in (Assi.YELLOW_AND_BLUE, Assi.BLUE_FLASHING)
-
-
-def _no_longer_ready(car: CarShows) -> bool:
-    return car.indicators.assi not in READY
-
-
-def _emergency(car: CarShows) -> bool:
-    return car.indicators.assi is Assi.BLUE_FLASHING
-
-
-def _ended(car: CarShows) -> bool:
-    return car.indicators.assi in ENDED
-
-
-def _silent(car: CarShows) -> bool:
-    return car.indicators.siren is Siren.OFF
-
-
-def _shut_down(car: CarShows) -> bool:
-    return car.shut_down

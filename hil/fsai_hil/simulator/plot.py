@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ import numpy as np
 
 from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.tracks import Track
-from fsai_hil.simulator.world import PathSample
+from fsai_hil.simulator.world import PathSample, Run
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.interface.enums import AsState
 
@@ -35,6 +36,16 @@ _STATE_COLOR: Final = {
 
 class PlotError(RuntimeError):
     """No picture can be made; the message is one clear line."""
+
+
+def plotted(program: str, path: Path, run: Run) -> bool:
+    """Save the picture of a run; where there can be none, print why and return False."""
+    try:
+        save_plot(path, run.track, run.samples, run.judge.verdict())
+    except PlotError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return False
+    return True
 
 
 def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: JudgeVerdict | None = None) -> None:

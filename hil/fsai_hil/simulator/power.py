@@ -1,6 +1,6 @@
 """How the car comes alive and goes to sleep: power-up by revision, tractive system and EBS.
 
-The two subsystems are small machines over time: told what they need, they take a couple of seconds for each step.
+The two subsystems are small machines over time: given what they need, they take a couple of seconds for each step.
 """
 
 from __future__ import annotations

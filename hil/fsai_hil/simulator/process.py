@@ -1,6 +1,6 @@
 """`fsai-vcu vcu`: the simulated VCU and car as a process on a bus, in real time.
 
-One thread waits on the bus until the car next has something to say. Frames that wait are heard before time moves on,
+One thread waits on the bus until the car next has something to send. Frames that wait are read before time moves on,
 and a process that was held up for long lets the car's time stand still meanwhile: it must not take its own slowness for
 the AI computer's. It needs no AI computer: without one it says what a car says, and waits.
 """
@@ -25,21 +25,22 @@ from typing import Any, Final, TextIO
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.ground_truth import TruthSender
 from fsai_hil.simulator.judge import JudgeVerdict
-from fsai_hil.simulator.operator import SWITCH_NAMES
 from fsai_hil.simulator.power import POWER_UP
 from fsai_hil.simulator.profiles import PROFILES
-from fsai_hil.simulator.tracks import BUILT_IN, load_track
+from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
+from fsai_hil.simulator.switches import SWITCH_NAMES
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.database import DatabaseError
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.realtime import FIFO_PRIORITY, go_real_time
 from fsai_vcu.runtime.recording import CandumpWriter
 
+EXAMPLE: Final = "fsai-vcu vcu -i vcan0 --mission trackdrive --laps 2 --auto"
 PROGRAM: Final = "fsai-vcu vcu"
+MISSION: Final = "trackdrive"
 TRUTH_PERIOD_NS: Final = 20_000_000  # faster than any sensor looks
 HELD_UP_NS: Final = 50_000_000  # half of what the VCU grants the AI computer
 REOPEN_NS: Final = 250_000_000
@@ -62,17 +63,11 @@ HELP: Final = f"""commands:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    missions = [ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED]
+    add_setup_arguments(parser, MISSION, "NAME[,NAME…]")
     add = parser.add_argument
     add("-i", "--interface", default="vcan0", metavar="BUS", help="bus: vcan0, loopback:NAME or KIND:CHANNEL (vcan0)")
-    add("--mission", default="trackdrive", metavar="NAME[,NAME…]", help=f"one of {', '.join(missions)}; or several")
     add("--auto", action="store_true", help="walk the switches, choose the mission, give Go, and end with it")
-    tracks = f"a CSV file, {', '.join(BUILT_IN)} or random-SEED (the mission's own)"
-    add("--track", metavar="FILE.csv|NAME", help=tracks)
-    add("--revision", default="2026", choices=sorted(REVISIONS), help="interface revision of the car (2026)")
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
-    add("--laps", type=int, metavar="N", help="laps of a trackdrive (10)")
-    add("--seed", type=int, default=0, metavar="N", help="seed of everything random (0)")
     add("--truth", type=int, metavar="PORT", help="send the true pose to this UDP port of 127.0.0.1, for sensors")
     add("--no-gps", action="store_true", help="a car without the PCAN-GPS")
     add("--gps-decimation", type=int, default=1, metavar="N", help="send only each Nth of the PCAN-GPS's frames (1)")
@@ -111,19 +106,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _setup(args: argparse.Namespace) -> WorldSetup:
-    if args.laps is not None and args.laps < 1:
-        raise ValueError(f"--laps is {args.laps}, but must be 1 or more")
     if args.truth is not None and not 0 < args.truth < 65536:
         raise ValueError(f"--truth is {args.truth}, but a port is 1 to 65535")
     if args.timeout is not None and not 0.0 < args.timeout < float("inf"):
         raise ValueError(f"--timeout is {args.timeout:g}, but must be a time in seconds")
-    return WorldSetup(
-        missions=tuple(mission_named(name) for name in args.mission.split(",")),
-        track=load_track(args.track) if args.track else None,
-        revision=args.revision,
+    return setup_of(
+        args,
+        (args.mission or MISSION).split(","),
         profile=args.profile,
-        seed=args.seed,
-        laps=args.laps,
         auto=args.auto,
         gps=not args.no_gps,
         gps_decimation=args.gps_decimation,
@@ -227,14 +217,14 @@ class VcuProcess:
             return
         try:
             frame = bus.recv(max(0, until_ns - self._now_ns()) / 1e9)
-            heard = 0
+            received = 0
             while frame is not None:
                 self.frames_in += 1
                 if self._log is not None:
                     self._log.write(frame)
                 self.world.on_frame(replace(frame, t_ns=frame.t_ns - self.held_up_ns))
-                heard += 1
-                if heard >= 100 or (self._now_ns() >= until_ns and heard >= 20):
+                received += 1
+                if received >= 100 or (self._now_ns() >= until_ns and received >= 20):
                     return  # a flooded bus must not stop the clock
                 frame = bus.recv(0.0)
         except BusLost as error:
@@ -305,7 +295,7 @@ class VcuProcess:
         if not vcu.powered:
             words.append("low voltage off")
         elif not self.frames_in:
-            words.append("no AI computer heard yet")
+            words.append("no frame of the AI computer yet")
         elif vcu.comms_lost:
             words.append("AI computer lost")
         if vcu.state is AsState.EMERGENCY_BRAKE:
@@ -333,7 +323,7 @@ class VcuProcess:
             self._stdin = None
             return
         if not data:
-            self._stdin = None  # nobody types; the car goes on until it is told to end
+            self._stdin = None  # nobody types; the car goes on until it is ended
             return
         *lines, self._typed = (self._typed + data).split(b"\n")
         for line in lines:
@@ -409,7 +399,7 @@ class VcuProcess:
 
 @contextlib.contextmanager
 def _signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """Ctrl-C and a polite kill end the loop in order."""
+    """Ctrl-C and a polite kill end the loop properly."""
 
     def handler(number: int, frame: FrameType | None) -> None:
         stop(f"ended by {signal.Signals(number).name}")
@@ -482,13 +472,9 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
             print(f"{PROGRAM}: {args.result} cannot be written: {error.strerror}", file=sys.stderr)
             saved_all = False
     if args.plot:
-        from fsai_hil.simulator.plot import PlotError, save_plot
+        from fsai_hil.simulator.plot import plotted
 
-        try:
-            save_plot(Path(args.plot), world.runs[0].track, world.runs[0].samples, verdicts[0])
-        except PlotError as error:
-            print(f"{PROGRAM}: {error}", file=sys.stderr)
-            saved_all = False
+        saved_all &= plotted(PROGRAM, Path(args.plot), world.runs[0])
     if args.auto or world.verdicts:
         for verdict in verdicts:
             print(verdict.summary(), file=sys.stderr if args.json else sys.stdout, flush=True)

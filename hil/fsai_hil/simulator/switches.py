@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Final
 
 from fsai_vcu.interface.enums import Ami
 
@@ -46,3 +47,6 @@ class Switches:
     # derating: None leaves the limit of the interface revision
     torque_limit_nm: float | None = None
     steer_limit_deg: float | None = None
+
+
+SWITCH_NAMES: Final = tuple(field.name for field in fields(Switches))

@@ -178,7 +178,6 @@ def acceleration_track() -> Track:
     """75 m straight from the start line at x = 0, and 100 m of exit lane to stop in."""
     half = LANE_M / 2.0
     finish = ACCELERATION_RUN_M
-    end = finish + ACCELERATION_STOP_M
     rows = [5.0 * i for i in range(1, 15)]
     exits = [finish + 5.0 * i for i in range(1, int(ACCELERATION_STOP_M / 5.0) + 2)]
     gate = [(x, y) for line in (0.0, finish) for x in (line - 0.3, line + 0.3) for y in (half, -half)]
@@ -191,20 +190,27 @@ def acceleration_track() -> Track:
             (ConeColor.ORANGE, [(exits[-1], y) for y in (0.5, -0.5)]),
         )
     )
-    begin = -10.0  # the staging area, so that a car that waits there is on the track
-    ring = ((begin, -half), (end + 10.0, -half), (end + 10.0, half), (begin, half))
-    return Track(
-        "acceleration",
-        TrackKind.ACCELERATION,
-        xy,
-        colors,
-        start_line=TimingLine(0.0, 0.0, 0.0),
-        finish_line=TimingLine(finish, 0.0, 0.0),
-        centreline_m=_array([(begin + 0.5 * i, 0.0) for i in range(int((end - begin) * 2) + 1)]),
-        left_border_m=_array([(begin, half), (end, half)]),
-        right_border_m=_array([(begin, -half), (end, -half)]),
-        lane=((ring,),),
-        source="acceleration",
+    track = Track("acceleration", TrackKind.ACCELERATION, xy, colors, source="acceleration")
+    return _with_straight(track, (0.0, 0.0), (finish, 0.0), half)
+
+
+def _with_straight(track: Track, start: Point, finish: Point, half_m: float) -> Track:
+    """The track with lines and lane of a straight, the exit lane behind the finish included.
+
+    It begins in the staging area, so that a car that waits there is on the track.
+    """
+    line = Pose(*start, math.atan2(finish[1] - start[1], finish[0] - start[0]))
+    run_m = math.dist(start, finish)
+    begin, end = -10.0, run_m + ACCELERATION_STOP_M
+    ring = ((begin, -half_m), (end + 10.0, -half_m), (end + 10.0, half_m), (begin, half_m))
+    return replace(
+        track,
+        start_line=TimingLine(*start, line.yaw_rad),
+        finish_line=TimingLine(*finish, line.yaw_rad),
+        centreline_m=_array([line.ahead(begin + 0.5 * i) for i in range(int((end - begin) * 2) + 1)]),
+        left_border_m=_array([line.ahead(begin, half_m), line.ahead(end, half_m)]),
+        right_border_m=_array([line.ahead(begin, -half_m), line.ahead(end, -half_m)]),
+        lane=((tuple(line.ahead(*corner) for corner in ring),),),
     )
 
 
@@ -252,22 +258,19 @@ def skidpad_track() -> Track:
             route.append((middle * math.sin(angle), side * middle * (1.0 - math.cos(angle))))
     route += [(0.25 * i, 0.0) for i in range(int(end * 4) + 1)]
     straight = ((begin, -half), (end, -half), (end, half), (begin, half))
-    line = TimingLine(0.0, 0.0, 0.0)
-    return Track(
-        "skidpad",
-        TrackKind.SKIDPAD,
-        xy,
-        colors,
-        start_line=line,
-        finish_line=line,
-        centreline_m=_array(route),
-        lane=(
-            (circle(middle, inner), circle(middle, outer)),
-            (circle(-middle, inner), circle(-middle, outer)),
-            (straight,),
-        ),
-        source="skidpad",
+    lane = (
+        (circle(middle, inner), circle(middle, outer)),
+        (circle(-middle, inner), circle(-middle, outer)),
+        (straight,),
     )
+    track = Track("skidpad", TrackKind.SKIDPAD, xy, colors, centreline_m=_array(route), lane=lane, source="skidpad")
+    return _with_line(track, Pose())
+
+
+def _with_line(track: Track, line: Pose) -> Track:
+    """The track with one line for start and finish."""
+    timing = TimingLine(line.x_m, line.y_m, line.yaw_rad)
+    return replace(track, start_line=timing, finish_line=timing)
 
 
 def _spacing_m(radius_m: float) -> float:
@@ -347,25 +350,14 @@ def _circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float
         rows.append([p for p in row if not (abs(p[0]) < 1.2 and abs(p[1]) < lane_m)])
     gate = [(x, y) for x in (-0.4, 0.4) for y in (lane_m / 2.0, -lane_m / 2.0)]
     xy, colors = _cones(((ConeColor.BLUE, rows[0]), (ConeColor.YELLOW, rows[1]), (ConeColor.BIG_ORANGE, gate)))
-    line = TimingLine(0.0, 0.0, 0.0)
-    return Track(
-        name,
-        TrackKind.CIRCUIT,
-        xy,
-        colors,
-        closed=True,
-        start_line=line,
-        finish_line=line,
-        centreline_m=middle,
-        left_border_m=left,
-        right_border_m=right,
-        lane=((_ring(left), _ring(right)),),
-        source=name,
-    )
+    return _with_circuit(Track(name, TrackKind.CIRCUIT, xy, colors, source=name), Pose(), middle, left, right)
 
 
-def _ring(line: Floats) -> tuple[Point, ...]:
-    return tuple((float(x), float(y)) for x, y in line)
+def _with_circuit(track: Track, line: Pose, middle: Floats, left: Floats, right: Floats) -> Track:
+    """The track with the lane between two closed borders."""
+    rings = tuple(tuple((float(x), float(y)) for x, y in border) for border in (left, right))
+    circuit = replace(track, closed=True, centreline_m=middle, left_border_m=left, right_border_m=right, lane=(rings,))
+    return _with_line(circuit, line)
 
 
 def small_oval() -> Track:
@@ -505,7 +497,9 @@ def parse_track(text: str, source: str) -> Track:
         raise TrackError(f"{source}: no cones")
     if start is None:
         raise TrackError(f"{source}: no car_start, so nobody knows where the car begins and which way it points")
-    return _measured(Path(source).stem, source, points, start)
+    xy, colors = _cones((color, [point]) for color, point in points)
+    track = Track(Path(source).stem, TrackKind.CIRCUIT, xy, colors, car_start=start, source=source)
+    return _measured(track, points, start)
 
 
 def _number(row: Sequence[str], column: int, name: str, at: str) -> float:
@@ -519,41 +513,30 @@ def _number(row: Sequence[str], column: int, name: str, at: str) -> float:
     return value
 
 
-def _measured(name: str, source: str, points: Sequence[tuple[ConeColor, Point]], start: Pose) -> Track:
+def _measured(track: Track, points: Sequence[tuple[ConeColor, Point]], start: Pose) -> Track:
     """Find out what kind of track the cones make, its lines and its borders."""
-    xy, colors = _cones((color, [point]) for color, point in points)
     ahead = TimingLine(start.x_m, start.y_m, start.yaw_rad)
     gates = _gates([p for color, p in points if color is ConeColor.BIG_ORANGE], ahead)
-    if _skidpad_like(points, ahead, gates):
-        return _skidpad_at(name, source, xy, colors, start, gates[0])
-    walked = _walk(points, ahead)
-    line = _start_line(gates[0], ahead) if gates else TimingLine(start.x_m, start.y_m, start.yaw_rad)
-    if walked is not None and walked.closed:
-        left, right = _array(walked.left), _array(walked.right)
-        middle = _smoothed(_resampled(_array(walked.middle), 0.25), 2.0)
+    if gates and _skidpad_like(points, _middle(gates[0]), ahead.heading_rad):
+        return _with_skidpad(track, start, gates[0])
+    line = Pose(*_middle(gates[0]), start.yaw_rad) if gates else start
+    if (walked := _walk(points, ahead)) is not None:
+        left, right, middle = walked
+        middle = _smoothed(_resampled(middle, 0.25), 2.0)
         nearest = int(np.argmin(np.hypot(middle[:, 0] - line.x_m, middle[:, 1] - line.y_m)))
         middle = np.roll(middle, -nearest, axis=0)
         toward = middle[2] - middle[-2]
-        line = TimingLine(float(middle[0, 0]), float(middle[0, 1]), math.atan2(toward[1], toward[0]))
-        return Track(
-            name,
-            TrackKind.CIRCUIT,
-            xy,
-            colors,
-            car_start=start,
-            closed=True,
-            start_line=line,
-            finish_line=line,
-            centreline_m=middle,
-            left_border_m=left,
-            right_border_m=right,
-            lane=((_ring(left), _ring(right)),),
-            source=source,
-        )
+        line = Pose(float(middle[0, 0]), float(middle[0, 1]), math.atan2(toward[1], toward[0]))
+        return _with_circuit(track, line, middle, left, right)
     if len(gates) >= 2:
-        return _straight_at(name, source, xy, colors, start, _start_line(gates[0], ahead), gates[-1])
+        first, finish = _middle(gates[0]), _middle(gates[-1])
+        along = TimingLine(*first, start.yaw_rad)
+        run = math.dist(first, finish)
+        width = [abs(along.beside(x, y)) for _, (x, y) in points if 0 < along.ahead_of(x, y) < run]
+        half = float(np.median(width)) if width else LANE_M / 2.0
+        return _with_straight(replace(track, kind=TrackKind.ACCELERATION), first, finish, half)
     # cones that make no circuit which can be walked: it can be driven and timed, but nothing is off course
-    return Track(name, TrackKind.CIRCUIT, xy, colors, car_start=start, start_line=line, finish_line=line, source=source)
+    return _with_line(track, line)
 
 
 def _gates(big: Sequence[Point], ahead: TimingLine) -> list[tuple[Point, ...]]:
@@ -568,102 +551,45 @@ def _gates(big: Sequence[Point], ahead: TimingLine) -> list[tuple[Point, ...]]:
     return [tuple(group) for group in groups if ahead.ahead_of(*group[-1]) > 0.0]
 
 
-def _start_line(gate: Sequence[Point], ahead: TimingLine) -> TimingLine:
-    return TimingLine(sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate), ahead.heading_rad)
+def _middle(gate: Sequence[Point]) -> Point:
+    return sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate)
 
 
-def _straight_at(
-    name: str, source: str, xy: Floats, colors: Ints, start: Pose, first: TimingLine, gate: Sequence[Point]
-) -> Track:
-    """A straight between two gates, with the exit lane behind the second."""
-    finish_x, finish_y = sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate)
-    heading = math.atan2(finish_y - first.y_m, finish_x - first.x_m)
-    run = math.dist((first.x_m, first.y_m), (finish_x, finish_y))
-    width = np.abs([first.beside(float(x), float(y)) for x, y in xy if 0 < first.ahead_of(float(x), float(y)) < run])
-    half = float(np.median(width)) if len(width) else LANE_M / 2.0
-    lane = Pose(first.x_m, first.y_m, heading)
-    end = run + ACCELERATION_STOP_M
-    corners = (lane.ahead(-10.0, -half), lane.ahead(end + 10.0, -half), lane.ahead(end + 10.0, half))
-    return Track(
-        name,
-        TrackKind.ACCELERATION,
-        xy,
-        colors,
-        car_start=start,
-        start_line=TimingLine(first.x_m, first.y_m, heading),
-        finish_line=TimingLine(finish_x, finish_y, heading),
-        centreline_m=_array([lane.ahead(-10.0 + 0.5 * i) for i in range(int((end + 10.0) * 2) + 1)]),
-        left_border_m=_array([lane.ahead(-10.0, half), lane.ahead(end, half)]),
-        right_border_m=_array([lane.ahead(-10.0, -half), lane.ahead(end, -half)]),
-        lane=((((*corners, lane.ahead(-10.0, half))),),),
-        source=source,
-    )
-
-
-def _skidpad_like(
-    points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine, gates: Sequence[Sequence[Point]]
-) -> bool:
+def _skidpad_like(points: Sequence[tuple[ConeColor, Point]], middle: Point, heading_rad: float) -> bool:
     """Two rings of blue and yellow cones to the left and to the right of the first gate."""
-    if not gates:
-        return False
-    line = _start_line(gates[0], ahead)
-    middle, inner = SKIDPAD_CENTRES_APART_M / 2.0, SKIDPAD_INNER_DIAMETER_M / 2.0
+    apart, inner = SKIDPAD_CENTRES_APART_M / 2.0, SKIDPAD_INNER_DIAMETER_M / 2.0
     for side, color in ((1.0, ConeColor.BLUE), (-1.0, ConeColor.YELLOW)):
-        centre = Pose(line.x_m, line.y_m, line.heading_rad).ahead(0.0, side * middle)
+        centre = Pose(*middle, heading_rad).ahead(0.0, side * apart)
         near = [p for c, p in points if c is color and abs(math.dist(p, centre) - inner) < 0.75]
         if len(near) < 10:
             return False
     return True
 
 
-def _skidpad_at(name: str, source: str, xy: Floats, colors: Ints, start: Pose, gate: Sequence[Point]) -> Track:
+def _with_skidpad(track: Track, start: Pose, gate: Sequence[Point]) -> Track:
     """The rules' skidpad, laid over the cones of a file."""
     ideal = skidpad_track()
     # the gate's own direction: across is from its rightmost to its leftmost cone, so that a start askew does no harm
-    line = _start_line(gate, TimingLine(start.x_m, start.y_m, start.yaw_rad))
+    middle, heading = _middle(gate), start.yaw_rad
+    line = TimingLine(*middle, heading)
     left = [p for p in gate if line.beside(*p) > 0.0]
     right = [p for p in gate if line.beside(*p) <= 0.0]
-    heading = start.yaw_rad
     if left and right:
-        across = (
-            sum(p[0] for p in left) / len(left) - sum(p[0] for p in right) / len(right),
-            sum(p[1] for p in left) / len(left) - sum(p[1] for p in right) / len(right),
-        )
-        heading = math.atan2(across[1], across[0]) - math.pi / 2.0
-    origin = Pose(line.x_m, line.y_m, heading)
-    line = TimingLine(line.x_m, line.y_m, heading)
+        (x_left, y_left), (x_right, y_right) = _middle(left), _middle(right)
+        heading = math.atan2(y_left - y_right, x_left - x_right) - math.pi / 2.0
+    origin = Pose(*middle, heading)
     assert ideal.centreline_m is not None  # skidpad_track always has one
     route = _array([origin.ahead(float(x), float(y)) for x, y in ideal.centreline_m])
     lane = tuple(tuple(tuple(origin.ahead(x, y) for x, y in ring) for ring in rings) for rings in ideal.lane)
-    return Track(
-        name,
-        TrackKind.SKIDPAD,
-        xy,
-        colors,
-        car_start=start,
-        start_line=line,
-        finish_line=line,
-        centreline_m=route,
-        lane=lane,
-        source=source,
-    )
+    return _with_line(replace(track, kind=TrackKind.SKIDPAD, centreline_m=route, lane=lane), origin)
 
 
-@dataclass(frozen=True, slots=True)
-class _Lane(Immutable):
-    """The lane as it was found between the cones."""
-
-    left: tuple[Point, ...]
-    right: tuple[Point, ...]
-    middle: tuple[Point, ...]
-    closed: bool
-
-
-def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> _Lane | None:
+def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> tuple[Floats, Floats, Floats] | None:
     """Walk the lane from triangle to triangle through the edges that join a left cone to a right one.
 
     In a triangulation of all cones each triangle inside the lane has exactly two such edges, so the way on is always
-    the other one; the borders are the cones passed on either side.
+    the other one. Left border, right border (the cones passed on either side) and the middle between them; None where
+    the walk does not come back to its beginning.
     """
     sides: list[int] = []
     xy: list[Point] = []
@@ -720,7 +646,7 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> _Lane
         out = int(np.flatnonzero(triangle == leave)[0])
         onward = int(neighbours[index][out])
         if onward < 0:
-            return _Lane(_at(left, xy), _at(right, xy), tuple(middle), False)
+            return None
         came_from = index
         index = onward
         corner = int(np.flatnonzero(neighbours[index] == came_from)[0])
@@ -729,9 +655,5 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> _Lane
                 left.pop()
             if right[0] == right[-1]:
                 right.pop()
-            return _Lane(_at(left, xy), _at(right, xy), tuple(middle), True)
+            return _array([xy[i] for i in left]), _array([xy[i] for i in right]), _array(middle)
     return None
-
-
-def _at(indices: Sequence[int], xy: Sequence[Point]) -> tuple[Point, ...]:
-    return tuple(xy[i] for i in indices)

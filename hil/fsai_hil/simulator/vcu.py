@@ -1,4 +1,4 @@
-"""The car's vehicle control unit, simulated: what it hears from the AI computer, decides, orders and says.
+"""The car's vehicle control unit, simulated: what it receives from the AI computer, decides, orders and sends.
 
 Pure: frames and sensor readings in, frames and orders out, time an argument in integer nanoseconds. The state machine
 is the table of `as_machine.py`, the link's supervision `ai_link.py`, the power-up `power.py`, and how a VCU may differ
@@ -18,7 +18,7 @@ from typing import Final, cast
 
 from fsai_hil.simulator.ai_link import AiLink
 from fsai_hil.simulator.as_machine import CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
-from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_hil.simulator.car_signals import Actuation, CarFeedback, limited
 from fsai_hil.simulator.faults import FaultyWire
 from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
 from fsai_hil.simulator.indicators import DARK, Indicators, indicators
@@ -34,7 +34,7 @@ from fsai_hil.simulator.power import (
     op_state,
 )
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
-from fsai_hil.simulator.switches import Switches
+from fsai_hil.simulator.switches import SWITCH_NAMES, Switches
 from fsai_vcu.interface.bus_table import BY_NAME, Flow
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (
@@ -50,6 +50,7 @@ from fsai_vcu.interface.enums import (
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import (
+    FAULT_NAMES,
     AiBrake,
     AiDriveFront,
     AiDriveRear,
@@ -107,7 +108,7 @@ class SimulatedVcu:
 
     Set `switches`, hand it the AI computer's frames, call `step` at least once a millisecond (or at `next_due_ns()`)
     with what the car's sensors read; do what `actuation` orders. Faults of the wire go into `outgoing` (what the VCU
-    and the PCAN-GPS say) and `incoming` (what it hears).
+    and the PCAN-GPS say) and `incoming` (what it receives).
 
     `gps_decimation` and `log_decimation` stretch the periods of the PCAN-GPS's and the logging frames on machines that
     cannot carry them all. Raises ValueError for an interface revision whose power-up is not known.
@@ -158,7 +159,7 @@ class SimulatedVcu:
         self._ai_faults = ai_faults(profile)
         self._settled_until_ns = self._now_ns
 
-    # ------------------------------------------------------------ what it hears
+    # ------------------------------------------------------------ what it receives
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of the AI computer has arrived, at its `t_ns`."""
@@ -225,7 +226,7 @@ class SimulatedVcu:
         self._ebs = EmergencyBrakeSystem(now_ns)
         self._device = PcanGps(now_ns)
         self._situation = Situation()
-        self._latched: dict[str, bool] = {}
+        self._latched: set[str] = set()
         self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
         self._state = self.power_up.first_state
         self._state_since_ns = now_ns
@@ -295,23 +296,16 @@ class SimulatedVcu:
         s.fastest_wheel_rpm = max(rpm)
         s.slowest_wheel_rpm = min(rpm)
         s.steer_deg = self._feedback.steer_deg
-        s.asms = switches.asms
-        s.tsms = switches.tsms
+        for name in SEEN_OF_THE_SWITCHES:
+            setattr(s, name, getattr(switches, name))
         s.go = self.go_signal
         s.go_rising = s.go and not self._go_before
         self._go_before = s.go
-        s.ami = switches.ami
         s.sdc_open = sdc_open
         s.ebs_armed = self._ebs.armed
         s.ebs_unavailable = not s.ebs_armed
         s.tractive_system_running = self._tractive_system.running
         s.power_cycle_needed = self._power_cycle_needed
-        s.hvil_open = switches.hvil_open
-        s.hvil_short = switches.hvil_short
-        s.ebs_fault = switches.ebs_fault
-        s.offboard_charger_fault = switches.offboard_charger_fault
-        s.charge_procedure_fault = switches.charge_procedure_fault
-        s.bms_fault = switches.bms_fault
         s.comms_lost = comms_lost
         s.estop_request, status, s.direction, s.torque_requested, s.brake_requested, s.steer_requested = link.requests
         # what was said before the link was lost acknowledges nothing
@@ -329,7 +323,7 @@ class SimulatedVcu:
 
     def _take(self, row: Row, now_ns: int) -> None:
         if row.fault is not None:
-            self._latched[row.fault.name] = True
+            self._latched.add(row.fault.name)
             self.shutdown_cause = row.fault.cause
         if row.target is AsState.EMERGENCY_BRAKE:
             self._power_cycle_needed = True
@@ -404,19 +398,15 @@ class SimulatedVcu:
     def sdc_open(self) -> bool:
         """Interface specification v4.0: what opens the shutdown circuit."""
         s = self.switches
-        return (
-            s.remote_estop
-            or not s.remote_radio_ok
-            or s.car_estop
-            or s.crash
-            or not s.dongle
-            or s.bms_fault
-            or s.hvil_open
-            or s.hvil_short
-            or s.ebs_fault
-            or s.offboard_charger_fault
-            or s.charge_procedure_fault
+        broken = (
+            s.bms_fault,
+            s.hvil_open,
+            s.hvil_short,
+            s.ebs_fault,
+            s.offboard_charger_fault,
+            s.charge_procedure_fault,
         )
+        return s.remote_estop or not s.remote_radio_ok or s.car_estop or s.crash or not s.dongle or any(broken)
 
     @property
     def comms_lost(self) -> bool:
@@ -424,27 +414,19 @@ class SimulatedVcu:
         return self._powered and self._link.lost(self._now_ns)
 
     @property
-    def handshake(self) -> bool:
-        """The HANDSHAKE bit that the VCU sends at present."""
-        return self._link.bit
-
-    @property
     def faults(self) -> Faults:
         """The fault bits of 0x520: those that stopped the car until power is cycled, and those that are there now."""
-        s, latched = self.switches, self._latched
-        return Faults(
-            ai_estop_request=latched.get("ai_estop_request", False),
-            hvil_open=s.hvil_open or latched.get("hvil_open", False),
-            hvil_short=s.hvil_short or latched.get("hvil_short", False),
-            ebs=s.ebs_fault or latched.get("ebs", False),
-            offboard_charger=s.offboard_charger_fault or latched.get("offboard_charger", False),
-            ai_comms_lost=self.comms_lost or latched.get("ai_comms_lost", False),
-            autonomous_braking=latched.get("autonomous_braking", False),
-            mission_status=latched.get("mission_status", False),
-            charge_procedure=s.charge_procedure_fault or latched.get("charge_procedure", False),
-            bms=s.bms_fault or latched.get("bms", False),
-            brake_plausibility=latched.get("brake_plausibility", False),
-        )
+        s = self.switches
+        now = {
+            "hvil_open": s.hvil_open,
+            "hvil_short": s.hvil_short,
+            "ebs": s.ebs_fault,
+            "offboard_charger": s.offboard_charger_fault,
+            "ai_comms_lost": self.comms_lost,
+            "charge_procedure": s.charge_procedure_fault,
+            "bms": s.bms_fault,
+        }
+        return Faults(**{name: name in self._latched or now.get(name, False) for name in FAULT_NAMES})
 
     @property
     def power_cycle_needed(self) -> bool:
@@ -460,8 +442,7 @@ class SimulatedVcu:
         if since_ns < INITIAL_ACTIONS_NS + SELF_TEST_NS:
             return SystemState.POWER_ON_SELF_TEST
         if self._shutdown_since_ns is not None:
-            over = self._now_ns - self._shutdown_since_ns >= SHUTDOWN_NS
-            return SystemState.SHUTDOWN_OFF if over else SystemState.SHUTDOWN
+            return SystemState.SHUTDOWN_OFF if self.shut_down else SystemState.SHUTDOWN
         if not self._activated:
             return SystemState.AUX
         if self._tractive_system.running or self._state is not AsState.AS_OFF or self._power_cycle_needed:
@@ -506,18 +487,17 @@ class SimulatedVcu:
         if not (self._powered and self._tractive_system.running):
             return 0.0, 0.0
         derated = self.switches.torque_limit_nm
-        most = AXLE_TORQUE_MAX_NM if derated is None else min(AXLE_TORQUE_MAX_NM, max(0.0, derated))
+        most = AXLE_TORQUE_MAX_NM if derated is None else limited(derated, AXLE_TORQUE_MAX_NM, 0.0)
         return (most if self.power_up.front_axle_driven else 0.0), most
 
     @property
     def steer_max_deg(self) -> float:
         """ANGLE_MAX."""
         derated, most = self.switches.steer_limit_deg, self.revision.steer_limit_deg
-        return most if derated is None else min(most, max(0.0, derated))
+        return most if derated is None else limited(derated, most, 0.0)
 
     def _steer_target_deg(self) -> float:
-        most = self.steer_max_deg
-        target = min(most, max(-most, self._link.steer.steer_deg))
+        target = limited(self._link.steer.steer_deg, self.steer_max_deg)
         return float(round(target)) if self.profile.whole_degree_steering else target
 
     @property
@@ -558,7 +538,7 @@ class SimulatedVcu:
             live,
         )
 
-    # ------------------------------------------------------------ what it says
+    # ------------------------------------------------------------ what it sends
 
     def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_CyclicMessage, ...]:
         """Everything that is sent in this revision, 0x520 first."""
@@ -629,26 +609,29 @@ class SimulatedVcu:
 
     def _drive_front_image(self, t_ns: int) -> VcuDriveFront:
         request = min(AXLE_TORQUE_MAX_NM, self._link.drive_front.torque_nm)
-        return VcuDriveFront(_torque(self._feedback.front_torque_nm), request, self.torque_max_nm[0], t_ns)
+        return VcuDriveFront(
+            limited(self._feedback.front_torque_nm, AXLE_TORQUE_MAX_NM), request, self.torque_max_nm[0], t_ns
+        )
 
     def _drive_rear_image(self, t_ns: int) -> VcuDriveRear:
         request = min(AXLE_TORQUE_MAX_NM, self._link.drive_rear.torque_nm)
-        return VcuDriveRear(_torque(self._feedback.rear_torque_nm), request, self.torque_max_nm[1], t_ns)
+        return VcuDriveRear(
+            limited(self._feedback.rear_torque_nm, AXLE_TORQUE_MAX_NM), request, self.torque_max_nm[1], t_ns
+        )
 
     def _steer_image(self, t_ns: int) -> VcuSteer:
         most = self.revision.steer_limit_deg
-        angle = min(most, max(-most, self._feedback.steer_deg))
-        request = min(most, max(-most, self._link.steer.steer_deg))
+        angle, request = limited(self._feedback.steer_deg, most), limited(self._link.steer.steer_deg, most)
         return VcuSteer(angle, self.steer_max_deg, request, t_ns)
 
     def _brake_image(self, t_ns: int) -> VcuBrake:
         known = self.profile.sends_brake_and_ebs_status
         requested = self._link.brake
         return VcuBrake(
-            _percent(self._feedback.front_brake_pct),
-            _percent(requested.front_pct),
-            _percent(self._feedback.rear_brake_pct),
-            _percent(requested.rear_pct),
+            limited(self._feedback.front_brake_pct, 100.0, 0.0),
+            limited(requested.front_pct, 100.0, 0.0),
+            limited(self._feedback.rear_brake_pct, 100.0, 0.0),
+            limited(requested.rear_pct, 100.0, 0.0),
             self._brake_status(t_ns) if known else BrakeStatus.INITIALISING,  # 0 on the wire
             self._ebs.status if known else None,
             t_ns,
@@ -664,12 +647,12 @@ class SimulatedVcu:
         return BrakeStatus.SHUTDOWN_COMPLETE if self.shut_down else BrakeStatus.SHUTTING_DOWN
 
     def _speeds_image(self, t_ns: int) -> WheelSpeeds:
-        fl, fr, rl, rr = self._feedback.wheel_rpm
-        return WheelSpeeds(_rpm(fl), _rpm(fr), _rpm(rl), _rpm(rr), t_ns)
+        fl, fr, rl, rr = (round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm)
+        return WheelSpeeds(fl, fr, rl, rr, t_ns)
 
     def _counts_image(self, t_ns: int) -> WheelCounts:
-        fl, fr, rl, rr = self._feedback.pulses
-        return WheelCounts(fl & 0xFFFF, fr & 0xFFFF, rl & 0xFFFF, rr & 0xFFFF, t_ns)
+        fl, fr, rl, rr = (count & 0xFFFF for count in self._feedback.pulses)
+        return WheelCounts(fl, fr, rl, rr, t_ns)
 
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
         link, warned = self._link, self._warnings()
@@ -706,8 +689,8 @@ class SimulatedVcu:
             steer_target_deg=order.steer_deg,
             brake_actual_pct=round(max(car.front_brake_pct, car.rear_brake_pct)),
             brake_target_pct=round(max(order.front_brake_pct, order.rear_brake_pct)),
-            torque_actual_pct=round(_torque_pct(car.front_torque_nm, car.rear_torque_nm)),
-            torque_target_pct=round(_torque_pct(order.front_torque_nm, order.rear_torque_nm)),
+            torque_actual_pct=_torque_pct(car),
+            torque_target_pct=_torque_pct(order),
             t_rx_ns=t_ns,
         )
 
@@ -743,7 +726,10 @@ BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = Ma
     }
 )
 
-_positions: Final = attrgetter(*(field.name for field in fields(Switches)))
+SEEN_OF_THE_SWITCHES: Final = tuple(
+    field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
+)
+_positions: Final = attrgetter(*SWITCH_NAMES)
 
 # States which pass by themselves.
 PASSING_TRACTIVE_STATES: Final = frozenset({TsState.TS_PRECHARGE, TsState.TS_ACTIVATE})
@@ -768,17 +754,7 @@ LOG_BRAKE_ENGAGED: Final = 2
 LOG_BRAKE_AVAILABLE: Final = 3
 
 
-def _torque(value_nm: float) -> float:
-    return min(AXLE_TORQUE_MAX_NM, max(-AXLE_TORQUE_MAX_NM, value_nm))
-
-
-def _torque_pct(front_nm: float, rear_nm: float) -> float:
-    return min(100.0, 100.0 * max(abs(front_nm), abs(rear_nm)) / AXLE_TORQUE_MAX_NM)
-
-
-def _percent(value: float) -> float:
-    return min(100.0, max(0.0, value))
-
-
-def _rpm(value: float) -> int:
-    return round(min(WHEEL_SPEED_MAX_RPM, max(0.0, value)))
+def _torque_pct(torques: CarFeedback | Actuation) -> int:
+    """Of the axle with more of it."""
+    most_nm = max(abs(torques.front_torque_nm), abs(torques.rear_torque_nm))
+    return round(min(100.0, 100.0 * most_nm / AXLE_TORQUE_MAX_NM))

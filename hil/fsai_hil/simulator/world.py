@@ -1,6 +1,6 @@
 """The whole far side of the bus in virtual time: car, VCU, track, cone sensor, judge and the person with the switches.
 
-Pure: frames in, frames out, the time an argument. The same object runs in lockstep and, told the monotonic clock, as a
+Pure: frames in, frames out, the time an argument. The same object runs in lockstep and, given the monotonic clock, as a
 process on a bus. Deterministic: the same setup and the same frames at the same times give the same run.
 """
 
@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.car import Car, car_model
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
-from fsai_hil.simulator.faults import FrameFault
 from fsai_hil.simulator.ground_truth import Truth
 from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict, check_track
 from fsai_hil.simulator.operator import At, Operator
@@ -51,15 +49,11 @@ class WorldSetup:
     laps: int | None = None  # of a trackdrive; None: ten
     auto: bool = True  # somebody walks the switches; else nobody does
     noise_level: float = 1.0
-    sensor: SensorSettings | None = None  # None: the ordinary sensor at `noise_level`
     judge: JudgeSettings | None = None
     gps: bool = True
     gps_decimation: int = 1
     log_decimation: int = 1
     at: Sequence[At] = ()  # switches and buttons at moments of the run
-    outgoing_faults: Sequence[FrameFault] = ()  # on what the car says
-    incoming_faults: Sequence[FrameFault] = ()  # on what the car hears
-    dbc_paths: Sequence[Path] | None = None
     start_ns: int = 0
 
 
@@ -76,7 +70,7 @@ class PathSample(Immutable):
 
 
 @dataclass
-class _Run:
+class Run:
     """One mission of the sequence."""
 
     mission: Ami
@@ -93,33 +87,30 @@ class World:
     Raises ValueError (TrackError is one) for a setup that cannot be built.
     """
 
-    def __init__(self, setup: WorldSetup, codec: Codec | None = None) -> None:
+    def __init__(self, setup: WorldSetup) -> None:
         if not setup.missions:
             raise ValueError("no mission to drive")
+        if setup.laps is not None and setup.laps < 1:
+            raise ValueError(f"laps is {setup.laps}, but must be 1 or more")
         if setup.seed < 0:
             raise ValueError(f"seed is {setup.seed}, but must be 0 or more")
         self.setup = setup
         profile = profile_named(setup.profile)
         revision = revision_named(setup.revision)
-        self.codec = codec if codec is not None else Codec(revision, setup.dbc_paths)
+        self.codec = Codec(revision)
         self.vcu = SimulatedVcu(
             self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
         )
-        for fault in setup.outgoing_faults:
-            self.vcu.outgoing.add(fault)
-        for fault in setup.incoming_faults:
-            self.vcu.incoming.add(fault)
-        self.model = car_model(setup.revision, profile.simulators_car)
-        self.car = Car(self.model, now_ns=setup.start_ns)
+        self.car = Car(car_model(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
         self.operator = Operator.auto(setup.revision, setup.missions, setup.at) if setup.auto else Operator(at=setup.at)
-        self._sensor_settings = setup.sensor or SensorSettings(noise_level=setup.noise_level)
+        self._sensor_settings = SensorSettings(noise_level=setup.noise_level)
         self._judge_settings = _judge_settings(setup)
-        self._first_track = setup.track or load_track(MISSION_TRACK[_a_mission(setup.missions[0])])
+        self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
         self._now_ns = setup.start_ns
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
         self.verdicts: list[JudgeVerdict] = []  # of the runs that are over
-        self.runs: list[_Run] = []
+        self.runs: list[Run] = []
         self._spoken_to = False
         # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
         self.actuator_faults: list[Callable[[Actuation, int], Actuation]] = []
@@ -190,15 +181,16 @@ class World:
         if over or (ami is not run.mission and ami is not Ami.NOT_SELECTED and not run.judge.done):
             self._run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
 
-    def _stage(self, mission: Ami) -> _Run:
+    def _stage(self, mission: Ami) -> Run:
         track = self._first_track
         again = bool(self.runs)
         if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
             track = load_track(MISSION_TRACK[mission])
-        judge = Judge(track, mission, self.model, self._judge_settings, self._now_ns, self.setup.start_ns)
+        facts = self.car.model.facts
+        judge = Judge(track, mission, facts, self._judge_settings, self._now_ns, self.setup.start_ns)
         sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
-        self.car.place(track.staging(mission, self.model.nose_m), mission in STATIC_INSPECTIONS)
-        run = _Run(mission, track, judge, sensor)
+        self.car.place(track.staging(mission, facts.nose_ahead_of_rear_axle_m), mission in STATIC_INSPECTIONS)
+        run = Run(mission, track, judge, sensor)
         if again and self.runs[-1].judge.waiting:
             self.runs.pop()  # nobody drove it
         self.runs.append(run)
@@ -283,12 +275,6 @@ class World:
     def faults(self) -> tuple[str, ...]:
         """The fault bits that the car shows now, by name."""
         return self.vcu.faults.names
-
-
-def _a_mission(mission: Ami) -> Ami:
-    if mission is Ami.NOT_SELECTED:
-        raise ValueError("NOT_SELECTED is no mission")
-    return mission
 
 
 def _judge_settings(setup: WorldSetup) -> JudgeSettings:

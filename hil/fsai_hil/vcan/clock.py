@@ -11,7 +11,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from fsai_hil.vcan.errors import VcanError
+from fsai_hil.vcan.network import VcanError
 
 SLOWEST_PACE = 100.0  # seconds of this machine for one inside; beyond it nobody waits for the end
 _HERE = Path(__file__).parent

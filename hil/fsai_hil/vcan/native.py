@@ -11,8 +11,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fsai_hil.vcan.errors import TIMED_OUT, VcanError
-from fsai_hil.vcan.network import INTERFACE, bring_up
+from fsai_hil.vcan.network import INTERFACE, TIMED_OUT, VcanError, bring_up
 
 _PROBE_S = 20.0
 _GRACE_S = 5.0

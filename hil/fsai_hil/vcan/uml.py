@@ -36,9 +36,8 @@ from pathlib import Path
 from typing import IO
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
-from fsai_hil.vcan.errors import TIMED_OUT, VcanError
 from fsai_hil.vcan.native import end_group
-from fsai_hil.vcan.network import bring_up
+from fsai_hil.vcan.network import TIMED_OUT, VcanError, bring_up
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
@@ -121,9 +120,7 @@ def run_in_uml(
     env: Mapping[str, str],
     timeout_s: float,
     results_dir: Path,
-    modules: Sequence[str] = MODULES,
     memory_mib: int = MEMORY_MIB,
-    visible: Sequence[Path] = (),
     pace: float = 1.0,
 ) -> int:
     """Run a command in a freshly booted User-Mode Linux. Returns its exit status, 124 if it took over `timeout_s`.
@@ -133,7 +130,6 @@ def run_in_uml(
     timeout_s: for the command; the boot (1 to 3 s) is not counted in.
     results_dir: the one writable folder, at the same path inside, where what was there before is not seen; the kernel's
     log goes there as `uml-kernel.log`. Its content appears outside at the end.
-    visible: further folders it needs, if they are under /tmp, /run or /dev/shm; `cwd` and this Python are seen to.
     pace: how long a second inside takes, in seconds of this machine, `timeout_s` not; as if the processor were so many
     times faster. For 1 nothing is changed.
     Its output goes to this process's standard output, live. Everything is ended on Ctrl-C and when this process dies.
@@ -143,7 +139,7 @@ def run_in_uml(
     results_dir = results_dir.resolve()
     results_dir.mkdir(parents=True, exist_ok=True)
     cwd = cwd.resolve()
-    needed = _hidden((cwd, Path(sys.prefix), Path(sys.base_prefix), *visible))
+    needed = _hidden((cwd, Path(sys.prefix), Path(sys.base_prefix)))
     with tempfile.TemporaryDirectory(prefix="fsai-uml-") as folder, _in_memory(results_dir, memory_mib) as staged:
         exchange = Path(folder).resolve()
         for path in (cwd, results_dir, staged, exchange, *needed):
@@ -157,7 +153,7 @@ def run_in_uml(
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
         init.write_text(
-            _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, module_files(uml.modules, modules))
+            _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, module_files(uml.modules, MODULES))
         )
         init.chmod(0o755)
         with (staged / "uml-kernel.log").open("wb") as log, processor_of_its_own() as processor:

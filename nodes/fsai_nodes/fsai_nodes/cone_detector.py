@@ -9,19 +9,10 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
-from fsai_nodes.parameters import NodeParameter, Settings
+from fsai_nodes.parameters import Settings, of_the_file
 from fsai_nodes.qos import TOPICS, publisher
 
-SETTINGS = (
-    NodeParameter(
-        "confidence_threshold",
-        0.5,
-        "Raw cones with a lower confidence are dropped.",
-        low=0.0,
-        high=1.0,
-        live=True,
-    ),
-)
+SETTINGS = of_the_file("cone_detector", live=True)
 
 
 def believable(cone: Cone, threshold: float) -> bool:

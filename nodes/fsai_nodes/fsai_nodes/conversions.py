@@ -7,16 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from enum import IntEnum
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from fsai_msgs.msg import (
-    Cone,
-    ConeArray,
-    PlannerStatus,
-    RunState,
-)
+from fsai_msgs.msg import Cone, ConeArray, PlannerStatus, RunState
 from fsai_msgs.msg import VehicleCommand as VehicleCommandMsg
 from fsai_msgs.msg import VehicleState as VehicleStateMsg
 from geometry_msgs.msg import PoseStamped
@@ -27,7 +23,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.messages import GpsImu
+from fsai_vcu.interface.messages import GpsImu, VcuImage
 from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
 
 BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
@@ -157,21 +153,12 @@ def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
     return message
 
 
+_COMMANDED = tuple(each.name for each in fields(VehicleCommand) if each.name != "t_sensor_ns")
+
+
 def command_from_msg(message: VehicleCommandMsg, t_sensor_ns: int) -> VehicleCommand:
     """As received, good or bad: whether to believe it is the gate's decision."""
-    return VehicleCommand(
-        t_sensor_ns=t_sensor_ns,
-        run_id=message.run_id,
-        steering_rad=message.steering_rad,
-        throttle=message.throttle,
-        brake=message.brake,
-        speed_limit_mps=message.speed_limit_mps,
-        mission_finished=message.mission_finished,
-        estop_request=message.estop_request,
-        laps=message.laps,
-        cones_count_actual=message.cones_count_actual,
-        cones_count_all=message.cones_count_all,
-    )
+    return VehicleCommand(t_sensor_ns, **{name: getattr(message, name) for name in _COMMANDED})
 
 
 # ---------------------------------------------------------------- run and motion
@@ -190,7 +177,7 @@ def run_to_msg(run: Run, mode: str, stamp: Time) -> RunState:
 
 
 def run_from_msg(message: RunState) -> Run:
-    """Values outside the tables become 'no mission' and 'not heard': nothing can be driven by either."""
+    """Values outside the tables become 'no mission' and 'not received': nothing can be driven by either."""
     mission = Ami(message.mission) if message.mission in Ami._value2member_map_ else Ami.NOT_SELECTED
     as_state = AsState(message.as_state) if message.as_state in AsState._value2member_map_ else None
     return Run(message.run_id, mission, as_state, message.may_move)
@@ -228,8 +215,8 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     message.header.frame_id = ODOM_FRAME
     vehicle, now_ns = report.vehicle, report.t_ns
 
-    def age_s(t_ns: int | None) -> float:
-        return NEVER if t_ns is None else (now_ns - t_ns) / 1e9
+    def age_s(image: VcuImage | None) -> float:
+        return NEVER if image is None else (now_ns - image.t_rx_ns) / 1e9
 
     message.as_state = message.mission = message.shutdown_cause = UNKNOWN
     message.as_state_label = message.mission_label = "UNKNOWN"
@@ -255,13 +242,13 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
         message.op_state = _raw(status.op_state)
         message.ts_state = _raw(status.ts_state)
         message.ebs_state = _raw(status.ebs_state)
-    message.status_age_s = age_s(status.t_rx_ns if status is not None else None)
+    message.status_age_s = age_s(status)
 
     steer = vehicle.steer
     if steer is not None:
         message.steering_rad = math.radians(steer.angle_deg)
         message.steering_max_rad = math.radians(steer.angle_max_deg)
-    message.steer_age_s = age_s(steer.t_rx_ns if steer is not None else None)
+    message.steer_age_s = age_s(steer)
     if vehicle.drive_front is not None:
         message.front_axle_torque_nm = float(vehicle.drive_front.torque_nm)
     if vehicle.drive_rear is not None:
@@ -270,11 +257,11 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     if brake is not None:
         message.front_brake, message.rear_brake = brake.front_pct / 100.0, brake.rear_pct / 100.0
         message.brake_status, message.ebs_status = _raw(brake.brake_status), _raw(brake.ebs_status)
-    message.brake_age_s = age_s(brake.t_rx_ns if brake is not None else None)
+    message.brake_age_s = age_s(brake)
     speeds = vehicle.speeds
     if speeds is not None:
         message.wheel_speed_rpm = np.array(speeds.all_rpm, dtype=np.uint16)
-    message.speeds_age_s = age_s(speeds.t_rx_ns if speeds is not None else None)
+    message.speeds_age_s = age_s(speeds)
     if vehicle.counts is not None:
         counts = vehicle.counts
         message.wheel_pulses = np.array((counts.fl, counts.fr, counts.rl, counts.rr), dtype=np.uint16)
@@ -310,23 +297,19 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
 
 
 def imu_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> Imu | None:
-    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been heard.
+    """From the PCAN-GPS's own sensors, in the sensor's axes; else from 0x501; None while neither has been received.
 
     What was not measured is marked as REP-145 has it: -1 in the first element of its covariance.
     """
     message = Imu()
     message.header.frame_id = frame_id
     message.orientation_covariance[0] = -1.0
-    acceleration, rotation_a, rotation_b, dynamics = (
-        gps.acceleration,
-        gps.rotation_a,
-        gps.rotation_b,
-        gps.dynamics,
-    )
+    acceleration, dynamics = gps.acceleration, gps.dynamics
+    rotation_a, rotation_b = gps.rotation_a, gps.rotation_b
     if acceleration is not None:
-        message.linear_acceleration.x = acceleration.x_mg * 1e-3 * STANDARD_GRAVITY_MPS2
-        message.linear_acceleration.y = acceleration.y_mg * 1e-3 * STANDARD_GRAVITY_MPS2
-        message.linear_acceleration.z = acceleration.z_mg * 1e-3 * STANDARD_GRAVITY_MPS2
+        for axis in "xyz":
+            mps2 = getattr(acceleration, f"{axis}_mg") * 1e-3 * STANDARD_GRAVITY_MPS2
+            setattr(message.linear_acceleration, axis, mps2)
         if rotation_a is not None:
             message.angular_velocity.x = math.radians(rotation_a.x_degps)
             message.angular_velocity.y = math.radians(rotation_a.y_degps)
@@ -352,7 +335,7 @@ _RANGE_ERROR_M = 3.0
 
 
 def fix_to_msg(gps: GpsImu, frame_id: str, stamp_of: Callable[[int], Time]) -> NavSatFix | None:
-    """None while no position has been heard; STATUS_NO_FIX and NaN while the receiver says it has none."""
+    """None while no position has been received; STATUS_NO_FIX and NaN while the receiver says it has none."""
     latitude, longitude = gps.latitude, gps.longitude
     if latitude is None or longitude is None:
         return None

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
+from typing import cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import (
@@ -19,6 +20,8 @@ from rclpy.exceptions import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+
+from fsai_vcu.runtime.configuration import KEYS
 
 Value = bool | int | float | str
 
@@ -78,6 +81,27 @@ class NodeParameter:
             if self.low is not None and self.high is not None and not self.low <= value <= self.high:
                 return f"{self.name} must be between {self.low:g} and {self.high:g}, not {value:g}"
         return None
+
+
+def of_the_file(node: str, note: str = "", *, live: bool = False) -> tuple[NodeParameter, ...]:
+    """Those of the node's parameters that the configuration file has, too: what they are stands in its KEYS.
+
+    note: a sentence more for each.
+    """
+    return tuple(
+        NodeParameter(
+            parameter,
+            cast("Value", key.default),
+            f"{key.meaning[:1].upper()}{key.meaning[1:]}.{note}",
+            key.low,
+            key.high,
+            key.choices,
+            live,
+        )
+        for key in KEYS
+        for owner, parameter in key.parameters
+        if owner == node
+    )
 
 
 _TYPE_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}

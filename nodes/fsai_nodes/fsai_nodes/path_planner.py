@@ -11,13 +11,13 @@ from rclpy.node import Node
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
-from fsai_nodes.parameters import NodeParameter, Settings
+from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.driving import Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.planner import Planner
-from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
+from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import CARS
 
 _PLANNER = PlannerSettings()
@@ -27,28 +27,7 @@ _COLD_NS = 500_000_000
 
 SETTINGS = (
     NodeParameter("car", "2026", "Vehicle parameters to plan with.", choices=tuple(CARS)),
-    NodeParameter(
-        "laps",
-        _MISSIONS.trackdrive_laps,
-        "Laps of a trackdrive. Takes effect with the next run.",
-        low=1,
-        high=100,
-        live=True,
-    ),
-    NodeParameter(
-        "range_max_m",
-        _PLANNER.range_max_m,
-        "Cones further away are not used, in metres. Takes effect with the next run.",
-        *PLANNER_RANGES["range_max_m"],
-        live=True,
-    ),
-    NodeParameter(
-        "horizon_m",
-        _PLANNER.horizon_m,
-        "How far to look for the lane, in metres. Takes effect with the next run.",
-        *PLANNER_RANGES["horizon_m"],
-        live=True,
-    ),
+    *of_the_file("path_planner", " Takes effect with the next run.", live=True),
 )
 
 

@@ -18,54 +18,25 @@ COMMAND_DEADLINE_MS = 100
 # Data older than this makes a command stale (safety: 500 ms), so a path that old is of no use.
 PATH_LIFESPAN_MS = 500
 
-COMMAND = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    deadline=Duration(nanoseconds=COMMAND_DEADLINE_MS * 1_000_000),
-    lifespan=Duration(nanoseconds=COMMAND_DEADLINE_MS * 1_000_000),
-)
-PLAN = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    lifespan=Duration(nanoseconds=PATH_LIFESPAN_MS * 1_000_000),
-)
-SENSOR = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
-# Reliable, because RViz and others ask for that; a reader that asks for less gets it too.
-MOTION = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-STATE = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-# Several nodes write it and none of their words may push out another's.
-CONFIRMATION = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-# What the ecosystem's diagnostic tools expect.
-DIAGNOSTICS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+
+def _profile(depth: int, *, reliable: bool = True, kept: bool = False, **times_ms: int) -> QoSProfile:
+    """The last `depth` messages; kept: also for readers that come later. times_ms: deadline and lifespan."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        **{name: Duration(nanoseconds=time_ms * 1_000_000) for name, time_ms in times_ms.items()},
+    )
+
+
+COMMAND = _profile(1, deadline=COMMAND_DEADLINE_MS, lifespan=COMMAND_DEADLINE_MS)
+PLAN = _profile(1, lifespan=PATH_LIFESPAN_MS)
+SENSOR = _profile(1, reliable=False)
+MOTION = _profile(10)  # reliable, because RViz and others ask for that; a reader that asks for less gets it too
+STATE = _profile(1, kept=True)
+CONFIRMATION = _profile(10, kept=True)  # several nodes write it and none of their words may push out another's
+DIAGNOSTICS = _profile(10)  # what the ecosystem's diagnostic tools expect
 
 # By relative names, so that a namespace holds for all of them.
 TOPICS: Mapping[str, QoSProfile] = MappingProxyType(

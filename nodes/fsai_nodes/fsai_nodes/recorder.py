@@ -13,7 +13,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -29,57 +28,23 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from fsai_nodes.qos import TOPICS
+from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
 from fsai_vcu.runtime.transport import set_transport
 
 LOOK_AGAIN_S = 0.5  # for topics that were not there before
 DEPTH = 200
 PROJECT_TOPICS = (*TOPICS, "/tf", "/tf_static")
 _RULE = "=" * 80
-_BASIC = {
-    "bool",
-    "byte",
-    "char",
-    "float32",
-    "float64",
-    "int8",
-    "uint8",
-    "int16",
-    "uint16",
-    "int32",
-    "uint32",
-    "int64",
-    "uint64",
-    "string",
-    "wstring",
-}
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic that is recorded: name, package/msg/Type, definitions as bags have them, QoS as rosbag2 writes it."""
-
-    name: str
-    type_name: str
-    definition: str
-    qos: str
-
-
-@dataclass(frozen=True)
-class Heard:
-    """A message in CDR, with wall-clock times in ns: when it was taken, when it was sent."""
-
-    topic: Topic
-    data: bytes
-    taken_ns: int
-    sent_ns: int
+_NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+_BASIC = {"bool", "byte", "char", "float32", "float64", "string", "wstring", *_NUMBERS}
 
 
 class TopicRecorder:
-    """Hears topics from `start` to `stop`; `fetch` gives what was heard, `news` what people should know."""
+    """Receives topics from `start` to `stop`; `fetch` gives what was received, `news` what people should know."""
 
     def __init__(self, topics: Iterable[str] = PROJECT_TOPICS, namespace: str = "/") -> None:
         """A topic without a / at its beginning is one of `namespace`. Raises ValueError where that is none."""
-        self._heard: deque[Heard] = deque()
+        self._received: deque[RosMessage] = deque()
         self._news: deque[str] = deque()
         self._subscriptions: dict[str, Subscription] = {}
         self._refused: set[str] = set()
@@ -112,8 +77,8 @@ class TopicRecorder:
         self._look()
         self._thread.start()
 
-    def fetch(self) -> list[Heard]:
-        return [self._heard.popleft() for _ in range(len(self._heard))]
+    def fetch(self) -> list[RosMessage]:
+        return [self._received.popleft() for _ in range(len(self._received))]
 
     def news(self) -> list[str]:
         return [self._news.popleft() for _ in range(len(self._news))]
@@ -147,15 +112,15 @@ class TopicRecorder:
             self._news.append(f"{name} is not recorded: {error.args[0]}")
             return
         qos = self._qos_for(name)
-        topic = Topic(name, types[0], definition, _yaml(qos))
+        topic = RosTopic(name, types[0], definition, _yaml(qos))
         self._subscriptions[name] = self._node.create_subscription(
             message_type, name, self._taker(topic), qos, raw=True
         )
 
-    def _taker(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
+    def _taker(self, topic: RosTopic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, info: dict[str, Any]) -> None:
             taken_ns = time.time_ns()
-            self._heard.append(Heard(topic, bytes(data), taken_ns, int(info["source_timestamp"]) or taken_ns))
+            self._received.append(RosMessage(topic, bytes(data), taken_ns, int(info["source_timestamp"]) or taken_ns))
 
         return take
 

@@ -1,6 +1,6 @@
 """vcu_bridge: between ROS and the car. The only node that knows the bus, and it knows it through a process of its own.
 
-A managed (lifecycle) node that configures and activates itself unless told otherwise. It is the edge of the CAN loop,
+A managed (lifecycle) node that configures and activates itself unless set otherwise. It is the edge of the CAN loop,
 which runs in a process without ROS: commands are handed to it without waiting, services ask it and wait for its answer
 for a limited time, a timer publishes what it last reported. Nothing here decides anything about the car, and nothing
 that happens here, in ROS or in its middleware stops the loop.
@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path as FilePath
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
@@ -44,7 +45,7 @@ from fsai_nodes.conversions import (
 )
 from fsai_nodes.diagnosis import diagnostics_of
 from fsai_nodes.mission_goal import GoalError, GoalResult, Waiting
-from fsai_nodes.parameters import NodeError, NodeParameter, Settings
+from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
 from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
 from fsai_nodes.report_log import News
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
@@ -52,35 +53,29 @@ from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.wheels import WheelMapping
-from fsai_vcu.runtime.configuration import BRAKE_RANGES_PCT
+from fsai_vcu.runtime.configuration import SAME_AS_REVISION
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.link import LoopSettings
 from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process
 
 _CONFIG = BridgeConfig()
-_SAME_AS_REVISION = "same_as_revision"
 _DIAGNOSTICS_PERIOD_S = 1.0
 _FEEDBACK_PERIOD_NS = 200_000_000
 _INACTIVE = "vcu_bridge is not active: nothing is sent to the car"
 
 # The times of the graded reactions; the safety rules' defaults.
-_TIMES = (
-    ("command_stale", _CONFIG.command_stale_ns, "Age of the last /vehicle_cmd from which on torque is zero"),
-    ("command_lost", _CONFIG.command_lost_ns, "Age of the last /vehicle_cmd at which the car is braked to rest"),
-    ("sensor_stale", _CONFIG.sensor_stale_ns, "Age of the data behind a command at which it counts as stale"),
-    ("vcu_stale", _CONFIG.vcu_stale_ns, "Silence of 0x520 from which on torque is zero"),
-    ("vcu_lost", _CONFIG.vcu_lost_ns, "Silence of 0x520 at which ESTOP_REQUEST is sent"),
-    ("feedback_stale", _CONFIG.feedback_stale_ns, "Silence of wheel speeds or steering at which the car is braked"),
-    ("feedback_lost", _CONFIG.feedback_lost_ns, "Silence of wheel speeds or steering at which ESTOP_REQUEST is sent"),
-    ("implausible", _CONFIG.implausible_ns, "Duration of implausible feedback after which the car is braked"),
-    (
-        "implausible_lost",
-        _CONFIG.implausible_lost_ns,
-        "Duration of implausible feedback after which ESTOP_REQUEST is sent",
-    ),
-)
+_TIMES = {
+    "command_stale": "Age of the last /vehicle_cmd from which on torque is zero",
+    "command_lost": "Age of the last /vehicle_cmd at which the car is braked to rest",
+    "sensor_stale": "Age of the data behind a command at which it counts as stale",
+    "vcu_stale": "Silence of 0x520 from which on torque is zero",
+    "vcu_lost": "Silence of 0x520 at which ESTOP_REQUEST is sent",
+    "feedback_stale": "Silence of wheel speeds or steering at which the car is braked",
+    "feedback_lost": "Silence of wheel speeds or steering at which ESTOP_REQUEST is sent",
+    "implausible": "Duration of implausible feedback after which the car is braked",
+    "implausible_lost": "Duration of implausible feedback after which ESTOP_REQUEST is sent",
+}
 
 SETTINGS = (
     NodeParameter(
@@ -88,8 +83,8 @@ SETTINGS = (
         "vcan0",
         "The bus: a SocketCAN interface such as can0, loopback:NAME (a stand-in on one machine), or KIND:CHANNEL.",
     ),
-    NodeParameter("revision", "2026", "Revision of the car's CAN interface.", choices=tuple(REVISIONS)),
-    NodeParameter("car", _SAME_AS_REVISION, "Vehicle parameters.", choices=(_SAME_AS_REVISION, *CARS)),
+    NodeParameter("car", SAME_AS_REVISION, "Vehicle parameters.", choices=(SAME_AS_REVISION, *CARS)),
+    *of_the_file("vcu_bridge"),
     NodeParameter(
         "dbc_files", "", "DBC files to use instead of the revision's own, separated by commas. Empty: its own."
     ),
@@ -104,35 +99,9 @@ SETTINGS = (
         "Operational limits: the path of a TOML file, or the limits themselves, such as max_speed_mps=5.0,"
         "max_axle_torque_nm=100,max_steer_deg=20. Empty: none but the car's.",
     ),
-    NodeParameter(
-        "listen_only",
-        False,
-        "Never send. (Sending anything energises the tractive system and arms the EBS.)",
-    ),
-    NodeParameter(
-        "autonomous_at_power_up",
-        False,
-        "Enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF.",
-    ),
-    NodeParameter(
-        "service_brake",
-        "hydraulic",
-        "How the car is held and stopped. motor: by the motors alone, for the official simulator, which takes every "
-        "hydraulic request for an emergency.",
-        choices=("hydraulic", "motor"),
-    ),
-    NodeParameter(
-        "holding_brake_pct",
-        _CONFIG.holding_brake_pct,
-        "Brake that holds the car at rest.",
-        *BRAKE_RANGES_PCT["holding_brake_pct"],
-    ),
-    NodeParameter(
-        "stop_brake_pct", _CONFIG.stop_brake_pct, "Brake of a service-brake stop.", *BRAKE_RANGES_PCT["stop_brake_pct"]
-    ),
     *(
-        NodeParameter(f"{name}_ms", default_ns / 1e6, f"{words}, in ms.", low=10.0, high=2000.0)
-        for name, default_ns, words in _TIMES
+        NodeParameter(f"{name}_ms", getattr(_CONFIG, f"{name}_ns") / 1e6, f"{words}, in ms.", low=10.0, high=2000.0)
+        for name, words in _TIMES.items()
     ),
     NodeParameter(
         "real_time", True, "Ask for SCHED_FIFO and locked memory for the CAN loop; go on without when refused."
@@ -150,18 +119,18 @@ SETTINGS = (
 _Transition = Callable[["VcuBridge", LifecycleState], TransitionCallbackReturn]
 
 
-def _told(transition: _Transition) -> _Transition:
-    """A lifecycle transition whose error is said; rclpy takes it for a failure without a word."""
+def _reported(transition: _Transition) -> _Transition:
+    """A lifecycle transition whose error is reported; rclpy takes it for a failure without a word."""
 
     @wraps(transition)
-    def told(node: VcuBridge, state: LifecycleState) -> TransitionCallbackReturn:
+    def reported(node: VcuBridge, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(node, state)
         except Exception as error:
-            node._tell_failure(f"{type(error).__name__}: {error}")
+            node._report_failure(f"{type(error).__name__}: {error}")
             raise
 
-    return told
+    return reported
 
 
 class VcuBridge(LifecycleNode):
@@ -231,7 +200,7 @@ class VcuBridge(LifecycleNode):
 
     # ------------------------------------------------------------ lifecycle
 
-    @_told
+    @_reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self._configured = self._configure()
@@ -247,7 +216,7 @@ class VcuBridge(LifecycleNode):
             self.get_logger().info(f"operational limits: {line}")
         return super().on_configure(state)
 
-    @_told
+    @_reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         configured, loop = self._configured, self._process
         assert configured is not None and loop is not None, "the lifecycle activates only what is configured"
@@ -272,24 +241,23 @@ class VcuBridge(LifecycleNode):
         )
         return super().on_activate(state)
 
-    @_told
+    @_reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._end_loop()
         self._state_label = "inactive"
         self.get_logger().info("inactive: silent on the bus")
         return super().on_deactivate(state)
 
-    @_told
+    @_reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._configured = None
         self._end_process()
         self._state_label = "unconfigured"
         return super().on_cleanup(state)
 
-    @_told
+    @_reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._end_loop()
-        self._end_process()
+        self._end()
         self._state_label = "finalized"
         return super().on_shutdown(state)
 
@@ -305,20 +273,23 @@ class VcuBridge(LifecycleNode):
         super().destroy_node()
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._end_loop()
-        self._end_process()
+        self._end()
         self._configured = None
         self._state_label = "unconfigured"
         return super().on_error(state)
 
     def _failed(self, why: str) -> TransitionCallbackReturn:
-        self._tell_failure(why)
+        self._report_failure(why)
         return TransitionCallbackReturn.FAILURE
 
-    def _tell_failure(self, why: str) -> None:
+    def _report_failure(self, why: str) -> None:
         self._trouble = why
         if not self._starting:  # else the process ends with this line
             self.get_logger().error(f"the lifecycle transition failed: {why}")
+
+    def _end(self) -> None:
+        self._end_loop()
+        self._end_process()
 
     def _end_loop(self) -> None:
         loop, self._loop = self._loop, None
@@ -358,7 +329,7 @@ class VcuBridge(LifecycleNode):
                 service_brake="motor" if text("service_brake") == "motor" else "hydraulic",
                 holding_brake_pct=number("holding_brake_pct"),
                 stop_brake_pct=number("stop_brake_pct"),
-                **{f"{name}_ns": round(number(f"{name}_ms") * 1e6) for name, _, _ in _TIMES},
+                **{f"{name}_ns": round(number(f"{name}_ms") * 1e6) for name in _TIMES},
             )
         except (LimitsError, ValueError) as error:
             raise NodeError(str(error)) from error
@@ -368,7 +339,7 @@ class VcuBridge(LifecycleNode):
         return LoopSettings(
             bus=text("can_interface"),
             revision=text("revision"),
-            car=text("revision") if car == _SAME_AS_REVISION else car,
+            car=text("revision") if car == SAME_AS_REVISION else car,
             dbc_files=tuple(FilePath(name.strip()) for name in text("dbc_files").split(",") if name.strip()),
             wheel_mapping=wheel_mapping,
             config=config,
@@ -413,34 +384,23 @@ class VcuBridge(LifecycleNode):
             self._loop.confirm_reset(message.role, message.run_id)
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
-        if self._loop is None:
-            response.success, response.message = False, _INACTIVE
-        else:
-            response.success, response.message = self._loop.set_mode(request.mode)
-        self._say_answer(f"set_mode '{request.mode}': {response.message}")
-        return response
+        return self._served(response, f"set_mode '{request.mode}'", lambda loop: loop.set_mode(request.mode))
 
     def _on_emergency_brake(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._loop is None:
-            response.success, response.message = False, _INACTIVE
-        else:
-            response.success, response.message = self._loop.emergency_brake("asked for by /emergency_brake")
-        self._say_answer(f"emergency_brake: {response.message}")
-        return response
+        why = "asked for by /emergency_brake"
+        return self._served(response, "emergency_brake", lambda loop: loop.emergency_brake(why))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._loop is None:
-            response.success, response.message = False, _INACTIVE
-        else:
-            response.success, response.message = self._loop.reset()
-        self._say_answer(f"reset: {response.message}")
-        return response
+        return self._served(response, "reset", LoopHandle.reset)
 
-    def _say_answer(self, line: str) -> None:
-        """To the log, once: who is refused tends to ask again at once."""
+    def _served(self, response: Any, request: str, ask: Callable[[LoopHandle], tuple[bool, str]]) -> Any:
+        """The loop's answer; to the log, once: who is refused tends to ask again at once."""
+        response.success, response.message = (False, _INACTIVE) if self._loop is None else ask(self._loop)
+        line = f"{request}: {response.message}"
         if line != self._last_answer:
             self._last_answer = line
             self.get_logger().info(line)
+        return response
 
     # ------------------------------------------------------------ from the car to ROS
 
@@ -482,7 +442,7 @@ class VcuBridge(LifecycleNode):
         self._vehicle_state.publish(state_to_msg(report, stamp, command_age_s))
 
     def _publish_motion(self, report: BridgeReport) -> None:
-        if report.motion.t_ns != self._last_motion_ns:  # of a car that is not heard there is no motion
+        if report.motion.t_ns != self._last_motion_ns:  # of a car that is not received there is no motion
             self._last_motion_ns = report.motion.t_ns
             stamp = self._clocks.stamp_of(report.motion.t_ns)
             # Making a message costs more than asking whether anybody wants it.
@@ -587,7 +547,7 @@ class _Following:
 
 
 def _mission_shown(report: BridgeReport) -> Ami:
-    """The mission on the car's display; what the run has latched while nothing is heard."""
+    """The mission on the car's display; what the run has latched while nothing is received."""
     status = report.vehicle.status
     return report.run.mission if status is None else status.ami
 

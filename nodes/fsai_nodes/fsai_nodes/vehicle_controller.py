@@ -11,33 +11,19 @@ from rclpy.node import Node
 
 from fsai_nodes.clocks import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
-from fsai_nodes.parameters import NodeParameter, Settings
+from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller
-from fsai_vcu.core.control.settings import CONTROLLER_RANGES, NO_SPEED_LIMIT_MPS, ControllerSettings
+from fsai_vcu.core.control.settings import NO_SPEED_LIMIT_MPS, ControllerSettings
 from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.limits import SPEED_NOT_LIMITED
 from fsai_vcu.core.vehicle.parameters import CARS
 
 _DEFAULT = ControllerSettings()
-_SPEEDS = {  # by parameter: the setting, and where it holds
-    "max_speed": ("max_speed_mps", "every mission"),
-    "lap_max_speed": ("lap_max_speed_mps", "laps (autocross, trackdrive)"),
-    "skidpad_max_speed": ("skidpad_max_speed_mps", "the skidpad"),
-    "acceleration_max_speed": ("acceleration_max_speed_mps", "the acceleration"),
-}
+_SPEEDS = of_the_file("vehicle_controller", " In m/s.", live=True)
 
 SETTINGS = (
-    *(
-        NodeParameter(
-            name,
-            getattr(_DEFAULT, setting),
-            f"Highest speed in m/s in {where}.",
-            *CONTROLLER_RANGES[setting],
-            live=True,
-        )
-        for name, (setting, where) in _SPEEDS.items()
-    ),
+    *_SPEEDS,
     NodeParameter("car", "2026", "Vehicle parameters to control with.", choices=tuple(CARS)),
     # safety: /vehicle_cmd comes at 50 Hz or more
     NodeParameter("rate_hz", 50.0, "How often a command is sent, in Hz.", low=50.0, high=100.0),
@@ -54,14 +40,14 @@ class VehicleController(Node):
         self._controller = Controller(CARS[self._settings.text("car")], self._controller_settings())
         self._run: Run | None = None
         self._state: tuple[VehicleState, Motion] | None = None  # the newest, and the motion in it
-        self._limits_heard = False  # the operational limits, which the bridge has
+        self._limits_received = False  # the operational limits, which the bridge has
         self._status: PlannerStatus | None = None
         self._pending: Path | None = None  # a path whose status has not come yet
         self._plan: Plan | None = None
         self._states = Input(self, "vehicle_state")
         self._paths = Input(self, "path")
         self._planner_waits: tuple[str, int] = "", 0  # for what, and when it said so
-        self._is_late = False  # an input is, and the log has been told
+        self._is_late = False  # an input is, and the log says so
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
         self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
@@ -71,11 +57,10 @@ class VehicleController(Node):
         self._clocks.every(1.0 / self._settings.number("rate_hz"), self._tick)
 
     def _controller_settings(self) -> ControllerSettings:
-        return replace(_DEFAULT, **{setting: self._settings.number(name) for name, (setting, _) in _SPEEDS.items()})
+        return replace(_DEFAULT, **{f"{each.name}_mps": self._settings.number(each.name) for each in _SPEEDS})
 
-    def _on_change(self, name: str) -> None:
-        if name in _SPEEDS:
-            self._controller.configure(self._controller_settings())
+    def _on_change(self, _name: str) -> None:
+        self._controller.configure(self._controller_settings())
 
     def _on_run(self, message: RunState) -> None:
         run = run_from_msg(message)
@@ -91,8 +76,8 @@ class VehicleController(Node):
             self.get_logger().warning(line)
 
     def _on_state(self, message: VehicleState) -> None:
-        if not self._limits_heard:
-            self._limits_heard = True
+        if not self._limits_received:
+            self._limits_received = True
             if (
                 SPEED_NOT_LIMITED in message.operational_limits
                 and self._settings.number("max_speed") >= NO_SPEED_LIMIT_MPS

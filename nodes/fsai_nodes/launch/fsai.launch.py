@@ -11,27 +11,22 @@ from launch_ros.substitutions import FindPackageShare
 from fsai_nodes.parameters import misspelt
 from launch import LaunchDescription
 
-# launch argument -> (nodes, parameter, type, what it is)
+# launch argument, which is the nodes' parameter -> (nodes, type, what it is)
 ARGUMENTS = {
-    "can_interface": (("vcu_bridge",), "can_interface", str, "the bus, for example can0 or vcan0"),
-    "revision": (("vcu_bridge",), "revision", str, "interface revision of the car: 2021 or 2026"),
-    "car": (("vcu_bridge", "path_planner", "vehicle_controller"), "car", str, "vehicle parameters: 2021 or 2026"),
-    "limits": (("vcu_bridge",), "limits", str, "operational limits: a TOML file, or max_speed_mps=5.0,..."),
-    "listen_only": (("vcu_bridge",), "listen_only", bool, "never send: true or false"),
-    "autonomous_at_power_up": (("vcu_bridge",), "autonomous_at_power_up", bool, "true or false"),
-    "noise_level": (("sensor_simulator",), "noise_level", float, "imperfection of the simulated sensor; 0 is perfect"),
-    "truth_port": (("sensor_simulator",), "truth_port", int, "UDP port of the simulated car's true pose"),
-    "confidence_threshold": (("cone_detector",), "confidence_threshold", float, "0 to 1"),
-    "laps": (("path_planner",), "laps", int, "laps of a trackdrive"),
-    "max_speed": (("vehicle_controller",), "max_speed", float, "highest speed in every mission, in m/s"),
-    "lap_max_speed": (("vehicle_controller",), "lap_max_speed", float, "highest speed on laps, in m/s"),
-    "skidpad_max_speed": (("vehicle_controller",), "skidpad_max_speed", float, "highest speed in the skidpad, in m/s"),
-    "acceleration_max_speed": (
-        ("vehicle_controller",),
-        "acceleration_max_speed",
-        float,
-        "highest speed in the acceleration, in m/s",
-    ),
+    "can_interface": (("vcu_bridge",), str, "the bus, for example can0 or vcan0"),
+    "revision": (("vcu_bridge",), str, "interface revision of the car: 2021 or 2026"),
+    "car": (("vcu_bridge", "path_planner", "vehicle_controller"), str, "vehicle parameters: 2021 or 2026"),
+    "limits": (("vcu_bridge",), str, "operational limits: a TOML file, or max_speed_mps=5.0,..."),
+    "listen_only": (("vcu_bridge",), bool, "never send: true or false"),
+    "autonomous_at_power_up": (("vcu_bridge",), bool, "true or false"),
+    "noise_level": (("sensor_simulator",), float, "imperfection of the simulated sensor; 0 is perfect"),
+    "truth_port": (("sensor_simulator",), int, "UDP port of the simulated car's true pose"),
+    "confidence_threshold": (("cone_detector",), float, "0 to 1"),
+    "laps": (("path_planner",), int, "laps of a trackdrive"),
+    "max_speed": (("vehicle_controller",), float, "highest speed in every mission, in m/s"),
+    "lap_max_speed": (("vehicle_controller",), float, "highest speed on laps, in m/s"),
+    "skidpad_max_speed": (("vehicle_controller",), float, "highest speed in the skidpad, in m/s"),
+    "acceleration_max_speed": (("vehicle_controller",), float, "highest speed in the acceleration, in m/s"),
 }
 NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge")
 
@@ -52,11 +47,11 @@ def start(context):
     if wrong:
         raise ValueError(wrong)
     parameters = {name: {} for name in NODES}
-    for argument, (nodes, parameter, kind, _) in ARGUMENTS.items():
+    for argument, (nodes, kind, _) in ARGUMENTS.items():
         text = LaunchConfiguration(argument).perform(context)
         if text:
             for node in nodes:
-                parameters[node][parameter] = typed(text, kind)
+                parameters[node][argument] = typed(text, kind)
     file = LaunchConfiguration("params_file").perform(context)
     simulated = typed(LaunchConfiguration("simulated").perform(context), bool)
     composed = typed(LaunchConfiguration("composed").perform(context), bool)
@@ -107,7 +102,7 @@ def generate_launch_description():
             ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=words)
-                for name, (_, _, _, words) in ARGUMENTS.items()
+                for name, (_, _, words) in ARGUMENTS.items()
             ),
             OpaqueFunction(function=start),
         ]

@@ -30,9 +30,9 @@ START_S = 120.0  # five interpreters that import ROS at once, on one slow proces
 POWER_UP_S = 60.0
 DRIVE_S = 120.0
 STOP_S = 20.0
-TRACK = "small_oval"
+MISSION, TRACK = "trackdrive", "small_oval"
 LAPS = 100  # of a trackdrive: more than any test takes, and the most there may be
-CRUISE_MPS = 3.0
+DRIVES_MPS = 1.5  # driving is driving: no test here waits for more
 POWER_CYCLE_S = 1.0
 SLOW_PLACE = os.environ.get("FSAI_HIL_PLACE") == "uml"  # one slow processor
 
@@ -52,9 +52,7 @@ class CarRun:
 
     def type(self, line: str) -> None:
         """A command typed at the interactive simulated car."""
-        assert self.vcu.popen.stdin is not None
-        self.vcu.popen.stdin.write(line.encode() + b"\n")
-        self.vcu.popen.stdin.flush()
+        self.vcu.type(line)
 
     def verdict(self) -> dict[str, Any]:
         """The judge's, once the car's process has ended."""
@@ -70,14 +68,16 @@ class Chain:
         self.operator = operator
         self._interface = interface
         self._folder = folder
+        self._shared: CarRun | None = None
         self.wire: WireReport | None = None
 
     @contextmanager
     def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] | None = None) -> Iterator[CarRun]:
-        """Powers up a car for one run; at the end its process is over and the bus log has been checked.
+        """Powers up a car of its own for one run; at the end its process is over and the bus log has been checked.
 
         only: the ids that are logged; such a log cannot be checked.
         """
+        self.end_shared_car()  # there is one car on a bus
         folder = self._folder / name
         folder.mkdir(parents=True, exist_ok=True)
         log = BusLog(self._interface, folder, only)
@@ -91,53 +91,66 @@ class Chain:
             self.wire = check_candump(log.path, CODEC, busy_machine=True) if only is None else None
 
     def start_vcu(self, name: str, *arguments: str, auto: bool) -> RunningProcess:
-        words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", "autocross", "--track", TRACK]
+        words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", MISSION, "--track", TRACK]
         words += ["--truth", str(self.stack.truth_port), *(["--auto"] if auto else [])]
         if SLOW_PLACE:
             # The frames that nobody decides on are thinned out.
             words += ["--gps-decimation", "20", "--log-decimation", "10"]
         return self.stack.start_verb(name, *words, *arguments, stdin=subprocess.DEVNULL if auto else subprocess.PIPE)
 
-    @contextmanager
-    def shared_car(self) -> Iterator[CarRun]:
-        """An interactive car for many runs: `power_up` switches it off and on again."""
-        run = CarRun(self.start_vcu("car", auto=False), self._folder)
-        try:
-            yield run
-        finally:
+    def shared_car(self) -> CarRun:
+        """An interactive car for many runs, started where none is: `power_up` switches it off and on again."""
+        if self._shared is None:
+            self._shared = CarRun(self.start_vcu("car", "--laps", str(LAPS), auto=False), self._folder)
+        return self._shared
+
+    def end_shared_car(self) -> None:
+        run, self._shared = self._shared, None
+        if run is not None:
             run.vcu.stop()  # whichever it is by now
             del self.stack.processes["car"]
 
-    def power_up(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
-        """A new power cycle of an interactive car, which clears whatever was latched; then it drives."""
+    @contextmanager
+    def drive(self, name: str) -> Iterator[CarRun]:
+        """The shared car drives, after a power cycle; at the end the bus log has been checked."""
+        folder = self._folder / name
+        folder.mkdir(parents=True, exist_ok=True)
+        log = BusLog(self._interface, folder)
+        try:
+            run = self.shared_car()
+            run.log_path = folder / "bus.log"
+            self.power_up(run)
+            yield run
+        finally:
+            log.stop()
+            self.wire = check_candump(log.path, CODEC, busy_machine=True)
+
+    def power_up(self, run: CarRun) -> None:
+        """A new power cycle of the shared car, which clears whatever was latched; then it drives."""
         run.type("off")
         run.type("ami not_selected")
         # No 0x520 for 1 s is what the bridge takes for a power cycle (safety rule 6); NaN before the very first one.
         self.operator.await_state(lambda s: not s.status_age_s <= POWER_CYCLE_S, POWER_UP_S, "the car is off")
-        self.driven_by_hand(run, cruise_mps)
+        run.type("on")
+        self.autonomous()
+        self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+        run.type(f"ami {MISSION}")
+        self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
+        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
+        run.type("go")
+        self.driving(run)
 
-    def driving(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
+    def driving(self, run: CarRun) -> None:
         """Wait until the car drives at speed."""
 
         def decided() -> bool:
             state = self.state  # an age that is not a number is no young one either: nothing was heard yet
             over = state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED) and state.status_age_s < 0.5
-            return bool(over or (state.as_state == AsState.AS_DRIVING and state.speed_mps > cruise_mps))
+            return bool(over or (state.as_state == AsState.AS_DRIVING and state.speed_mps > DRIVES_MPS))
 
         self.operator.await_that(decided, POWER_UP_S + DRIVE_S, "the car drives", *NODES)
         assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
         assert run.vcu.alive, run.vcu.last_words()
-
-    def driven_by_hand(self, run: CarRun, cruise_mps: float = CRUISE_MPS) -> None:
-        """An interactive car, whose switches a person types, drives; it stays until it is told to end."""
-        run.type("on")
-        self.autonomous()
-        self.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
-        run.type("ami autocross")
-        self.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
-        self.operator.await_state(lambda s: s.why_not_driving == ["waiting for Go"], POWER_UP_S, "ready for Go")
-        run.type("go")
-        self.driving(run, cruise_mps)
 
     @property
     def pids(self) -> dict[str, int]:

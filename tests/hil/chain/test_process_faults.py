@@ -23,7 +23,7 @@ from typing import TypeVar
 
 import pytest
 
-from chain.conftest import CODEC, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
+from chain.conftest import CODEC, MISSION, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
 from conftest import BusLog, new_folder
 from fsai_hil.rehearsal.stack import NODES, await_condition
 from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
@@ -42,7 +42,6 @@ DEADLINES = BridgeConfig()
 # What comes on top of each deadline: at most one cycle, and what the machine may be held up without being excused.
 CYCLE_NS = FALLBACK_AFTER_NS + STOOD_STILL_NS
 VCU_PATIENCE_NS = 100 * MS  # interface specification v4.0: AI_COMMS_LOST
-SLOWLY_MPS = 1.5  # driving is driving: no test here waits for more
 AT_EASE_S = 0.5  # so long after the end of a run the bus is still watched
 BITRATE = 500_000
 FRAME_BITS = 128  # as the queue counts a classic frame of 8 bytes; on a wire it is 111 and stuff bits
@@ -109,10 +108,9 @@ class Wire:
         return self.first(AiStatus, since_ns, lambda status: status.estop_request, "ESTOP_REQUEST")
 
 
-@pytest.fixture(scope="module")
-def car(chain: Chain) -> Iterator[CarRun]:
-    with chain.shared_car() as run:
-        yield run
+@pytest.fixture
+def car(chain: Chain) -> CarRun:
+    return chain.shared_car()
 
 
 @pytest.fixture
@@ -121,7 +119,7 @@ def drive(chain: Chain, car: CarRun, results: Path, interface: str) -> Iterator[
     log = BusLog(interface, results)
     wire = Wire(log)
     try:
-        chain.power_up(car, SLOWLY_MPS)
+        chain.power_up(car)
         yield wire
     finally:
         log.stop()
@@ -159,27 +157,22 @@ def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
 # ---------------------------------------------------------------- processes
 
 
-@long
-def test_a_killed_controller_is_a_stop_for_good(chain: Chain, drive: Wire) -> None:
-    killed_ns = time.time_ns()
-    chain.stack.processes["vehicle_controller"].signal(signal.SIGKILL)
-    comes_to_rest(chain, AsState.AS_FINISHED)
-    assert chain.state.mode == "manual", "a stop for lost commands is latched"
-    chain.stack.start_node("vehicle_controller")
-    chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "the new controller commands")
-    comes_to_rest(chain, AsState.AS_FINISHED)
-    assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
-    assert drive.brakes_after(killed_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
-    rules_kept(drive)
-
-
-@long
-@pytest.mark.parametrize("name", ["path_planner", "cone_detector", "sensor_simulator"])
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("path_planner", signal.SIGKILL),
+        *(
+            pytest.param(name, number, marks=long)
+            for name in ("path_planner", "cone_detector", "sensor_simulator", "vehicle_controller")
+            for number in (signal.SIGKILL, signal.SIGSTOP)
+            if (name, number) != ("path_planner", signal.SIGKILL)
+        ),
+    ],
+)
 def test_without_fresh_data_the_car_stops_for_good(
     chain: Chain, drive: Wire, name: str, number: signal.Signals
 ) -> None:
-    """The controller goes on commanding; its commands carry the stamp of the oldest data behind them."""
+    """Without data the controller goes on commanding; its commands carry the stamp of the oldest data behind them."""
     struck_ns = time.time_ns()
     chain.stack.processes[name].signal(number)
     try:
@@ -192,23 +185,9 @@ def test_without_fresh_data_the_car_stops_for_good(
     assert chain.state.mode == "manual", "a stop for lost commands is latched"
     chain.operator.await_state(lambda s: s.command_age_s < 0.5, START_S, "commands with fresh data come again")
     comes_to_rest(chain, AsState.AS_FINISHED)
-    assert drive.torque_ends(struck_ns) <= DEADLINES.sensor_stale_ns + DEADLINES.command_stale_ns + CYCLE_NS
-    assert drive.brakes_after(struck_ns) <= DEADLINES.sensor_stale_ns + DEADLINES.command_lost_ns + CYCLE_NS
-    rules_kept(drive)
-
-
-@long
-def test_a_controller_that_hangs_for_5_s_does_not_drive_on(chain: Chain, drive: Wire) -> None:
-    controller = chain.stack.processes["vehicle_controller"]
-    stopped_ns = time.time_ns()
-    controller.signal(signal.SIGSTOP)
-    try:
-        time.sleep(5.0)  # the length of the hang is what is tested
-    finally:
-        controller.signal(signal.SIGCONT)
-    comes_to_rest(chain, AsState.AS_FINISHED)
-    assert drive.torque_ends(stopped_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
-    assert drive.brakes_after(stopped_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
+    data_ns = 0 if name == "vehicle_controller" else DEADLINES.sensor_stale_ns
+    assert drive.torque_ends(struck_ns) <= data_ns + DEADLINES.command_stale_ns + CYCLE_NS
+    assert drive.brakes_after(struck_ns) <= data_ns + DEADLINES.command_lost_ns + CYCLE_NS
     rules_kept(drive)
 
 
@@ -287,10 +266,15 @@ def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: 
     loop = loop_of(chain)
     killed_ns = time.time_ns()
     chain.stack.processes["vcu_bridge"].signal(signal.SIGKILL)
+    chain.operator.state = None
     await_condition(lambda: not Path(f"/proc/{loop}/root").exists(), STOP_S, "the loop's process ends by itself")
     ended_ns = time.time_ns()
     chain.stack.start_node("vcu_bridge")
     chain.operator.await_bridge(START_S)
+    state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
+    assert (state.mode, state.shutdown_cause_label) == ("manual", "AI_COMMS_FAULT")
+    accepted, _ = chain.operator.set_mode("autonomous")
+    assert not accepted, "autonomous was accepted in EMERGENCY_BRAKE"
     finished = drive.first(VcuStatus, killed_ns, lambda s: s.as_state is AsState.AS_FINISHED, "AS_FINISHED")
     assert finished <= ended_ns - killed_ns
     assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
@@ -325,7 +309,7 @@ def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, car: Ca
     car.vcu = chain.start_vcu("car", auto=False)
     car.type("on")
     chain.operator.await_state(lambda s: s.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
-    car.type("ami autocross")
+    car.type(f"ami {MISSION}")
     chain.operator.await_state(lambda s: s.as_state == AsState.AS_READY, POWER_UP_S, "AS_READY")
     assert not chain.state.emergency, "a power cycle of the car clears the latch"
     heard_ns = [t_ns for t_ns, _ in drive.images(VcuStatus)]

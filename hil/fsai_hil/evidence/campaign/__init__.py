@@ -4,8 +4,8 @@
   rules' own terms what must follow.
 - `cases` makes case N of seed S, from the two numbers alone.
 - `scenario` drives one case, `observation` writes down what was seen from outside, `verdict` judges it.
-- `runner` spreads cases over processes, `cluster` over a Dask cluster; `record` keeps the results, `table` shows them.
-- `story` tells one run to a person.
+- `runner` spreads cases over processes, or over a Dask cluster; `record` keeps the results, `table` shows them.
+- `explain` shows one run to a person.
 
 Nothing here looks into the bridge to judge it: what counts is what was on the bus and what the car really did.
 """

@@ -9,10 +9,11 @@ import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.catalogue import ROWS, FaultKind, kind_named
+from fsai_hil.evidence.campaign.catalogue import EVERY_MISSION, ROWS, FaultKind, kind_named
 from fsai_vcu.interface.enums import Ami, AsState
 
 WORLD_SEEDS: Final = 3  # cone noise and the rest of a run's chance; the campaign's variety lies in the faults
@@ -30,30 +31,14 @@ class Since(Enum):
     @property
     def state(self) -> AsState | None:
         """The AS state that begins it; None: the run's beginning."""
-        return _STATES[self]
+        return None if self is Since.START else AsState[f"AS_{self.name}"]
 
-
-_STATES: Final[Mapping[Since, AsState | None]] = MappingProxyType(
-    {
-        Since.START: None,
-        Since.READY: AsState.AS_READY,
-        Since.DRIVING: AsState.AS_DRIVING,
-        Since.FINISHED: AsState.AS_FINISHED,
-    }
-)
 
 # Snapshots: so long in AS_DRIVING, in ms. A mission is under way for at least LEG_MS after its last one.
 LEG_MS: Final = 6000
+LONG_MISSIONS: Final = (Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE)
 LEGS_MS: Final[Mapping[Ami, tuple[int, ...]]] = MappingProxyType(
-    {
-        Ami.ACCELERATION: (3000,),
-        Ami.SKIDPAD: (3000, 14000, 25000),
-        Ami.AUTOCROSS: (3000, 14000, 25000),
-        Ami.TRACKDRIVE: (3000, 14000, 25000),
-        Ami.STATIC_INSPECTION_A: (3000,),
-        Ami.STATIC_INSPECTION_B: (3000,),
-        Ami.AUTONOMOUS_DEMO: (3000,),
-    }
+    {ami: (3000, 14000, 25000) if ami in LONG_MISSIONS else (3000,) for ami in EVERY_MISSION}
 )
 
 # Full-length runs: where in a run the fault may begin, in ms after a moment.
@@ -127,17 +112,22 @@ class Selection:
     within_ms: int = LEG_MS  # of a snapshot a fault begins
 
     def kinds(self) -> tuple[FaultKind, ...]:
-        chosen = tuple(kind_named(name) for name in self.faults) or ROWS
-        usable = tuple(kind for kind in chosen if self.missions_of(kind) and self.revisions_of(kind))
-        if not usable:
-            raise ValueError("none of these faults applies to these missions and revisions")
-        return usable
+        return _usable(self)
 
     def missions_of(self, kind: FaultKind) -> tuple[Ami, ...]:
         return tuple(ami for ami in Ami if ami in kind.missions and (not self.missions or ami in self.missions))
 
     def revisions_of(self, kind: FaultKind) -> tuple[str, ...]:
         return tuple(name for name in kind.revisions if not self.revisions or name in self.revisions)
+
+
+@cache
+def _usable(selection: Selection) -> tuple[FaultKind, ...]:
+    chosen = tuple(kind_named(name) for name in selection.faults) or ROWS
+    usable = tuple(kind for kind in chosen if selection.missions_of(kind) and selection.revisions_of(kind))
+    if not usable:
+        raise ValueError("none of these faults applies to these missions and revisions")
+    return usable
 
 
 def drawn(kind: FaultKind, rng: random.Random, given: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -7,24 +7,28 @@ lie in bands clear of those times: what happens exactly at a limit is for the ex
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign import demands as d
 from fsai_hil.evidence.campaign import injections as i
-from fsai_hil.evidence.campaign.demands import ANY, CAR_STOPS, MAY_STOP_ITSELF, NOTHING, Demand, End, Onset, ends
-from fsai_hil.evidence.campaign.injections import Injection, Params
+from fsai_hil.evidence.campaign.demands import Demand, End, Graded, Must, Onset, Params, always, ends
+from fsai_hil.evidence.campaign.injections import Injection
 from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import Ami, ShutdownCause
+from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import FAULT_NAMES, Faults
 from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.units import MS
 
 PATH_MISSIONS: Final = frozenset({Ami.ACCELERATION, Ami.SKIDPAD, Ami.AUTOCROSS, Ami.TRACKDRIVE})
 ROAD_MISSIONS: Final = PATH_MISSIONS | {Ami.AUTONOMOUS_DEMO}
 EVERY_MISSION: Final = frozenset(Ami) - {Ami.NOT_SELECTED}
 BOTH: Final = ("2021", "2026")
+
+Bands = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +36,7 @@ class Draw:
     """One parameter: a number from one of several bands, or one of several words."""
 
     name: str
-    bands: tuple[tuple[float, float], ...] = ()
+    bands: Bands = ()
     words: tuple[str, ...] = ()
 
     def drawn(self, rng: random.Random) -> Any:
@@ -65,7 +69,7 @@ def between(name: str, *bands: tuple[float, float]) -> Draw:
     return Draw(name, bands)
 
 
-def lasts(*bands: tuple[int, int]) -> Draw:
+def lasts(*bands: tuple[float, float]) -> Draw:
     """How long, in ms."""
     return Draw("duration", bands)
 
@@ -74,116 +78,136 @@ def one_of(name: str, *words: str) -> Draw:
     return Draw(name, words=words)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class FaultKind:
-    """One row. `demanded` says in words what `demand` says in numbers. Without a drawn `duration` it lasts."""
+    """One row. Without a drawn `duration` the fault lasts."""
 
     name: str
     what: str
     begin: Injection
-    demanded: str
-    demand: Callable[[Params], Demand]
+    must: Must
     draws: tuple[Draw, ...] = ()
     missions: frozenset[Ami] = EVERY_MISSION
     revisions: tuple[str, ...] = BOTH
     gps: bool = False
     from_start: bool = False  # there from power-up on: such a run begins there, and the demand holds for all of it
 
+    @property
+    def demanded(self) -> str:
+        """What must follow, in words."""
+        return self.must.words
 
-def always(demand: Demand) -> Callable[[Params], Demand]:
-    return lambda p: demand
+    def demand(self, params: Params) -> Demand:
+        """What must follow where these parameters were drawn."""
+        return self.must.demand(params)
 
 
-def by(name: str, *steps: tuple[float, Demand]) -> Callable[[Params], Demand]:
-    """The demand by the age that a parameter makes of a message."""
-    return lambda p: d.by_age(p[name], *steps)
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """The beginning of a row: its name, and what it is."""
+
+    name: str
+    what: str
+
+    def by(self, begin: Injection, must: Must, *draws: Draw, **where: Any) -> FaultKind:
+        return FaultKind(self.name, self.what, begin, must, draws, **where)
 
 
 # ---------------------------------------------------------------- demands shared by several rows
 
-Steps = tuple[tuple[float, Demand], ...]
+UNCHANGED = always("drives on", d.NOTHING)
+MAY_STOP = always("drives on, or the car stops itself (the bus showed it nothing wrong)", d.MAY_STOP_ITSELF)
+MAY_MEET = always("drives on, or the car stops itself where torque meets brake there", d.MAY_STOP_ITSELF)
+ANY = always("cannot be told from the truth: every rule on the wire holds; drives on, or stands in the end", d.ANY)
+ROUGH = always(
+    "limits and interlocks hold; drives on, or stops by one of the rules", ends(End.ON, End.HELD, End.STOP, End.ESTOP)
+)
+EDGE = always("torque 0 and brake at once", d.stop(10))
+ITSELF = always(
+    "the car stops itself; torque 0 at once", ends(End.SELF, no_torque_ms=10 + d.SLACK_MS, safe_ms=2 * d.SLACK_MS)
+)
+NO_DRIVE = always("no torque ever; in AS_DRIVING at once a stop, FINISHED", ends(End.STOP, no_torque_ms=0))
 
-LOST_STATUS = ((50, d.held(d.VCU_STALE_MS)), (100, CAR_STOPS))
-LOST_STATUS_WORDS = "under 50 ms nothing; 50 ms torque 0, then on; 100 ms ESTOP_REQUEST (the car stops itself as well)"
+LOST_STATUS = Graded(
+    "under 50 ms nothing; 50 ms torque 0, then on; 100 ms ESTOP_REQUEST (the car stops itself as well)",
+    ((50, d.held(d.VCU_STALE_MS)), (100, d.CAR_STOPS)),
+)
 STATUS_BANDS = ((10, 30), (82, 86), (130, 2500))
-
-LOST_FEEDBACK = (
-    (100, d.stop(d.FEEDBACK_STALE_MS)),
-    (300, d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS)),
+UNKNOWN_STATE = Graded(
+    "torque 0 at once, then on; 100 ms ESTOP_REQUEST", ((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))
 )
-LOST_FEEDBACK_WORDS = "under 100 ms nothing; 100 ms service-brake stop; 300 ms ESTOP_REQUEST"
+NO_ECHO = Graded(
+    "under 100 ms nothing; 100 ms the car stops itself, for the echo does not match", ((100, d.CAR_STOPS),)
+)
+LOST_FEEDBACK = Graded(
+    "under 100 ms nothing; 100 ms service-brake stop; 300 ms ESTOP_REQUEST",
+    ((100, d.stop(d.FEEDBACK_STALE_MS)), (300, d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS))),
+)
 FEEDBACK_BANDS = ((10, 60), (130, 240), (360, 2500))
-
-LOST_LIMIT = ((100, ends(End.ON, End.HELD)),)
-LOST_LIMIT_WORDS = "drives on; no torque on that axle while its limit is 100 ms old"
-
-LOST_COMMAND = (
-    (100, d.held(d.COMMAND_STALE_MS + d.CONTROL_MS)),
-    (300, d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.COMMAND_STALE_MS + d.CONTROL_MS)),
+LOST_LIMIT = Graded("drives on; no torque on that axle while its limit is 100 ms old", ((100, ends(End.ON, End.HELD)),))
+LOST_COMMAND = Graded(
+    "under 100 ms nothing; 100 ms torque 0, then on; 300 ms service-brake stop",
+    (
+        (100, d.held(d.COMMAND_STALE_MS + d.CONTROL_MS)),
+        (300, d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.COMMAND_STALE_MS + d.CONTROL_MS)),
+    ),
 )
-LOST_COMMAND_WORDS = "under 100 ms nothing; 100 ms torque 0, then on; 300 ms service-brake stop"
+REFUSED = LOST_COMMAND.by("duration", "refused whole: as if none had come. ")
 COMMAND_BANDS = ((10, 60), (140, 240), (380, 2500))
+OLD_DATA = Graded(
+    "under 500 ms nothing; data of 500 ms torque 0, 200 ms later service-brake stop",
+    ((600, d.stop(700 + d.PLAN_MS, d.SENSOR_STALE_MS + d.PLAN_MS)),),
+)
+SILENT = ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
+SILENT_OURS = ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
+CAR_HEARS = Graded("under 100 ms nothing; 100 ms the car stops itself", ((100, SILENT),))
+CAR_HEARS_TORQUE = Graded(
+    "under 100 ms it drives on, or the car stops itself where torque meets brake there; 100 ms the car stops itself",
+    ((0, d.MAY_STOP_ITSELF), (100, SILENT)),
+)
+RESTARTED = always("silence stops the car; it never drives on by itself", SILENT_OURS)
 
-OLD_DATA = ((600, d.stop(700 + d.PLAN_MS, d.SENSOR_STALE_MS + d.PLAN_MS)),)
-OLD_DATA_WORDS = "under 500 ms nothing; data of 500 ms torque 0, 200 ms later service-brake stop"
-
-CAR_HEARS = ((100, ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),)
-CAR_HEARS_WORDS = "under 100 ms nothing; 100 ms the car stops itself"
-CAR_HEARS_TORQUE = ((0, MAY_STOP_ITSELF), *CAR_HEARS)
-CAR_HEARS_TORQUE_WORDS = (
-    "under 100 ms it drives on, or the car stops itself where torque meets brake there; 100 ms the car stops itself"
+STEERING_OFF = always(
+    "once it is off by more than delay and play: 300 ms service-brake stop, 600 ms ESTOP_REQUEST",
+    d.implausible(Onset.STEERING),
 )
-HEARS_BANDS = ((10, 65), (130, 2500))
-
-STEERING_OFF = Demand(
-    frozenset((End.ON, End.HELD, End.STOP, End.ESTOP)),
-    brake_ms=d.IMPLAUSIBLE_MS + d.SLACK_MS,
-    estop_ms=d.IMPLAUSIBLE_LOST_MS + d.SLACK_MS,
-    onset=Onset.STEERING,
+WHEEL_OFF = always(
+    "once beyond what slip explains: 300 ms service-brake stop, 600 ms ESTOP_REQUEST", d.implausible(Onset.WHEEL)
 )
-STEERING_OFF_WORDS = "once it is off by more than delay and play: 300 ms service-brake stop, 600 ms ESTOP_REQUEST"
-WHEEL_OFF = Demand(
-    frozenset((End.ON, End.HELD, End.STOP, End.ESTOP)),
-    brake_ms=d.IMPLAUSIBLE_MS + d.SLACK_MS,
-    estop_ms=d.IMPLAUSIBLE_LOST_MS + d.SLACK_MS,
-    onset=Onset.WHEEL,
-)
-WHEEL_OFF_WORDS = "once beyond what slip explains: 300 ms service-brake stop, 600 ms ESTOP_REQUEST"
-COUNTS_OFF = Demand(
-    frozenset((End.ON, End.HELD, End.STOP, End.ESTOP)),
-    brake_ms=d.FEEDBACK_STALE_MS + d.SLACK_MS,
-    estop_ms=d.FEEDBACK_LOST_MS + d.SLACK_MS,
-    onset=Onset.COUNTS,
-)
-COUNTS_OFF_WORDS = (
+CONTRADICTED = d.implausible(Onset.COUNTS, d.FEEDBACK_STALE_MS, d.FEEDBACK_LOST_MS)
+COUNTS_OFF = always(
     "once speed and pulse count contradict each other the speeds are not believed: 100 ms service-brake stop, 300 ms"
-    " ESTOP_REQUEST"
+    " ESTOP_REQUEST",
+    CONTRADICTED,
 )
-NOISE_WORDS = "noise comes and goes: drives on, and stops only where it is off for 300 ms without a break"
-
-# Rules of the bus that hold in AS_DRIVING, and what an AS_STATE that nobody knows brings.
-UNKNOWN_STATE = ((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))
-UNKNOWN_STATE_WORDS = "torque 0 at once, then on; 100 ms ESTOP_REQUEST"
-EDGE_WORDS = "torque 0 and brake at once"
-NO_DRIVE = ends(End.STOP, no_torque_ms=0)
-NO_DRIVE_WORDS = "no torque ever; in AS_DRIVING at once a stop, FINISHED"
+NOISE = "noise comes and goes: drives on, and stops only where it is off for 300 ms without a break"
+STEERING_NOISE, WHEEL_NOISE = replace(STEERING_OFF, words=NOISE), replace(WHEEL_OFF, words=NOISE)
 FAST_CLOCK_MS = 110 + 20  # the age of the oldest data behind a command, and how far ahead a stamp may be
 
-ITSELF = ends(End.SELF, no_torque_ms=10 + d.SLACK_MS, safe_ms=2 * d.SLACK_MS)
-ITSELF_WORDS = "the car stops itself; torque 0 at once"
-INEFFECTIVE = ends(End.STOP, End.ESTOP, no_torque_ms=d.SLACK_MS, estop_ms=3000 + d.SLACK_MS, safe_ms=3000 + 60)
+INEFFECTIVE = always(
+    "no deceleration, or still moving 3 s after the stop began: ESTOP_REQUEST",
+    ends(End.STOP, End.ESTOP, no_torque_ms=d.SLACK_MS, estop_ms=3000 + d.SLACK_MS, safe_ms=3000 + 60),
+)
 NO_BRAKE_MS = d.DECELERATION_MS + 2 * d.SLACK_MS + 10  # torque goes before the brake comes, and counting begins with it
-NO_BRAKE = ends(End.STOP, End.ESTOP, no_torque_ms=d.SLACK_MS, estop_ms=NO_BRAKE_MS, safe_ms=3000 + 60)
-NO_BRAKE_WORDS = "half a second without a deceleration: ESTOP_REQUEST; what comes to rest by itself is stopped"
-INEFFECTIVE_WORDS = "no deceleration, or still moving 3 s after the stop began: ESTOP_REQUEST"
-ROUGH = ends(End.ON, End.HELD, End.STOP, End.ESTOP)
-ROUGH_WORDS = "limits and interlocks hold; drives on, or stops by one of the rules"
-ANY_WORDS = "cannot be told from the truth: every rule on the wire holds; drives on, or stands in the end"
-NOTHING_WORDS = "drives on"
-MAY_WORDS = "drives on, or the car stops itself (the bus showed it nothing wrong)"
-MAY_MEET_WORDS = "drives on, or the car stops itself where torque meets brake there"
+NO_BRAKE = always(
+    "half a second without a deceleration: ESTOP_REQUEST; what comes to rest by itself is stopped",
+    ends(End.STOP, End.ESTOP, no_torque_ms=d.SLACK_MS, estop_ms=NO_BRAKE_MS, safe_ms=3000 + 60),
+)
 
+
+def restart_within(torque_ms: float, brake_ms: float) -> Must:
+    """A stop once the process that ended is back, or its silence is that old."""
+
+    def demand(p: Params) -> Demand:
+        back_ms = p["duration"] + d.CONTROL_MS
+        return d.stop(min(back_ms, brake_ms), min(back_ms, torque_ms))
+
+    return Must("it never drives on by itself: service-brake stop", demand)
+
+
+ASK_MANUAL = i.done(lambda rig, p, t_ns: rig.bridge.set_mode("manual", t_ns))
 EACH_WHEEL = one_of("wheel", *i.WHEELS)
+SWINGS = between("period", (50, 500))
 OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "switches": {"as_switch": False, "ts_switch": False},
@@ -199,155 +223,51 @@ def _message(
     can_id: int,
     of: str,
     *,
-    lost: Steps,
-    lost_words: str,
-    lost_ms: tuple[tuple[int, int], ...],
-    late_ms: tuple[tuple[int, int], ...],
-    frozen: Callable[[Params], Demand],
-    frozen_words: str,
-    frozen_ms: tuple[tuple[int, int], ...],
-    corrupted: Demand = ANY,
-    corrupted_words: str = ANY_WORDS,
+    lost: Graded,
+    lost_ms: Bands,
+    late_ms: Bands,
+    frozen: Must = UNCHANGED,
+    frozen_ms: Bands = ((50, 2500),),
+    corrupted: Must = ANY,
 ) -> tuple[FaultKind, ...]:
     """All that can happen to one message on its way: of the car's to us, or of ours to the car.
 
     `lost` grades by the time without a believable message, be it that none comes, that they come later or too short.
     """
     ours = can_id in AI_IDS
-    on_wire = i.to_car if ours else i.from_car
     what = f"{of} (0x{can_id:03X})" + (", as the car hears it," if ours else "")
 
-    def row(
-        name: str,
-        does: str,
-        fault: i.WireFault,
-        draws: tuple[Draw, ...],
-        words: str,
-        demand: Callable[[Params], Demand],
-    ) -> FaultKind:
-        return FaultKind(
-            name=f"{prefix}_{name}",
-            what=f"{what} {does}",
-            begin=on_wire({can_id}, fault),
-            draws=draws,
-            demanded=words,
-            demand=demand,
-        )
+    def one(name: str, does: str, fault: str, must: Must, *draws: Draw) -> FaultKind:
+        begin = (i.to_car if ours else i.from_car)({can_id}, fault)
+        return Fault(f"{prefix}_{name}", f"{what} {does}").by(begin, must, *draws)
 
-    last_byte = BY_ID[can_id].dlc - 1
+    no_message = "has too few bytes: no believable message comes"
+    cut = between("length", (0, BY_ID[can_id].dlc - 1))
     return (
-        row("lost", "stops coming", i.LOST, (lasts(*lost_ms),), lost_words, by("duration", *lost)),
-        row(
-            "late",
-            "comes later, and goes on so",
-            i.LATE,
-            (between("delay", *late_ms),),
-            lost_words,
-            by("delay", *lost),
-        ),
-        row("frozen", "repeats one payload", i.FROZEN, (lasts(*frozen_ms),), frozen_words, frozen),
-        row(
-            "twice",
-            "arrives several times",
-            i.TWICE,
-            (between("times", (2, 5)), lasts((100, 2500))),
-            NOTHING_WORDS,
-            always(NOTHING),
-        ),
-        row(
-            "corrupted",
-            "has bits flipped",
-            i.FLIPPED,
-            (lasts((10, 2000)), between("bits", (1, 8))),
-            corrupted_words,
-            always(corrupted),
-        ),
-        row(
-            "wrong_length",
-            "has too few bytes: no believable message comes",
-            i.CUT,
-            (lasts(*lost_ms), between("length", (0, last_byte))),
-            lost_words,
-            by("duration", *lost),
-        ),
+        one("lost", "stops coming", "lost", lost.by("duration"), lasts(*lost_ms)),
+        one("late", "comes later, and goes on so", "late", lost.by("delay"), between("delay", *late_ms)),
+        one("frozen", "repeats one payload", "frozen", frozen, lasts(*frozen_ms)),
+        one("twice", "arrives several times", "twice", UNCHANGED, between("times", (2, 5)), lasts((100, 2500))),
+        one("corrupted", "has bits flipped", "flipped", corrupted, lasts((10, 2000)), between("bits", (1, 8))),
+        one("wrong_length", no_message, "cut", lost.by("duration"), lasts(*lost_ms), cut),
     )
 
 
-def _feedback(prefix: str, can_id: int, of: str, frozen: Demand, frozen_words: str) -> tuple[FaultKind, ...]:
-    """Wheel speeds and steering angle are supervised alike."""
-    return _message(
-        prefix,
-        can_id,
-        of,
-        lost=LOST_FEEDBACK,
-        lost_words=LOST_FEEDBACK_WORDS,
-        lost_ms=FEEDBACK_BANDS,
-        late_ms=((5, 60), (130, 240), (360, 800)),
-        frozen=always(frozen),
-        frozen_words=frozen_words,
-        frozen_ms=((50, 2500),),
-    )
-
-
-def _limit(prefix: str, can_id: int, of: str) -> tuple[FaultKind, ...]:
-    """The live torque limit of one axle."""
-    return _message(
-        prefix,
-        can_id,
-        of,
-        lost=LOST_LIMIT,
-        lost_words=LOST_LIMIT_WORDS,
-        lost_ms=((10, 60), (130, 2500)),
-        late_ms=((5, 60), (130, 800)),
-        frozen=always(NOTHING),
-        frozen_words=NOTHING_WORDS,
-        frozen_ms=((50, 2500),),
-        corrupted=ends(End.ON, End.HELD),
-        corrupted_words="torque never above the limit that was read; drives on",
-    )
-
-
-def _needless(
-    prefix: str, can_id: int, of: str, words: str, frozen: Demand = NOTHING, frozen_words: str = NOTHING_WORDS
-) -> tuple[FaultKind, ...]:
-    """What the car can be driven without."""
-    return _message(
-        prefix,
-        can_id,
-        of,
-        lost=(),
-        lost_words=words,
-        lost_ms=((20, 2500),),
-        late_ms=((5, 800),),
-        frozen=always(frozen),
-        frozen_words=frozen_words,
-        frozen_ms=((50, 2500),),
-        corrupted=NOTHING,
-        corrupted_words=NOTHING_WORDS,
-    )
-
-
-def _heard(
-    prefix: str, can_id: int, of: str, *, frozen: Demand, frozen_words: str, torque: bool = False
-) -> tuple[FaultKind, ...]:
-    """One message of ours, as the car hears it. `torque`: of it or of the brake, which must not meet there."""
-    return _message(
-        prefix,
-        can_id,
-        of,
-        lost=CAR_HEARS_TORQUE if torque else CAR_HEARS,
-        lost_words=CAR_HEARS_TORQUE_WORDS if torque else CAR_HEARS_WORDS,
-        lost_ms=HEARS_BANDS,
-        late_ms=((5, 60), (130, 600)),
-        frozen=always(frozen),
-        frozen_words=frozen_words,
-        frozen_ms=((150, 2500),),
-    )
-
-
-def _switch(name: str, what: str, switch: str, value: object = True, **row: Any) -> FaultKind:
-    given: dict[str, Any] = {"demanded": ITSELF_WORDS, "demand": always(ITSELF), **row}
-    return FaultKind(name=name, what=what, begin=i.switched(switch, value), **given)
+# Wheel speeds and steering angle are supervised alike; the live torque limit of an axle; what the car can be driven
+# without; one message of ours as the car receives it, and of those torque and brake, which must not meet there.
+_feedback = partial(_message, lost=LOST_FEEDBACK, lost_ms=FEEDBACK_BANDS, late_ms=((5, 60), (130, 240), (360, 800)))
+_limit = partial(
+    _message,
+    lost=LOST_LIMIT,
+    lost_ms=((10, 60), (130, 2500)),
+    late_ms=((5, 60), (130, 800)),
+    corrupted=always("torque never above the limit that was read; drives on", ends(End.ON, End.HELD)),
+)
+_needless = partial(_message, lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=UNCHANGED)
+_heard = partial(
+    _message, lost=CAR_HEARS, lost_ms=((10, 65), (130, 2500)), late_ms=((5, 60), (130, 600)), frozen_ms=((150, 2500),)
+)
+_heard_torque = partial(_heard, lost=CAR_HEARS_TORQUE)
 
 
 ROWS: Final[tuple[FaultKind, ...]] = (
@@ -357,63 +277,46 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.STATUS,
         "the car's state",
         lost=LOST_STATUS,
-        lost_words=LOST_STATUS_WORDS,
         lost_ms=STATUS_BANDS,
         late_ms=((5, 30), (65, 75), (130, 500)),
-        frozen=by("duration", (100, CAR_STOPS)),
-        frozen_words="under 100 ms nothing; 100 ms the car stops itself, for the handshake stands still",
+        frozen=replace(
+            NO_ECHO.by("duration"),
+            words="under 100 ms nothing; 100 ms the car stops itself, for the handshake stands still",
+        ),
         frozen_ms=((10, 60), (150, 3000)),
     ),
-    FaultKind(
-        name="status_jittering",
-        what="0x520 comes at irregular times, in order",
-        begin=i.from_car({i.STATUS}, i.JITTERING),
-        draws=(between("delay", (1, 25)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("status_jittering", "0x520 comes at irregular times, in order").by(
+        i.from_car({i.STATUS}, "jittering"), UNCHANGED, between("delay", (1, 25))
     ),
-    FaultKind(
-        name="status_falls_back",
-        what="0x520 shows another AS state for a while, the car drives",
-        begin=i.says({i.STATUS}, i.fallen_back),
-        draws=(lasts((15, 1500)), one_of("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE")),
-        demanded="zeros at once; back in AS_DRIVING it brakes to rest (NEUTRAL while moving: the car stops itself)",
-        demand=always(ends(End.STOP, End.SELF, End.ESTOP, no_torque_ms=10 + d.SLACK_MS)),
-    ),
-    FaultKind(
-        name="status_go_off",
-        what="0x520 shows GO_SIGNAL 0, the car drives",
-        begin=i.says({i.STATUS}, lambda p: {"go_signal": False}),
-        draws=(lasts((15, 1500)),),
-        demanded="torque 0 and brake at once",
-        demand=always(d.stop(10)),
-    ),
-    FaultKind(
-        name="status_fault_bit",
-        what="0x520 shows FAULT_STATUS 1, the car drives",
-        begin=i.says({i.STATUS}, lambda p: {"fault": True}),
-        draws=(lasts((15, 1500)),),
-        demanded="torque 0 and brake at once",
-        demand=always(d.stop(10)),
-    ),
-    FaultKind(
-        name="status_undefined_as_state",
-        what="0x520 shows an AS_STATE that no table knows, the car drives",
-        begin=i.from_car({i.STATUS}, i.UNDEFINED_AS_STATE),
-        draws=(lasts((10, 40), (60, 86), (130, 2500)), between("state", (6, 15))),
-        demanded=UNKNOWN_STATE_WORDS,
-        demand=by("duration", *UNKNOWN_STATE),
+    Fault("status_falls_back", "0x520 shows another AS state for a while, the car drives").by(
+        i.status_shows(lambda p: {"as_state": AsState[p["state"]]}),
+        always(
+            "zeros at once; back in AS_DRIVING it brakes to rest (NEUTRAL while moving: the car stops itself)",
+            ends(End.STOP, End.SELF, End.ESTOP, no_torque_ms=10 + d.SLACK_MS),
+        ),
+        lasts((15, 1500)),
+        one_of("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
     ),
     *(
-        FaultKind(
-            name=f"status_{name}",
-            what=f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives",
-            begin=i.says({i.STATUS}, values),
-            draws=(lasts((15, 1500)), *draws),
-            demanded=EDGE_WORDS,
-            demand=always(d.stop(10)),
+        Fault(f"status_{name}", f"0x520 shows {what}, the car drives").by(
+            i.status_shows(shown), EDGE, lasts((15, 1500))
         )
-        for name, what, values, draws in (
+        for name, what, shown in (
+            ("go_off", "GO_SIGNAL 0", lambda p: {"go_signal": False}),
+            ("fault_bit", "FAULT_STATUS 1", lambda p: {"fault": True}),
+        )
+    ),
+    Fault("status_undefined_as_state", "0x520 shows an AS_STATE that no table knows, the car drives").by(
+        i.from_car({i.STATUS}, "undefined AS_STATE"),
+        UNKNOWN_STATE.by("duration"),
+        lasts((10, 40), (60, 86), (130, 2500)),
+        between("state", (6, 15)),
+    ),
+    *(
+        Fault(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
+            i.status_shows(shown), EDGE, lasts((15, 1500)), *draws
+        )
+        for name, what, shown, draws in (
             ("as_switch_off", "AS_SWITCH_STATUS 0", lambda p: {"as_switch": False}, ()),
             ("ts_switch_off", "TS_SWITCH_STATUS 0", lambda p: {"ts_switch": False}, ()),
             ("shutdown_request", "SHUTDOWN_REQUEST 1", lambda p: {"shutdown_request": True}, ()),
@@ -431,462 +334,249 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ),
         )
     ),
-    FaultKind(
-        name="status_old_marks",
-        what="0x520 shows switches off, SHUTDOWN_REQUEST, fault bits or a SHUTDOWN_CAUSE since before the run",
-        begin=i.says({i.STATUS}, lambda p: OLD_MARKS[p["mark"]]),
-        draws=(one_of("mark", *OLD_MARKS),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-        from_start=True,
-    ),
-    FaultKind(
-        name="vcu_drives_without_mission",
-        what="the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING",
-        begin=i.together(
-            i.says({i.STATUS}, lambda p: {"ami": Ami.NOT_SELECTED}),
-            i.vcu_differs(ready_without_acknowledgement=lambda p: True),
+    Fault(
+        "status_old_marks",
+        "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits or a SHUTDOWN_CAUSE since before the run",
+    ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), UNCHANGED, one_of("mark", *OLD_MARKS), from_start=True),
+    Fault("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
+        i.together(
+            i.status_shows(lambda p: {"ami": Ami.NOT_SELECTED}), i.vcu_differs(ready_without_acknowledgement=True)
         ),
-        demanded=NO_DRIVE_WORDS,
-        demand=always(NO_DRIVE),
+        NO_DRIVE,
         from_start=True,
     ),
-    FaultKind(
-        name="vcu_hasty",
-        what="the VCU takes Go so many ms after AS_READY began, not after 5 s",
-        begin=i.together(i.vcu_differs(ready_wait_ns=lambda p: i.MS), i.hasty_go),
-        draws=(between("ready", (20, 60), (500, 4700)),),
-        demanded=NO_DRIVE_WORDS,
-        demand=always(NO_DRIVE),
+    Fault("vcu_hasty", "the VCU takes Go so many ms after AS_READY began, not after 5 s").by(
+        i.together(i.vcu_differs(ready_wait_ns=MS), i.hasty_go),
+        NO_DRIVE,
+        between("ready", (20, 60), (500, 4700)),
         from_start=True,
     ),
-    FaultKind(
-        name="vcu_shows_go_all_along",
-        what="0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen",
-        begin=i.says({i.STATUS}, lambda p: {"go_signal": True}),
-        demanded=NO_DRIVE_WORDS,
-        demand=always(NO_DRIVE),
-        from_start=True,
+    Fault("vcu_shows_go_all_along", "0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen").by(
+        i.status_shows(lambda p: {"go_signal": True}), NO_DRIVE, from_start=True
     ),
-    FaultKind(
-        name="handshake_inverted",
-        what="HANDSHAKE toggles wrong on its way: inverted",
-        begin=i.wild_handshake,
-        draws=(lasts((10, 60), (150, 3000)), one_of("way", "inverted")),
-        demanded="under 100 ms nothing; 100 ms the car stops itself, for the echo does not match",
-        demand=by("duration", (100, CAR_STOPS)),
+    Fault("handshake_inverted", "HANDSHAKE toggles wrong on its way: inverted").by(
+        i.wild_handshake, NO_ECHO.by("duration"), lasts((10, 60), (150, 3000)), one_of("way", "inverted")
     ),
-    FaultKind(
-        name="handshake_random",
-        what="HANDSHAKE toggles wrong on its way: by chance",
-        begin=i.wild_handshake,
-        draws=(lasts((10, 3000)), one_of("way", "random")),
-        demanded=MAY_WORDS,
-        demand=always(MAY_STOP_ITSELF),
+    Fault("handshake_random", "HANDSHAKE toggles wrong on its way: by chance").by(
+        i.wild_handshake, MAY_STOP, lasts((10, 3000)), one_of("way", "random")
     ),
-    FaultKind(
-        name="handshake_stuck",
-        what="HANDSHAKE stands still on its way",
-        begin=i.says({i.STATUS}, lambda p: {"handshake": p["bit"] == "1"}),
-        draws=(lasts((10, 60), (150, 3000)), one_of("bit", "0", "1")),
-        demanded="under 100 ms nothing; 100 ms the car stops itself, for the echo does not match",
-        demand=by("duration", (100, CAR_STOPS)),
+    Fault("handshake_stuck", "HANDSHAKE stands still on its way").by(
+        i.status_shows(lambda p: {"handshake": p["bit"] == "1"}),
+        NO_ECHO.by("duration"),
+        lasts((10, 60), (150, 3000)),
+        one_of("bit", "0", "1"),
     ),
-    FaultKind(
-        name="handshake_slow",
-        what="our echo reaches the car late, within its patience",
-        begin=i.to_car({i.AI_STATUS}, i.LATE),
-        draws=(between("delay", (20, 70)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("handshake_slow", "our echo reaches the car late, within its patience").by(
+        i.to_car({i.AI_STATUS}, "late"), UNCHANGED, between("delay", (20, 70))
     ),
     *_limit("front_limit", i.DRIVE_F, "the front axle's torque limit"),
     *_limit("rear_limit", i.DRIVE_R, "the rear axle's torque limit"),
-    *_feedback("steering", i.STEER, "the steering angle", STEERING_OFF, STEERING_OFF_WORDS),
-    *_needless("brakes", i.BRAKE, "brake feedback", "drives on: two complete zero cycles stand for its echo"),
-    *_feedback("speeds", i.SPEEDS, "wheel speeds", ANY, ANY_WORDS),
-    *_needless("counts", i.COUNTS, "wheel pulses", NOTHING_WORDS, COUNTS_OFF, COUNTS_OFF_WORDS),
-    FaultKind(
-        name="logging_corrupted",
-        what="bits of the logging frames (0x120, 0x500, 0x502) are flipped",
-        begin=i.from_car(i.LOGS, i.FLIPPED),
-        draws=(lasts((20, 4000)), between("bits", (1, 12))),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    *_feedback("steering", i.STEER, "the steering angle", frozen=STEERING_OFF),
+    *_needless(
+        "brakes", i.BRAKE, "brake feedback", lost=Graded("drives on: two complete zero cycles stand for its echo")
     ),
-    FaultKind(
-        name="everything_thinned",
-        what="each frame of the car is lost by chance",
-        begin=i.from_car(i.FROM_CAR, i.THINNED),
-        draws=(between("share", (0.01, 0.12)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    *_feedback("speeds", i.SPEEDS, "wheel speeds", frozen=ANY),
+    *_needless("counts", i.COUNTS, "wheel pulses", lost=Graded(UNCHANGED.words), frozen=COUNTS_OFF),
+    Fault("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
+        i.from_car(i.LOGS, "flipped"), UNCHANGED, lasts((20, 4000)), between("bits", (1, 12))
     ),
-    FaultKind(
-        name="car_silent",
-        what="we hear nothing of the car, it hears us",
-        begin=i.from_car(i.FROM_CAR, i.LOST),
-        draws=(lasts(*STATUS_BANDS),),
-        demanded=LOST_STATUS_WORDS,
-        demand=by("duration", *LOST_STATUS),
+    Fault("everything_thinned", "each frame of the car is lost by chance").by(
+        i.from_car(i.FROM_CAR, "thinned"), UNCHANGED, between("share", (0.01, 0.12))
     ),
-    FaultKind(
-        name="vcu_hangs",
-        what="the VCU neither speaks nor hears for a while",
-        begin=i.both_ways,
-        draws=(lasts(*STATUS_BANDS),),
-        demanded=LOST_STATUS_WORDS,
-        demand=by("duration", *LOST_STATUS),
+    Fault("car_silent", "we hear nothing of the car, it hears us").by(
+        i.from_car(i.FROM_CAR, "lost"), LOST_STATUS.by("duration"), lasts(*STATUS_BANDS)
     ),
-    FaultKind(
-        name="gps_lost",
-        what="the PCAN-GPS stops sending",
-        begin=i.from_car(i.GPS_IDS, i.LOST),
-        draws=(lasts((50, 4000)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-        gps=True,
+    Fault("vcu_hangs", "the VCU neither speaks nor hears for a while").by(
+        i.together(i.from_car(i.FROM_CAR, "lost"), i.to_car(AI_IDS, "lost")),
+        LOST_STATUS.by("duration"),
+        lasts(*STATUS_BANDS),
     ),
-    FaultKind(
-        name="gps_nan",
-        what="NaN, infinity or a huge number in a float of the PCAN-GPS",
-        begin=i.from_car(i.GPS_IDS, i.NOT_A_NUMBER),
-        draws=(
-            lasts((50, 4000)),
-            one_of("message", "0x610", "0x611", "0x621", "0x622", "0x623", "0x624", "0x625", "0x626"),
-            one_of("value", "nan", "inf", "huge"),
-        ),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-        gps=True,
-    ),
-    FaultKind(
-        name="gps_frozen",
-        what="the PCAN-GPS repeats one payload",
-        begin=i.from_car(i.GPS_IDS, i.FROZEN),
-        draws=(lasts((50, 4000)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-        gps=True,
-    ),
-    FaultKind(
-        name="gps_corrupted",
-        what="bits of the PCAN-GPS's frames are flipped",
-        begin=i.from_car(i.GPS_IDS, i.FLIPPED),
-        draws=(lasts((50, 4000)), between("bits", (1, 12))),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-        gps=True,
+    *(
+        Fault(f"gps_{name}", what).by(i.from_car(i.GPS_IDS, fault), UNCHANGED, lasts((50, 4000)), *draws, gps=True)
+        for name, what, fault, draws in (
+            ("lost", "the PCAN-GPS stops sending", "lost", ()),
+            (
+                "nan",
+                "NaN, infinity or a huge number in a float of the PCAN-GPS",
+                "no number",
+                (
+                    one_of("message", "0x610", "0x611", "0x621", "0x622", "0x623", "0x624", "0x625", "0x626"),
+                    one_of("value", "nan", "inf", "huge"),
+                ),
+            ),
+            ("frozen", "the PCAN-GPS repeats one payload", "frozen", ()),
+            ("corrupted", "bits of the PCAN-GPS's frames are flipped", "flipped", (between("bits", (1, 12)),)),
+        )
     ),
     # ---------------------------------------------------------------- what the car hears
     *_heard(
         "ai_status",
         i.AI_STATUS,
         "our state",
-        frozen=CAR_HEARS[0][1],
-        frozen_words="100 ms the car stops itself, for the echo does not match",
+        frozen=always("100 ms the car stops itself, for the echo does not match", SILENT),
     ),
-    *_heard(
-        "ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_STOP_ITSELF, frozen_words=MAY_MEET_WORDS, torque=True
-    ),
-    *_heard(
-        "ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_STOP_ITSELF, frozen_words=MAY_MEET_WORDS, torque=True
-    ),
-    *_heard("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF, frozen_words=STEERING_OFF_WORDS),
-    *_heard(
+    *_heard_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
+    *_heard_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
+    *_heard("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
+    *_heard_torque(
         "ai_brake",
         i.AI_BRAKE,
         "our brake request",
-        frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP),
-        frozen_words=MAY_MEET_WORDS + "; a stop without effect becomes ESTOP_REQUEST",
-        torque=True,
-    ),
-    FaultKind(
-        name="ai_thinned",
-        what="each of our frames is lost on its way by chance",
-        begin=i.to_car(AI_IDS, i.THINNED),
-        draws=(between("share", (0.01, 0.12)),),
-        demanded=MAY_WORDS,
-        demand=always(MAY_STOP_ITSELF),
-    ),
-    FaultKind(
-        name="intruder",
-        what="somebody else sends on one of our ids",
-        begin=i.intruder,
-        draws=(
-            one_of("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
-            between("frames", (1, 50)),
-            between("period", (1, 20)),
-            one_of("payload", "zeros", "random"),
+        frozen=always(
+            MAY_MEET.words + "; a stop without effect becomes ESTOP_REQUEST",
+            ends(End.ON, End.SELF, End.STOP, End.ESTOP),
         ),
-        demanded="first frame: ESTOP_REQUEST, also where the car stops itself for what it hears",
-        demand=always(ends(End.ESTOP, End.SELF, no_torque_ms=d.SLACK_MS, estop_ms=d.SLACK_MS, safe_ms=60)),
     ),
-    FaultKind(
-        name="stranger",
-        what="unknown, extended, remote and error frames every millisecond",
-        begin=i.stranger,
-        draws=(lasts((20, 1500)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("ai_thinned", "each of our frames is lost on its way by chance").by(
+        i.to_car(AI_IDS, "thinned"), MAY_STOP, between("share", (0.01, 0.12))
+    ),
+    Fault("intruder", "somebody else sends on one of our ids").by(
+        i.intruder,
+        always(
+            "first frame: ESTOP_REQUEST, also where the car stops itself for what it hears",
+            ends(End.ESTOP, End.SELF, no_torque_ms=d.SLACK_MS, estop_ms=d.SLACK_MS, safe_ms=60),
+        ),
+        one_of("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
+        between("frames", (1, 50)),
+        between("period", (1, 20)),
+        one_of("payload", "zeros", "random"),
+    ),
+    Fault("stranger", "unknown, extended, remote and error frames every millisecond").by(
+        i.stranger, UNCHANGED, lasts((20, 1500))
     ),
     # ---------------------------------------------------------------- sensors
     *(
-        FaultKind(
-            name=f"wheel_{name}",
-            what=f"one wheel speed {what}",
-            begin=i.wheel_sensor(change),
-            draws=(EACH_WHEEL, *draws),
-            missions=ROAD_MISSIONS,
-            demanded=words,
-            demand=always(WHEEL_OFF),
+        Fault(f"wheel_{name}", f"one wheel speed {what}").by(
+            i.reading(change, "wheel_rpm"), must, EACH_WHEEL, *draws, missions=ROAD_MISSIONS
         )
-        for name, what, change, draws, words in (
-            ("dead", "reads 0", i.dead, (), WHEEL_OFF_WORDS),
-            ("stuck", "stands still", i.stuck, (), WHEEL_OFF_WORDS),
-            ("drifting", "drifts, in rpm/s", i.drifting, (between("rate", (-300, -60), (60, 300)),), WHEEL_OFF_WORDS),
-            ("very_noisy", "is noisy, sigma in rpm", i.noisy, (between("size", (80, 300)),), NOISE_WORDS),
-            ("offset", "is too high by so many rpm", i.offset, (between("size", (150, 600)),), WHEEL_OFF_WORDS),
-            ("scaled", "reads a multiple", i.scaled, (between("factor", (0.2, 0.6), (1.6, 3.0)),), WHEEL_OFF_WORDS),
+        for name, what, change, draws, must in (
+            ("dead", "reads 0", i.dead, (), WHEEL_OFF),
+            ("stuck", "stands still", i.stuck, (), WHEEL_OFF),
+            ("drifting", "drifts, in rpm/s", i.drifting, (between("rate", (-300, -60), (60, 300)),), WHEEL_OFF),
+            ("very_noisy", "is noisy, sigma in rpm", i.noisy, (between("size", (80, 300)),), WHEEL_NOISE),
+            ("offset", "is too high by so many rpm", i.offset, (between("size", (150, 600)),), WHEEL_OFF),
+            ("scaled", "reads a multiple", i.scaled, (between("factor", (0.2, 0.6), (1.6, 3.0)),), WHEEL_OFF),
+            ("noisy", "is a little noisy, sigma in rpm", i.noisy, (between("size", (1, 8)),), UNCHANGED),
         )
     ),
-    FaultKind(
-        name="wheel_noisy",
-        what="one wheel speed is a little noisy, sigma in rpm",
-        begin=i.wheel_sensor(i.noisy),
-        draws=(EACH_WHEEL, between("size", (1, 8))),
-        missions=ROAD_MISSIONS,
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
+        i.from_car({i.SPEEDS}, "impossible speeds"),
+        LOST_FEEDBACK.by("duration", "as if none had come. "),
+        lasts(*FEEDBACK_BANDS),
+        one_of("wheel", *i.WHEELS, "all"),
+        one_of("rpm", "1251", "1300", "65535"),
     ),
-    FaultKind(
-        name="speeds_impossible",
-        what="wheel speeds above what the signal database allows: they are not believed",
-        begin=i.from_car({i.SPEEDS}, i.IMPOSSIBLE_SPEEDS),
-        draws=(
-            lasts(*FEEDBACK_BANDS),
-            one_of("wheel", *i.WHEELS, "all"),
-            one_of("rpm", "1251", "1300", "65535"),
+    Fault("wheel_spiking", "one wheel speed jumps in every so many frames by more than any tyre can follow").by(
+        i.spiking_speed,
+        always("such a frame is not believed: drives on", d.NOTHING),
+        EACH_WHEEL,
+        between("every", (2, 6)),
+    ),
+    Fault(
+        "wheels_jumping", "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there"
+    ).by(
+        i.reading(i.offset, "wheel_rpm"),
+        always("as if none came: 100 ms service-brake stop, 300 ms ESTOP_REQUEST", LOST_FEEDBACK.at(300)),
+        between("size", (400, 800)),
+    ),
+    Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading(i.stuck, "wheel_rpm"), ANY, lasts((100, 4000))),
+    Fault("wheels_dead", "all wheel speeds read 0").by(i.reading(i.dead, "wheel_rpm"), COUNTS_OFF, lasts((100, 4000))),
+    Fault("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
+        i.swapped_wheels,
+        always(
+            "drives on, or a service-brake stop where curves make them implausible", ends(End.ON, End.STOP, End.ESTOP)
         ),
-        demanded="as if none had come. " + LOST_FEEDBACK_WORDS,
-        demand=by("duration", *LOST_FEEDBACK),
-    ),
-    FaultKind(
-        name="wheel_spiking",
-        what="one wheel speed jumps in every so many frames by more than any tyre can follow",
-        begin=i.spiking_speed,
-        draws=(EACH_WHEEL, between("every", (2, 6))),
-        demanded="such a frame is not believed: drives on",
-        demand=always(NOTHING),
-    ),
-    FaultKind(
-        name="wheels_jumping",
-        what="all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there",
-        begin=i.every_wheel(i.offset),
-        draws=(between("size", (400, 800)),),
-        demanded="as if none came: 100 ms service-brake stop, 300 ms ESTOP_REQUEST",
-        demand=always(d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS)),
-    ),
-    FaultKind(
-        name="wheels_stuck",
-        what="all wheel speeds stand still",
-        begin=i.every_wheel(i.stuck),
-        draws=(lasts((100, 4000)),),
-        demanded=ANY_WORDS,
-        demand=always(ANY),
-    ),
-    FaultKind(
-        name="wheels_dead",
-        what="all wheel speeds read 0",
-        begin=i.every_wheel(i.dead),
-        draws=(lasts((100, 4000)),),
-        demanded=COUNTS_OFF_WORDS,
-        demand=always(COUNTS_OFF),
-    ),
-    FaultKind(
-        name="wheels_swapped",
-        what="two wheels exchanged, speeds and pulses",
-        begin=i.swapped_wheels,
-        draws=(one_of("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),),
+        one_of("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
         missions=ROAD_MISSIONS,
-        demanded="drives on, or a service-brake stop where curves make them implausible",
-        demand=always(ends(End.ON, End.STOP, End.ESTOP)),
     ),
-    FaultKind(
-        name="pulses_wrong",
-        what="wheel pulses stand still, run double, or are chance",
-        begin=i.pulses,
-        draws=(one_of("way", "stuck", "double", "random"),),
-        demanded=NOTHING_WORDS + "; " + COUNTS_OFF_WORDS,
-        demand=lambda p: COUNTS_OFF if p["way"] == "stuck" else NOTHING,
+    Fault("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
+        i.reading(i.wrong_pulses, "pulses"),
+        Must(f"{UNCHANGED.words}; {COUNTS_OFF.words}", lambda p: CONTRADICTED if p["way"] == "stuck" else d.NOTHING),
+        one_of("way", "stuck", "double", "random"),
     ),
-    FaultKind(
-        name="pulses_running_on",
-        what="the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
-        begin=i.together(i.pulses, i.asked(lambda rig, t: rig.bridge.set_mode("manual", t))),
-        draws=(one_of("way", "running"), between("rate", (30, 400))),
-        demanded="it stops, and never says FINISHED; " + COUNTS_OFF_WORDS,
-        demand=always(replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)))),
+    Fault(
+        "pulses_running_on",
+        "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
+    ).by(
+        i.together(i.reading(i.wrong_pulses, "pulses"), ASK_MANUAL),
+        always(
+            "it stops, and never says FINISHED; " + COUNTS_OFF.words,
+            replace(CONTRADICTED, ends=frozenset((End.ESTOP,))),
+        ),
+        one_of("way", "running"),
+        between("rate", (30, 400)),
     ),
     *(
-        FaultKind(
-            name=f"steering_sensor_{name}",
-            what=f"the steering angle measured {what}",
-            begin=i.reading("steer_deg", change),
-            draws=draws,
-            demanded=words,
-            demand=always(STEERING_OFF),
+        Fault(f"steering_sensor_{name}", f"the steering angle measured {what}").by(
+            i.reading(change, "steer_deg"), must, *draws
         )
-        for name, what, change, draws, words in (
-            ("stuck", "stands still", i.stuck, (), STEERING_OFF_WORDS),
-            (
-                "offset",
-                "is off by so many deg",
-                i.offset,
-                (between("size", (-15.0, -4.0), (4.0, 15.0)),),
-                STEERING_OFF_WORDS,
-            ),
-            (
-                "drifting",
-                "drifts, in deg/s",
-                i.drifting,
-                (between("rate", (-6.0, -1.0), (1.0, 6.0)),),
-                STEERING_OFF_WORDS,
-            ),
-            ("noisy", "is noisy, sigma in deg", i.noisy, (between("size", (0.1, 5.0)),), NOISE_WORDS),
+        for name, what, change, draws, must in (
+            ("stuck", "stands still", i.stuck, (), STEERING_OFF),
+            ("offset", "is off by so many deg", i.offset, (between("size", (-15.0, -4.0), (4.0, 15.0)),), STEERING_OFF),
+            ("drifting", "drifts, in deg/s", i.drifting, (between("rate", (-6.0, -1.0), (1.0, 6.0)),), STEERING_OFF),
+            ("noisy", "is noisy, sigma in deg", i.noisy, (between("size", (0.1, 5.0)),), STEERING_NOISE),
+            ("slightly_off", "is off by up to 1 deg", i.offset, (between("size", (-1.0, 1.0)),), UNCHANGED),
         )
     ),
-    FaultKind(
-        name="steering_sensor_slightly_off",
-        what="the steering angle measured is off by up to 1 deg",
-        begin=i.reading("steer_deg", i.offset),
-        draws=(between("size", (-1.0, 1.0)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
+        i.reading(i.stuck_or_noise, *i.BRAKES), UNCHANGED, one_of("way", "stuck", "noise")
     ),
-    FaultKind(
-        name="brake_sensor_wrong",
-        what="brake pressures measured stand still, or are noise",
-        begin=i.brake_pressure,
-        draws=(one_of("way", "stuck", "noise"),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-    ),
-    FaultKind(
-        name="gyro_drifting",
-        what="the yaw rate of the PCAN-GPS drifts, in rad/s2",
-        begin=i.reading("yaw_rate_radps", i.drifting),
-        draws=(between("rate", (-0.5, 0.5)),),
-        missions=ROAD_MISSIONS,
-        gps=True,
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-    ),
-    FaultKind(
-        name="gyro_noisy",
-        what="the yaw rate of the PCAN-GPS is noisy, sigma in rad/s",
-        begin=i.reading("yaw_rate_radps", i.noisy),
-        draws=(between("size", (0.05, 1.0)),),
-        missions=ROAD_MISSIONS,
-        gps=True,
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    *(
+        Fault(f"gyro_{name}", f"the yaw rate of the PCAN-GPS {what}").by(
+            i.reading(change, "yaw_rate_radps"), UNCHANGED, draw, missions=ROAD_MISSIONS, gps=True
+        )
+        for name, what, change, draw in (
+            ("drifting", "drifts, in rad/s2", i.drifting, between("rate", (-0.5, 0.5))),
+            ("noisy", "is noisy, sigma in rad/s", i.noisy, between("size", (0.05, 1.0))),
+        )
     ),
     # ---------------------------------------------------------------- actuators
     *(
-        FaultKind(
-            name=f"steering_{name}",
-            what=f"the steering {what}",
-            begin=begin,
-            draws=draws,
-            demanded=STEERING_OFF_WORDS,
-            demand=always(STEERING_OFF),
-        )
+        Fault(f"steering_{name}", f"the steering {what}").by(begin, STEERING_OFF, *draws)
         for name, what, begin, draws in (
-            ("stuck_rack", "sticks", i.steering(lambda real, before, p: before), ()),
-            ("free", "does not follow: it returns to straight", i.steering(lambda real, before, p: 0.0), ()),
+            ("stuck_rack", "sticks", i.slow_steering, ()),
+            ("free", "does not follow: it returns to straight", i.ordered(lambda real, p: 0.0, "steer_deg"), ()),
             ("slow", "turns too slowly, in deg/s", i.slow_steering, (between("rate", (2.0, 12.0)),)),
             (
                 "weak",
                 "reaches a part of its request only",
-                i.steering(lambda real, before, p: real * p["factor"]),
+                i.ordered(lambda real, p: real * p["factor"], "steer_deg"),
                 (between("factor", (0.2, 0.7)),),
             ),
             (
                 "offset",
                 "is off by so many deg",
-                i.steering(lambda real, before, p: real + p["size"]),
+                i.ordered(lambda real, p: real + p["size"], "steer_deg"),
                 (between("size", (-12.0, -5.0), (5.0, 12.0)),),
             ),
-            ("inverted", "turns the wrong way", i.steering(lambda real, before, p: -real), ()),
+            ("inverted", "turns the wrong way", i.ordered(lambda real, p: -real, "steer_deg"), ()),
         )
     ),
-    FaultKind(
-        name="motor_dead",
-        what="no motor gives torque",
-        begin=i.motor(lambda real, p: 0.0, "front", "rear"),
-        demanded="drives on as far as it rolls: no rule asks for more",
-        demand=always(NOTHING),
+    Fault("motor_dead", "no motor gives torque").by(
+        i.ordered(lambda real, p: 0.0, *i.TORQUES),
+        always("drives on as far as it rolls: no rule asks for more", d.NOTHING),
     ),
-    FaultKind(
-        name="motor_weak",
-        what="the motors give a part of the torque",
-        begin=i.motor(lambda real, p: real * p["factor"], "front", "rear"),
-        draws=(between("factor", (0.1, 0.7)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("motor_weak", "the motors give a part of the torque").by(
+        i.ordered(lambda real, p: real * p["factor"], *i.TORQUES), UNCHANGED, between("factor", (0.1, 0.7))
     ),
-    FaultKind(
-        name="motor_one_axle",
-        what="one of the two driven axles gives no torque",
-        begin=i.motor(lambda real, p: 0.0, "front"),
-        revisions=("2021",),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("motor_one_axle", "one of the two driven axles gives no torque").by(
+        i.ordered(lambda real, p: 0.0, "front_torque_nm"), UNCHANGED, revisions=("2021",)
     ),
-    FaultKind(
-        name="motor_late",
-        what="torque comes and goes late, in ms",
-        begin=i.late_motor,
-        draws=(between("delay", (20, 200)),),
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-    ),
-    FaultKind(
-        name="motor_runs_on",
-        what="the motors go on giving torque which nobody asks for, and we are asked to stop",
-        begin=i.together(
-            i.motor(lambda real, p: max(real, p["torque"]), "rear"),
-            i.asked(lambda rig, t: rig.bridge.set_mode("manual", t)),
-        ),
-        draws=(between("torque", (20.0, 150.0)),),
-        demanded=INEFFECTIVE_WORDS,
-        demand=always(INEFFECTIVE),
+    Fault("motor_late", "torque comes and goes late, in ms").by(i.late_motor, UNCHANGED, between("delay", (20, 200))),
+    Fault("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
+        i.together(i.ordered(lambda real, p: max(real, p["torque"]), "rear_torque_nm"), ASK_MANUAL),
+        INEFFECTIVE,
+        between("torque", (20.0, 150.0)),
     ),
     *(
-        FaultKind(
-            name=f"brakes_{name}",
-            what=f"{what}, and we are asked to stop",
-            begin=i.together(begin, i.asked(lambda rig, t: rig.bridge.set_mode("manual", t))),
-            draws=draws,
-            demanded=words,
-            demand=always(demand),
-        )
-        for name, what, begin, draws, words, demand in (
-            (
-                "failing",
-                "the service brake does nothing",
-                i.service_brake(lambda real, p: 0.0),
-                (),
-                NO_BRAKE_WORDS,
-                NO_BRAKE,
-            ),
+        Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(i.together(begin, ASK_MANUAL), must, *draws)
+        for name, what, begin, draws, must in (
+            ("failing", "the service brake does nothing", i.ordered(lambda real, p: 0.0, *i.BRAKES), (), NO_BRAKE),
             (
                 "weak",
                 "the service brake gives a part only",
-                i.service_brake(lambda real, p: real * p["factor"]),
+                i.ordered(lambda real, p: real * p["factor"], *i.BRAKES),
                 (between("factor", (0.02, 0.6)),),
-                INEFFECTIVE_WORDS,
                 INEFFECTIVE,
             ),
             (
@@ -894,354 +584,216 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 "brake pressure builds up slowly, in %/s",
                 i.slow_brake,
                 (between("rate", (5.0, 100.0)),),
-                INEFFECTIVE_WORDS,
                 INEFFECTIVE,
             ),
-            (
-                "front_only",
-                "the rear brakes do nothing",
-                i.service_brake(lambda real, p: 0.0, front=False),
-                (),
-                INEFFECTIVE_WORDS,
-                INEFFECTIVE,
-            ),
-            (
-                "rear_only",
-                "the front brakes do nothing",
-                i.service_brake(lambda real, p: 0.0, rear=False),
-                (),
-                INEFFECTIVE_WORDS,
-                INEFFECTIVE,
-            ),
+            ("front_only", "the rear brakes do nothing", i.ordered(lambda real, p: 0.0, i.BRAKES[1]), (), INEFFECTIVE),
+            ("rear_only", "the front brakes do nothing", i.ordered(lambda real, p: 0.0, i.BRAKES[0]), (), INEFFECTIVE),
         )
     ),
-    FaultKind(
-        name="brakes_fail_driving",
-        what="the service brake does nothing while it drives",
-        begin=i.service_brake(lambda real, p: 0.0),
-        demanded="drives on; a stop without effect becomes ESTOP_REQUEST",
-        demand=always(ends(End.ON, End.HELD, End.STOP, End.ESTOP)),
+    Fault("brakes_fail_driving", "the service brake does nothing while it drives").by(
+        i.ordered(lambda real, p: 0.0, *i.BRAKES),
+        always("drives on; a stop without effect becomes ESTOP_REQUEST", ends(End.ON, End.HELD, End.STOP, End.ESTOP)),
     ),
     # ---------------------------------------------------------------- people, switches, the VCU
-    _switch("go_off", "the remote's Go is withdrawn", "go", False),
-    _switch("asms_off", "ASMS is turned off", "asms", False),
-    _switch("tsms_off", "TSMS is turned off", "tsms", False),
-    _switch("remote_estop", "the remote E-stop is pressed", "remote_estop"),
-    _switch("car_estop", "an E-stop on the car is pressed", "car_estop"),
-    _switch("radio_lost", "the remote's radio is lost", "remote_radio_ok", False),
-    _switch("dongle_out", "the autonomous dongle is pulled", "dongle", False),
-    _switch("crash", "the crash sensor trips", "crash"),
-    _switch("bms_fault", "the battery reports a fault", "bms_fault"),
-    _switch("ebs_fault", "the EBS reports a fault", "ebs_fault"),
-    _switch("hvil_open", "the high-voltage interlock opens", "hvil_open"),
-    _switch(
-        "ami_changed",
-        "somebody turns the AMI in AS_DRIVING: it is latched",
-        "ami",
-        Ami.STATIC_INSPECTION_A,
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
-        missions=ROAD_MISSIONS,
+    *(
+        Fault(name, what).by(i.switched(switch, value), ITSELF)
+        for name, what, switch, value in (
+            ("go_off", "the remote's Go is withdrawn", "go", False),
+            ("asms_off", "ASMS is turned off", "asms", False),
+            ("tsms_off", "TSMS is turned off", "tsms", False),
+            ("remote_estop", "the remote E-stop is pressed", "remote_estop", True),
+            ("car_estop", "an E-stop on the car is pressed", "car_estop", True),
+            ("radio_lost", "the remote's radio is lost", "remote_radio_ok", False),
+            ("dongle_out", "the autonomous dongle is pulled", "dongle", False),
+            ("crash", "the crash sensor trips", "crash", True),
+            ("bms_fault", "the battery reports a fault", "bms_fault", True),
+            ("ebs_fault", "the EBS reports a fault", "ebs_fault", True),
+            ("hvil_open", "the high-voltage interlock opens", "hvil_open", True),
+        )
     ),
-    _switch(
-        "steering_status_off",
-        "STEERING_STATUS says off: reported, no interlock of ours",
-        "steering_fault",
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("ami_changed", "somebody turns the AMI in AS_DRIVING: it is latched").by(
+        i.switched("ami", Ami.STATIC_INSPECTION_A), UNCHANGED, missions=ROAD_MISSIONS
     ),
-    _switch(
-        "brake_status_fault",
-        "STATUS_BRK says fault: reported, no interlock of ours",
-        "brake_fault",
-        demanded=NOTHING_WORDS,
-        demand=always(NOTHING),
+    Fault("steering_status_off", "STEERING_STATUS says off: reported, no interlock of ours").by(
+        i.switched("steering_fault"), UNCHANGED
     ),
-    FaultKind(
-        name="torque_derated",
-        what="the car lowers TRQ_MAX while it drives",
-        begin=i.derated,
-        draws=(one_of("limit", "torque_limit_nm"), between("value", (0.0, 120.0))),
-        demanded="drives on within the live limit",
-        demand=always(ends(End.ON, End.HELD)),
+    Fault("brake_status_fault", "STATUS_BRK says fault: reported, no interlock of ours").by(
+        i.switched("brake_fault"), UNCHANGED
     ),
-    FaultKind(
-        name="steering_derated",
-        what="the car lowers ANGLE_MAX while it drives",
-        begin=i.derated,
-        draws=(one_of("limit", "steer_limit_deg"), between("value", (2.0, 20.0))),
-        demanded="drives on within the live limit, wherever that takes it",
-        demand=always(ends(End.ON, End.HELD)),
+    Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
+        i.derated,
+        always("drives on within the live limit", ends(End.ON, End.HELD)),
+        one_of("limit", "torque_limit_nm"),
+        between("value", (0.0, 120.0)),
     ),
-    FaultKind(
-        name="vcu_reboots",
-        what="the VCU loses its power for a moment and starts anew",
-        begin=i.switched("lvms", False),
-        draws=(lasts((5, 2000)),),
-        demanded="zeros; the EBS stops the car; a drive needs the whole sequence anew",
-        demand=always(ends(End.OFF, End.SELF, End.ESTOP, no_torque_ms=d.VCU_STALE_MS + d.SLACK_MS)),
+    Fault("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
+        i.derated,
+        always("drives on within the live limit, wherever that takes it", ends(End.ON, End.HELD)),
+        one_of("limit", "steer_limit_deg"),
+        between("value", (2.0, 20.0)),
     ),
-    FaultKind(
-        name="manual_asked",
-        what="manual mode is asked for while it drives",
-        begin=i.asked(lambda rig, t: rig.bridge.set_mode("manual", t)),
-        demanded="service-brake stop",
-        demand=always(d.stop(0)),
-    ),
-    FaultKind(
-        name="emergency_asked",
-        what="the emergency brake is asked for",
-        begin=i.asked(lambda rig, t: rig.bridge.emergency_brake("asked by the campaign", t)),
-        demanded="ESTOP_REQUEST at once",
-        demand=always(d.estop(0)),
-    ),
-    FaultKind(
-        name="refused_requests",
-        what="autonomous, an unknown mode and /reset are asked for while it drives",
-        begin=i.asked(
-            lambda rig, t: (
-                rig.bridge.set_mode("autonomous", t),
-                rig.bridge.set_mode("sideways", t),
-                rig.bridge.reset(t),
-            )
+    Fault("vcu_reboots", "the VCU loses its power for a moment and starts anew").by(
+        i.switched("lvms", False),
+        always(
+            "zeros; the EBS stops the car; a drive needs the whole sequence anew",
+            ends(End.OFF, End.SELF, End.ESTOP, no_torque_ms=d.VCU_STALE_MS + d.SLACK_MS),
         ),
-        demanded="refused: drives on",
-        demand=always(NOTHING),
+        lasts((5, 2000)),
     ),
-    FaultKind(
-        name="software_stopped",
-        what="this software is stopped in order while the car drives",
-        begin=i.asked(lambda rig, t: rig.bridge.begin_stop(t)),
-        demanded="moving: ESTOP_REQUEST for five cycles, then silence",
-        demand=always(ends(End.ESTOP, End.SELF, End.STOP, no_torque_ms=d.SLACK_MS, safe_ms=200)),
+    Fault("manual_asked", "manual mode is asked for while it drives").by(
+        ASK_MANUAL, always("service-brake stop", d.stop(0))
+    ),
+    Fault("emergency_asked", "the emergency brake is asked for").by(
+        i.done(lambda rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns)),
+        always("ESTOP_REQUEST at once", d.estop(0)),
+    ),
+    Fault("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives").by(
+        i.together(
+            i.done(lambda rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns)),
+            i.done(lambda rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns)),
+            i.done(lambda rig, p, t_ns: rig.bridge.reset(t_ns)),
+        ),
+        always("refused: drives on", d.NOTHING),
+    ),
+    Fault("software_stopped", "this software is stopped in order while the car drives").by(
+        i.done(lambda rig, p, t_ns: rig.bridge.begin_stop(t_ns)),
+        always(
+            "moving: ESTOP_REQUEST for five cycles, then silence",
+            ends(End.ESTOP, End.SELF, End.STOP, no_torque_ms=d.SLACK_MS, safe_ms=200),
+        ),
     ),
     # ---------------------------------------------------------------- planner, controller, detector
     *(
-        FaultKind(
-            name=name,
-            what=what,
-            begin=begin,
-            draws=(lasts((50, 280), (950, 3000)),),
-            missions=PATH_MISSIONS,
-            demanded=OLD_DATA_WORDS,
-            demand=by("duration", *OLD_DATA),
-        )
+        Fault(name, what).by(begin, OLD_DATA.by("duration"), lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
         for name, what, begin in (
-            ("planner_silent", "the planner hangs for a while", i.paused("planner")),
+            ("planner_silent", "the planner hangs for a while", i.paused_planner),
             ("detector_silent", "the detector stops for a while", i.silent_detector),
         )
     ),
-    FaultKind(
-        name="planner_restarted",
-        what="the planner ends and is started again in mid-drive",
-        begin=i.restarted("planner"),
-        draws=(lasts((0, 400), (950, 3000)),),
+    Fault("planner_restarted", "the planner ends and is started again in mid-drive").by(
+        i.restarted("planner"),
+        restart_within(d.SENSOR_STALE_MS + d.PLAN_MS, 700 + d.PLAN_MS),
+        lasts((0, 400), (950, 3000)),
         missions=PATH_MISSIONS,
-        demanded="it never drives on by itself: service-brake stop",
-        demand=lambda p: ends(
-            End.STOP,
-            no_torque_ms=min(p["duration"] + d.CONTROL_MS, d.SENSOR_STALE_MS + d.PLAN_MS) + d.SLACK_MS,
-            brake_ms=min(p["duration"] + d.CONTROL_MS, 700 + d.PLAN_MS) + d.SLACK_MS,
-            safe_ms=min(p["duration"] + d.CONTROL_MS, 700 + d.PLAN_MS) + d.STOP_MS + d.SLACK_MS,
-        ),
     ),
-    FaultKind(
-        name="planner_restarted_unneeded",
-        what="the same where nobody needs its paths",
-        begin=i.restarted("planner"),
-        draws=(lasts((0, 2000)),),
+    Fault("planner_restarted_unneeded", "the same where nobody needs its paths").by(
+        i.restarted("planner"),
+        Must(
+            "service-brake stop once it is back, for it knows nothing of the run",
+            lambda p: d.stop(p["duration"] + d.CONTROL_MS),
+        ),
+        lasts((0, 2000)),
         missions=EVERY_MISSION - PATH_MISSIONS,
-        demanded="service-brake stop once it is back, for it knows nothing of the run",
-        demand=lambda p: d.stop(p["duration"] + d.CONTROL_MS),
     ),
-    FaultKind(
-        name="planner_late",
-        what="each plan comes late, with the stamp of its data",
-        begin=i.late_plans,
-        draws=(between("delay", (20, 200), (950, 1500)),),
-        missions=PATH_MISSIONS,
-        demanded=OLD_DATA_WORDS,
-        demand=by("delay", *OLD_DATA),
-    ),
-    FaultKind(
-        name="planner_empty",
-        what="the planner finds no way: empty paths",
-        begin=i.plans(i.no_plan),
-        draws=(lasts((100, 4000)),),
-        missions=PATH_MISSIONS,
-        demanded=ROUGH_WORDS,
-        demand=always(ROUGH),
-    ),
-    FaultKind(
-        name="planner_absurd",
-        what="the planner's paths go anywhere",
-        begin=i.plans(i.absurd_plan),
-        draws=(lasts((100, 4000)),),
-        missions=PATH_MISSIONS,
-        demanded=ROUGH_WORDS,
-        demand=always(ROUGH),
-    ),
-    FaultKind(
-        name="planner_oscillating",
-        what="the planner's paths swing from left to right",
-        begin=i.plans(i.swinging_plan),
-        draws=(lasts((100, 4000)), between("period", (50, 500))),
-        missions=PATH_MISSIONS,
-        demanded=ROUGH_WORDS,
-        demand=always(ROUGH),
-    ),
-    FaultKind(
-        name="planner_nan",
-        what="NaN or infinity in the planner's path",
-        begin=i.plans(i.nan_plan),
-        draws=(lasts((100, 4000)),),
-        missions=PATH_MISSIONS,
-        demanded=ROUGH_WORDS,
-        demand=always(ROUGH),
-    ),
-    FaultKind(
-        name="planner_finishes_early",
-        what="the planner says that the mission is over, at full speed",
-        begin=i.plans(i.finished_plan),
-        missions=PATH_MISSIONS,
-        demanded="service-brake stop, FINISHED at rest",
-        demand=always(replace(d.stop(d.PLAN_MS + d.CONTROL_MS), own_word=False)),
-    ),
-    FaultKind(
-        name="controller_silent",
-        what="the controller hangs for a while",
-        begin=i.commands(i.no_command),
-        draws=(lasts(*COMMAND_BANDS),),
-        demanded=LOST_COMMAND_WORDS,
-        demand=by("duration", *LOST_COMMAND),
-    ),
-    FaultKind(
-        name="controller_restarted",
-        what="the controller ends and is started again in mid-drive",
-        begin=i.restarted("controller"),
-        draws=(lasts((0, 250), (400, 3000)),),
-        demanded="it never drives on by itself: service-brake stop",
-        demand=lambda p: ends(
-            End.STOP,
-            no_torque_ms=min(p["duration"], d.COMMAND_STALE_MS) + d.CONTROL_MS + d.SLACK_MS,
-            brake_ms=min(p["duration"], d.COMMAND_LOST_MS) + d.CONTROL_MS + d.SLACK_MS,
-            safe_ms=min(p["duration"], d.COMMAND_LOST_MS) + d.STOP_MS + d.CONTROL_MS + d.SLACK_MS,
-        ),
-    ),
-    FaultKind(
-        name="controller_nan",
-        what="NaN, infinity or an out-of-range number in every command",
-        begin=i.commands(i.no_number),
-        draws=(
-            lasts(*COMMAND_BANDS),
-            one_of("field", "steering_rad", "throttle", "brake"),
-            one_of("value", "nan", "inf", "beyond", "negative"),
-        ),
-        demanded="refused whole: as if none had come. " + LOST_COMMAND_WORDS,
-        demand=by("duration", *LOST_COMMAND),
-    ),
-    FaultKind(
-        name="controller_other_run",
-        what="commands for another run",
-        begin=i.commands(i.other_run),
-        draws=(lasts(*COMMAND_BANDS), between("off", (-3, -1), (1, 3))),
-        demanded="count as no command. " + LOST_COMMAND_WORDS,
-        demand=by("duration", *LOST_COMMAND),
-    ),
-    FaultKind(
-        name="controller_old_stamps",
-        what="commands carry a stamp that is too old",
-        begin=i.commands(i.old_stamp),
-        draws=(between("age", (20, 180), (950, 3000)),),
-        demanded="under 500 ms nothing; data of 700 ms: service-brake stop",
-        demand=by("age", (600, d.stop(d.CONTROL_MS))),
-    ),
-    FaultKind(
-        name="controller_future_stamps",
-        what="commands carry a stamp of the future",
-        begin=i.commands(i.future_stamp),
-        draws=(lasts(*COMMAND_BANDS), between("ahead", (30, 5000))),
-        demanded="refused whole: as if none had come. " + LOST_COMMAND_WORDS,
-        demand=by("duration", *LOST_COMMAND),
-    ),
-    FaultKind(
-        name="controller_fixed_future_stamp",
-        what="every command carries one stamp of the future, so many ms ahead of the fault's beginning",
-        begin=i.fixed_stamp,
-        draws=(lasts(*COMMAND_BANDS), between("ahead", (450, 6000))),
-        demanded="refused whole: as if none had come. " + LOST_COMMAND_WORDS,
-        demand=by("duration", *LOST_COMMAND),
-    ),
-    FaultKind(
-        name="sensor_clock_fast",
-        what="the sensors' clock gains so many ms on every ms: its stamps lie more and more ahead of now",
-        begin=i.fast_sensor_clock,
-        draws=(between("gain", (0.2, 3.0)),),
-        demanded="a stamp over 20 ms ahead is refused: once they all are, " + LOST_COMMAND_WORDS,
-        demand=lambda p: d.stop(
-            FAST_CLOCK_MS / p["gain"] + d.COMMAND_LOST_MS + d.CONTROL_MS,
-            FAST_CLOCK_MS / p["gain"] + d.COMMAND_STALE_MS + d.CONTROL_MS,
-        ),
-    ),
-    FaultKind(
-        name="controller_frozen",
-        what="one command is repeated, stamp and all",
-        begin=i.frozen_command,
-        draws=(lasts((50, 280), (950, 3000)),),
-        demanded=OLD_DATA_WORDS,
-        demand=by("duration", *OLD_DATA),
-    ),
-    FaultKind(
-        name="both_pedals",
-        what="throttle and brake in every command",
-        begin=i.commands(i.both_pedals),
-        draws=(lasts((10, 50), (160, 2000)), between("throttle", (0.05, 1.0)), between("brake", (0.05, 1.0))),
-        demanded="the brake wins; 100 ms of it: ESTOP_REQUEST",
-        demand=by(
-            "duration",
-            (0, d.held(d.CONTROL_MS)),
-            (100, d.estop(d.BOTH_PEDALS_MS + d.CONTROL_MS, d.CONTROL_MS)),
-        ),
-    ),
-    FaultKind(
-        name="controller_gives_up",
-        what="the controller asks for the emergency brake",
-        begin=i.commands(i.gives_up),
-        demanded="ESTOP_REQUEST at once",
-        demand=always(d.estop(d.CONTROL_MS)),
-    ),
-    FaultKind(
-        name="controller_finishes_early",
-        what="the controller says that the mission is over, at full speed",
-        begin=i.commands(i.says_finished),
-        demanded="service-brake stop, FINISHED at rest",
-        demand=always(d.stop(d.CONTROL_MS)),
+    Fault("planner_late", "each plan comes late, with the stamp of its data").by(
+        i.late_plans, OLD_DATA.by("delay"), between("delay", (20, 200), (950, 1500)), missions=PATH_MISSIONS
     ),
     *(
-        FaultKind(
-            name=name,
-            what=what,
-            begin=i.commands(change),
-            draws=(lasts((100, 4000)), *draws),
-            demanded=ROUGH_WORDS,
-            demand=always(ROUGH),
+        Fault(f"planner_{name}", what).by(i.plans(change), ROUGH, lasts((100, 4000)), *draws, missions=PATH_MISSIONS)
+        for name, what, change, draws in (
+            ("empty", "the planner finds no way: empty paths", lambda plan, at: None, ()),
+            ("absurd", "the planner's paths go anywhere", i.absurd_plan, ()),
+            ("oscillating", "the planner's paths swing from left to right", i.swinging_plan, (SWINGS,)),
+            ("nan", "NaN or infinity in the planner's path", i.nan_plan, ()),
         )
+    ),
+    Fault("planner_finishes_early", "the planner says that the mission is over, at full speed").by(
+        i.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
+        always("service-brake stop, FINISHED at rest", replace(d.stop(d.PLAN_MS + d.CONTROL_MS), own_word=False)),
+        missions=PATH_MISSIONS,
+    ),
+    Fault("controller_silent", "the controller hangs for a while").by(
+        i.commands(lambda command, at: None), LOST_COMMAND.by("duration"), lasts(*COMMAND_BANDS)
+    ),
+    Fault("controller_restarted", "the controller ends and is started again in mid-drive").by(
+        i.restarted("controller"),
+        restart_within(d.COMMAND_STALE_MS + d.CONTROL_MS, d.COMMAND_LOST_MS + d.CONTROL_MS),
+        lasts((0, 250), (400, 3000)),
+    ),
+    Fault("controller_nan", "NaN, infinity or an out-of-range number in every command").by(
+        i.commanded(i.no_number),
+        REFUSED,
+        lasts(*COMMAND_BANDS),
+        one_of("field", "steering_rad", "throttle", "brake"),
+        one_of("value", "nan", "inf", "beyond", "negative"),
+    ),
+    Fault("controller_other_run", "commands for another run").by(
+        i.commanded(lambda command, at: {"run_id": command.run_id + at.p["off"]}),
+        LOST_COMMAND.by("duration", "count as no command. "),
+        lasts(*COMMAND_BANDS),
+        between("off", (-3, -1), (1, 3)),
+    ),
+    Fault("controller_old_stamps", "commands carry a stamp that is too old").by(
+        i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
+        Graded("under 500 ms nothing; data of 700 ms: service-brake stop", ((600, d.stop(d.CONTROL_MS)),)).by("age"),
+        between("age", (20, 180), (950, 3000)),
+    ),
+    Fault("controller_future_stamps", "commands carry a stamp of the future").by(
+        i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),
+        REFUSED,
+        lasts(*COMMAND_BANDS),
+        between("ahead", (30, 5000)),
+    ),
+    Fault(
+        "controller_fixed_future_stamp",
+        "every command carries one stamp of the future, so many ms ahead of the fault's beginning",
+    ).by(
+        i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns - at.since_ns + at.p["ahead"] * MS}),
+        REFUSED,
+        lasts(*COMMAND_BANDS),
+        between("ahead", (450, 6000)),
+    ),
+    Fault(
+        "sensor_clock_fast",
+        "the sensors' clock gains so many ms on every ms: its stamps lie more and more ahead of now",
+    ).by(
+        i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns + round(at.p["gain"] * at.since_ns)}),
+        Must(
+            "a stamp over 20 ms ahead is refused: once they all are, " + LOST_COMMAND.words,
+            lambda p: d.stop(
+                FAST_CLOCK_MS / p["gain"] + d.COMMAND_LOST_MS + d.CONTROL_MS,
+                FAST_CLOCK_MS / p["gain"] + d.COMMAND_STALE_MS + d.CONTROL_MS,
+            ),
+        ),
+        between("gain", (0.2, 3.0)),
+    ),
+    Fault("controller_frozen", "one command is repeated, stamp and all").by(
+        i.frozen_command, OLD_DATA.by("duration"), lasts((50, 280), (950, 3000))
+    ),
+    Fault("both_pedals", "throttle and brake in every command").by(
+        i.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
+        Graded(
+            "the brake wins; 100 ms of it: ESTOP_REQUEST",
+            ((0, d.held(d.CONTROL_MS)), (100, d.estop(d.BOTH_PEDALS_MS + d.CONTROL_MS, d.CONTROL_MS))),
+        ).by("duration"),
+        lasts((10, 50), (160, 2000)),
+        between("throttle", (0.05, 1.0)),
+        between("brake", (0.05, 1.0)),
+    ),
+    Fault("controller_gives_up", "the controller asks for the emergency brake").by(
+        i.commanded(lambda command, at: {"estop_request": True}), always("ESTOP_REQUEST at once", d.estop(d.CONTROL_MS))
+    ),
+    Fault("controller_finishes_early", "the controller says that the mission is over, at full speed").by(
+        i.commanded(lambda command, at: {"mission_finished": True}),
+        always("service-brake stop, FINISHED at rest", d.stop(d.CONTROL_MS)),
+    ),
+    *(
+        Fault(name, what).by(i.commanded(change), ROUGH, lasts((100, 4000)), *draws)
         for name, what, change, draws in (
             ("controller_absurd", "commands of random numbers, each in range", i.absurd, ()),
             ("controller_swinging", "steering from lock to lock", i.swinging, (between("period", (20, 400)),)),
-            ("controller_full_throttle", "full throttle for ever", i.full_throttle, ()),
+            (
+                "controller_full_throttle",
+                "full throttle for ever",
+                lambda command, at: {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0},
+                (),
+            ),
             ("controller_pumping", "full throttle and full brake by turns", i.pumping, (between("period", (20, 80)),)),
         )
     ),
     *(
-        FaultKind(
-            name=f"detector_{name}",
-            what=f"the detector {what}",
-            begin=i.cones(change),
-            draws=(lasts((100, 4000)), *draws),
-            missions=PATH_MISSIONS,
-            demanded=ROUGH_WORDS,
-            demand=always(ROUGH),
+        Fault(f"detector_{name}", f"the detector {what}").by(
+            i.cones(change), ROUGH, lasts((100, 4000)), *draws, missions=PATH_MISSIONS
         )
         for name, what, change, draws in (
             ("blind", "sees no cone", i.blind, ()),
@@ -1252,129 +804,91 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     # ---------------------------------------------------------------- the bridge, its loop, clock and bus
-    FaultKind(
-        name="bridge_killed",
-        what="the bridge's process is killed, and stays away",
-        begin=i.restarted("bridge"),
-        demanded="silence on the bus stops the car",
-        demand=always(ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+    Fault("bridge_killed", "the bridge's process is killed, and stays away").by(
+        i.restarted("bridge"), always("silence on the bus stops the car", SILENT_OURS)
     ),
-    FaultKind(
-        name="bridge_restarted",
-        what="the bridge is killed and started again in mid-drive",
-        begin=i.restarted("bridge"),
-        draws=(lasts((0, 3000)),),
-        demanded="silence stops the car; it never drives on by itself",
-        demand=always(ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+    Fault("bridge_restarted", "the bridge is killed and started again in mid-drive").by(
+        i.restarted("bridge"), RESTARTED, lasts((0, 3000))
     ),
-    FaultKind(
-        name="bridge_restarted_and_asked",
-        what="the same, and somebody asks for autonomous all the while",
-        begin=i.insisting_operator,
-        draws=(between("gone", (0, 3000)),),
-        demanded="silence stops the car; it never drives on by itself",
-        demand=always(ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+    Fault("bridge_restarted_and_asked", "the same, and somebody asks for autonomous all the while").by(
+        i.insisting_operator, RESTARTED, between("gone", (0, 3000))
     ),
-    FaultKind(
-        name="everything_restarted",
-        what="bridge, planner and controller end and are started again together",
-        begin=i.restarted("bridge", "planner", "controller"),
-        draws=(lasts((0, 3000)),),
-        demanded="silence stops the car; it never drives on by itself",
-        demand=always(ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+    Fault("everything_restarted", "bridge, planner and controller end and are started again together").by(
+        i.restarted("bridge", "planner", "controller"), RESTARTED, lasts((0, 3000))
     ),
-    FaultKind(
-        name="bridge_hung",
-        what="the loop's process stands still for a while, and the car's frames wait for it",
-        begin=i.hung_bridge,
-        draws=(between("hang", (5, 35), (70, 82), (130, 2500)),),
-        demanded="a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops"
-        " itself",
-        demand=lambda p: d.by_age(
-            p["hang"],
-            (50, d.estop(p["hang"], 0)),
-            (100, ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+    Fault("bridge_hung", "the loop's process stands still for a while, and the car's frames wait for it").by(
+        i.done(lambda rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS)),
+        Must(
+            "a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
+            lambda p: Graded("", ((50, d.estop(p["hang"], 0)), (100, SILENT_OURS))).at(p["hang"]),
+        ),
+        between("hang", (5, 35), (70, 82), (130, 2500)),
+    ),
+    Fault("edge_hung", "the process between ROS and the loop stands still for a while").by(
+        i.done(lambda rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS)),
+        LOST_COMMAND.by("hang", "no command comes through. "),
+        between("hang", *COMMAND_BANDS),
+    ),
+    Fault("edge_killed", "the process between ROS and the loop is killed").by(
+        i.done(lambda rig, p, t_ns: rig.computer.kill_edge()),
+        always(
+            LOST_COMMAND.words + "; at rest the loop ends, and the car takes the silence for an emergency",
+            replace(LOST_COMMAND.at(300), ends=frozenset((End.STOP, End.SELF))),
         ),
     ),
-    FaultKind(
-        name="edge_hung",
-        what="the process between ROS and the loop stands still for a while",
-        begin=i.hung_edge,
-        draws=(between("hang", *COMMAND_BANDS),),
-        demanded="no command comes through. " + LOST_COMMAND_WORDS,
-        demand=by("hang", *LOST_COMMAND),
+    Fault("loop_late", "the loop misses one deadline by so many ms").by(
+        i.done(lambda rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS)),
+        Graded("49 ms nothing; 51 ms ESTOP_REQUEST", ((50, d.estop(51 + 15, 15)),)).by("late"),
+        between("late", (49, 49), (51, 51)),
     ),
-    FaultKind(
-        name="edge_killed",
-        what="the process between ROS and the loop is killed",
-        begin=i.killed_edge,
-        demanded=LOST_COMMAND_WORDS + "; at rest the loop ends, and the car takes the silence for an emergency",
-        demand=always(
-            ends(
-                End.STOP,
-                End.SELF,
-                no_torque_ms=d.COMMAND_STALE_MS + d.CONTROL_MS + d.SLACK_MS,
-                brake_ms=d.COMMAND_LOST_MS + d.CONTROL_MS + d.SLACK_MS,
-                safe_ms=d.COMMAND_LOST_MS + d.CONTROL_MS + d.STOP_MS + d.SLACK_MS,
-            )
-        ),
-    ),
-    FaultKind(
-        name="loop_late",
-        what="the loop misses one deadline by so many ms",
-        begin=i.late_loop,
-        draws=(between("late", (49, 49), (51, 51)),),
-        demanded="49 ms nothing; 51 ms ESTOP_REQUEST",
-        demand=by("late", (50, d.estop(51 + 15, 15))),
-    ),
-    FaultKind(
-        name="clock_stepped",
-        what="the wall clock is set by less than the age of the data, in ms (the nodes' stamps stop larger ones)",
-        begin=i.clock_step,
-        draws=(between("step", (-50, -1), (1, 50)),),
+    Fault(
+        "clock_stepped",
+        "the wall clock is set by less than the age of the data, in ms (the nodes' stamps stop larger ones)",
+    ).by(
+        i.commanded(i.clock_step),
+        always("nothing: only monotonic time is used", d.NOTHING),
+        between("step", (-50, -1), (1, 50)),
         missions=PATH_MISSIONS,
-        demanded="nothing: only monotonic time is used",
-        demand=always(NOTHING),
     ),
     *(
-        FaultKind(
-            name=name,
-            what=what,
-            begin=i.full_queue,
-            draws=(lasts((5, 30), (66, 72), (130, 2500)), *draws),
-            demanded="dropped cycles are tried again; 50 ms without a complete one: commands dropped,"
-            " service-brake stop; 100 ms the car stops itself",
-            demand=lambda p: d.by_age(
-                p["duration"],
-                (50, ends(End.STOP, End.SELF, brake_ms=p["duration"] + d.SLACK_MS, safe_ms=3000 + 100)),
-                (100, ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
+        Fault(name, what).by(
+            i.full_queue,
+            Must(
+                "dropped cycles are tried again; 50 ms without a complete one: commands dropped, service-brake stop;"
+                " 100 ms the car stops itself",
+                lambda p: Graded(
+                    "",
+                    (
+                        (50, ends(End.STOP, End.SELF, brake_ms=p["duration"] + d.SLACK_MS, safe_ms=3000 + 100)),
+                        (100, SILENT),
+                    ),
+                ).at(p["duration"]),
             ),
+            lasts((5, 30), (66, 72), (130, 2500)),
+            *draws,
         )
         for name, what, draws in (
             ("bus_full", "the transmit queue is full (ENOBUFS)", ()),
             ("bus_full_partly", "each cycle fits into the queue only partly", (between("taken", (1, 4)),)),
         )
     ),
-    FaultKind(
-        name="bus_busy",
-        what="each frame finds the queue full by chance",
-        begin=i.busy_queue,
-        draws=(between("share", (0.002, 0.15)),),
-        demanded="dropped cycles are tried again; 50 ms without a complete one: service-brake stop",
-        demand=always(ends(End.ON, End.STOP, End.SELF)),
+    Fault("bus_busy", "each frame finds the queue full by chance").by(
+        i.busy_queue,
+        always(
+            "dropped cycles are tried again; 50 ms without a complete one: service-brake stop",
+            ends(End.ON, End.STOP, End.SELF),
+        ),
+        between("share", (0.002, 0.15)),
     ),
     *(
-        FaultKind(
-            name=name,
-            what=what,
-            begin=i.lost_bus,
-            draws=(between("gone", (1, 45), (130, 3000)), one_of("why", why)),
-            demanded="commands dropped, reopened with back-off, then a service-brake stop; 100 ms the car stops itself",
-            demand=lambda p: d.by_age(
-                p["gone"],
-                (0, ends(End.STOP, End.SELF, no_torque_ms=0, safe_ms=3000 + 200)),
-                (100, ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)),
-            ),
+        Fault(name, what).by(
+            i.lost_bus,
+            Graded(
+                "commands dropped, reopened with back-off, then a service-brake stop; 100 ms the car stops itself",
+                ((0, ends(End.STOP, End.SELF, no_torque_ms=0, safe_ms=3000 + 200)), (100, SILENT_OURS)),
+            ).by("gone"),
+            between("gone", (1, 45), (130, 3000)),
+            one_of("why", why),
         )
         for name, what, why in (
             ("bus_off", "the controller goes bus-off and comes back", "bus-off"),
@@ -1387,7 +901,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
 )
 
-KINDS: Final[Mapping[str, FaultKind]] = MappingProxyType({row.name: row for row in ROWS})
+KINDS: Final[Mapping[str, FaultKind]] = MappingProxyType({kind.name: kind for kind in ROWS})
 
 
 def kind_named(name: str) -> FaultKind:

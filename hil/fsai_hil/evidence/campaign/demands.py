@@ -6,26 +6,29 @@ them; what an observer may measure on top of them is `SLACK_MS`.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Any, Final
 
-from fsai_vcu.interface.specification import COMMS_LOST_NS
-from fsai_vcu.interface.units import MS
+from fsai_hil.rules import numbers as n
+from fsai_hil.rules.numbers import MS
+
+Params = Mapping[str, Any]  # what was drawn for a fault, by name
 
 # Safety rules, graded reactions.
-COMMAND_STALE_MS: Final = 100
-COMMAND_LOST_MS: Final = 300
-SENSOR_STALE_MS: Final = 500
-BOTH_PEDALS_MS: Final = 100
-VCU_STALE_MS: Final = 50
-FEEDBACK_STALE_MS: Final = 100
-FEEDBACK_LOST_MS: Final = 300
-IMPLAUSIBLE_MS: Final = 300
-IMPLAUSIBLE_LOST_MS: Final = 600
+COMMAND_STALE_MS: Final = n.COMMAND_FRESH_NS // MS
+COMMAND_LOST_MS: Final = n.COMMAND_LOST_NS // MS
+SENSOR_STALE_MS: Final = n.DATA_FRESH_NS // MS
+BOTH_PEDALS_MS: Final = n.PEDALS_NS // MS
+VCU_STALE_MS: Final = n.STATUS_FRESH_NS // MS
+FEEDBACK_STALE_MS: Final = n.FEEDBACK_STALE_NS // MS
+FEEDBACK_LOST_MS: Final = n.FEEDBACK_LOST_NS // MS
+IMPLAUSIBLE_MS: Final = n.ODD_NS // MS
+IMPLAUSIBLE_LOST_MS: Final = n.ODD_LOST_NS // MS
 DECELERATION_MS: Final = 500  # of a service-brake stop: so long without a deceleration, and it is an emergency
-STOP_MS: Final = 3000  # a service-brake stop that lasts longer becomes an emergency
-CAR_PATIENCE_MS: Final = COMMS_LOST_NS // MS
+STOP_MS: Final = n.STOP_TIMEOUT_NS // MS  # a service-brake stop that lasts longer becomes an emergency
+CAR_PATIENCE_MS: Final = n.CAR_PATIENCE_NS // MS
 
 # A reaction is decided in a 10 ms cycle, the fault may begin just after one, and at most 15 ms pass without 0x520.
 SLACK_MS: Final = 25
@@ -34,7 +37,7 @@ PLAN_MS: Final = 90  # cones come every 50 ms, and are planned with after 40 ms
 
 
 class End(Enum):
-    """How a run ends, seen from outside. `words` is what tables say."""
+    """How a run ends, seen from outside, in the words of the tables."""
 
     ON = "drives on"
     HELD = "stays in AS_DRIVING, torque 0"
@@ -44,10 +47,6 @@ class End(Enum):
     OFF = "falls back to AS_OFF"
     NOT_STARTED = "does not start to drive"
     UNSAFE = "does not end: moves where it must stand, or never says FINISHED"
-
-    @property
-    def words(self) -> str:
-        return self.value
 
 
 class Onset(Enum):
@@ -79,7 +78,7 @@ class Demand:
 
     @property
     def words(self) -> str:
-        return " or ".join(end.words for end in End if end in self.ends)
+        return " or ".join(end.value for end in End if end in self.ends)
 
 
 def ends(*allowed: End, **limits: float) -> Demand:
@@ -120,10 +119,34 @@ def estop(after_ms: float, torque_ms: float | None = None) -> Demand:
     )
 
 
-def by_age(age_ms: float, *steps: tuple[float, Demand]) -> Demand:
-    """The demand of the last step that an age has reached; below the first, nothing."""
-    demand = NOTHING
-    for after_ms, next_demand in steps:
-        if age_ms >= after_ms:
-            demand = next_demand
-    return demand
+def implausible(onset: Onset, brake_ms: float = IMPLAUSIBLE_MS, estop_ms: float = IMPLAUSIBLE_LOST_MS) -> Demand:
+    """A stop, then ESTOP_REQUEST, so long after `onset`; before it nothing is demanded."""
+    allowed = frozenset((End.ON, End.HELD, End.STOP, End.ESTOP))
+    return Demand(allowed, brake_ms=brake_ms + SLACK_MS, estop_ms=estop_ms + SLACK_MS, onset=onset)
+
+
+@dataclass(frozen=True, slots=True)
+class Must:
+    """What a kind of fault demands: in words, and as a function of what was drawn."""
+
+    words: str
+    demand: Callable[[Params], Demand]
+
+
+def always(words: str, demand: Demand) -> Must:
+    return Must(words, lambda p: demand)
+
+
+@dataclass(frozen=True, slots=True)
+class Graded:
+    """What the age of something demands: from each of `steps` (age in ms) on another; below the first, nothing."""
+
+    words: str
+    steps: tuple[tuple[float, Demand], ...] = ()
+
+    def by(self, name: str, before: str = "") -> Must:
+        """The demand by the age that the parameter `name` makes of a message; `before`: what is said first."""
+        return Must(before + self.words, lambda p: self.at(p[name]))
+
+    def at(self, age_ms: float) -> Demand:
+        return next((demand for after_ms, demand in reversed(self.steps) if age_ms >= after_ms), NOTHING)

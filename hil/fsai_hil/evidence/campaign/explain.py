@@ -18,8 +18,9 @@ class ScenarioNarrator:
 
     case: Case
     _events: list[tuple[int, str]] = field(default_factory=list)
-    _before: dict[str, object] = field(default_factory=dict)
+    _before: dict[str, str] = field(default_factory=dict)
     _states: int = 0
+    _failures: int = 0
     _reasons: frozenset[str] = frozenset()
 
     def listen(self, scenario: Scenario) -> None:
@@ -27,29 +28,24 @@ class ScenarioNarrator:
         rig = scenario.rig
         now_ns = rig.now_ns
         vcu = rig.world.vcu
-        if scenario.fault_ns == now_ns - MS or (scenario.fault_ns is not None and "fault" not in self._before):
-            self._before["fault"] = True
+        if scenario.fault_ns is not None:
             speed = scenario.seen.speed_mps
-            self._say(scenario.fault_ns or now_ns, f"FAULT {self.case.spec}, at {speed:.1f} m/s: {self.case.kind.what}")
-        if scenario.fault_over_ns is not None and "over" not in self._before:
-            self._before["over"] = True
-            self._say(scenario.fault_over_ns, "the fault is over")
+            said = f"FAULT {self.case.spec}, at {speed:.1f} m/s: {self.case.kind.what}"
+            self._change(scenario.fault_ns, "fault", said)
+        if scenario.fault_over_ns is not None:
+            self._change(scenario.fault_over_ns, "over", "the fault is over")
         for t_ns, state in vcu.history[self._states :]:
             why = next((one.why for one in vcu.transitions if one.t_ns == t_ns and one.target is state), "")
             self._say(t_ns, f"car: {state.label}" + (f" ({why})" if why else ""))
         self._states = len(vcu.history)
-        for t_ns, process, what in rig.computer.failures[int(self._before.get("failures", 0) or 0) :]:  # type: ignore[call-overload]
+        for t_ns, process, what in rig.computer.failures[self._failures :]:
             self._say(t_ns, f"the {process}'s process ended: {what}")
-        self._before["failures"] = len(rig.computer.failures)
+        self._failures = len(rig.computer.failures)
         if rig.computer.bridge_running:
             self._follow(now_ns, rig.computer.report())
         else:
             self._change(now_ns, "bridge", "bridge: no process")
-        moving = rig.world.car.standing
-        if self._before.get("standing") != moving:
-            if "standing" in self._before:
-                self._say(now_ns, "the car stands" if moving else "the car moves")
-            self._before["standing"] = moving
+        self._change(now_ns, "standing", "the car stands" if rig.world.car.standing else "the car moves", quiet=True)
 
     def _follow(self, now_ns: int, report: BridgeReport) -> None:
         reasons = frozenset(report.reasons)

@@ -6,8 +6,10 @@ by itself that the mission is over, for then a stop is no reaction.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Final
 
 from fsai_hil.simulator.lockstep import Lockstep
@@ -59,12 +61,7 @@ class Observation:
     ended_ns: int = 0
 
     def state_at(self, t_ns: int) -> AsState:
-        state = self.states[0][1]
-        for since_ns, one in self.states:
-            if since_ns > t_ns:
-                break
-            state = one
-        return state
+        return next((state for since_ns, state in reversed(self.states) if since_ns <= t_ns), self.states[0][1])
 
     def entered(self, state: AsState, after_ns: int) -> int | None:
         """When `state` was first entered after a time."""
@@ -72,22 +69,11 @@ class Observation:
 
     def resting_since(self) -> int | None:
         """Since when the car has truly stood, to the end; None: it moves."""
-        since: int | None = None
-        for t_ns, moves in reversed(self.moving):
-            if moves:
-                break
-            since = t_ns
-        return since
+        standing = list(takewhile(lambda look: not look[1], reversed(self.moving)))
+        return standing[-1][0] if standing else None
 
     def cycles_after(self, t_ns: int) -> Sequence[Cycle]:
-        low, high = 0, len(self.cycles)
-        while low < high:
-            middle = (low + high) // 2
-            if self.cycles[middle].t_ns <= t_ns:
-                low = middle + 1
-            else:
-                high = middle
-        return self.cycles[low:]
+        return self.cycles[bisect_right(self.cycles, t_ns, key=lambda cycle: cycle.t_ns) :]
 
 
 class Observer:

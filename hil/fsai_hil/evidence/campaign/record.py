@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -32,38 +32,17 @@ class Header:
     world_seeds: int
     window_ms: int
     catalogue: int  # how many kinds there were
-    sources: str  # the digest of the code; empty: a record that does not say
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "campaign": 1,
-            "seed": self.seed,
-            "faults": list(self.faults),
-            "missions": list(self.missions),
-            "revisions": list(self.revisions),
-            "world_seeds": self.world_seeds,
-            "window_ms": self.window_ms,
-            "catalogue": self.catalogue,
-            "sources": self.sources,
-        }
+    sources: str = ""  # the digest of the code; empty: a record that does not say
 
 
 def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
     """Header and runs of a record. Raises RecordError, OSError."""
     lines = _lines(path)
     first = next(lines, None)
-    if first is None or first.get("campaign") != 1:
+    if first is None or first.pop("campaign", None) != 1:
         raise RecordError(f"{path} is not the record of a fault campaign")
-    header = Header(
-        first["seed"],
-        tuple(first["faults"]),
-        tuple(first["missions"]),
-        tuple(first["revisions"]),
-        first["world_seeds"],
-        first["window_ms"],
-        first["catalogue"],
-        first.get("sources", ""),
-    )
+    said: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
+    header = Header(**said)
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
     return header, list(runs.values())
@@ -117,10 +96,9 @@ class Writer:
                     f"{path} is the record of another campaign (seed {before.seed}): --out DIR begins one"
                 )
             self._cut_broken_line()
-            self._file: IO[str] = path.open("a")
-        else:
-            self._file = path.open("a")
-            self._put(header.as_dict())
+        self._file: IO[str] = path.open("a")
+        if not self._file.tell():
+            self._put({"campaign": 1, **asdict(header)})
 
     @property
     def done(self) -> frozenset[tuple[bool, int]]:

@@ -11,8 +11,9 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import Selection, case_of
@@ -22,6 +23,7 @@ from fsai_hil.evidence.campaign.sources import digest
 
 BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended
 AHEAD: Final = 3  # batches waiting per worker
+CONNECT_TIMEOUT_S: Final = 15.0  # to a cluster
 PRIORITY: Final = 10  # a campaign gives way to everything else on the machine
 
 PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
@@ -98,6 +100,19 @@ def batches(plan: CampaignPlan, tasks: Iterable[Task]) -> list[list[Task]]:
     return [ordered[at : at + BATCH] for at in range(0, len(ordered), BATCH)]
 
 
+def _spread(
+    pool: Executor, plan: CampaignPlan, work: Sequence[Sequence[Task]], at_once: int
+) -> Iterator[list[dict[str, Any]]]:
+    waiting = list(reversed(work))
+    under_way: set[Future[list[dict[str, Any]]]] = set()
+    while waiting or under_way:
+        while waiting and len(under_way) < at_once:
+            under_way.add(pool.submit(drive_batch, plan, waiting.pop()))
+        done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield future.result()
+
+
 def in_processes(plan: CampaignPlan, work: Sequence[Sequence[Task]], jobs: int) -> Iterator[list[dict[str, Any]]]:
     """Drive batches in `jobs` processes of this machine; yields their lines as they come."""
     if jobs == 1:
@@ -107,21 +122,45 @@ def in_processes(plan: CampaignPlan, work: Sequence[Sequence[Task]], jobs: int) 
     # Forked workers share what is imported already, and a test's seeded defects.
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker, initargs=(os.getpid(),))
-    waiting = list(reversed(work))
-    under_way: set[Future[list[dict[str, Any]]]] = set()
     try:
-        while waiting or under_way:
-            while waiting and len(under_way) < jobs * AHEAD:
-                under_way.add(pool.submit(drive_batch, plan, waiting.pop()))
-            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+        yield from _spread(pool, plan, work, jobs * AHEAD)
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in list((pool._processes or {}).values()):
             process.terminate()
         raise
     pool.shutdown()
+
+
+class ClusterError(Exception):
+    """No cluster; the message is one clear line."""
+
+
+def on_cluster(plan: CampaignPlan, work: Sequence[Sequence[Task]], address: str) -> Iterator[list[dict[str, Any]]]:
+    """Drive batches on the Dask cluster at `address` (of its scheduler); yields their lines as they come.
+
+    Its workers need this package in the same version, and are asked for it; they are sent numbers only. Raises
+    ClusterError where there is no Dask, or no cluster, or one of other sources.
+    """
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:
+        raise ClusterError("--dask needs Dask: pip install 'fsai-vcu[dask]'") from error
+    try:
+        client = distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ClusterError(f"no Dask scheduler answers at {address}: {said}") from error
+    with client:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise ClusterError(f"the Dask scheduler at {address} has no workers")
+        here = plan.header().sources
+        for worker, there in client.run(digest).items():
+            if there != here:
+                raise ClusterError(f"the Dask worker {worker} has other sources ({there}, here are {here})")
+        # pure=False: a batch that fails on one worker must not be taken from a cache
+        yield from _spread(client.get_executor(pure=False), plan, work, threads * AHEAD)
 
 
 @dataclass(slots=True)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.demands import ANY, IMPLAUSIBLE_LOST_MS, NOTHING, Demand, End, Onset
 from fsai_hil.evidence.campaign.implausibility import Streak, count_streaks, steering_streaks, wheel_streaks
 from fsai_hil.evidence.campaign.observation import Observation
+from fsai_hil.rules.bus_view import IDLE
+from fsai_hil.rules.numbers import LAUNCH_NS, MS
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.units import MS
 
-SUPERVISED_MS: Final = 3000  # safety rules: supervision starts 3 s into AS_DRIVING
-PARKED: Final = frozenset({AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY})
+SUPERVISED_MS: Final = LAUNCH_NS // MS  # safety rules: supervision starts 3 s into AS_DRIVING
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ def judge(
     wrong += _moved_too_early(seen)
     if fault_ns is None:
         end = _end(seen, _since(seen, 0), 0, seen.mission_over_ns)
-        wrong += [end.words] if end is End.UNSAFE else []
+        wrong += [end.value] if end is End.UNSAFE else []
         return CaseVerdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
     found = _since(seen, fault_ns)
     over_ns = seen.mission_over_ns
@@ -92,14 +93,14 @@ def judge(
     applies = driving and not _over(over_ns, demand, fault_ns)
     onset_ns: int | None = fault_ns
     reaction_ns = _reaction_ns(end, found)
-    reaction = end.words
+    reaction = end.value
     if demand.no_torque_ms is not None and end is End.ON:
         reaction = "torque 0, then drives on"
         reaction_ns = _torque_gap_ns(seen, fault_ns)
         safe_ns = reaction_ns
     if applies:
         if end not in allowed:
-            wrong.append(f"{end.words}, where the rules demand: {demand.words}")
+            wrong.append(f"{end.value}, where the rules demand: {demand.words}")
         elif demand.onset is Onset.FAULT:
             wrong += _too_late(case, seen, found, demand, end, fault_ns, safe_ns)
         else:
@@ -107,7 +108,7 @@ def judge(
             onset_ns = _onset_ns(streaks, reaction_ns)
             wrong += _implausible_too_long(seen, found, demand, streaks)
     elif end is End.UNSAFE:
-        wrong.append(end.words)
+        wrong.append(end.value)
     if applies and demand is NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
     return CaseVerdict(
@@ -139,24 +140,17 @@ def _since(seen: Observation, fault_ns: int) -> _Seen:
     emergency_ns = seen.entered(AsState.EMERGENCY_BRAKE, fault_ns - 1)
     finished_ns = next((cycle.t_ns for cycle in after if cycle.finished), None)
     until_ns = min((t_ns for t_ns in (emergency_ns, finished_ns) if t_ns is not None), default=seen.ended_ns)
-    braking_ns = None
-    for cycle in reversed([cycle for cycle in after if cycle.t_ns <= until_ns]):
-        if cycle.brake_pct <= 0.0 and cycle.t_ns < until_ns:
-            break
-        braking_ns = cycle.t_ns
-    torque_off_ns = None
-    for cycle in reversed(after):
-        if cycle.torque_nm > 0.0:
-            break
-        torque_off_ns = cycle.t_ns
+    until = [cycle for cycle in after if cycle.t_ns <= until_ns]
+    braking = takewhile(lambda cycle: cycle.brake_pct > 0.0 or cycle.t_ns >= until_ns, reversed(until))
+    idle = takewhile(lambda cycle: cycle.torque_nm <= 0.0, reversed(after))
     rest_ns = seen.resting_since()
     return _Seen(
         estop_ns,
         emergency_ns,
         finished_ns,
         None if rest_ns is None else max(rest_ns, fault_ns),
-        braking_ns,
-        torque_off_ns,
+        min((cycle.t_ns for cycle in braking), default=None),
+        min((cycle.t_ns for cycle in idle), default=None),
     )
 
 
@@ -180,8 +174,8 @@ def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) ->
         (driving and over and found.estop_ns is None, End.ON),  # it stands, the mission done, and has yet to say so
         (driving and had_torque and idle and found.rest_ns is not None, End.HELD),
         (driving, End.ON),
-        (last in PARKED and had_driven, End.OFF),
-        (last in PARKED, End.NOT_STARTED),
+        (last in IDLE and had_driven, End.OFF),
+        (last in IDLE, End.NOT_STARTED),
         (over, End.ON),
         (last is AsState.AS_FINISHED, End.STOP),
     )
@@ -207,23 +201,19 @@ def _unsafe(seen: Observation, last: AsState, idle: bool, over_ns: int | None) -
 
 def _safe_ns(end: End, found: _Seen) -> int | None:
     if end in (End.ESTOP, End.SELF):
-        candidates = [t_ns for t_ns in (found.emergency_ns, found.rest_ns) if t_ns is not None]
-        return min(candidates, default=None)
-    if end in (End.STOP, End.OFF, End.HELD):
-        return found.rest_ns
-    return None
+        return min((t_ns for t_ns in (found.emergency_ns, found.rest_ns) if t_ns is not None), default=None)
+    return found.rest_ns if end in (End.STOP, End.OFF, End.HELD) else None
 
 
 def _reaction_ns(end: End, found: _Seen) -> int | None:
-    if end is End.ESTOP:
-        return found.estop_ns
-    if end is End.SELF:
-        return found.emergency_ns
-    if end is End.STOP:
-        return found.braking_ns
-    if end in (End.HELD, End.OFF):
-        return found.torque_off_ns
-    return None
+    """When what ended the run so was first on the bus."""
+    return {
+        End.ESTOP: found.estop_ns,
+        End.SELF: found.emergency_ns,
+        End.STOP: found.braking_ns,
+        End.HELD: found.torque_off_ns,
+        End.OFF: found.torque_off_ns,
+    }.get(end)
 
 
 def _torque_gap_ns(seen: Observation, fault_ns: int) -> int | None:
@@ -258,15 +248,12 @@ def _too_late(
                 f"torque {torque[0].torque_nm:.0f} Nm {_ms(torque[0].t_ns, fault_ns):.0f} ms after the fault,"
                 f" allowed are {demand.no_torque_ms:.0f} ms"
             )
-    limits: list[tuple[str, float | None, int | None]] = []
-    if end is End.STOP:
-        limits.append(("the service brake", demand.brake_ms, found.braking_ns))
-    if end in (End.ESTOP, End.SELF):
-        limits.append(("ESTOP_REQUEST", demand.estop_ms, found.estop_ns))
-    if end not in (End.ON, End.HELD):
-        limits.append(("a safe state", demand.safe_ms, safe_ns))
-    for what, most_ms, at_ns in limits:
-        if most_ms is None:
+    for holds, what, most_ms, at_ns in (
+        (end is End.STOP, "the service brake", demand.brake_ms, found.braking_ns),
+        (end in (End.ESTOP, End.SELF), "ESTOP_REQUEST", demand.estop_ms, found.estop_ns),
+        (end not in (End.ON, End.HELD), "a safe state", demand.safe_ms, safe_ns),
+    ):
+        if not holds or most_ms is None:
             continue
         if at_ns is None:
             wrong.append(f"{what} never came, allowed are {most_ms:.0f} ms")

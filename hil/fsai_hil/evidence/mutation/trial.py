@@ -9,9 +9,7 @@ child's own CPU time, so that a busy machine changes no verdict.
 from __future__ import annotations
 
 import gc
-import importlib.abc
-import importlib.machinery
-import importlib.util
+import importlib
 import json
 import multiprocessing
 import os
@@ -75,6 +73,16 @@ class Baseline:
     missing: list[str] = field(default_factory=list)  # lines and branches that no test takes
     failed: str = ""
 
+    def candidates(self, mutant: Mutant) -> list[str]:
+        """The tests that reach the mutant (all, if nothing was measured): its own module's first, then the quickest."""
+        tests = set(self.seconds)
+        if self.reached and not mutant.at_import:
+            lines = self.reached[mutant.module]
+            tests = {test for line in range(mutant.lines[0], mutant.lines[1] + 1) for test in lines.get(line, ())}
+        own = f"{mutant.module.rpartition('.')[2]}.py"
+        order = sorted(self.seconds, key=lambda test: (not test.partition("::")[0].endswith(own), self.seconds[test]))
+        return [test for test in order if test in tests]
+
 
 def path_of(module: str) -> Path:
     return CHECKOUT / f"{module.replace('.', '/')}.py"
@@ -98,9 +106,6 @@ def warm_up() -> None:
         "mutation", derandomize=True, database=None, deadline=None, phases=(hypothesis.Phase.generate,)
     )
     hypothesis.settings.load_profile("mutation")
-    loaded = sorted(name for name in sys.modules if name.startswith((f"{PACKAGE}supervision.", f"{PACKAGE}bridge")))
-    if loaded:
-        raise RuntimeError(f"already imported, so that a mutant would not be: {', '.join(loaded)}")
 
 
 # ---------------------------------------------------------------- processes
@@ -141,23 +146,24 @@ def _expire(*_: object) -> None:
     raise OutOfTime
 
 
-def _within(cpu_s: float) -> None:
-    """From now on this process has so much CPU time, and is then told so again and again."""
-    signal.signal(signal.SIGPROF, _expire)
-    signal.setitimer(signal.ITIMER_PROF, cpu_s, 1.0)
-
-
 # ---------------------------------------------------------------- the code as it is
 
 
 class _Watch:
-    """Notes the first failure and each test's CPU time, and tells the coverage measurement whose lines follow."""
+    """Notes the first failure and each test's CPU time, and tells the coverage measurement whose lines follow.
 
-    def __init__(self, measured: coverage.Coverage | None = None) -> None:
+    With `tests` it runs only these, in their order.
+    """
+
+    def __init__(self, measured: coverage.Coverage | None = None, tests: Sequence[str] | None = None) -> None:
         self._measured = measured
+        self._order = None if tests is None else {test: place for place, test in enumerate(tests)}
         self.seconds: dict[str, float] = {}
         self.failed = ""
-        self.words = ""
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        if (order := self._order) is not None:
+            items[:] = sorted((one for one in items if one.nodeid in order), key=lambda one: order[one.nodeid])
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -169,28 +175,22 @@ class _Watch:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport | pytest.CollectReport) -> None:
         if report.failed and not self.failed:
-            self.failed, self.words = report.nodeid, report.longreprtext
+            self.failed = f"{report.nodeid}: {report.longreprtext}" if self._measured else report.nodeid
 
     pytest_collectreport = pytest_runtest_logreport
 
 
-def _arguments(files: Iterable[str]) -> list[str]:
-    folder = CHECKOUT / "tests" / "core"
+def _run(files: Iterable[str], watch: object, *more: str) -> int:
     # Nobody reads why a test failed, so its asserts need not be rewritten to say it.
-    fixed = ["-x", "--assert=plain", "-p", "no:cacheprovider", "--rootdir", str(CHECKOUT)]
+    fixed = ["-x", "--assert=plain", "-p", "no:cacheprovider", "--rootdir", str(CHECKOUT), *more]
     fixed += ["-c", str(CHECKOUT / "pyproject.toml"), "-o", "addopts=--strict-markers"]
-    return [*fixed, *(str(folder / name) for name in files)]
+    return pytest.main([*fixed, *(str(CHECKOUT / "tests" / "core" / name) for name in files)], plugins=[watch])
 
 
 def measure() -> Baseline:
     """Run all killers once: which test reaches which line, and what none reaches."""
-    first, second = in_children(_measure, [KILLERS[:-1], KILLERS[-1:]], 2)
-    reached: dict[str, dict[int, list[str]]] = {module: {} for module in first.reached}
-    for module, lines in (*first.reached.items(), *second.reached.items()):
-        for line, tests in lines.items():
-            reached[module].setdefault(line, []).extend(tests)
-    missing = [place for place in first.missing if place in set(second.missing)]
-    return Baseline(first.seconds | second.seconds, reached, missing, first.failed or second.failed)
+    baselines: list[Baseline] = list(in_children(_measure, [KILLERS], 1))
+    return baselines[0]
 
 
 def _measure(files: Sequence[str]) -> Baseline:
@@ -204,20 +204,18 @@ def _measure(files: Sequence[str]) -> Baseline:
     measured.start()
     for file in covered:  # so that one that no test imports is seen to be missing
         importlib.import_module(".".join(file.relative_to(CHECKOUT).with_suffix("").parts))
-    status = pytest.main(_arguments(files), plugins=[watch])
+    status = _run(files, watch)
     measured.stop()
-    found = Baseline(watch.seconds, failed=f"{watch.failed}: {watch.words}" if watch.failed else "")
-    if status and not found.failed:
-        found.failed = f"pytest ends with {status}"
+    found = Baseline(watch.seconds, failed=watch.failed or (f"pytest ends with {status}" if status else ""))
     for module in sources():
         lines = measured.get_data().contexts_by_lineno(str(path_of(module)))
         found.reached[module] = {line: [test for test in tests if test] for line, tests in lines.items()}
     with tempfile.NamedTemporaryFile("r") as report:
         measured.json_report(outfile=report.name)
-        told = json.load(report)["files"]
+        reported = json.load(report)["files"]
     for where in (str(file.relative_to(CHECKOUT)) for file in covered):
-        found.missing += [f"{where}, line {line}: no test reaches it" for line in told[where]["missing_lines"]]
-        for line, end in told[where]["missing_branches"]:
+        found.missing += [f"{where}, line {line}: no test reaches it" for line in reported[where]["missing_lines"]]
+        for line, end in reported[where]["missing_branches"]:
             to = f"line {end}" if end > 0 else "the function's end"
             found.missing.append(f"{where}, line {line}: no test goes from here to {to}")
     return found
@@ -236,44 +234,22 @@ def mutants(texts: Mapping[str, str]) -> list[Mutant]:
 # ---------------------------------------------------------------- one mutant
 
 
-class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds the mutated source in place of the module."""
-
-    def __init__(self, module: str, text: str) -> None:
-        self._module, self._path = module, str(path_of(module))
-        self._code = compile(text, self._path, "exec")
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> importlib.machinery.ModuleSpec | None:
-        if fullname != self._module:
-            return None
-        return importlib.util.spec_from_loader(fullname, self, origin=self._path)
-
-    def exec_module(self, module: ModuleType) -> None:
-        module.__file__ = self._path
-        exec(self._code, module.__dict__)
-
-
-class _Chosen(_Watch):
-    """Runs the chosen tests in their order."""
-
-    def __init__(self, tests: Sequence[str]) -> None:
-        super().__init__()
-        self._order = {test: place for place, test in enumerate(tests)}
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items[:] = sorted((i for i in items if i.nodeid in self._order), key=lambda i: self._order[i.nodeid])
-
-
 def _imported(text: str, mutant: Mutant, tests: Sequence[str]) -> str:
-    """Everything that leans on the module is imported with the mistake in it."""
-    sys.meta_path.insert(0, _Mutated(mutant.module, text))
-    chosen = _Chosen(tests)
+    """Everything that leans on the module imports it with the mistake in it."""
+    path = str(path_of(mutant.module))
+    module = sys.modules[mutant.module] = ModuleType(mutant.module)
+    module.__file__ = path
+    try:
+        exec(compile(text, path, "exec"), vars(module))
+    except Exception as error:
+        return f"the import: {error}"
+    package, _, name = mutant.module.rpartition(".")
+    setattr(importlib.import_module(package), name, module)
+    watch = _Watch(tests=tests)
     # File by file: most mutants fall to the first, and the others need not be imported.
     for file in dict.fromkeys(test.partition("::")[0] for test in tests):
-        if status := pytest.main(_arguments([Path(file).name]), plugins=[chosen]):
-            return chosen.failed or f"pytest ends with {status} on {file}"
+        if status := _run([Path(file).name], watch):
+            return watch.failed or f"pytest ends with {status} on {file}"
     return ""
 
 
@@ -293,26 +269,18 @@ def _called(items: Mapping[str, pytest.Item], watch: _Watch, text: str, mutant: 
     return ""
 
 
-def candidates(baseline: Baseline, mutant: Mutant) -> list[str]:
-    """The tests that reach the mutant: its own module's first, then the quickest."""
-    tests = set(baseline.seconds)
-    if not mutant.at_import:
-        lines = baseline.reached[mutant.module]
-        tests = {test for line in range(mutant.lines[0], mutant.lines[1] + 1) for test in lines.get(line, ())}
-    own = f"{mutant.module.rpartition('.')[2]}.py"
-    return sorted(tests, key=lambda t: (not t.partition("::")[0].endswith(own), baseline.seconds[t], t))
-
-
 def try_all(baseline: Baseline, texts: Mapping[str, str], tried: Sequence[Mutant], jobs: int, report: Report) -> None:
     """Every mutant's verdict is reported as it comes in, of `jobs` mutants at a time.
 
-    What acts on import comes first: after that this process has imported the code itself.
+    What acts on import comes first: after that this process has imported the code itself. With an empty baseline, which
+    has not been measured, nothing may act on import.
     """
 
     def verdict(trial: Callable[[str, Mutant, Sequence[str]], str], mutant: Mutant) -> tuple[Mutant, str]:
-        tests = candidates(baseline, mutant)
+        tests = baseline.candidates(mutant)
         allowed_s = _LEAST_CPU_S + 5.0 * sum(baseline.seconds[test] for test in tests)
-        _within(allowed_s)
+        signal.signal(signal.SIGPROF, _expire)
+        signal.setitimer(signal.ITIMER_PROF, allowed_s, 1.0)
         try:
             return mutant, trial(mutated(texts[mutant.module], mutant), mutant, tests)
         except OutOfTime:
@@ -325,11 +293,12 @@ def try_all(baseline: Baseline, texts: Mapping[str, str], tried: Sequence[Mutant
         @pytest.hookimpl(tryfirst=True)
         def pytest_runtestloop(self, session: pytest.Session) -> bool:
             items = {item.nodeid: item for item in session.items}
+            baseline.seconds = baseline.seconds or dict.fromkeys(items, 0.0)
             called = [mutant for mutant in tried if not mutant.at_import]
             for mutant, killer in in_children(partial(verdict, partial(_called, items, self)), called, jobs):
                 report(mutant, killer)
             return True
 
     watch = Session()
-    if status := pytest.main([*_arguments(KILLERS), "-s", "-p", "no:terminal"], plugins=[watch]):
+    if status := _run(KILLERS, watch, "-s", "-p", "no:terminal"):
         raise RuntimeError(f"pytest ends with {status}: {watch.failed}")

@@ -47,7 +47,7 @@ class BusWatch:
         self.frames: list[Frame] = []  # of the AI computer, and 0x520 and 0x525
         self.as_state: AsState | None = None
         self.fastest_rpm = 0.0
-        self.heard_s = time.monotonic()  # when 0x520 was last heard
+        self.received_s = time.monotonic()  # when 0x520 was last received
 
     def read(self) -> None:
         *lines, self._part = (self._part + self._reading.read()).split(b"\n")
@@ -67,7 +67,7 @@ class BusWatch:
         if _VCU_STATUS in newest:
             status = CODEC.decode(newest[_VCU_STATUS]).image
             assert isinstance(status, VcuStatus)
-            self.as_state, self.heard_s = status.as_state, time.monotonic()
+            self.as_state, self.received_s = status.as_state, time.monotonic()
         if _WHEELS in newest:
             self.fastest_rpm = fastest_rpm(CODEC.decode(newest[_WHEELS]).image)
 
@@ -84,7 +84,7 @@ class BusWatch:
 
     def silent_for_s(self) -> float:
         """So long the car has said nothing."""
-        return time.monotonic() - self.heard_s
+        return time.monotonic() - self.received_s
 
     def at_rest_in(self, state: AsState) -> bool:
         return self.as_state is state and self.fastest_rpm < STANDING_RPM

@@ -179,18 +179,11 @@ class Rehearsal:
             self.clock_stepped(watch)
             self.disk_filled(watch)
             self.recorder_killed(watch)
-            self.struck(
-                watch,
-                "fsai-detector killed",
-                "fsai-detector",
-                signal.SIGKILL,
-                AsState.AS_FINISHED,
-                TORQUE_WITHOUT_DATA_S,
-            )
+            self.struck(watch, "fsai-detector killed", "fsai-detector", torque_s=TORQUE_WITHOUT_DATA_S)
 
     def node_killed(self, service: str, torque_s: float) -> None:
         with self.drive(service) as watch:
-            self.struck(watch, f"{service} killed", service, signal.SIGKILL, AsState.AS_FINISHED, torque_s)
+            self.struck(watch, f"{service} killed", service, torque_s=torque_s)
 
     def edge_struck(self, number: signal.Signals, what: str) -> None:
         """The service's main process: its loop stops the car, and goes silent when the car has finished."""
@@ -200,9 +193,9 @@ class Rehearsal:
                 f"bridge {what}",
                 self.bridge,
                 number,
-                AsState.EMERGENCY_BRAKE,
-                TORQUE_WITHOUT_COMMANDS_S,
+                torque_s=TORQUE_WITHOUT_COMMANDS_S,
                 first=AsState.AS_FINISHED,
+                ends_in=AsState.EMERGENCY_BRAKE,
             )
 
     def loop_struck(self, number: signal.Signals, what: str) -> None:
@@ -213,8 +206,8 @@ class Rehearsal:
                 f"CAN loop {what}",
                 self.bridge,
                 number,
-                AsState.EMERGENCY_BRAKE,
-                TORQUE_OF_A_DEAD_BRIDGE_S,
+                torque_s=TORQUE_OF_A_DEAD_BRIDGE_S,
+                ends_in=AsState.EMERGENCY_BRAKE,
                 process=holder_pid(self.interface),
             )
 
@@ -273,8 +266,8 @@ class Rehearsal:
             passed = len(wrong) == 1 and wrong[0].startswith("bus: the VCU is silent")
             self.note("doctor finds nothing wrong but a silent car", None, passed=passed, words="; ".join(wrong))
         else:
-            heard = any(each["topic"] == "bus" and each["level"] == "right" for each in findings)
-            self.note("doctor finds nothing wrong", None, passed=heard and not wrong, words="; ".join(wrong))
+            received = any(each["topic"] == "bus" and each["level"] == "right" for each in findings)
+            self.note("doctor finds nothing wrong", None, passed=received and not wrong, words="; ".join(wrong))
 
     # ------------------------------------------------------------ who else may do what
 
@@ -390,8 +383,8 @@ class Rehearsal:
         on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
         gap_s = longest_gap_s(watch.since(since_ns))
         fill.unlink()
-        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
-        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder says {told}"
+        said = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder reports {said}"
         self.note("the disk full: drives on", FULL_S, passed=on, words=words)
         self.step(
             "with room again the recorder writes again",
@@ -399,8 +392,8 @@ class Rehearsal:
             30.0,
             RECORDS_AGAIN_S,
         )
-        told = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
-        self.note("it has said so in one line", None, passed=len(told) == 1, words="; ".join(told))
+        said = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        self.note("it has said so in one line", None, passed=len(said) == 1, words="; ".join(said))
         self.note("and the car drives on", None, passed=self.undisturbed(watch))
 
     def recorder_killed(self, watch: BusWatch) -> None:
@@ -420,10 +413,10 @@ class Rehearsal:
         watch: BusWatch,
         what: str,
         service: str,
-        number: signal.Signals,
-        ends_in: AsState,
-        torque_s: float,
+        number: signal.Signals = signal.SIGKILL,
         *,
+        torque_s: float,
+        ends_in: AsState = AsState.AS_FINISHED,
         first: AsState | None = None,
         process: int | None = None,
     ) -> None:

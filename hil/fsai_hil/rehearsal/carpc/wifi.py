@@ -71,28 +71,16 @@ def nodes_seen(seconds: float) -> dict[str, object]:
     rclpy.init()
     node = rclpy.create_node("stranger")
     until = time.monotonic() + seconds
-    while not (sees := _complete(seen := _around(node))) and time.monotonic() < until:
+    while True:
+        nodes = sorted(set(node.get_node_names()) - {node.get_name()})
+        subscribers = node.count_subscribers(COMMANDS)
+        set_mode = any(name == SET_MODE for name, _ in node.get_service_names_and_types())
+        sees = BRIDGE in nodes and subscribers > 0 and set_mode
+        if sees or time.monotonic() >= until:
+            break
         time.sleep(_LOOK_AGAIN_S)
     rclpy.shutdown()
-    return {**seen, "sees_the_car": sees}
-
-
-def _around(node: object) -> dict[str, object]:
-    from rclpy.node import Node
-
-    assert isinstance(node, Node)
-    services = [name for name, _ in node.get_service_names_and_types()]
-    return {
-        "nodes": sorted(set(node.get_node_names()) - {node.get_name()}),
-        "commands_heard_by": node.count_subscribers(COMMANDS),
-        "set_mode": SET_MODE in services,
-    }
-
-
-def _complete(seen: dict[str, object]) -> bool:
-    nodes = seen["nodes"]
-    assert isinstance(nodes, list)
-    return BRIDGE in nodes and bool(seen["commands_heard_by"]) and bool(seen["set_mode"])
+    return {"nodes": nodes, "commands_heard_by": subscribers, "set_mode": set_mode, "sees_the_car": sees}
 
 
 STRANGERS = {

@@ -1,4 +1,4 @@
-"""The response time of the AI computer, as scrutineering measures it: rehearsed on a real vcan0, told in a report.
+"""The response time of the AI computer, as scrutineering measures it: rehearsed on a real vcan0, in a report.
 
 conditions  what is measured: how the car stands, and what else the machine and the bus have to do
 load        that something else: busy processors, a busy disk, a full bus

@@ -67,9 +67,7 @@ class _Car:
 
     def type(self, line: str) -> None:
         self._stack.check_alive(self.name)
-        assert self._process.popen.stdin is not None
-        self._process.popen.stdin.write(line.encode() + b"\n")
-        self._process.popen.stdin.flush()
+        self._process.type(line)
 
     def state(self) -> str:
         """The AS state, as the car says it when it is asked."""
@@ -245,8 +243,12 @@ class Measurement:
             return True
         if set(NODES) - set(stack.processes):
             self._say("starting the other nodes")
-            for name, parameters in self._driving_nodes(stack).items():
-                process = stack.start_node(name, **parameters)
+            driving: dict[str, dict[str, object]] = {
+                "path_planner": {"car": self._revision, "laps": LAPS},
+                "vehicle_controller": {"car": self._revision},
+            }
+            for name in NODES[1:]:
+                process = stack.start_node(name, **driving.get(name, {}))
                 with contextlib.suppress(PermissionError):  # as their services do
                     os.setpriority(os.PRIO_PROCESS, process.popen.pid, _NODES_NICE)
             operator.await_that(
@@ -267,14 +269,6 @@ class Measurement:
                 lambda: operator.state.speed_mps > CRUISE_MPS or _over(operator), DRIVE_OFF_S, "the car drives", *NODES
             )
         return not _over(operator)
-
-    def _driving_nodes(self, stack: Stack) -> dict[str, dict[str, object]]:
-        return {
-            "sensor_simulator": {"truth_port": stack.truth_port},
-            "cone_detector": {},
-            "path_planner": {"car": self._revision, "laps": LAPS},
-            "vehicle_controller": {"car": self._revision},
-        }
 
     def _power_up(self, stack: Stack, operator: RosOperator) -> None:
         self._end_car(stack)

@@ -1,0 +1,84 @@
+"""`fsai-vcu compare`: what differs between two logs: messages and their periods, the values of signals, incidents."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.explain.record import Record
+    from fsai_vcu.diagnostics.statistics.measure import BusStatistics
+
+EXAMPLE = "fsai-vcu compare yesterday.log today.log"
+ABOUT = """\
+Prints what the second log has otherwise: messages missing or new, mean periods
+more than 10 % apart, signals whose range or mean differs by more than 10 % of
+their range, and each log's incidents. Exit status: 0 nothing differs, 1
+something does, or something could not be read, 2 wrong use."""
+SHARE: Final = 0.1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{ABOUT}"
+    parser.add_argument("logs", nargs=2, metavar="LOG", help="any log that decode reads")
+    add_database_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.explain import record_for, story_of
+    from fsai_vcu.diagnostics.statistics.measure import measure
+
+    decoding = Decoding("compare", args)
+    records, buses, incidents, status = [], [], [], 0
+    for name in args.logs:
+        sources = Sources("compare", [name])
+        if sources.live:
+            raise UserError(f"{name} is a bus; compare takes two logs")
+        frames = sources.everything()
+        status |= sources.status
+        if not len(frames):
+            return 1
+        record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+        records.append(record)
+        buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
+        incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in story_of(record).incidents])
+    lines = [*_messages(*buses), *_signals(*records)]
+    if records[0].revision.name != records[1].revision.name:
+        lines.append(f"interface revision: {records[0].revision.name}, then {records[1].revision.name}")
+    if incidents[0] != incidents[1]:
+        lines += [f"only in {args.logs[0]}: {words}" for words in incidents[0] if words not in incidents[1]]
+        lines += [f"only in {args.logs[1]}: {words}" for words in incidents[1] if words not in incidents[0]]
+    print("\n".join(lines) if lines else "nothing differs")
+    return 1 if lines else status
+
+
+def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:
+    ours, theirs = ({(m.extended, m.can_id): m for m in bus.messages} for bus in (first, second))
+    for key in sorted({*ours, *theirs}):
+        before, after = ours.get(key), theirs.get(key)
+        there = before or after
+        assert there is not None
+        name = f"0x{there.can_id:03X} {there.name or 'unknown'}"
+        if before is None or after is None:
+            yield f"{name}: {'only in the second log' if before is None else 'missing in the second log'}"
+        elif before.mean_ms and after.mean_ms and abs(after.mean_ms / before.mean_ms - 1.0) > SHARE:
+            yield f"{name}: every {before.mean_ms:.1f} ms, then every {after.mean_ms:.1f} ms"
+
+
+def _signals(first: Record, second: Record) -> Iterator[str]:
+    from fsai_vcu.diagnostics.explain.record import Signal
+
+    for layout in first.decoder.databases.layouts.values():
+        for signal in layout.signals:
+            before, after = (record.series(Signal(layout.name, signal.name)) for record in (first, second))
+            if not len(before) or not len(after):
+                continue
+            ranges = [(float(s.values.min()), float(s.values.mean()), float(s.values.max())) for s in (before, after)]
+            width = max(ranges[0][2], ranges[1][2]) - min(ranges[0][0], ranges[1][0])
+            if any(abs(new - old) > SHARE * width for old, new in zip(*ranges, strict=True)):
+                words = ", then ".join(f"{low:g} to {high:g} (mean {mean:.4g})" for low, mean, high in ranges)
+                yield f"{layout.name}.{signal.name}: {words} {signal.unit}".rstrip()

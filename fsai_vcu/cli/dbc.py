@@ -1,0 +1,101 @@
+"""`fsai-vcu dbc`: what a signal database says: its messages, their signals, and how two databases differ."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.decode.databases import Databases
+    from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
+
+EXAMPLE = "fsai-vcu dbc show 0x520\n  fsai-vcu dbc diff 2021 2026"
+ABOUT = """\
+A database is a file that cantools reads, or the name of an interface revision
+(2021 or 2026). list: its messages; show: signals by message name, pattern or
+identifier; diff: what differs. Exit status: 0 done (diff: no difference), 1
+nothing found or a difference, 2 wrong use."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{ABOUT}"
+    parser.add_argument("what", choices=("list", "show", "diff"), help="what to print")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
+    parser.add_argument(
+        "--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError, WrongUse
+
+    if args.what == "diff":
+        if len(args.names) != 2:
+            raise WrongUse("diff takes two databases: fsai-vcu dbc diff 2021 2026")
+        lines = list(_differences(*(_load(name).layouts for name in args.names)))
+        print("\n".join(lines) if lines else "no difference")
+        return 1 if lines else 0
+    layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
+    chosen = [layout for layout in layouts if not args.names or any(map(layout.is_called, args.names))]
+    if not chosen:
+        raise UserError(f"no message {' or '.join(args.names)} in {args.dbc}")
+    for layout in chosen:
+        print(_head(layout))
+        if args.what == "show":
+            print("".join(f"    {_signal(signal)}\n" for signal in layout.signals), end="")
+    return 0
+
+
+def _load(name: str) -> Databases:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
+    from fsai_vcu.interface.revisions import REVISIONS
+
+    try:
+        return load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
+    except DatabasesError as error:
+        raise UserError(str(error)) from error
+
+
+def _head(layout: MessageLayout) -> str:
+    period = "" if layout.period_ms is None else f", every {layout.period_ms} ms"
+    return (
+        f"{_number(layout)} {layout.name}: {layout.length} bytes{period}, from {', '.join(layout.senders) or 'nobody'}"
+    )
+
+
+def _number(layout: MessageLayout) -> str:
+    return f"0x{layout.can_id:08X}" if layout.extended else f"0x{layout.can_id:03X}"
+
+
+def _signal(signal: SignalLayout) -> str:
+    kind = "float" if signal.is_float else "signed" if signal.signed else "unsigned"
+    unit = f" {signal.unit}" if signal.unit else ""
+    scale = f", x {signal.scale:g}" if signal.scale != 1 else ""
+    offset = f" {signal.offset:+g}" if signal.offset else ""
+    words = ", ".join(f"{value} {word}" for value, word in sorted(signal.choices.items()))
+    return (
+        f"{signal.name}: bit {signal.start}, {signal.length} {kind}{scale}{offset}{unit}{': ' + words if words else ''}"
+    )
+
+
+def _differences(ours: Mapping[int, MessageLayout], theirs: Mapping[int, MessageLayout]) -> Iterator[str]:
+    for key in sorted({*ours, *theirs}):
+        mine, other = ours.get(key), theirs.get(key)
+        if mine is None or other is None:
+            there = mine or other
+            assert there is not None
+            yield f"{'-' if other is None else '+'} {_head(there)}"
+            continue
+        if _head(mine) != _head(other):
+            yield f"- {_head(mine)}"
+            yield f"+ {_head(other)}"
+        before, after = ({signal.name: _signal(signal) for signal in each.signals} for each in (mine, other))
+        for name in dict.fromkeys((*before, *after)):
+            if before.get(name) != after.get(name):
+                where = f"{_number(other)} {other.name}"
+                yield from (
+                    f"{sign} {where}: {each[name]}" for sign, each in (("-", before), ("+", after)) if name in each
+                )

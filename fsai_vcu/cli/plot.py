@@ -1,0 +1,91 @@
+"""`fsai-vcu plot`: any signals of a log over time, as a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.explain.record import Record, Series
+
+EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
+ABOUT = """\
+A signal is NAME or MESSAGE.NAME, * and ? stand for anything; signals of one
+unit share an axis. Needs matplotlib (pip install 'fsai-vcu[plot]'); the ending
+of the file says the format: png, svg, pdf."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = f"{parser.description}\n\n{ABOUT}"
+    add_source_argument(parser)
+    parser.add_argument("signals", nargs="+", metavar="SIGNAL", help="NAME or MESSAGE.NAME, with * and ?")
+    parser.add_argument("-o", "--output", type=Path, default=Path("plot.png"), metavar="FILE", help="default: plot.png")
+    add_database_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.diagnostics.explain import record_for
+
+    decoding = Decoding("plot", args)
+    sources = Sources("plot", [args.source])
+    if sources.live:
+        raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
+    frames = sources.everything()
+    if not len(frames):
+        return 1
+    record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+    groups = _chosen(record, args.signals)
+    if not groups:
+        raise UserError(f"no signal {' or '.join(args.signals)} in {sources.name}; fsai-vcu dbc show lists them")
+    _save(args.output, record, groups, sources.name)
+    print(f"saved {args.output}: {', '.join(name for group in groups.values() for name, _ in group)}")
+    return sources.status
+
+
+def _chosen(record: Record, patterns: list[str]) -> dict[str, list[tuple[str, Series]]]:
+    """Signals that the log has, by unit."""
+    from fnmatch import fnmatchcase
+
+    from fsai_vcu.diagnostics.explain.record import Signal
+
+    groups: dict[str, list[tuple[str, Series]]] = {}
+    for layout in record.decoder.databases.layouts.values():
+        for signal in layout.signals:
+            full = f"{layout.name}.{signal.name}"
+            if any(fnmatchcase(full if "." in pattern else signal.name, pattern) for pattern in patterns):
+                series = record.series(Signal(layout.name, signal.name))
+                if len(series):
+                    groups.setdefault(signal.unit, []).append((full, series))
+    return groups
+
+
+def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]], title: str) -> None:
+    from fsai_vcu.cli.main import UserError
+
+    try:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        from matplotlib import pyplot
+    except ImportError:
+        raise UserError("matplotlib is not installed; install it with: pip install 'fsai-vcu[plot]'") from None
+    figure, rows = pyplot.subplots(len(groups), figsize=(12, 1 + 3 * len(groups)), sharex=True, squeeze=False)
+    for axes, (unit, group) in zip(rows[:, 0], groups.items(), strict=True):
+        for name, series in group:
+            axes.plot((series.t_ns - record.begin_ns) / 1e9, series.values, drawstyle="steps-post", label=name, lw=1)
+        axes.set_ylabel(unit or "raw")
+        axes.grid(alpha=0.3)
+        axes.legend(loc="upper right", fontsize="small")
+    rows[0, 0].set_title(title)
+    rows[-1, 0].set_xlabel("seconds since the log's first frame")
+    figure.tight_layout()
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot write {path}: {error}") from error
+    finally:
+        pyplot.close(figure)

@@ -1,0 +1,174 @@
+"""candump's text formats, line by line: every manner of them is read, what is no frame is reported. No numpy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from datetime import datetime
+from typing import Final
+
+from fsai_vcu.diagnostics.log.frame import LogFrame
+
+MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
+MAX_STANDARD_ID: Final = 0x7FF
+MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
+ERROR_FLAG: Final = 0x2000_0000  # linux/can.h, CAN_ERR_FLAG
+MAX_CLASSIC_DLC: Final = 8
+MAX_FD_BYTES: Final = 64
+
+_LOG_LINE = re.compile(
+    r"\s*\((?P<s>\d{1,11})\.(?P<f>\d{1,9})\)\s+(?P<ch>\S+)\s+(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
+    r"#(?:(?P<fd>#[0-9A-Fa-f])?(?P<data>(?:[0-9A-Fa-f]{2}|\.)*)(?P<raw_dlc>_[9A-Fa-f])?|(?P<remote>[Rr](?P<asked>[0-8]?)(?:_[9A-Fa-f])?))"
+    r"(?:\s+(?P<way>[RTrt])(?:\s.*)?)?\s*"
+)
+_SCREEN_LINE = re.compile(
+    r"\s*(?:\((?P<time>[^()]*)\)\s+)?(?P<ch>\S+)\s+(?:(?P<way>[RT]X)\s+(?P<brs>[B-])\s+(?P<esi>[E-])\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+(?P<open>[\[{])(?P<length>\d+)[\]}]"
+    r"(?:\s+(?P<data>remote request|[0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2})*))?(?:\s+.*)?"
+)
+_SECONDS = re.compile(r"(\d{1,11})\.(\d{1,9})")
+
+
+class UnreadableError(ValueError):
+    """A line that is no frame; the message is what is wrong and the line's beginning, for a person."""
+
+
+def read_line(line: bytes, parse: Callable[[str], LogFrame | None]) -> LogFrame | None:
+    """The frame that `parse` finds on a line (or its ValueError), None on an empty one. Raises UnreadableError."""
+    if not line.strip():
+        return None
+    try:
+        return parse(line.decode("ascii"))
+    except ValueError as error:
+        shown = line[:60].decode("ascii", "backslashreplace")
+        shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
+        what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
+        raise UnreadableError(f"{what}: '{shown}{'…' if len(line) > 60 else ''}'") from None
+
+
+def parse_line(line: str) -> LogFrame:
+    """The frame on one line of `candump -L` or of candump's screen output. Raises ValueError."""
+    found = _LOG_LINE.fullmatch(line)
+    if found:
+        return _from_log_line(found)
+    found = _SCREEN_LINE.fullmatch(line)
+    if found:
+        return _from_screen_line(found)
+    raise ValueError("not a line of candump")
+
+
+def _from_log_line(found: re.Match[str]) -> LogFrame:
+    t_ns = _time_ns(found["s"], found["f"])
+    can_id, extended, error = _identifier(found["id"])
+    sent = {"T": True, "R": False}.get((found["way"] or "").upper())
+    channel = found["ch"]
+    if found["remote"]:
+        return LogFrame(t_ns, channel, can_id, b"", extended, True, error, sent=sent, length=int(found["asked"] or 0))
+    data = bytes.fromhex(found["data"].replace(".", ""))
+    bits = int(found["fd"][1], 16) if found["fd"] else 0
+    _check_length(len(data), found["fd"] is not None)
+    return LogFrame(
+        t_ns,
+        channel,
+        can_id,
+        data,
+        extended,
+        False,
+        error,
+        fd=found["fd"] is not None,
+        brs=bool(bits & 1),  # linux/can.h, CANFD_BRS and CANFD_ESI
+        esi=bool(bits & 2),
+        sent=sent,
+    )
+
+
+def _from_screen_line(found: re.Match[str]) -> LogFrame:
+    can_id, extended, error = _identifier(found["id"])
+    length = int(found["length"])
+    text = found["data"] or ""
+    sent = {"TX": True, "RX": False}.get(found["way"] or "")
+    t_ns = _screen_time_ns(found["time"])
+    if text == "remote request":
+        return LogFrame(t_ns, found["ch"], can_id, b"", extended, True, error, sent=sent, length=length)
+    data = bytes.fromhex(text)
+    if len(data) < length:
+        raise ValueError(f"{len(data)} data bytes where {length} are announced")
+    data = data[:length]
+    fd = length > MAX_CLASSIC_DLC or found["brs"] == "B" or found["esi"] == "E"
+    _check_length(length, fd)
+    return LogFrame(
+        t_ns,
+        found["ch"],
+        can_id,
+        data,
+        extended,
+        False,
+        error,
+        fd=fd,
+        brs=found["brs"] == "B",
+        esi=found["esi"] == "E",
+        sent=sent,
+    )
+
+
+def _identifier(text: str) -> tuple[int, bool, bool]:
+    number = int(text, 16)
+    if len(text) == 3:
+        if number > MAX_STANDARD_ID:
+            raise ValueError(f"no 11-bit identifier: {text}")
+        return number, False, False
+    if number & ERROR_FLAG and number <= ERROR_FLAG | MAX_EXTENDED_ID:
+        return number & MAX_EXTENDED_ID, False, True
+    if number > MAX_EXTENDED_ID:
+        raise ValueError(f"no 29-bit identifier: {text}")
+    return number, True, False
+
+
+def _check_length(length: int, fd: bool) -> None:
+    if length > (MAX_FD_BYTES if fd else MAX_CLASSIC_DLC):
+        raise ValueError(f"{length} data bytes")
+
+
+def _time_ns(seconds: str, fraction: str) -> int:
+    if int(seconds) > MAX_SECONDS:
+        raise ValueError(f"no time: {seconds}.{fraction}")
+    return int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
+
+
+def _screen_time_ns(text: str | None) -> int:
+    """0 where candump wrote no times."""
+    if text is None:
+        return 0
+    found = _SECONDS.fullmatch(text.strip())
+    if found:
+        return _time_ns(found[1], found[2])
+    try:
+        date, _, fraction = text.strip().partition(".")
+        return int(datetime.strptime(date, "%Y-%m-%d %H:%M:%S").timestamp()) * 1_000_000_000 + int(
+            (fraction or "0").ljust(9, "0")[:9]
+        )
+    except (ValueError, OverflowError):
+        raise ValueError(f"no time: {text}") from None
+
+
+def log_line(frame: LogFrame, time_digits: int = 1) -> str:
+    """The frame as a line of `candump -L`, without its line end; at least `time_digits` digits of seconds."""
+    if frame.error:
+        name = f"{frame.can_id | ERROR_FLAG:08X}"
+    else:
+        name = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
+    return f"({time_text(frame.t_ns, time_digits)}) {frame.channel} {name}#{_payload_text(frame)}"
+
+
+def time_text(t_ns: int, digits: int = 1) -> str:
+    """Seconds with six decimals, as candump writes them."""
+    return f"{t_ns // 1_000_000_000:0{digits}d}.{t_ns // 1000 % 1_000_000:06d}"
+
+
+def _payload_text(frame: LogFrame) -> str:
+    """What stands behind the '#' in a log of candump."""
+    if frame.remote:
+        return f"R{frame.length or ''}"
+    if frame.fd:
+        return f"#{int(frame.brs) | int(frame.esi) << 1:X}{frame.data.hex().upper()}"
+    return frame.data.hex().upper()

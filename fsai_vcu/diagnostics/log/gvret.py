@@ -1,0 +1,44 @@
+"""SavvyCAN's own CSV, GVRET: a head that names the columns, times in microseconds, all else in hexadecimal."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fsai_vcu.diagnostics.log.candump_line import MAX_CLASSIC_DLC, MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
+from fsai_vcu.diagnostics.log.frame import LogFrame
+
+HEAD: Final = "time stamp,id,"
+_BUS: Final = "can"
+
+
+class GvretLines:
+    """Reads the lines of one file: the head first, which older versions write without `Dir`."""
+
+    def __init__(self) -> None:
+        self._columns: list[str] = []
+
+    def __call__(self, line: str) -> LogFrame | None:
+        """The frame on a line, None on the head. Raises ValueError."""
+        words = [word.strip() for word in line.split(",")]
+        if line.lower().startswith(HEAD):
+            self._columns = [word.lower() for word in words]
+            return None
+        named = dict(zip(self._columns, words, strict=False))
+        try:
+            t_us, length = int(named["time stamp"]), int(named["len"])
+            extended = named["extended"].lower() == "true"
+            can_id = int(named["id"], 16)
+            first = self._columns.index("d1")
+            data = bytes(int(word, 16) for word in words[first : first + length])
+        except (KeyError, ValueError):
+            raise ValueError("not a line of GVRET") from None
+        if not 0 <= t_us <= MAX_SECONDS * 1_000_000:
+            raise ValueError(f"no time: {t_us}")
+        if not 0 <= length <= MAX_CLASSIC_DLC:
+            raise ValueError(f"{length} data bytes")
+        if len(data) < length:
+            raise ValueError(f"{len(data)} data bytes where {length} are announced")
+        if not 0 <= can_id <= (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID):
+            raise ValueError(f"no {29 if extended else 11}-bit identifier: {named['id']}")
+        sent = {"tx": True, "rx": False}.get(named.get("dir", "").lower())
+        return LogFrame(t_us * 1000, f"{_BUS}{named.get('bus', '0')}", can_id, data, extended, sent=sent)

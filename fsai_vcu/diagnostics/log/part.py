@@ -1,0 +1,77 @@
+"""A part of a log: from one moment to another, and messages by name."""
+
+from __future__ import annotations
+
+import math
+import re
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.log.frames import Frames
+
+_CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::(\d\d(?:\.\d+)?))?")
+_SECOND_NS: Final = 1_000_000_000
+
+
+class Part:
+    """From `begin` to `end`, each in seconds since the log's first frame or as a time of day (UTC); None: no bound.
+
+    ids: the identifiers of the messages; None: all of them.
+    """
+
+    def __init__(self, begin: str | None = None, end: str | None = None, ids: frozenset[int] | None = None) -> None:
+        """Raises ValueError with one clear line."""
+        for name, text in (("--from", begin), ("--to", end)):
+            if text is not None and not _CLOCK.fullmatch(text) and not _is_number(text):
+                raise ValueError(f"{name} is {text}: neither seconds nor a time of day such as 14:03:30")
+        self._begin, self._end, self._ids = begin, end, ids
+        self._bounds: tuple[float, float] | None = None
+
+    def __bool__(self) -> bool:
+        """Whether anything is left out at all."""
+        return self._begin is not None or self._end is not None or self._ids is not None
+
+    def seconds(self, first_ns: int) -> tuple[float | None, float | None]:
+        """(from, to) in seconds since the log's first frame, which was at `first_ns`."""
+        return _seconds(self._begin, first_ns), _seconds(self._end, first_ns)
+
+    def of(self, frames: Frames) -> Frames:
+        """The frames of the part; the first ones ever given begin the log."""
+        import numpy as np
+
+        if not self or not len(frames):
+            return frames
+        if self._bounds is None:
+            first_ns = int(frames.t_ns[0])
+            low, high = self.seconds(first_ns)
+            self._bounds = (
+                -math.inf if low is None else first_ns + low * _SECOND_NS,
+                math.inf if high is None else first_ns + high * _SECOND_NS,
+            )
+        inside = (frames.t_ns >= self._bounds[0]) & (frames.t_ns <= self._bounds[1])
+        if self._ids is not None:
+            inside &= np.isin(frames.can_id, np.fromiter(self._ids, np.uint32))
+        return frames.only(inside)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _seconds(text: str | None, first_ns: int) -> float | None:
+    if text is None:
+        return None
+    clock = _CLOCK.fullmatch(text)
+    if clock is None:
+        return float(text)
+    first = datetime.fromtimestamp(first_ns / _SECOND_NS, UTC)
+    midnight = first.replace(hour=0, minute=0, second=0, microsecond=0)
+    hours, minutes, seconds = int(clock[1]), int(clock[2]), float(clock[3] or 0)
+    moment = midnight + timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    if first - moment > timedelta(hours=12):  # a log over midnight
+        moment += timedelta(days=1)
+    return (moment - first).total_seconds()

@@ -1,0 +1,45 @@
+"""`fsai-vcu dbc`: messages, signals, differences."""
+
+from __future__ import annotations
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+
+@pytest.mark.parametrize("name", ["0x513", "513", "AI2VCU_Steer", "ai2vcu_st?er"])
+def test_a_message_is_shown_by_number_name_or_pattern(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", "show", name]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        "0x513 AI2VCU_Steer: 2 bytes, every 10 ms, from AI",
+        "    STEER_REQUEST: bit 0, 16 signed, x 0.1 deg",
+    ]
+
+
+def test_two_revisions_differ_message_by_message(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", "diff", "2021", "2026"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert "- 0x120 VCU_STATUS: 8 bytes, every 10 ms, from VCU" in lines
+    assert any(line.startswith("+ 0x520 VCU2AI_Status: TS_STATE: bit 28, 4 unsigned: 0 TS_INIT") for line in lines)
+
+
+def test_a_database_does_not_differ_from_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dbc", "diff", "2026", "2026"]) == 0
+    assert capsys.readouterr().out == "no difference\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "error"),
+    [
+        (["show", "nothing"], 1, "no message nothing in 2026"),
+        (["diff", "2021"], 2, "diff takes two databases"),
+        (["list", "--dbc", "/nowhere.dbc"], 1, "/nowhere.dbc"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_line(
+    words: list[str], status: int, error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["dbc", *words]) == status
+    (line,) = capsys.readouterr().err.splitlines()
+    assert error in line

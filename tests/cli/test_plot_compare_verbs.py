@@ -1,0 +1,44 @@
+"""`fsai-vcu plot` and `compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fsai_vcu.cli.main import main
+
+
+def log(path: Path, *, period_ms: int = 10, angle: int = 50) -> Path:
+    """0x523 for two seconds; its measured angle in steps of 0.1 deg."""
+    value = angle.to_bytes(2, "little").hex()
+    frames = range(0, 2000, period_ms)
+    path.write_text("".join(f"({1 + ms / 1000:.6f}) can0 523#{value}2c010000\n" for ms in frames))
+    return path
+
+
+def test_chosen_signals_are_drawn_with_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'fsai-vcu[plot]'")
+    picture = tmp_path / "angle.png"
+    assert main(["plot", str(log(tmp_path / "a.log")), "ANGLE", "*.ANGLE_MAX", "-o", str(picture)]) == 0
+    assert capsys.readouterr().out == f"saved {picture}: VCU2AI_Steer.ANGLE, VCU2AI_Steer.ANGLE_MAX\n"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_signal_that_the_log_lacks_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plot", str(log(tmp_path / "a.log")), "STEER_REQUEST"]) == 1
+    assert "no signal STEER_REQUEST" in capsys.readouterr().err
+
+
+def test_two_equal_logs_do_not_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(log(tmp_path / "a.log")), str(log(tmp_path / "b.log"))]) == 0
+    assert capsys.readouterr().out == "nothing differs\n"
+
+
+def test_other_periods_and_values_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = log(tmp_path / "b.log", period_ms=20, angle=80)
+    assert main(["compare", str(log(tmp_path / "a.log")), str(other)]) == 1
+    assert capsys.readouterr().out.splitlines() == [
+        "0x523 VCU2AI_Steer: every 10.0 ms, then every 20.0 ms",
+        "VCU2AI_Steer.ANGLE: 5 to 5 (mean 5), then 8 to 8 (mean 8) deg",
+    ]

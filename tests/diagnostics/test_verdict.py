@@ -1,0 +1,123 @@
+"""One verdict of a log: a second sender, what is not as asked, what cannot be known, and pauses as one finding."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from story_runs import branch, driving, hand_made
+
+from fsai_vcu.diagnostics.explain import IncidentKind, record_for, story_of
+from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.statistics.measure import measure
+from fsai_vcu.diagnostics.verdict import Verdict, judge_log
+from fsai_vcu.interface.units import MS, S
+
+
+@pytest.fixture(scope="module")
+def drive() -> Frames:
+    """A drive that goes on: nothing is wrong with it."""
+    return branch(driving(), lambda run: None, 2.0).frames
+
+
+def judged(frames: Frames) -> Verdict:
+    record = record_for(frames)
+    return judge_log(record, story_of(record), measure(frames, record.decoder, revision=record.revision.name))
+
+
+def kinds(frames: Frames) -> list[str]:
+    return [finding.kind for finding in judged(frames).findings if finding.severity.value == "problem"]
+
+
+def in_order(*parts: Frames) -> Frames:
+    whole = joined(parts)
+    return whole.only(np.argsort(whole.t_ns, kind="stable"))
+
+
+def test_a_sound_drive_is_ok_with_status_0(drive: Frames) -> None:
+    verdict = judged(drive)
+    assert verdict.ok and verdict.status == 0, list(verdict.lines())
+
+
+@pytest.mark.parametrize("batch_ms", [5, 20, 50])
+def test_a_log_in_an_adapters_batches_has_no_second_sender(drive: Frames, batch_ms: int) -> None:
+    stamped = (drive.t_ns // (batch_ms * MS) + 1) * batch_ms * MS
+    assert "intruder" not in kinds(replace(drive, t_ns=stamped))
+
+
+def test_a_sender_that_catches_up_after_a_pause_is_one_sender(drive: Frames) -> None:
+    held = (drive.t_ns > drive.t_ns[-1] - S) & (drive.t_ns < drive.t_ns[-1] - 800 * MS)
+    late = drive.t_ns[-1] - 800 * MS + np.arange(held.sum()) * MS // 20
+    t_ns = drive.t_ns.copy()
+    t_ns[held] = late
+    moved = replace(drive, t_ns=t_ns)
+    assert "intruder" not in kinds(moved.only(np.argsort(t_ns, kind="stable")))
+
+
+def test_two_bridges_at_once_are_one_finding(drive: Frames) -> None:
+    ours = drive.only((drive.can_id >= 0x510) & (drive.can_id <= 0x514))
+    verdict = judged(in_order(drive, replace(ours, t_ns=ours.t_ns + 4 * MS)))
+    (found,) = [finding for finding in verdict.findings if finding.kind == "intruder"]
+    assert found.can_ids == (0x510, 0x511, 0x512, 0x513, 0x514)
+    assert "200 frames a second" in found.text
+    assert not [finding for finding in verdict.findings if finding.kind == "period"]
+
+
+@pytest.mark.parametrize(("can_id", "data"), [(0x510, "0500"), (0x511, "f401"), (0x513, "9cff"), (0x514, "6464")])
+def test_one_frame_that_contradicts_its_neighbours_is_told(drive: Frames, can_id: int, data: str) -> None:
+    row = int(np.flatnonzero(drive.can_id == can_id)[-50])
+    length = int(drive.length[row])
+    stranger = hand_made(
+        [(int(drive.t_ns[row]) / 1e9 + 0.004, can_id, (bytes.fromhex(data) + bytes(8))[:length].hex())]
+    )
+    spoilt = in_order(drive, replace(stranger, channels=drive.channels))
+    (found,) = [finding for finding in judged(spoilt).findings if finding.kind == "intruder"]
+    assert found.can_ids == (can_id,)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [(0x520, 0x520, "no 0x520 in the log"), (0x510, 0x514, "no frame of the AI computer")],
+)
+def test_what_cannot_be_known_is_not_ok(drive: Frames, low: int, high: int, words: str) -> None:
+    verdict = judged(drive.only((drive.can_id < low) | (drive.can_id > high)))
+    assert verdict.status == 1
+    assert verdict.line().startswith(f"UNKNOWN: {words}")
+
+
+def test_a_pause_of_everybody_is_one_finding_with_its_moment(drive: Frames) -> None:
+    begin_ns = int(drive.t_ns[-1]) - 1 * S
+    verdict = judged(drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 40 * MS)))
+    (pause,) = [finding for finding in verdict.findings if finding.kind == "gap"]
+    assert "pause of" in pause.text
+    assert pause.t_ns is not None and abs(pause.t_ns - begin_ns) < 20 * MS
+
+
+def test_a_part_of_the_log_has_the_findings_of_that_part(drive: Frames) -> None:
+    begin_ns = int(drive.t_ns[-1]) - 1 * S
+    verdict = judged(drive.only((drive.t_ns <= begin_ns) | (drive.t_ns > begin_ns + 40 * MS)))
+    assert [f.kind for f in verdict.between(None, 5.0).findings if f.t_ns is not None] == []
+
+
+def changed(drive: Frames, can_id: int, data: str, since_ns: int) -> Frames:
+    """From then on all frames of that id say this."""
+    word = drive.word.copy()
+    rows = (drive.can_id == can_id) & (drive.t_ns >= since_ns)
+    word[rows] = int.from_bytes(bytes.fromhex(data), "little")
+    return replace(drive, word=word)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "slug"),
+    [
+        (0x522, "0000000079ff", "torque_not_given"),  # 0 Nm given
+        (0x523, "2c012c01", "steering_not_following"),  # 30 degrees measured
+        (0x524, "8080", "brake_unasked"),
+        (0x525, "00000000c8000000", "wheel_unlike"),
+    ],
+)
+def test_what_the_car_does_not_do_as_asked_is_named(drive: Frames, can_id: int, data: str, slug: str) -> None:
+    story = story_of(record_for(changed(drive, can_id, data, int(drive.t_ns[-1]) - 1900 * MS)))
+    found = {i.candidates[0].slug for i in story.incidents if i.kind is IncidentKind.MISMATCH}
+    assert slug in found
