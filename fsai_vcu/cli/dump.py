@@ -9,6 +9,7 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
+from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -42,8 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import WrongUse
-
     if args.count is not None and args.count < 1:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):

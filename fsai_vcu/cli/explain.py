@@ -16,6 +16,7 @@ from fsai_vcu.cli.sources import (
     add_source_argument,
     check_seconds,
 )
+from fsai_vcu.interface.errors import WrongUse
 
 EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
@@ -36,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.explain import record_for, story_of
     from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
     from fsai_vcu.diagnostics.statistics.measure import measure

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument
+from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.explain.record import Record, Series
@@ -27,7 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.diagnostics.explain import record_for
 
     decoding = Decoding("plot", args)
@@ -64,8 +64,6 @@ def _chosen(record: Record, patterns: list[str]) -> dict[str, list[tuple[str, Se
 
 
 def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]], title: str) -> None:
-    from fsai_vcu.cli.main import UserError
-
     try:
         import matplotlib
 

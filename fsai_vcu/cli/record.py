@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.export.writing import ExportError, check_format
+    from fsai_vcu.diagnostics.export.writing import check_format
     from fsai_vcu.diagnostics.recorder.listening import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
@@ -100,10 +100,7 @@ def run(args: argparse.Namespace) -> int:
     about = _about(args)
     decoder = None
     if args.mcap:
-        try:
-            check_format("mcap")
-        except ExportError as error:
-            raise UserError(str(error)) from error
+        check_format("mcap")
         decoder = decoder_of(args)
     bounds = _bounds(args)
     topics = _topics(args)

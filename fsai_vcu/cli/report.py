@@ -13,6 +13,7 @@ from fsai_vcu.cli.sources import (
     add_source_argument,
     check_seconds,
 )
+from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
@@ -30,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.diagnostics.report import page
 
     check_seconds(args)

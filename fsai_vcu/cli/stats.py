@@ -17,6 +17,7 @@ from fsai_vcu.cli.sources import (
     add_source_argument,
     check_seconds,
 )
+from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
@@ -46,7 +47,6 @@ def run(args: argparse.Namespace) -> int:
 
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
-    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.explain import record_for, story_of
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
