@@ -10,7 +10,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument, report_problems
+from fsai_vcu.cli.sources import (
+    Decoding,
+    Output,
+    Sources,
+    add_database_arguments,
+    add_part_arguments,
+    add_sources_argument,
+    part_of,
+    report_problems,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
@@ -24,7 +33,8 @@ _SHORT_BYTES = 1 << 16  # printed frame by frame sooner than numpy is loaded
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_source_argument(parser, "log")
+    add_sources_argument(parser, "logs")
+    add_part_arguments(parser)
     add_database_arguments(parser)
     parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
@@ -32,13 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     decoding = Decoding("decode", args)
-    if _is_short(Path(args.log)):
+    whole = args.begin is args.end is args.messages is None
+    if whole and len(args.logs) == 1 and _is_short(Path(args.logs[0])):
         return _short(args, decoding)
-    sources = Sources("decode", [args.log], decoding)
+    sources = Sources("decode", args.logs, decoding, part_of(args, decoding))
     output = Output()
-    if sources.live or args.log == "-":
-        for frames in sources.chunks():
-            output.write(decoding.writer.block(frames), at_once=True)
+    if sources.live or "-" in args.logs:
+        try:
+            for frames in sources.chunks():
+                output.write(decoding.writer.block(frames), at_once=True)
+        except KeyboardInterrupt:
+            if not sources.live:
+                raise
         return sources.status
     from concurrent.futures import ThreadPoolExecutor
 
@@ -55,7 +70,7 @@ def _short(args: argparse.Namespace, decoding: Decoding) -> int:
     from fsai_vcu.diagnostics.decode.text import FrameText
     from fsai_vcu.diagnostics.log.reader import open_log
 
-    with open_log(args.log) as log:
+    with open_log(args.logs[0]) as log:
         frames = list(log.frames())
     decoding.hear_frames(frames)
     text = FrameText(decoding.databases, as_json=args.json, words=not args.numbers)

@@ -8,7 +8,15 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final
 
-from fsai_vcu.cli.sources import SOURCE_HELP, Decoding, Output, Sources, add_database_arguments
+from fsai_vcu.cli.sources import (
+    SOURCE_HELP,
+    Decoding,
+    Output,
+    Sources,
+    add_database_arguments,
+    add_part_arguments,
+    part_of,
+)
 from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -36,8 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
     parser.add_argument("-L", dest="log_format", action="store_true", help="the format of candump's logs")
     parser.add_argument("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
+    parser.add_argument("--changes", action="store_true", help="only frames that differ from their message's last one")
+    parser.add_argument(
+        "--signals", metavar="NAME,…", help="only frames with these signals, and only these; with * and ?"
+    )
     parser.add_argument("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
+    add_part_arguments(parser)
     parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
 
@@ -48,13 +61,14 @@ def run(args: argparse.Namespace) -> int:
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
         raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
     decoding = Decoding("dump", args)
-    sources = Sources("dump", args.sources, decoding)
+    decoding.show_signals(args.signals)
+    sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
     lines = _Lines(args, decoding)
     output = Output()
     left = args.count
     received_at = time.monotonic()
     try:
-        for frames in sources.chunks():
+        for frames in map(lines.chosen, sources.chunks()):
             if len(frames):
                 received_at = time.monotonic()
                 shown = frames if left is None else frames.head(left)
@@ -80,8 +94,32 @@ class _Lines:
         self._decoding = decoding
         self._color = args.color or (sys.stdout.isatty() and not os.environ.get("NO_COLOR"))
         self._indented = False
+        self._newest: dict[int, int] = {}  # by key: the payload
         self._zero_ns: int | None = None
         self._last_ns: int | None = None
+
+    def chosen(self, frames: Frames) -> Frames:
+        """The frames that --changes and --signals leave."""
+        import numpy as np
+
+        from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
+        from fsai_vcu.diagnostics.log.frames import EXTENDED
+
+        if self._args.signals is not None and len(frames):
+            shown = np.fromiter(self._decoding.databases.layouts, np.int64) & 0x1FFF_FFFF
+            frames = frames.only(np.isin(frames.can_id, shown))
+        if not self._args.changes or not len(frames):
+            return frames
+        changed = []
+        layouts = self._decoding.databases.layouts if self._args.signals is not None else {}
+        masks = {key: layout.mask for key, layout in layouts.items()}
+        keys = zip(frames.can_id.tolist(), (frames.flags & EXTENDED).tolist(), frames.word.tolist(), strict=True)
+        for can_id, extended, word in keys:
+            key = can_id | (EXTENDED_KEY if extended else 0)
+            said = word & masks.get(key, ~0)
+            changed.append(self._newest.get(key) != said)
+            self._newest[key] = said
+        return frames.only(np.array(changed, np.bool_))
 
     def block(self, frames: Frames) -> bytes | bytearray:
         from fsai_vcu.diagnostics.log.candump import log_lines, screen_lines

@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from fsai_vcu.cli.sources import LOG_HELP, Decoding, Sources, add_database_arguments
+from fsai_vcu.cli.sources import LOG_HELP, Decoding, Sources, add_database_arguments, add_part_arguments, part_of
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--words", action="store_true", help="csv, parquet: words where the database has them, not numbers"
     )
+    add_part_arguments(parser, end="--until")  # --to is the format
     add_database_arguments(parser)
 
 
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from error
     check_format(args.to)
     decoding = Decoding("export", args)
-    sources = Sources("export", args.logs, decoding)
+    sources = Sources("export", args.logs, decoding, part_of(args, decoding))
     if sources.live:
         raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
     progress = _Progress()

@@ -6,7 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument
+from fsai_vcu.cli.sources import (
+    Decoding,
+    Sources,
+    add_database_arguments,
+    add_part_arguments,
+    add_source_argument,
+    part_of,
+)
 from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
@@ -24,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_argument(parser)
     parser.add_argument("signals", nargs="+", metavar="SIGNAL", help="NAME or MESSAGE.NAME, with * and ?")
     parser.add_argument("-o", "--output", type=Path, default=Path("plot.png"), metavar="FILE", help="default: plot.png")
+    add_part_arguments(parser)
     add_database_arguments(parser)
 
 
@@ -31,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.explain import record_for
 
     decoding = Decoding("plot", args)
-    sources = Sources("plot", [args.source])
+    sources = Sources("plot", [args.source], part=part_of(args, decoding))
     if sources.live:
         raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
     frames = sources.everything()

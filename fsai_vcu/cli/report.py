@@ -9,9 +9,11 @@ from fsai_vcu.cli.sources import (
     Decoding,
     Sources,
     add_database_arguments,
+    add_part_arguments,
     add_seconds_argument,
-    add_source_argument,
+    add_sources_argument,
     check_seconds,
+    part_of,
 )
 from fsai_vcu.interface.errors import UserError
 
@@ -24,9 +26,10 @@ something could not be read, or the page not be written, 2 wrong use."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    add_source_argument(parser)
+    add_sources_argument(parser)
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.html", help="the page to write")
     add_seconds_argument(parser)
+    add_part_arguments(parser)
     add_database_arguments(parser)
 
 
@@ -35,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_seconds(args)
     decoding = Decoding("report", args)
-    sources = Sources("report", [args.source])
+    sources = Sources("report", args.sources, part=part_of(args, decoding))
     frames = sources.everything(args.seconds)
     if not len(frames):
         return 1

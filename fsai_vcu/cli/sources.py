@@ -42,14 +42,14 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
     )
 
 
-def add_part_arguments(parser: argparse.ArgumentParser) -> None:
+def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to") -> None:
     parser.add_argument(
         "--from",
         dest="begin",
         metavar="TIME",
         help="from so many seconds after the log's first frame on, or from a time of day (UTC, 14:03:30)",
     )
-    parser.add_argument("--to", dest="end", metavar="TIME", help="up to that time")
+    parser.add_argument(end, dest="end", metavar="TIME", help="up to that time")
     parser.add_argument(
         "--messages", metavar="NAME,…", help="only these: names as in the database with * and ?, or identifiers (0x520)"
     )
@@ -122,6 +122,7 @@ class Decoding:
             self.revision = revision_named(args.revision or list(REVISIONS)[-1]).name
         except ValueError as error:
             raise WrongUse(str(error)) from error
+        self._shown: tuple[str, ...] | None = None
         self._databases: Databases | None = None
         self._decoder: Decoder | None = None
         self._writer: LineWriter | None = None
@@ -152,6 +153,15 @@ class Decoding:
         if self._writer is None:
             self._writer = LineWriter(self.decoder, as_json=self._args.json, words=not self._args.numbers)
         return self._writer
+
+    def show_signals(self, names: str | None) -> None:
+        """From now on only these signals, by name or pattern, and the messages that have them. Raises UserError."""
+        if names is None:
+            return
+        self._shown = tuple(filter(None, names.split(",")))
+        self._databases = self._decoder = self._writer = None
+        if not self.databases.layouts:
+            raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
 
     def hear(self, frames: Frames) -> None:
         """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
@@ -184,7 +194,8 @@ class Decoding:
     def _loaded(self) -> Databases:
         from fsai_vcu.diagnostics.decode.databases import load_databases
 
-        return load_databases(self._files, self.revision)
+        databases = load_databases(self._files, self.revision)
+        return databases if self._shown is None else databases.with_signals(self._shown)
 
 
 class Sources:
@@ -344,6 +355,8 @@ def _unfolded(name: str) -> list[str]:
     if folder == "-" or not Path(folder).is_dir():
         return [name]
     logs = sorted(path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES)
+    if not logs:
+        raise UserError(f"{folder}: no log in this folder")
     return [f"{path},{filters}" if filters else str(path) for path in logs]
 
 

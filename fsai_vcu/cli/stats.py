@@ -13,9 +13,11 @@ from fsai_vcu.cli.sources import (
     Output,
     Sources,
     add_database_arguments,
+    add_part_arguments,
     add_seconds_argument,
-    add_source_argument,
+    add_sources_argument,
     check_seconds,
+    part_of,
 )
 from fsai_vcu.interface.errors import WrongUse
 
@@ -32,9 +34,10 @@ _PROGRESS_S = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    add_source_argument(parser)
+    add_sources_argument(parser)
     add_database_arguments(parser)
     add_seconds_argument(parser)
+    add_part_arguments(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
     parser.add_argument(
         "--json", action="store_true", help="one JSON object per message, finding and bus; verdict last"
@@ -55,7 +58,7 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     if args.bitrate is not None and args.bitrate < 1:
         raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
     decoding = Decoding(verb, args)
-    sources = Sources(verb, [args.source], decoding)
+    sources = Sources(verb, args.sources, decoding, part_of(args, decoding))
     frames = sources.everything(args.seconds, _Progress())
     buses = measure(frames, decoding.decoder, revision=decoding.revision, bitrate=args.bitrate)
     output = Output()

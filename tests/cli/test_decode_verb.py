@@ -110,7 +110,7 @@ def test_a_broken_log_is_decoded_up_to_the_break_and_fails(tmp_path: Path, capsy
     ("argv", "words", "status"),
     [
         (["gone.log"], "gone.log: No such file or directory", 1),
-        (["."], ".: Is a directory", 1),
+        (["."], ".: no log in this folder", 1),
         (["nowhere0"], "no CAN interface 'nowhere0'", 1),
         (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read: No such file or directory", 1),
         (["LOG", "--revision", "2030"], "choose one of 2021, 2026", 2),

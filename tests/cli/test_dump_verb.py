@@ -109,3 +109,21 @@ def test_wrong_use_is_one_clear_line(
     assert main(["dump", *[word.replace("LOG", log) for word in argv]]) == status
     said = capsys.readouterr()
     assert words in said.err and said.err.count("\n") == 1 and said.out == ""
+
+
+def test_changes_of_chosen_signals_are_shown_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    words = ("0000", "0100", "0102", "0002")  # 0x520: HANDSHAKE toggles, then GO_SIGNAL and HANDSHAKE change
+    log.write_text("".join(f"(1.{n}) can0 520#00{word}0000000000\n" for n, word in enumerate(words)))
+    assert main(["dump", str(log), "--changes", "--signals", "AS_STATE", "--no-signals"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_a_part_of_a_log_is_by_seconds_clock_and_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("".join(f"(17{n:02}.000000) can0 {can_id}#00\n" for n in range(10) for can_id in ("513", "523")))
+    for part in (["--from", "2", "--to", "3"], ["--from", "00:28:22", "--to", "00:28:23"]):
+        assert main(["dump", str(log), *part, "--messages", "*_Steer,0x513", "-L", "--no-signals"]) == 0
+        assert len(capsys.readouterr().out.splitlines()) == 4
+    assert main(["dump", str(log), "--from", "noon"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

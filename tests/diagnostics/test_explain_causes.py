@@ -201,7 +201,7 @@ ENDS = [
     End(
         "the bridge is killed in AS_READY", ready, lambda run: run.lockstep.computer.kill_bridge(), 0.2, E, "ai_silent"
     ),
-    End("bus-off", driving, bus_off, 0.2, E, "ai_silent"),
+    End("bus-off", driving, bus_off, 0.2, E, "bus_lost"),
     End(
         "the echo is frozen",
         driving,

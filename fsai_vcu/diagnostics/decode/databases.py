@@ -7,6 +7,7 @@ plain (multiplexed, longer than eight bytes, …) are decoded by cantools, which
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,6 +66,15 @@ class Databases:
             return dict(message.decode_simple(data, choices, scaling, allow_truncated=True, allow_excess=True))
         except Exception as error:  # cantools lets several unrelated kinds of errors through
             raise UndecodableError(" ".join(str(error).split()) or type(error).__name__) from error
+
+    def with_signals(self, names: Sequence[str]) -> Databases:
+        """The messages that have signals of these names (with * and ?), with no others in them."""
+        chosen = {}
+        for key, layout in self.layouts.items():
+            signals = tuple(s for s in layout.signals if any(fnmatchcase(s.name, name) for name in names))
+            if signals:
+                chosen[key] = layout._replace(signals=signals)
+        return Databases(chosen, self.sources, self.baudrate, self._load)
 
     def by_name(self, name: str) -> MessageLayout | None:
         return next((layout for layout in self.layouts.values() if layout.name == name), None)

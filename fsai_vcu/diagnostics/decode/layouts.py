@@ -53,5 +53,10 @@ class MessageLayout(NamedTuple):
         return fnmatchcase(self.name.lower(), name.lower()) or name.lower().removeprefix("0x") == f"{self.can_id:x}"
 
     @property
+    def mask(self) -> int:
+        """The bits of its signals in the payload as a little-endian number; all bits where it is not plain."""
+        return sum(((1 << s.length) - 1) << s.start for s in self.signals) if self.plain else ~0
+
+    @property
     def key(self) -> int:
         return self.can_id | (EXTENDED_KEY if self.extended else 0)

@@ -4,7 +4,7 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const whole = [0, Math.max(data.seconds, 0.001)];
   let view = whole.slice();
-  let cursor = null;
+  let cursor = null, pinned = null; // pinned: the time that was chosen in the story
   let chosen = null; // [from, to] while a range is being dragged
   let LEFT = 44; // room for labels, the same in all panes so that instants stand below one another
   const RIGHT = 6, TOP = 4, BOTTOM = 18, ROW = 18;
@@ -35,7 +35,7 @@
       canvas.addEventListener("pointerdown", (e) => this.down(e));
       canvas.addEventListener("pointermove", (e) => this.move(e));
       for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (e) => this.up(e));
-      canvas.addEventListener("pointerleave", () => { if (!this.pointers.size) show(null); });
+      canvas.addEventListener("pointerleave", () => { if (!this.pointers.size) show(pinned); });
       canvas.addEventListener("dblclick", () => look(...whole));
       canvas.addEventListener("keydown", (e) => this.key(e));
     }
@@ -238,7 +238,7 @@
     if (button.dataset.do) act(button.dataset.do);
     else if (button.dataset.t) {
       const t = Number(button.dataset.t);
-      look(t - 1, t + 1); show(t);
+      pinned = t; look(t - 1, t + 1); show(t);
       document.getElementById("plots").scrollIntoView({ block: "start" });
     }
   });

@@ -54,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
             return 0
         return _drive_with_fault(args) if args.fault else _drive(args)
     except (ValueError, OSError) as error:
-        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        text = str(error)
+        if isinstance(error, OSError):  # a disk that is full does not say which file it was
+            text = f"{error.filename or args.log or args.plot}: {error.strerror}"
         raise UserError(text) from error
 
 

@@ -165,7 +165,9 @@ def main(argv: list[str] | None = None) -> int:
                 named = ", ".join(one.named) or "nothing"
                 print(f"{one.grade}: {named}, expected {' or '.join(sorted(one.expected)) or 'nothing'}{green}")
                 print(f"    {one.case.replay}")
-            print(f"{len(found)} of {count} logs", end="\r", file=sys.stderr, flush=True)
+            if sys.stderr.isatty() or len(found) % 10 == 0:
+                end = "\r" if sys.stderr.isatty() else "\n"
+                print(f"{len(found)} of {count} logs", end=end, file=sys.stderr, flush=True)
     grades = {grade: sum(one.grade == grade for one in found) for grade in ("right", "partly", "wrong")}
     green = sum(one.falsely_green for one in found)
     share = grades["right"] / len(found)
