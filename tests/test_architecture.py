@@ -26,14 +26,14 @@ ARROWS: dict[str, set[str]] = {
     "fsai_vcu.core": {"fsai_vcu.interface"},
     "fsai_vcu.runtime": {"fsai_vcu.core", "fsai_vcu.interface"},
     DIAGNOSTICS: set(),
-    f"{DIAGNOSTICS}.log": {"fsai_vcu.runtime"},
+    f"{DIAGNOSTICS}.log": {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.decode": {f"{DIAGNOSTICS}.log", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.statistics": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.explain": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log", "statistics")}
     | {"fsai_vcu.core", "fsai_vcu.interface"},
     f"{DIAGNOSTICS}.verdict": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "explain", "statistics")}
     | {"fsai_vcu.interface"},
-    f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")},
+    f"{DIAGNOSTICS}.export": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")} | {"fsai_vcu.interface"},
     f"{DIAGNOSTICS}.transmit": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}
     | {"fsai_vcu.interface", "fsai_vcu.runtime"},
     f"{DIAGNOSTICS}.doctor": {f"{DIAGNOSTICS}.{room}" for room in ("decode", "log")}

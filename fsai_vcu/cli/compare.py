@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments
+from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.explain.record import Record
@@ -28,7 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.diagnostics.explain import record_for, story_of
     from fsai_vcu.diagnostics.statistics.measure import measure
 

@@ -115,7 +115,7 @@ def words_of(action: argparse.Action) -> tuple[str, ...] | None:
 
 
 def _completer(action: argparse.Action, metavar: str) -> dict[str, Any] | None:
-    """What shtab takes for a file, a folder, a CAN interface or either; None: a number, or a name nobody can guess."""
+    """What shtab takes for a file, a folder, a CAN interface or either; None: a number, or a free name."""
     parts = {part.partition(".")[0] for part in re.split(r"[|=]", re.split(r"[\[,]", metavar)[0])}
     files = not parts.isdisjoint({"FILE", "LOG", "RECORD", "PATH"}) or action.type is Path
     if "SOURCE" in parts or (files and "INTERFACE" in parts):

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsai_vcu.interface.errors import UserError, WrongUse
+
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
     from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
@@ -29,8 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError, WrongUse
-
     if args.what == "diff":
         if len(args.names) != 2:
             raise WrongUse("diff takes two databases: fsai-vcu dbc diff 2021 2026")
@@ -49,14 +49,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load(name: str) -> Databases:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
+    from fsai_vcu.diagnostics.decode.databases import load_databases
     from fsai_vcu.interface.revisions import REVISIONS
 
-    try:
-        return load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
-    except DatabasesError as error:
-        raise UserError(str(error)) from error
+    return load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
 
 
 def _head(layout: MessageLayout) -> str:

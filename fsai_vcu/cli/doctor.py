@@ -1,4 +1,4 @@
-"""`fsai-vcu doctor`: what is right and what is wrong on this machine, on one screen; and whose wheel is whose."""
+"""`fsai-vcu doctor`: what is right and what is wrong on this machine, on one screen; and how the wheels are wired."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ import json
 import math
 import signal
 import sys
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsai_vcu.interface.errors import UserError, WrongUse
+
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.doctor.machine import Wanted
     from fsai_vcu.interface.codec import Codec
+    from fsai_vcu.interface.wheels import WheelMapping
     from fsai_vcu.runtime.configuration import Configuration
 
 EXAMPLE = "fsai-vcu doctor; fsai-vcu doctor --wheels"
@@ -34,11 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit status: 0 when nothing is wrong."""
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.runtime.configuration import USUAL_PATH, ConfigurationError, read_configuration
 
     if not 0.0 < args.seconds < math.inf:
-        raise UserError(f"--seconds is {args.seconds:g}, not a time to listen for")
+        raise WrongUse(f"--seconds is {args.seconds:g}, not a time to listen for")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     configuration: Configuration | None = None
     problems: tuple[str, ...] = ()
@@ -57,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     wanted = codec = None
     if configuration is not None:
         wanted = _wanted(configuration, args.interface)
-        codec = _codec(configuration)
+        codec = _codec(configuration, configuration.wheel_mapping)
     findings = examine(collect(wanted, problems, codec, args.seconds))
     wrong = sum(finding.level == "wrong" for finding in findings)
     if args.json:
@@ -94,58 +97,41 @@ def _wanted(configuration: Configuration, interface: str | None) -> Wanted:
     )
 
 
-def _codec(configuration: Configuration, *, as_wired: bool = False) -> Codec:
-    """as_wired: the wheels as their signals are called, without the configured mapping."""
-    from fsai_vcu.cli.main import UserError
+def _codec(configuration: Configuration, mapping: WheelMapping) -> Codec:
     from fsai_vcu.interface.codec import Codec
-    from fsai_vcu.interface.database import DatabaseError
     from fsai_vcu.interface.revisions import REVISIONS
-    from fsai_vcu.interface.wheels import STRAIGHT
 
     files = [Path(name) for name in configuration.dbc_files]
-    mapping = STRAIGHT if as_wired else configuration.wheel_mapping
-    try:
-        return Codec(REVISIONS[configuration.revision], files or None, mapping)
-    except DatabaseError as error:
-        raise UserError(str(error)) from error
+    return Codec(REVISIONS[configuration.revision], files or None, mapping)
 
 
 def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool) -> int:
     """The commissioning check: each wheel is turned once, forwards, with the car on stands and nothing energised."""
-    import time
-
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.core.vehicle.parameters import CARS
     from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
     from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
-    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
+    from fsai_vcu.interface.wheels import STRAIGHT
+    from fsai_vcu.runtime.bus import open_bus
 
-    codec = _codec(configuration, as_wired=True)
+    codec = _codec(configuration, STRAIGHT)  # the wheels as their signals are called
     pulses_per_rev = CARS[configuration.car].wheel_pulses_per_rev
     check = WheelWiringCheck()
     asked: str | None = None
     problems: list[str] = []
 
-    def say(words: str) -> None:
+    def show(words: str) -> None:
         print(words, file=sys.stderr if as_json else sys.stdout, flush=True)
 
-    try:
-        bus = open_bus(interface, receive=(0x525, 0x526), may_send=())
-    except BusError as error:
-        raise UserError(str(error)) from error
-    with bus:
+    with open_bus(interface, receive=(0x525, 0x526), may_send=()) as bus:
         until_ns = 0
         while check.asked is not None:
             if check.asked != asked:
                 asked = check.asked
                 until_ns = time.monotonic_ns() + int(_PATIENCE_S * 1e9)
-                say(f"turn the {NAMES[asked]} wheel once, slowly, forwards; then let it stand")
+                show(f"turn the {NAMES[asked]} wheel once, slowly, forwards; then let it stand")
             if time.monotonic_ns() >= until_ns:
-                raise UserError(f"no wheel has turned for {_PATIENCE_S:g} s, as 0x526 tells")
-            try:
-                frame = bus.recv(0.2)
-            except BusLost as error:
-                raise UserError(str(error)) from error
+                raise UserError(f"no wheel has turned for {_PATIENCE_S:g} s (0x526)")
+            frame = bus.recv(0.2)
             image = None if frame is None else codec.decode(frame).image
             if isinstance(image, WheelSpeeds):
                 check.on_speeds(image.all_rpm)
@@ -154,11 +140,11 @@ def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool)
                 if turn is not None:
                     problem = turn.problem(pulses_per_rev)
                     if turn.source is None:
-                        say(f"  {problem}")
+                        show(f"  {problem}")
                         continue
-                    say(f"  {NAMES[turn.wheel]}: found in {turn.source}, {turn.counted} pulses")
+                    show(f"  {NAMES[turn.wheel]}: found in {turn.source}, {turn.counted} pulses")
                     if problem:
-                        say(f"  WRONG: {problem}")
+                        show(f"  WRONG: {problem}")
                         problems.append(f"{NAMES[turn.wheel]}: {problem}")
     mapping = check.mapping()
     configured = configuration.wheel_mapping

@@ -17,6 +17,7 @@ from fsai_vcu.cli.sources import (
     add_part_arguments,
     part_of,
 )
+from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -55,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import WrongUse
-
     if args.count is not None and args.count < 1:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):

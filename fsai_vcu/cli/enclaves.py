@@ -7,9 +7,9 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+
+from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
@@ -20,6 +20,10 @@ _DISTRIBUTION = Path("/opt/ros/jazzy")
 _OUR_OWN = {"LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH"}
 
 
+_Tool = tuple[list[str], dict[str, str]]
+"""`ros2 security`, with the environment that its own setup file makes."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keystore", type=Path, default=Path("/etc/fsai/keystore"), metavar="DIR", help="(default: %(default)s)"
@@ -28,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
+    from fsai_vcu.runtime.configuration import usual_environment
 
     policy = args.policy or next((path for path in (_INSTALLED_POLICY, _CHECKOUT_POLICY) if path.is_file()), None)
     if policy is None or not policy.is_file():
@@ -46,8 +49,6 @@ def run(args: argparse.Namespace) -> int:
         keystore.mkdir(mode=0o700, parents=True, exist_ok=True)  # a configuration that names it is right from here on
         # What the keys permit, they permit in one domain only.
         domain = {**usual_environment(), **os.environ}.get("ROS_DOMAIN_ID", "0")
-    except ConfigurationError as error:
-        raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"{keystore} cannot be made: {error.strerror}") from error
     if new:
@@ -65,35 +66,24 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Tool:
-    """`ros2 security`, with the environment that its own setup file makes."""
-
-    command: tuple[str, ...]
-    environ: Mapping[str, str]
-
-
 def _find_tool() -> _Tool | None:
     """None where there is no `ros2 security`. sudo has a PATH of its own, so the usual place is looked at, too."""
     ros2 = shutil.which("ros2") or shutil.which("ros2", path=_DISTRIBUTION / "bin")
     if ros2 is None:
         return None
-    tool = _Tool((ros2, "security"), os.environ)
+    command, environ = [ros2, "security"], dict(os.environ)
     setup = Path(ros2).parents[1] / "setup.bash"
     if setup.is_file():
-        clean = {name: value for name, value in os.environ.items() if name not in _OUR_OWN}
-        tool = _Tool(("bash", "-c", '. "$0" && exec ros2 security "$@"', str(setup)), clean)
-    offers = subprocess.run(
-        [*tool.command, "--help"], env=tool.environ, capture_output=True, stdin=subprocess.DEVNULL, check=False
-    )
-    return tool if offers.returncode == 0 else None
+        command = ["bash", "-c", '. "$0" && exec ros2 security "$@"', str(setup)]
+        environ = {name: value for name, value in environ.items() if name not in _OUR_OWN}
+    offers = subprocess.run([*command, "--help"], env=environ, capture_output=True, stdin=subprocess.DEVNULL)
+    return (command, environ) if offers.returncode == 0 else None
 
 
 def _call(tool: _Tool, domain: str, *words: str) -> None:
-    from fsai_vcu.cli.main import UserError
-
     print(f"ros2 security {' '.join(words)}", file=sys.stderr, flush=True)
-    environ = {**tool.environ, "ROS_DOMAIN_ID": domain}
-    done = subprocess.run([*tool.command, *words], env=environ, stdin=subprocess.DEVNULL, check=False, umask=0o077)
+    command, environ = tool
+    environ = {**environ, "ROS_DOMAIN_ID": domain}
+    done = subprocess.run([*command, *words], env=environ, stdin=subprocess.DEVNULL, umask=0o077)
     if done.returncode != 0:
         raise UserError(f"ros2 security {words[0]} failed (exit status {done.returncode})")

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from fsai_vcu.cli.sources import LOG_HELP, Decoding, Sources, add_database_arguments, add_part_arguments, part_of
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
     "fsai-vcu export run.log.gz --to parquet -o run-tables\n"
@@ -46,9 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.export.wide import raster_ns
-    from fsai_vcu.diagnostics.export.writing import ExportError, check_format, export
+    from fsai_vcu.diagnostics.export.writing import check_format, export
 
     if args.raster is not None and not args.wide:
         raise WrongUse("--raster goes with --wide")
@@ -58,10 +58,7 @@ def run(args: argparse.Namespace) -> int:
         step_ns = raster_ns(args.raster or _DEFAULT_RASTER) if args.wide else None
     except ValueError as error:
         raise WrongUse(str(error)) from error
-    try:
-        check_format(args.to)
-    except ExportError as error:
-        raise UserError(str(error)) from error
+    check_format(args.to)
     decoding = Decoding("export", args)
     sources = Sources("export", args.logs, decoding, part_of(args, decoding))
     if sources.live:
@@ -74,8 +71,6 @@ def run(args: argparse.Namespace) -> int:
         written = export(
             frames, decoding.decoder, args.to, args.output, step_ns=step_ns, words=args.words, progress=progress.writing
         )
-    except ExportError as error:
-        raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
     finally:

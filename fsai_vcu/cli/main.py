@@ -12,6 +12,9 @@ from functools import cache
 from types import ModuleType
 from typing import NoReturn
 
+from fsai_vcu.interface.errors import UserError as UserError
+from fsai_vcu.interface.errors import WrongUse as WrongUse
+
 Verbs = dict[str, tuple[str, str]]
 """Verb -> (module, as `import_module` takes it within this package, and what it does in one line)."""
 
@@ -58,14 +61,6 @@ def all_verbs() -> Verbs:
 def _entry(verb: str) -> tuple[str, str]:
     """The table's entry of a verb; who asks for one of ours does not wait for the others to be found."""
     return OWN_VERBS.get(verb) or all_verbs()[verb]
-
-
-class UserError(Exception):
-    """Something the user can put right; the message is one clear line."""
-
-
-class WrongUse(UserError):
-    """What was asked for makes no sense, whatever is on the bus or in the log."""
 
 
 class Parser(argparse.ArgumentParser):

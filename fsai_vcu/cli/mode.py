@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import argparse
 
+from fsai_vcu.cli.services import add_bridge_arguments, call
+
 EXAMPLE = "fsai-vcu mode autonomous"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    from fsai_vcu.cli.services import add_bridge_arguments
-
     parser.add_argument("mode", help="autonomous or manual")
     add_bridge_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.services import call
-
     return call(args, "set_mode", mode=args.mode)

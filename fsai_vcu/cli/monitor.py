@@ -12,7 +12,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument
+from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:
@@ -50,12 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.monitor.screen import is_terminal
     from fsai_vcu.diagnostics.monitor.view import View
     from fsai_vcu.interface.revisions import revision
 
-    _check(args)
+    check_numbers(args, every=0.02, seconds=0.0, at=0.0, rate=0.0)
     sources = Sources("monitor", [args.source])
     if sources.live and (args.at is not None or args.rate is not None):
         raise WrongUse("--at and --rate are for logs")
@@ -66,33 +67,27 @@ def run(args: argparse.Namespace) -> int:
     databases = decoding.databases if args.dbc else None
     name = args.source.partition(",")[0]
     view = View("standard input" if name == "-" else Path(name).name, chosen, databases)
-    drawn = is_terminal() and not (args.plain or args.json)
+    lines = args.plain or args.json
+    drawn = is_terminal() and not lines
+    still = not sources.live and args.rate is None
     every_s = args.every if args.every is not None else _DRAW_EVERY_S if drawn else _PRINT_EVERY_S
-    if not sources.live and args.rate is None:
-        return _still(args, sources, view, drawn)
+    if still:
+        moments = _still(args, sources, view)
+    else:
+        moments = _live(sources, view, args.seconds, every_s) if sources.live else _played(sources, view, args, every_s)
     last: Shown | None = None
     with ExitStack() as stack:
-        show = _shower(args, drawn, stack)
-        moments = _live(sources, view, args.seconds, every_s) if sources.live else _played(sources, view, args, every_s)
+        show = None if still and not lines else _shower(args, drawn, stack)
         try:
             for last in moments:
-                if not show(*last):
+                if show is not None and not show(*last):
                     break
         except KeyboardInterrupt:
             if not sources.live:
                 raise
-    if drawn and last is not None:
-        _print_whole(*last, on_terminal=True)  # what was seen last stays to be read
+    if last is not None and (drawn or show is None):
+        _print_whole(*last, on_terminal=drawn)  # what was shown last stays to be read
     return sources.status
-
-
-def _check(args: argparse.Namespace) -> None:
-    from fsai_vcu.cli.main import WrongUse
-
-    for name, least in (("every", 0.02), ("seconds", 0.0), ("at", 0.0), ("rate", 0.0)):
-        value = getattr(args, name)
-        if value is not None and not least <= value < float("inf"):
-            raise WrongUse(f"--{name} is {value:g}, but must be {least:g} or more")
 
 
 # ---------------------------------------------------------------- moments
@@ -122,7 +117,9 @@ def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
 
 
 def _played(sources: Sources, view: View, args: argparse.Namespace, every_s: float) -> Iterator[Shown]:
-    """Pictures of a log, as often as it was asked for in the time of the one who looks."""
+    """Pictures of a log, as often as it was asked for on the clock of the one who looks."""
+    import numpy as np
+
     step_ns = max(1, round(every_s * (args.rate or 1.0) * S))
     begin_ns = due_ns = None
     due_s = time.monotonic()
@@ -134,7 +131,7 @@ def _played(sources: Sources, view: View, args: argparse.Namespace, every_s: flo
             later = (frames.t_ns >= due_ns).nonzero()[0]
             cut = int(later[0]) if len(later) else len(frames)
             view.update(frames.head(cut))
-            frames = _from(frames, cut)
+            frames = frames.only(np.arange(cut, len(frames), dtype=np.int64))
             if len(later):
                 yield _moment(view, begin_ns, due_ns)
                 due_ns += step_ns
@@ -145,39 +142,20 @@ def _played(sources: Sources, view: View, args: argparse.Namespace, every_s: flo
         yield _moment(view, begin_ns, 0)
 
 
-def _from(frames: Frames, row: int) -> Frames:
-    import numpy as np
-
-    return frames.only(np.arange(row, len(frames), dtype=np.int64))
-
-
-def _still(args: argparse.Namespace, sources: Sources, view: View, drawn: bool) -> int:
-    """A log as it stood at its end, or at --at."""
-    from fsai_vcu.cli.main import UserError
-
+def _still(args: argparse.Namespace, sources: Sources, view: View) -> Iterator[Shown]:
+    """A log as it stood at its end, or at --at. Nothing for an empty log, which Sources has reported."""
     begin_ns: int | None = None
-    at_ns: int | None = None
     for frames in sources.chunks():
         if not len(frames):
             continue
         if begin_ns is None:
             begin_ns = int(frames.t_ns[0])
-            at_ns = None if args.at is None else begin_ns + round(args.at * S)
-        if at_ns is not None:
-            frames = frames.only(frames.t_ns <= at_ns)
-        view.update(frames)
+        view.update(frames if args.at is None else frames.only(frames.t_ns <= begin_ns + round(args.at * S)))
     if begin_ns is None:
-        return 1  # Sources has said that there is no frame in it
-    newest_ns = view.memory.newest_ns
-    if newest_ns is None:
+        return
+    if view.memory.newest_ns is None:
         raise UserError(f"{args.source}: no frame up to {args.at:g} s")
-    picture, clock = _moment(view, begin_ns, at_ns if at_ns is not None else newest_ns)
-    if args.json or args.plain:
-        with ExitStack() as stack:
-            _shower(args, False, stack)(picture, clock)
-        return sources.status
-    _print_whole(picture, clock, on_terminal=drawn)
-    return sources.status
+    yield _moment(view, begin_ns, 0 if args.at is None else begin_ns + round(args.at * S))
 
 
 def _print_whole(picture: Picture, clock: Clock, *, on_terminal: bool) -> None:

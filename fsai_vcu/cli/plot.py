@@ -14,6 +14,7 @@ from fsai_vcu.cli.sources import (
     add_source_argument,
     part_of,
 )
+from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.explain.record import Record, Series
@@ -35,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.diagnostics.explain import record_for
 
     decoding = Decoding("plot", args)
@@ -72,8 +72,6 @@ def _chosen(record: Record, patterns: list[str]) -> dict[str, list[tuple[str, Se
 
 
 def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]], title: str) -> None:
-    from fsai_vcu.cli.main import UserError
-
     try:
         import matplotlib
 

@@ -16,7 +16,9 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
+from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import add_database_arguments, decoder_of
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.recorder.listening import Listener
@@ -83,41 +85,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError, WrongUse
+    from fsai_vcu.diagnostics.export.writing import check_format
     from fsai_vcu.diagnostics.recorder.listening import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
-    from fsai_vcu.diagnostics.recorder.segments import PlaceError, SegmentFolder
-    from fsai_vcu.runtime.bus import BusError
+    from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 
-    if args.seconds is not None and not 0.0 <= args.seconds < float("inf"):
-        raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
+    check_numbers(args, seconds=0.0)
     if args.ros and not args.mcap:
         raise WrongUse("--ros goes with --mcap: a candump log has no place for ROS messages")
-    if args.topic and not args.ros:
-        raise WrongUse("--topic goes with --ros")
-    if args.namespace and not args.ros:
-        raise WrongUse("--namespace goes with --ros")
+    for option in ("topic", "namespace"):
+        if getattr(args, option) and not args.ros:
+            raise WrongUse(f"--{option} goes with --ros")
     bus = args.interface.partition(":")[2] or args.interface
     about = _about(args)
     decoder = None
     if args.mcap:
-        _check_mcap()
+        check_format("mcap")
         decoder = decoder_of(args)
     bounds = _bounds(args)
     topics = _topics(args)
-    try:
-        listener = Listener(args.interface)
-    except BusError as error:
-        raise UserError(str(error)) from error
+    listener = Listener(args.interface)
     listener.start()
     try:
         place = SegmentFolder(args.output, bus, bounds)
         recording = Recording(
             place, bus, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
         )
-    except PlaceError as error:
+    except UserError:
         listener.close()
-        raise UserError(str(error)) from error
+        raise
     except OSError as error:
         listener.close()
         raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
@@ -132,13 +128,13 @@ def run(args: argparse.Namespace) -> int:
         topics.stop()
         recording.take_messages(topics.fetch())
     recording.close(time.monotonic_ns())
-    return _result(args, listener, recording, place.number)
+    return _result(args, listener, recording, place.number, stopped=signal.SIGTERM in ending)
 
 
 def _record(
     listener: Listener, topics: Any | None, recording: Recording, until_ns: int | None, ending: list[int]
 ) -> None:
-    """Until the time is up or somebody asks for the end."""
+    """Until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
     while not ending and (until_ns is None or time.monotonic_ns() < until_ns):
         time.sleep(_LOOK_S)
@@ -176,14 +172,18 @@ def _ending() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _result(args: argparse.Namespace, listener: Listener, recording: Recording, segment: int) -> int:
+def _result(args: argparse.Namespace, listener: Listener, recording: Recording, segment: int, *, stopped: bool) -> int:
+    """The exit status. stopped: by the service manager, for which a car that was never on is no failure."""
     lost = recording.lost + listener.overrun
     where = f"{args.output}, up to segment {segment}" if segment else f"{args.output}"
     ros = f" and {recording.messages} ROS messages" if args.ros else ""
     print(f"{recording.taken} frames{ros} in {where}", file=sys.stderr)
     if lost:
-        _say(f"{lost} frames were heard and are not on the disk")
-    return 1 if lost or recording.in_trouble else 0
+        _say(f"{lost} frames were received and are not on the disk")
+    silent = not (recording.taken or recording.messages or lost)
+    if silent:
+        _say(f"nothing was received on {args.interface}")
+    return 1 if lost or recording.in_trouble or (silent and not stopped) else 0
 
 
 def _say(text: str) -> None:
@@ -195,7 +195,6 @@ def _say(text: str) -> None:
 
 
 def _bounds(args: argparse.Namespace) -> Bounds:
-    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.recorder.segments import Bounds
 
     single = args.output.suffix != "" and not args.output.is_dir()
@@ -217,8 +216,6 @@ def _bounds(args: argparse.Namespace) -> Bounds:
 
 
 def _size(text: str, option: str) -> int:
-    from fsai_vcu.cli.main import WrongUse
-
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
     if not found:
         raise WrongUse(f"{option} is '{text}', not a size like 64M or 4G")
@@ -226,8 +223,6 @@ def _size(text: str, option: str) -> int:
 
 
 def _time_ns(text: str, option: str) -> int:
-    from fsai_vcu.cli.main import WrongUse
-
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|min|h)", text.strip())
     if not found or float(found[1]) <= 0.0:
         raise WrongUse(f"{option} is '{text}', not a time like 30s, 10min or 1h")
@@ -239,8 +234,6 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
     import platform
     from importlib.metadata import version
 
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.core.limits import LimitsError
     from fsai_vcu.interface.revisions import revision
     from fsai_vcu.runtime.limits_file import read_limits
 
@@ -261,34 +254,20 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
                 "sha256": hashlib.sha256(content).hexdigest(),
                 "file": str(args.limits),
             }
-    except (ValueError, LimitsError) as error:
+    except ValueError as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"cannot read the operational limits {args.limits}: {error.strerror}") from error
     return about
 
 
-def _check_mcap() -> None:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.diagnostics.export.writing import ExportError, check_format
-
-    try:
-        check_format("mcap")
-    except ExportError as error:
-        raise UserError(str(error)) from error
-
-
 def _topics(args: argparse.Namespace) -> Any | None:
-    """What hears the nodes; None where that is not asked for."""
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
+    """Receives what the nodes publish; None where that is not asked for."""
+    from fsai_vcu.runtime.configuration import usual_environment
 
     if not args.ros:
         return None
-    try:
-        os.environ.update(usual_environment())
-    except ConfigurationError as error:
-        raise UserError(str(error)) from error
+    os.environ.update(usual_environment())
     try:
         recorder: Any = import_module("fsai_nodes.recorder")
     except ImportError as error:

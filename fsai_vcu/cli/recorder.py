@@ -19,13 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError, main
-    from fsai_vcu.runtime.configuration import USUAL_PATH, ConfigurationError, read_configuration
+    from fsai_vcu.cli.main import main
+    from fsai_vcu.runtime.configuration import USUAL_PATH, read_configuration
 
-    try:
-        configuration = read_configuration(args.config or USUAL_PATH)
-    except ConfigurationError as error:
-        raise UserError(str(error)) from error
+    configuration = read_configuration(args.config or USUAL_PATH)
     for line in configuration.limits_described():
         print(f"operational limits: {line}", file=sys.stderr, flush=True)
     return main(["record", *record_arguments(configuration, args.interface or configuration.interface)])

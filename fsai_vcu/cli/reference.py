@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.completion import metavar_of, words_of
+from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-
     text = manual() if args.man else markdown()
     if args.output is None:
         sys.stdout.write(text)
@@ -37,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 _INTRODUCTION = """\
-One command, a verb, its arguments. `fsai-vcu --help` lists the verbs, `fsai-vcu VERB --help` says what is said here.
+One command, a verb, its arguments. `fsai-vcu --help` lists the verbs, `fsai-vcu VERB --help` shows what stands here.
 Wrong use and bad input are answered with one clear line."""
 _STATUSES = (
     ("0", "done, and all is well"),

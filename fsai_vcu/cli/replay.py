@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import math
 import signal
 import sys
 import time
 from typing import TYPE_CHECKING, Final
 
+from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import LOG_HELP, Sources
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -41,12 +44,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.log.frames import joined
-    from fsai_vcu.diagnostics.transmit.replaying import Player, ReplayError, between, choose, is_physical
-    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
+    from fsai_vcu.diagnostics.transmit.replaying import Player, between, choose, is_physical
+    from fsai_vcu.runtime.bus import BusLost, open_bus
 
-    _check(args)
+    check_numbers(args, loop=0)
+    if not 0.0 < args.rate < math.inf:
+        raise WrongUse(f"--rate is {args.rate:g}, not a rate")
+    if not 0.0 <= args.begin_s < math.inf:
+        raise WrongUse(f"--from is {args.begin_s:g}, not a time in the log")
+    if args.end_s is not None and not args.begin_s <= args.end_s < math.inf:
+        raise WrongUse(f"--to is {args.end_s:g}, and --from {args.begin_s:g}: there is nothing between them")
     sources = Sources("replay", [args.log])
     if sources.live:
         raise WrongUse(f"{args.log} is an interface; replay reads logs")
@@ -56,20 +64,14 @@ def run(args: argparse.Namespace) -> int:
             "if you mean it, say --physical"
         )
     frames = joined(sources.chunks())
-    try:
-        part = between(frames, int(args.begin_s * 1e9), None if args.end_s is None else int(args.end_s * 1e9))
-    except ReplayError as error:
-        raise UserError(str(error)) from error
+    part = between(frames, int(args.begin_s * 1e9), None if args.end_s is None else int(args.end_s * 1e9))
     chosen = choose(part, with_ai_ids=args.with_ai_ids)
     if chosen.words():
         print(f"fsai-vcu replay: left out: {chosen.words()}", file=sys.stderr)
     if not len(chosen.frames):
         raise UserError("nothing is left to send")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-    try:
-        bus = open_bus(args.interface, receive=(), may_send=set(chosen.frames.can_id.tolist()))
-    except BusError as error:
-        raise UserError(str(error)) from error
+    bus = open_bus(args.interface, receive=(), may_send=set(chosen.frames.can_id.tolist()))
     laps = 1 if args.loop is None else args.loop or None
     player = Player(chosen.frames, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
     status = sources.status
@@ -82,19 +84,6 @@ def run(args: argparse.Namespace) -> int:
             print(f"fsai-vcu replay: {error}", file=sys.stderr)
             status = 1
     return max(status, _result(player))
-
-
-def _check(args: argparse.Namespace) -> None:
-    from fsai_vcu.cli.main import WrongUse
-
-    if not 0.0 < args.rate < float("inf"):
-        raise WrongUse(f"--rate is {args.rate:g}, not a rate")
-    if args.loop is not None and args.loop < 0:
-        raise WrongUse(f"--loop is {args.loop}, not a number of times")
-    if not 0.0 <= args.begin_s < float("inf"):
-        raise WrongUse(f"--from is {args.begin_s:g}, not a time in the log")
-    if args.end_s is not None and not args.begin_s <= args.end_s < float("inf"):
-        raise WrongUse(f"--to is {args.end_s:g}, and --from {args.begin_s:g}: there is nothing between them")
 
 
 def _play(player: Player, frames: Frames) -> None:

@@ -15,6 +15,7 @@ from fsai_vcu.cli.sources import (
     check_seconds,
     part_of,
 )
+from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
@@ -33,7 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
     from fsai_vcu.diagnostics.report import page
 
     check_seconds(args)

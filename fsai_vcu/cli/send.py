@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import add_database_arguments
+from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.transmit.sending import Outgoing
@@ -26,9 +29,9 @@ Signals that are not named get the database's initial value, or 0; where 0 is
 out of range they must be named. Values are numbers or words of the signal's
 table. Identifiers that are reserved for the car, the VCU's and those of the
 car's other devices are always refused. The AI computer's own (0x510 to 0x514,
-0x501) are refused without --as-ai: a car that hears them switches its tractive
-system on and arms its EBS. A bus on which anybody sends them already is
-refused, and left at once if somebody begins to."""
+0x501) are refused without --as-ai: a car that receives them switches its tractive
+system on and arms its EBS. A bus on which another program sends them already is
+refused, and left at once if one begins to."""
 
 _LISTEN_S = 0.5  # fifty cycles of a bridge
 _LEAST_LISTEN_S = 0.2  # as long as a bridge itself listens before it sends
@@ -57,33 +60,18 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError, WrongUse
-    from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
-    from fsai_vcu.diagnostics.transmit.sending import SendingError, outgoing
+    from fsai_vcu.diagnostics.decode.databases import load_databases
+    from fsai_vcu.diagnostics.transmit.sending import outgoing
 
-    _check(args)
-    try:
-        databases = load_databases(args.dbc, args.revision)
-        frame = outgoing(databases, args.message, args.signals, as_ai=args.as_ai)
-    except (DatabasesError, SendingError) as error:
-        raise UserError(str(error)) from error
+    check_numbers(args, count=0, period=1.0, listen=_LEAST_LISTEN_S)
+    databases = load_databases(args.dbc, args.revision)
+    frame = outgoing(databases, args.message, args.signals, as_ai=args.as_ai)
     if args.dry_run:
         _show(args, frame)
         return 0
     if args.interface is None:
         raise WrongUse("-i says on which CAN interface; --dry-run sends nothing")
     return _send(args, frame)
-
-
-def _check(args: argparse.Namespace) -> None:
-    from fsai_vcu.cli.main import WrongUse
-
-    if args.count < 0:
-        raise WrongUse(f"--count is {args.count}, but must be 0 or more")
-    if args.period is not None and not 1.0 <= args.period < math.inf:
-        raise WrongUse(f"--period is {args.period:g} ms, but must be 1 or more")
-    if not _LEAST_LISTEN_S <= args.listen < math.inf:
-        raise WrongUse(f"--listen is {args.listen:g} s, but must be {_LEAST_LISTEN_S:g} or more to hear a live bridge")
 
 
 def _show(args: argparse.Namespace, frame: Outgoing) -> None:
@@ -99,28 +87,21 @@ def _show(args: argparse.Namespace, frame: Outgoing) -> None:
         print(json.dumps(shown))
         return
     print(frame.cansend)
-    said = ", ".join(f"{name} {value}" for name, value in frame.values.items())
-    print(f"{frame.message}: {said or 'no signals'}", file=sys.stderr)
+    values = ", ".join(f"{name} {value}" for name, value in frame.values.items())
+    print(f"{frame.message}: {values or 'no signals'}", file=sys.stderr)
     if frame.filled:
         print(f"not named, so as the database begins: {', '.join(frame.filled)}", file=sys.stderr)
 
 
 def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
-    from fsai_vcu.cli.main import UserError
-    from fsai_vcu.runtime.bus import BusError, BusLost, open_bus
-    from fsai_vcu.runtime.lock import AlreadyRunning, InterfaceLock
+    from fsai_vcu.runtime.bus import BusLost, open_bus
+    from fsai_vcu.runtime.lock import InterfaceLock
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-    lock = None
-    try:
-        if outgoing.is_of_the_ai:
-            lock = InterfaceLock(args.interface)  # no bridge begins while somebody else speaks for the AI computer
-        bus = open_bus(args.interface, may_send={outgoing.frame.can_id})
-    except (BusError, AlreadyRunning) as error:
-        if lock is not None:
-            lock.release()
-        raise UserError(str(error)) from error
-    with bus:
+    with ExitStack() as stack:
+        if outgoing.is_of_the_ai:  # no bridge begins while another program speaks for the AI computer
+            stack.callback(InterfaceLock(args.interface).release)
+        bus = stack.enter_context(open_bus(args.interface, may_send={outgoing.frame.can_id}))
         sender = _Sender(bus, args, outgoing)
         try:
             sender.listen()
@@ -131,9 +112,6 @@ def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
         except KeyboardInterrupt:
             if args.count:
                 raise
-        finally:
-            if lock is not None:
-                lock.release()
     dropped = f", {sender.dropped} dropped because the transmit queue was full" if sender.dropped else ""
     print(f"{sender.sent} frame{'s' * (sender.sent != 1)} sent on {args.interface}{dropped}", file=sys.stderr)
     return 1 if sender.dropped else 0
@@ -152,8 +130,8 @@ class _Sender:
         self._frame = outgoing.frame
 
     def listen(self) -> None:
-        """Raises UserError if a bridge is heard."""
-        self._heed(time.monotonic() + self._listen_s)
+        """Raises UserError for a live bridge."""
+        self._watch(time.monotonic() + self._listen_s)
 
     def run(self) -> None:
         due_s = time.monotonic()
@@ -165,23 +143,20 @@ class _Sender:
             if self._count and self.sent + self.dropped >= self._count:
                 return
             due_s = max(due_s + self._period_s, time.monotonic())  # late ones are not caught up with in a burst
-            self._heed(due_s)
+            self._watch(due_s)
 
-    def _heed(self, until_s: float) -> None:
-        """Hear the bus until then, and in any case whatever has come so far."""
-        from fsai_vcu.cli.main import UserError
-        from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID
-
+    def _watch(self, until_s: float) -> None:
+        """Receive until then, and in any case all that has come so far. Raises UserError for a live bridge."""
         ours = {*AI_IDS, *({OPTIONAL_AI_ID} & {self._frame.can_id})}
         while True:
             left_s = until_s - time.monotonic()
-            heard = self._bus.recv(max(0.0, left_s))
-            if heard is None:
+            frame = self._bus.recv(max(0.0, left_s))
+            if frame is None:
                 if left_s <= 0.0:
                     return
                 continue
-            if heard.extended or heard.error or heard.can_id not in ours:
+            if frame.extended or frame.error or frame.can_id not in ours:
                 continue
-            who = "a PCAN-GPS" if heard.can_id == OPTIONAL_AI_ID else "a live bridge"
-            told = f"; {self.sent} frames were sent before" if self.sent else ""
-            raise UserError(f"{who} is heard on {self._bus.spec} (0x{heard.can_id:03X}): stop it first{told}")
+            sender = "a PCAN-GPS" if frame.can_id == OPTIONAL_AI_ID else "a live bridge"
+            before = f"; {self.sent} frames were sent before" if self.sent else ""
+            raise UserError(f"{sender} is on {self._bus.spec} (0x{frame.can_id:03X}): stop it first{before}")

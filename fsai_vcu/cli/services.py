@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 import time
@@ -12,10 +11,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from fsai_vcu.cli.main import UserError
+from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.interface.errors import UserError
+from fsai_vcu.runtime.configuration import usual_environment
 
 ASK_AGAIN_S = 1.0  # the bridge has an answer in half of that, of a hanging loop, too
-_TURN_S = 0.1  # within a wait of the middleware nobody hears Ctrl-C
+_TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
 _WHERE = "is vcu_bridge running, on this ROS_DOMAIN_ID and in this namespace?"
 _NO_ROS = (
     "ROS 2 is not in this Python environment ({missing}): source the distribution's setup file, "
@@ -37,13 +38,9 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
     Raises UserError where the configuration may not be read, ROS 2 or the project's messages are missing, or the
     namespace is none.
     """
-    from fsai_vcu.runtime.configuration import ConfigurationError, usual_environment
     from fsai_vcu.runtime.transport import set_transport
 
-    try:
-        os.environ.update(usual_environment())
-    except ConfigurationError as error:
-        raise UserError(str(error)) from error
+    os.environ.update(usual_environment())
     set_transport(os.environ)
     try:
         import fsai_msgs.msg  # noqa: F401  found missing here, not in the middle of a question
@@ -71,19 +68,13 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
         rclpy.try_shutdown()
 
 
-def _until(wait_s: float) -> float:
-    """By the monotonic clock. Raises UserError."""
-    if not 0.0 <= wait_s < math.inf:
-        raise UserError(f"--wait is {wait_s:g}, not a time")
-    return time.monotonic() + wait_s
-
-
 def call(args: argparse.Namespace, service: str, **request: str) -> int:
     """Ask the bridge's `service`, print its answer; the exit status.
 
     Raises UserError when no bridge offers it, or none answers in time.
     """
-    until = _until(args.wait)
+    check_numbers(args, wait=0.0)
+    until = time.monotonic() + args.wait
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.srv import SetMode
@@ -118,18 +109,19 @@ def call(args: argparse.Namespace, service: str, **request: str) -> int:
 
 def vehicle_state(args: argparse.Namespace) -> Any:
     """The newest /vehicle_state. Raises UserError when none comes in time."""
-    until = _until(args.wait)
+    check_numbers(args, wait=0.0)
+    until = time.monotonic() + args.wait
     with operator_node(args.namespace) as node:
         import rclpy
         from fsai_msgs.msg import VehicleState
         from rclpy.qos import qos_profile_sensor_data
 
-        heard: list[Any] = []
-        node.create_subscription(VehicleState, "vehicle_state", heard.append, qos_profile_sensor_data)
-        while not heard:
+        received: list[Any] = []
+        node.create_subscription(VehicleState, "vehicle_state", received.append, qos_profile_sensor_data)
+        while not received:
             left_s = until - time.monotonic()
             if left_s <= 0:
                 topic = node.resolve_topic_name("vehicle_state")
                 raise UserError(f"nothing on {topic} for {args.wait:g} s; {_WHERE}")
             rclpy.spin_once(node, timeout_sec=min(_TURN_S, left_s))
-    return heard[-1]
+    return received[-1]

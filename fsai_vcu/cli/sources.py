@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from fsai_vcu.interface.errors import UserError, WrongUse
+
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
     from fsai_vcu.diagnostics.decode.decoder import Decoder
@@ -55,7 +57,6 @@ def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to") -> No
 
 def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
     """The part of the log that the arguments ask for. Raises UserError."""
-    from fsai_vcu.cli.main import UserError, WrongUse
     from fsai_vcu.diagnostics.log.part import Part
 
     ids: frozenset[int] | None = None
@@ -110,7 +111,6 @@ class Decoding:
 
     def __init__(self, verb: str, args: argparse.Namespace) -> None:
         """Raises UserError."""
-        from fsai_vcu.cli.main import WrongUse
         from fsai_vcu.interface.revisions import REVISIONS
         from fsai_vcu.interface.revisions import revision as revision_named
 
@@ -161,8 +161,6 @@ class Decoding:
         self._shown = tuple(filter(None, names.split(",")))
         self._databases = self._decoder = self._writer = None
         if not self.databases.layouts:
-            from fsai_vcu.cli.main import UserError
-
             raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
 
     def hear(self, frames: Frames) -> None:
@@ -194,13 +192,9 @@ class Decoding:
             print(f"fsai-vcu {self._verb}: interface revision {revision.name} ({reason})", file=sys.stderr)
 
     def _loaded(self) -> Databases:
-        from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.decode.databases import DatabasesError, load_databases
+        from fsai_vcu.diagnostics.decode.databases import load_databases
 
-        try:
-            databases = load_databases(self._files, self.revision)
-        except DatabasesError as error:
-            raise UserError(str(error)) from error
+        databases = load_databases(self._files, self.revision)
         return databases if self._shown is None else databases.with_signals(self._shown)
 
 
@@ -218,7 +212,6 @@ class Sources:
 
         Raises UserError.
         """
-        from fsai_vcu.cli.main import WrongUse
         from fsai_vcu.diagnostics.log.filters import split_source
 
         self.verb = verb
@@ -305,25 +298,16 @@ class Sources:
         return shown.only(rule.passes(shown)) if rule else shown
 
     def _opened(self, name: str) -> Log:
-        from fsai_vcu.cli.main import UserError
-        from fsai_vcu.diagnostics.log.reader import LogError, open_log
+        from fsai_vcu.diagnostics.log.reader import open_log
 
-        try:
-            return open_log(name)
-        except LogError as error:
-            raise UserError(str(error)) from error
+        return open_log(name)
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
-        from fsai_vcu.cli.main import UserError
         from fsai_vcu.diagnostics.log.filters import filtered
         from fsai_vcu.diagnostics.log.live import LiveSource
-        from fsai_vcu.runtime.bus import BusError
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-        try:
-            source = LiveSource([name for name, _ in self._rules])
-        except BusError as error:
-            raise UserError(str(error)) from error
+        source = LiveSource([name for name, _ in self._rules])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with source:
             if announced and seconds is None:
@@ -361,8 +345,6 @@ def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
 
 def check_seconds(args: argparse.Namespace) -> None:
     """Raises WrongUse."""
-    from fsai_vcu.cli.main import WrongUse
-
     if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
@@ -374,8 +356,6 @@ def _unfolded(name: str) -> list[str]:
         return [name]
     logs = sorted(path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES)
     if not logs:
-        from fsai_vcu.cli.main import UserError
-
         raise UserError(f"{folder}: no log in this folder")
     return [f"{path},{filters}" if filters else str(path) for path in logs]
 
@@ -396,8 +376,6 @@ class Output:
         self._out = sys.stdout.buffer
 
     def write(self, block: bytes | bytearray, *, at_once: bool = False) -> None:
-        from fsai_vcu.cli.main import UserError
-
         try:
             left = memoryview(block)
             while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only

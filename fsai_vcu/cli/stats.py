@@ -19,6 +19,7 @@ from fsai_vcu.cli.sources import (
     check_seconds,
     part_of,
 )
+from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
@@ -49,7 +50,6 @@ def run(args: argparse.Namespace) -> int:
 
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
-    from fsai_vcu.cli.main import WrongUse
     from fsai_vcu.diagnostics.explain import record_for, story_of
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log

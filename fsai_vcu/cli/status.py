@@ -7,28 +7,22 @@ import json
 import math
 from typing import Any
 
+from fsai_vcu.cli.services import add_bridge_arguments as add_arguments
+from fsai_vcu.cli.services import vehicle_state
+
+__all__ = ["EXAMPLE", "add_arguments", "run"]
+
 EXAMPLE = "fsai-vcu status --json"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    from fsai_vcu.cli.services import add_bridge_arguments
-
-    add_bridge_arguments(parser)
-
-
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.services import vehicle_state
-
     state = vehicle_state(args)
-    if args.json:
-        print(json.dumps(_as_dict(state)))
-    else:
-        print(_as_text(state))
+    print(json.dumps(_as_dict(state)) if args.json else _as_text(state))
     return 0
 
 
 def _as_dict(state: Any) -> dict[str, Any]:
-    """The message's fields as JSON types; NaN (never heard) becomes null."""
+    """The message's fields as JSON types; NaN (never received) becomes null."""
     fields: dict[str, Any] = {}
     for name in state.get_fields_and_field_types():
         value = getattr(state, name)
@@ -57,7 +51,7 @@ def _as_text(state: Any) -> str:
     if state.operational_limits:
         lines.append(f"limits    {', '.join(state.operational_limits)}")
     if math.isnan(state.status_age_s):
-        lines.append("car       nothing heard (no 0x520)")
+        lines.append("car       nothing received (no 0x520)")
     elif state.status_age_s > 0.1:
         lines.append(f"car       silent for {state.status_age_s:.1f} s")
     if state.faults:

@@ -9,10 +9,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.immutable import Immutable
 
 
-class LimitsError(ValueError):
+class LimitsError(UserError, ValueError):
     """The limits given cannot be used."""
 
 

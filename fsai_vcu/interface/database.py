@@ -14,6 +14,7 @@ from pathlib import Path
 from cantools.database.can import Database, Message, Node
 from cantools.database.namedsignalvalue import NamedSignalValue
 
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir as dbc_dir
 
 _ENCODING = "cp1252"  # what the tools that write DBC files use
@@ -23,7 +24,7 @@ _ENCODING = "cp1252"  # what the tools that write DBC files use
 _WHOLE_STATEMENT = re.compile(r'.*;|BO_ \d+ .+|SG_ .+\[.*\] *".*" *\w.*')
 
 
-class DatabaseError(ValueError):
+class DatabaseError(UserError, ValueError):
     """A signal database that is missing, malformed or not this car's. The message is one line for a person."""
 
 
@@ -58,10 +59,15 @@ def _load_one(path: Path) -> Database:
         raise DatabaseError(f"{path}: not a valid DBC file: {_one_line(error)}") from error
     if not database.messages:
         raise DatabaseError(f"{path}: not a valid DBC file: it describes no message")
-    if not _WHOLE_STATEMENT.fullmatch(text.rstrip().rpartition("\n")[2].strip()):
-        raise DatabaseError(f"{path}: not a valid DBC file: it ends in the middle of a statement")
+    check_whole(path, text)
     _make_flags_unsigned(database)
     return database
+
+
+def check_whole(path: Path, text: str) -> None:
+    """Raises DatabaseError for a DBC file that was cut off in its last statement."""
+    if not _WHOLE_STATEMENT.fullmatch(text.rstrip().rpartition("\n")[2].strip()):
+        raise DatabaseError(f"{path}: not a valid DBC file: it ends in the middle of a statement")
 
 
 def _make_flags_unsigned(database: Database) -> None:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import can
 
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import RESERVED_IDS
 from fsai_vcu.runtime.clocks import StampConverter
@@ -37,11 +38,11 @@ _ERROR_BUS_OFF = 0x040  # linux/can/error.h: CAN_ERR_BUSOFF, a bit of an error f
 _Taken = tuple[int, bytes, int, bool, bool, bool]  # id, data, wall-clock stamp in ns, extended, remote, error
 
 
-class BusError(Exception):
+class BusError(UserError):
     """The bus cannot be opened; the message is one clear line."""
 
 
-class BusLost(Exception):
+class BusLost(UserError):
     """The bus was open and is gone: interface down, unplugged, or bus-off."""
 
 

@@ -22,6 +22,7 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.settings import PLANNER_RANGES, PlannerSettings
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.wheels import WHEELS, WheelMapping
 from fsai_vcu.runtime.limits_file import read_limits
@@ -46,7 +47,7 @@ _PLANNER = PlannerSettings()
 _MISSIONS = MissionSettings()
 
 
-class ConfigurationError(Exception):
+class ConfigurationError(UserError):
     """The configuration cannot be used. `problems` has one line each; the message is the first, and says how many."""
 
     def __init__(self, problems: list[str]) -> None:

@@ -7,12 +7,13 @@ import errno
 import socket
 import struct
 
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.runtime.bus import BusError, split_spec
 
 _PROBES = 64  # who may ask for the holder between two calls of `answer_probes`
 
 
-class AlreadyRunning(Exception):
+class AlreadyRunning(UserError):
     """Another process holds the interface; the message is one clear line."""
 
 

@@ -128,11 +128,3 @@ def test_fish_offers_what_its_script_says(tmp_path: Path, capsys: pytest.Capture
     ask = f"source {script('fish', tmp_path, capsys)}; complete -C 'fsai-vcu drive --mission '"
     done = subprocess.run(["fish", "-c", ask], capture_output=True, text=True, check=True)
     assert sorted(line.split("\t")[0] for line in done.stdout.splitlines()) == MISSIONS
-
-
-def test_an_unknown_shell_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["completion", "tcsh"])
-    assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert "invalid choice: 'tcsh'" in said and said.count("\n") == 1

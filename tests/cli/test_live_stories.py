@@ -1,4 +1,4 @@
-"""`explain` and `report` on a live bus: what was heard is told, after a while or at Ctrl-C."""
+"""`explain` and `report` on a live bus: what was received is explained, after a while or at Ctrl-C."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.frames import Frame
@@ -23,19 +23,9 @@ NAME = f"loopback:stories-{os.getpid()}"
 @pytest.fixture
 def car() -> Iterator[None]:
     """A car whose AS state is EMERGENCY_BRAKE, on the stand-in bus."""
-    ended = threading.Event()
-
-    def talk() -> None:
-        with open_bus(NAME) as bus:
-            while not ended.wait(0.01):
-                bus.send(Frame(0x520, bytes.fromhex("0000040000000000")))
-                bus.send(Frame(0x523, bytes.fromhex("00002C010000")))
-
-    thread = threading.Thread(target=talk)
-    thread.start()
-    yield
-    ended.set()
-    thread.join()
+    status, steer = Frame(0x520, bytes.fromhex("0000040000000000")), Frame(0x523, bytes.fromhex("00002C010000"))
+    with talking(NAME, status, steer):
+        yield
 
 
 def test_a_live_bus_is_explained_after_so_long(car: None, capsys: pytest.CaptureFixture[str]) -> None:

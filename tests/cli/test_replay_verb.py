@@ -37,18 +37,18 @@ def bus() -> Iterator[CanBus]:
         yield opened
 
 
-def heard(bus: CanBus, count: int) -> list[str]:
+def received(bus: CanBus, count: int) -> list[str]:
     """The next frames on the bus, and that none follows."""
     frames = [bus.recv(20.0) for _ in range(count)]
     assert bus.recv(0.05) is None
     return [str(frame) for frame in frames]
 
 
-def test_the_cars_frames_are_sent_and_what_is_left_out_is_said(
+def test_the_cars_frames_are_sent_and_the_rest_is_reported(
     log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", log, "-i", BUS]) == 0
-    assert heard(bus, 3) == ["520#0000030000000000", "523#640064006400", "520#0000030000000000"]
+    assert received(bus, 3) == ["520#0000030000000000", "523#640064006400", "520#0000030000000000"]
     assert capsys.readouterr().err == (
         "fsai-vcu replay: left out: 1 frames of reserved ids, 1 frames of the AI computer's own ids\n3 frames sent\n"
     )
@@ -56,13 +56,13 @@ def test_the_cars_frames_are_sent_and_what_is_left_out_is_said(
 
 def test_the_ais_own_frames_are_sent_where_that_is_asked_for(log: str, bus: CanBus) -> None:
     assert main(["replay", log, "-i", BUS, "--with-ai-ids"]) == 0
-    assert heard(bus, 4)[1] == "510#0000000000000000"
+    assert received(bus, 4)[1] == "510#0000000000000000"
 
 
 def test_a_part_filtered_and_looped(log: str, bus: CanBus) -> None:
     argv = ["replay", f"{log},520:7FF", "-i", BUS, "--from", "0", "--to", "0.002", "--loop", "3", "--rate", "10"]
     assert main(argv) == 0
-    assert heard(bus, 3) == ["520#0000030000000000"] * 3
+    assert received(bus, 3) == ["520#0000030000000000"] * 3
 
 
 def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
@@ -83,7 +83,7 @@ def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
         (["LOG", "-i", "nowhere0", "--physical"], "no CAN interface 'nowhere0'", 1),
         (["LOG", "-i", BUS, "--rate", "0"], "--rate is 0, not a rate", 2),
         (["LOG", "-i", BUS, "--rate", "nan"], "--rate is nan, not a rate", 2),
-        (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, not a number of times", 2),
+        (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, but must be 0 or more", 2),
         (["LOG", "-i", BUS, "--from", "2", "--to", "1"], "--to is 1, and --from 2: there is nothing between them", 2),
         (["LOG", "-i", BUS, "--from", "5"], "nothing in that part of the log: it lasts 0.004 s", 1),
         (["vcan0", "-i", BUS], "vcan0 is an interface; replay reads logs", 2),
@@ -110,5 +110,5 @@ def test_a_broken_log_is_sent_up_to_the_break_and_fails(
     path = Path(log)
     path.write_text("nonsense\n" + LOG)
     assert main(["replay", log, "-i", BUS]) == 1
-    assert len(heard(bus, 3)) == 3
+    assert len(received(bus, 3)) == 3
     assert "line 1: not a line of candump" in capsys.readouterr().err

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
@@ -161,9 +162,8 @@ def test_what_cannot_or_must_not_be_sent_is_one_clear_line(
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (["--count", "-1"], "--count is -1"),
-        (["--period", "0"], "--period is 0 ms"),
-        (["--listen", "0"], "--listen is 0 s"),
+        (["--count", "-1"], "--count is -1, but must be 0 or more"),
+        (["--listen", "0"], "--listen is 0, but must be 0.2 or more"),
         ([], "-i says on which CAN interface; --dry-run sends nothing"),
     ],
 )
@@ -171,6 +171,13 @@ def test_options_that_make_no_sense_are_wrong_use(
     argv: list[str], words: str, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert refused(capsys, "BenchLamp", *argv, "--dbc", bench, status=2).startswith(words)
+
+
+def test_a_database_that_was_cut_off_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bench.dbc"
+    path.write_text(BENCH[: BENCH.index("TRIM") + 12])
+    said = refused(capsys, "BenchLamp", "--dbc", str(path), "--dry-run")
+    assert said == f"{path}: not a valid DBC file: it ends in the middle of a statement"
 
 
 def test_a_signal_without_a_valid_default_must_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -217,7 +224,7 @@ def bus(name: str) -> Iterator[CanBus]:
         yield opened
 
 
-def heard(bus: CanBus) -> list[Frame]:
+def received(bus: CanBus) -> list[Frame]:
     frames = []
     while (frame := bus.recv(0.05)) is not None:
         frames.append(frame)
@@ -231,41 +238,29 @@ def test_a_frame_goes_out_as_often_as_asked_and_as_far_apart(
     begun_s = time.monotonic()
     assert main(["send", *argv, "--count", "5", "--period", "20"]) == 0
     assert time.monotonic() - begun_s >= 0.2 + 4 * 0.02
-    assert [str(frame) for frame in heard(bus)] == ["1A3#0128000000070000"] * 5
+    assert [str(frame) for frame in received(bus)] == ["1A3#0128000000070000"] * 5
     said = capsys.readouterr()
     assert said.out == "1A3#0128000000070000\n"
     assert said.err.splitlines()[-1] == f"5 frames sent on {name}"
 
 
-def beating(name: str, can_id: int, period_s: float, ended: threading.Event) -> threading.Thread:
-    """Somebody else who sends."""
-
-    def send() -> None:
-        with open_bus(name) as other:
-            while not ended.wait(period_s):
-                other.send(Frame(can_id, bytes(8)))
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    return thread
-
-
 @pytest.mark.parametrize(
-    ("can_id", "message"), [*((can_id, ["BenchLamp"]) for can_id in AI_IDS), (0x510, ["AI2VCU_Steer", "--as-ai"])]
+    ("can_id", "message"),
+    [
+        *((can_id, ["BenchLamp"]) for can_id in AI_IDS),
+        (0x510, ["AI2VCU_Steer", "--as-ai"]),
+        (OPTIONAL_AI_ID, ["AI2LOG_Dynamics2", "--as-ai"]),
+    ],
 )
-def test_a_bus_on_which_a_live_bridge_is_heard_is_refused(
+def test_a_bus_of_another_sender_of_ai_ids_is_refused(
     can_id: int, message: list[str], name: str, bus: CanBus, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ended = threading.Event()
-    thread = beating(name, can_id, 0.01, ended)
-    try:
-        database = ["--dbc", bench] if message[0] == "BenchLamp" else []
+    database = ["--dbc", bench] if message[0] == "BenchLamp" else []
+    with talking(name, Frame(can_id, bytes(8))):
         said = refused(capsys, *message, *database, "-i", name)
-    finally:
-        ended.set()
-        thread.join()
-    assert said == f"a live bridge is heard on {name} (0x{can_id:03X}): stop it first"
-    assert {frame.can_id for frame in heard(bus)} == {can_id}
+    who = "a PCAN-GPS" if can_id == OPTIONAL_AI_ID else "a live bridge"
+    assert said == f"{who} is on {name} (0x{can_id:03X}): stop it first"
+    assert {frame.can_id for frame in received(bus)} == {can_id}
 
 
 def test_a_bridge_that_begins_later_ends_the_sending(
@@ -273,7 +268,7 @@ def test_a_bridge_that_begins_later_ends_the_sending(
 ) -> None:
     ended = threading.Event()
 
-    def begin_when_the_third_frame_is_heard() -> None:
+    def begin_at_the_third_frame() -> None:
         with open_bus(name) as bridge:
             for _ in range(3):
                 while not ended.is_set() and bridge.recv(0.1) is None:
@@ -281,7 +276,7 @@ def test_a_bridge_that_begins_later_ends_the_sending(
             while not ended.wait(0.01):
                 bridge.send(Frame(0x510, bytes(8)))
 
-    thread = threading.Thread(target=begin_when_the_third_frame_is_heard)
+    thread = threading.Thread(target=begin_at_the_third_frame)
     thread.start()
     try:
         argv = ["BenchLamp", "--dbc", bench, "-i", name, "--count", "300", "--period", "10", "--listen", "0.2"]
@@ -289,18 +284,13 @@ def test_a_bridge_that_begins_later_ends_the_sending(
     finally:
         ended.set()
         thread.join()
-    assert "a live bridge is heard" in capsys.readouterr().err.splitlines()[-1]
-    assert 3 <= len([frame for frame in heard(bus) if frame.can_id == 0x1A3]) < 300
+    assert "a live bridge is on" in capsys.readouterr().err.splitlines()[-1]
+    assert 3 <= len([frame for frame in received(bus) if frame.can_id == 0x1A3]) < 300
 
 
 def test_a_car_alone_is_no_bridge(name: str, bus: CanBus, bench: str) -> None:
-    ended = threading.Event()
-    thread = beating(name, 0x520, 0.01, ended)
-    try:
+    with talking(name, Frame(0x520, bytes(8))):
         assert main(["send", "BenchLamp", "--dbc", bench, "-i", name]) == 0
-    finally:
-        ended.set()
-        thread.join()
 
 
 def test_ai_frames_are_refused_while_a_silent_bridge_has_the_bus(
@@ -312,17 +302,4 @@ def test_ai_frames_are_refused_while_a_silent_bridge_has_the_bus(
     finally:
         lock.release()
     assert "another bridge" in said
-    assert heard(bus) == []
-
-
-def test_a_0x501_is_refused_where_a_pcan_gps_sends_it(
-    name: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ended = threading.Event()
-    thread = beating(name, OPTIONAL_AI_ID, 0.01, ended)
-    try:
-        said = refused(capsys, "AI2LOG_Dynamics2", "--as-ai", "-i", name)
-    finally:
-        ended.set()
-        thread.join()
-    assert said == f"a PCAN-GPS is heard on {name} (0x501): stop it first"
+    assert received(bus) == []

@@ -18,12 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsai_vcu.diagnostics.decode import layout_cache
-from fsai_vcu.diagnostics.decode.databases import DatabasesError, databases_of, load_databases
+from fsai_vcu.diagnostics.decode.databases import databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.text import FrameText
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
 
 
@@ -447,7 +448,7 @@ def test_a_database_that_cannot_be_used_is_one_clear_line(
 ) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(DatabasesError) as refused:
+    with pytest.raises(UserError) as refused:
         load_databases([tmp_path / name])
     assert words in str(refused.value)
     assert "\n" not in str(refused.value)

@@ -1,4 +1,4 @@
-"""What the doctor sees of a machine, on machines made of files: /proc, /sys/class/net, what `ip` and systemctl say."""
+"""What the doctor sees of a machine, on machines made of files: /proc, /sys/class/net, what `ip` prints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from fsai_vcu.diagnostics.doctor.collect import (
     link_of,
     listening_addresses,
     listening_on_networks,
-    states_in,
 )
 from fsai_vcu.diagnostics.doctor.machine import Scheduling
 
@@ -131,7 +130,7 @@ def test_a_node_that_ends_while_it_is_looked_at_hides_nothing(tmp_path: Path) ->
     assert listening_on_networks(tmp_path) == ()
 
 
-def test_what_others_listen_on_is_not_ours_to_complain_of(tmp_path: Path) -> None:
+def test_what_others_listen_on_is_not_reported(tmp_path: Path) -> None:
     proc = Proc(tmp_path, module="somebody.else")
     proc.socket("tcp", "00000000:1F90", "0A", 4711)
     assert listening_on_networks(tmp_path) == ()
@@ -171,7 +170,7 @@ def test_shared_memory_whose_owner_holds_no_lock_is_left_over(tmp_path: Path) ->
         ("", "", ("", "")),
     ],
 )
-def test_whose_ros_it_is_is_told_by_where_it_is_imported_from(
+def test_the_ros_distribution_is_that_of_the_imported_rclpy(
     tmp_path: Path, rclpy: str, named: str, found: tuple[str, str]
 ) -> None:
     for name in ("jazzy", "humble"):
@@ -179,12 +178,6 @@ def test_whose_ros_it_is_is_told_by_where_it_is_imported_from(
         (tmp_path / name / "setup.bash").touch()
     distribution, unused = found
     assert distribution_of(rclpy.format(ros=tmp_path), named, tmp_path) == (distribution, unused.format(ros=tmp_path))
-
-
-def test_each_service_has_its_systemd_state_in_order() -> None:
-    names = ["fsai-bridge@can0.service", "fsai-planner.service"]
-    assert states_in("active\nfailed\n", names) == dict(zip(names, ("active", "failed"), strict=True))
-    assert states_in("", names) == dict.fromkeys(names, "unknown")
 
 
 @pytest.fixture
@@ -228,6 +221,8 @@ def test_the_services_are_the_enabled_ones_and_the_running_links(booted: Path, m
     of_can0 = {"fsai-bridge@can0.service": "failed", "fsai-link@can0.service": "inactive"}
     assert collect.services("can0") == of_can0
     assert collect.services("can1") == {**of_can0, "fsai-link@can1.service": "active"}
+    monkeypatch.setattr(collect, "_output", lambda *_: "")
+    assert collect.services("can0") == dict.fromkeys(of_can0, "unknown"), "systemctl does not answer"
 
 
 @pytest.mark.parametrize(("most_wrong_us", "kept"), [(0, True), (15_999_999, True), (16_000_000, False)])
@@ -242,12 +237,9 @@ def test_a_clock_is_synchronised_where_its_error_is_bounded(
             ctypes.memmove(ctypes.addressof(answer) + 24, most_wrong_us.to_bytes(8, "little"), 8)
             return 0
 
+    assert collect._synchronised() in (True, False), "as the kernel answers"
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Kernel)
     assert collect._synchronised() is kept
-
-
-def test_the_kernel_answers_whether_the_clock_is_synchronised() -> None:
-    assert collect._synchronised() in (True, False)
 
 
 @pytest.fixture
@@ -277,7 +269,7 @@ def test_a_configuration_with_wrong_permissions_is_named(tmp_path: Path, mode: i
     assert all(words in problem for _, problem in problems)
 
 
-def test_where_nothing_is_installed_files_are_nobodys_business(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_is_installed_files_are_not_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(collect, "_GROUP", "no-such-group")
     (tmp_path / "fsai.toml").touch(mode=0o600)
     assert file_problems([tmp_path / "fsai.toml"]) == ()
@@ -325,10 +317,7 @@ def test_the_loops_most_urgent_thread_counts(
         os, "sched_getscheduler", lambda thread: os.SCHED_FIFO if priorities[thread] else os.SCHED_OTHER
     )
     assert collect._scheduling(tmp_path) == Scheduling("SCHED_FIFO", 45, locked)
-
-
-def test_where_no_loop_runs_its_scheduling_is_not_made_up(tmp_path: Path) -> None:
-    assert collect._scheduling(tmp_path) is None
+    assert collect._scheduling(tmp_path / "none") is None, "no loop runs"
 
 
 def test_a_log_folder_of_another_group_is_named_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""The live view: what it says of a moment, what it remembers, what it draws. No bus and no clock."""
+"""The live view: what it shows of a moment, what it remembers, what it draws. No bus and no clock."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_driving_car_shows_what_is_asked_and_what_is_given() -> None:
 
 
 def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_off: Ended) -> None:
-    for ended, said in ((go_off, "Go went off"), (asms_off, "ASMS was turned off")):
+    for ended, cause in ((go_off, "Go went off"), (asms_off, "ASMS was turned off")):
         view = View("can0")
         pictures = []
         for chunk in in_chunks(ended.frames, 250 * MS):
@@ -103,7 +103,7 @@ def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_
             if len(chunk) and chunk.t_ns[-1] > ended.injected_ns:
                 pictures.append(view.picture(int(chunk.t_ns[-1])))
         assert pictures[-1].as_state == "EMERGENCY_BRAKE"
-        assert said in words(pictures[-1])[0]
+        assert cause in words(pictures[-1])[0]
         assert pictures[-1].why_not_driving[0].remedy
         # Long after the frames around it are forgotten, it is still known.
         end_ns = int(ended.frames.t_ns[-1])
@@ -111,10 +111,10 @@ def test_an_emergency_shows_cause_and_remedy_while_it_lasts(go_off: Ended, asms_
         for step in range(0, 2 * LONG_NS, 50 * MS):
             view.update(last.at(last.t_ns + CYCLE + step))
         assert view.memory.newest_ns is not None
-        assert said in words(view.picture(view.memory.newest_ns))[0]
+        assert cause in words(view.picture(view.memory.newest_ns))[0]
 
 
-def test_an_emergency_brake_that_was_there_before_is_said_to_be() -> None:
+def test_an_emergency_brake_from_before_is_reported_as_such() -> None:
     picture = seen(every_cycle(0, S, (0x520, status(AsState.EMERGENCY_BRAKE)), *AI))
     assert words(picture) == ["the car is in EMERGENCY_BRAKE, and was before this began to listen"]
 
@@ -213,7 +213,7 @@ def test_a_second_sender_on_the_ai_computers_ids_is_named() -> None:
     ]
     frames = frames_of(sorted(twice, key=lambda frame: frame.t_ns))
     picture = seen(good, frames)
-    assert [text for text in picture.link if text.startswith("somebody else sends on the AI computer's ids: 0x510")]
+    assert [text for text in picture.link if text.startswith("another sender uses the AI computer's ids: 0x510")]
 
 
 def test_a_missing_echo_is_shown_while_it_is_awaited() -> None:
@@ -298,7 +298,7 @@ def test_chunks_of_any_size_give_the_same_picture() -> None:
     assert small.as_dict() == large.as_dict()
 
 
-def test_the_revision_is_told_from_the_bus_or_as_given() -> None:
+def test_the_revision_is_recognised_or_as_given() -> None:
     old = joined(
         [
             every_cycle(
@@ -336,9 +336,9 @@ def test_a_picture_never_exceeds_the_terminal(width: int, height: int, go_off: E
         assert [re.sub(r"\x1b\[[\d;]*m", "", line) for line in lines] == plain
 
 
-def test_on_80_by_24_everything_that_was_asked_for_is_to_be_seen(go_off: Ended) -> None:
+def test_80_by_24_shows_everything_at_once(go_off: Ended) -> None:
     text = "\n".join(screen_lines(seen(go_off.frames), 80, 24, "12:34:56", color=False))
-    for said in (
+    for part in (
         "EMERGENCY_BRAKE for 2.0 s",
         "mode autonomous",
         "mission ACCELERATION",
@@ -356,7 +356,17 @@ def test_on_80_by_24_everything_that_was_asked_for_is_to_be_seen(go_off: Ended) 
         "510 AI2VCU_Status          100/s",
         "526 VCU2AI_Wheel_counts    100/s",
     ):
-        assert said in text, said
+        assert part in text, part
+
+
+def test_a_small_screen_keeps_the_reasons_before_the_figures() -> None:
+    picture = seen(every_cycle(0, S, (0x520, status(AsState.AS_OFF, asms=False, ami=Ami.NOT_SELECTED)), *AI))
+    lines = screen_lines(picture, 40, 14, color=False)
+    text = re.sub(r"\s+", " ", "\n".join(lines[lines.index("why not driving:") :]))
+    assert len(words(picture)) > 1 and all(f"- {reason}" in text for reason in words(picture)), text
+    assert not any(line.startswith(("steering  ", "handshake")) for line in lines)
+    empty = screen_lines(View("can0").picture(0), 40, 14, color=False)
+    assert empty[-1] == "! nothing is received on this bus" and len(empty) < 8
 
 
 def test_where_not_all_messages_fit_those_that_are_not_well_do() -> None:

@@ -75,7 +75,7 @@ def test_laps_follow_each_other_at_the_buss_pace() -> None:
     assert [at_ns - 20_000 for at_ns, _ in clock.sent] == dues
 
 
-def test_a_loop_without_end_goes_on_until_nobody_asks_for_more() -> None:
+def test_a_loop_without_end_goes_on_until_it_is_stopped() -> None:
     clock = Clock()
     player = Player(frames_of(every_10_ms(3)), clock.send, clock.clock, clock.sleep, laps=None)
     for _ in player.play():
@@ -128,7 +128,7 @@ def test_a_reserved_number_is_not_sent_as_a_29_bit_one_either() -> None:
     assert choose(frames, with_ai_ids=False).frames.can_id.tolist() == [0x510]
 
 
-def test_what_cannot_be_sent_is_left_out_and_said() -> None:
+def test_what_cannot_be_sent_is_left_out_and_reported() -> None:
     frames = frames_of(
         [
             LogFrame(1, "can0", 0x40, bytes(8), error=True),
@@ -146,7 +146,7 @@ def test_frames_are_sent_in_order_of_time() -> None:
     assert np.array_equal(choose(frames, with_ai_ids=False).frames.t_ns, [10, 20, 30])
 
 
-def test_a_part_of_the_log_is_told_in_seconds_from_its_beginning() -> None:
+def test_a_part_of_a_log_is_given_in_seconds_from_its_start() -> None:
     frames = frames_of(every_10_ms(100))
     assert between(frames, 500 * MS, 520 * MS).t_ns.tolist() == [WALL_NS + n * MS for n in (500, 510, 520)]
     assert len(between(frames, 0, None)) == 100

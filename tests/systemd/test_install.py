@@ -44,7 +44,7 @@ def test_uninstalling_leaves_the_configuration_and_nothing_else(tmp_path: Path) 
     assert again.returncode == 1 and "nothing is installed" in again.stderr
 
 
-def test_what_is_asked_wrongly_is_told_in_one_line() -> None:
+def test_wrong_use_is_reported_in_one_line() -> None:
     done = install_car("instal")
     assert done.returncode == 1
     assert done.stderr == "install-car: say install, uninstall or deb\n"

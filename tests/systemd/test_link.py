@@ -12,7 +12,7 @@ from install_rig import CHECKOUT
 LINK = CHECKOUT / "systemd" / "link"
 
 # An adapter as a folder: `state` is what `ip -details link show` says; `refuses` is there for one without restart-ms.
-# Nothing here tells of a change by itself, as gs_usb does not.
+# Nothing here reports a change by itself, as gs_usb does not.
 FAKE_IP = """#!/bin/sh
 here=${0%/*}
 echo "$*" >> $here/calls
@@ -98,7 +98,7 @@ def watched(adapter: Path, *states: str) -> list[str]:
     done = link(adapter, "watch", "can0")
     assert done.returncode == 0, "it ends with the interface"
     found = [call for call in calls(adapter) if " set " in call]
-    assert done.stdout.count("bus-off") == len(found) / len(RESTART), "each restart is told"
+    assert done.stdout.count("bus-off") == len(found) / len(RESTART), "each restart is reported"
     return found
 
 
@@ -123,6 +123,6 @@ def test_a_virtual_interface_is_not_looked_at_again(adapter: Path) -> None:
     assert calls(adapter) == ["-details link show dev vcan0", "sleep infinity"]
 
 
-def test_wrong_use_is_told(adapter: Path) -> None:
+def test_wrong_use_is_reported(adapter: Path) -> None:
     done = link(adapter, "up")
     assert done.returncode == 2 and done.stderr.startswith("usage: ")

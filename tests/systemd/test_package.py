@@ -208,7 +208,7 @@ def test_the_rehearsal_unpacks_a_new_package_only(deb: Path, tmp_path: Path) -> 
     assert not (root / "mark").exists()
 
 
-def test_a_package_that_dpkg_does_not_take_is_told_in_one_line(deb: Path, tmp_path: Path) -> None:
+def test_a_package_that_dpkg_refuses_is_one_clear_line(deb: Path, tmp_path: Path) -> None:
     Image(tmp_path / "machine", HAVE)
     broken = tmp_path / "fsai-vcu_1_all.deb"
     broken.write_text("no package\n")

@@ -1,4 +1,4 @@
-"""The permissions of encrypted DDS: who may say what, held against the nodes' own tables."""
+"""The permissions of encrypted DDS: who may publish and call what, held against the nodes' own tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def allowed(kind: str, how: str) -> dict[str, set[str]]:
     return found
 
 
-def test_only_named_nodes_may_say_what_the_car_obeys() -> None:
+def test_only_named_nodes_may_publish_what_the_car_obeys() -> None:
     publishers = allowed("topic", "publish")
     assert publishers["vehicle_cmd"] == {"vehicle_controller"}
     assert publishers["run_state"] == publishers["vehicle_state"] == {"vcu_bridge"}
@@ -38,7 +38,7 @@ def test_only_named_nodes_may_say_what_the_car_obeys() -> None:
     assert allowed("action", "call") == {"run_mission": {"operator"}}
 
 
-def test_whoever_looks_on_can_say_nothing() -> None:
+def test_an_observer_can_publish_and_call_nothing() -> None:
     for how, kind in (("publish", "topic"), ("request", "service"), ("reply", "service"), ("call", "action")):
         assert all("observer" not in who for who in allowed(kind, how).values())
 

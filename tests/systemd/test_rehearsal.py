@@ -153,7 +153,7 @@ def test_a_scene_failed_while_undisturbed_has_failed() -> None:
 
 
 @pytest.mark.usefixtures("machine")
-def test_a_scene_never_undisturbed_has_failed_and_says_why() -> None:
+def test_a_scene_never_undisturbed_has_failed_with_the_cause() -> None:
     rehearsal_of_it = rehearsed(*[True] * RUNS)
     scene = Scene(rehearsal_of_it, failures=RUNS)
     rehearsal_of_it.scene("a scene", scene)
@@ -162,7 +162,7 @@ def test_a_scene_never_undisturbed_has_failed_and_says_why() -> None:
 
 
 @pytest.mark.usefixtures("machine")
-def test_a_scene_that_passed_is_not_asked_how_the_machine_was() -> None:
+def test_a_scene_that_passed_asks_for_no_disturbances() -> None:
     rehearsal_of_it = rehearsed()  # would fail, being asked
     scene = Scene(rehearsal_of_it, failures=0)
     rehearsal_of_it.scene("a scene", scene)
@@ -174,7 +174,7 @@ def test_a_rehearsal_of_which_nothing_counts_is_not_well() -> None:
     assert not rehearsal.all_well([{"passed": True, "counts": False}])
 
 
-def test_whoever_listens_beyond_the_loopback_is_named() -> None:
+def test_a_listener_beyond_the_loopback_is_named() -> None:
     listing = """udp   UNCONN 0 0        127.0.0.1:7410  0.0.0.0:* users:(("python",pid=9,fd=4))
 udp   UNCONN 0 0       127.0.0.53%lo:53  0.0.0.0:*
 tcp   LISTEN 0 128         [::1]:631      [::]:*
@@ -202,7 +202,7 @@ def test_the_probe_has_the_bridges_restrictions_but_no_restart() -> None:
     assert not any(line.startswith(("Restart=", "WatchdogSec=", "WantedBy=", "NotifyAccess=")) for line in lines)
 
 
-def test_the_probe_tells_what_was_refused_from_what_was_allowed(tmp_path: Path) -> None:
+def test_the_probe_distinguishes_refused_from_allowed(tmp_path: Path) -> None:
     assert probe.ended(probe.writing_to(tmp_path)) == ""
     assert not list(tmp_path.iterdir()), "it leaves nothing behind"
     assert probe.ended(probe.writing_to(tmp_path / "absent")) == "ENOENT"
@@ -226,7 +226,7 @@ def bus_of(silent_ms: int = 0, *, echoes: bool = True, lost: bool = True) -> lis
     return frames
 
 
-def test_a_deaf_vcu_is_told_from_a_silent_ai_computer() -> None:
+def test_a_deaf_vcu_is_no_silent_ai_computer() -> None:
     assert car_was_deaf(bus_of())
     assert not car_was_deaf(bus_of(silent_ms=100))
     assert not car_was_deaf(bus_of(silent_ms=60))

@@ -99,7 +99,7 @@ def test_a_service_is_started_anew_for_ever(root: Path, unit: str) -> None:
 
 
 @pytest.mark.parametrize("unit", [*NODES, "fsai-bridge@can0.service"])
-def test_a_node_hears_and_speaks_on_this_machine_only(root: Path, unit: str) -> None:
+def test_a_node_communicates_on_this_machine_only(root: Path, unit: str) -> None:
     found = settings(root, unit)
     assert found["IPAddressDeny"] == ["any"] and found["IPAddressAllow"] == ["localhost"]
     families = set(found["RestrictAddressFamilies"][0].split())
@@ -143,7 +143,7 @@ def test_no_unit_names_a_file_that_is_not_installed(root: Path) -> None:
 
 
 def test_a_plug_back_before_its_services_ended_starts_them(root: Path) -> None:
-    # Seen in the rehearsal: the device asked for the recorder while it was still stopping, and nobody asked again.
+    # Seen in the rehearsal: the device asked for the recorder while it was still stopping, and nothing asked again.
     script = (root / "usr/lib/fsai/settle").read_text()
     assert "Upholds=%s" in script and "fsai-bridge@$interface.service fsai-recorder@$interface.service" in script
     assert "held=$system/fsai.target.d/10-interface.conf" in script and '>"$held"' in script

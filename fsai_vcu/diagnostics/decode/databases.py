@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
 from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import dbc_dir
 from fsai_vcu.interface.revisions import revision as revision_named
 
@@ -23,10 +24,6 @@ if TYPE_CHECKING:
 
 _MAX_PLAIN_BYTES = 8
 _INT64 = 1 << 63
-
-
-class DatabasesError(ValueError):
-    """A database that cannot be used; the message is one clear line."""
 
 
 class UndecodableError(ValueError):
@@ -84,7 +81,7 @@ class Databases:
 
 
 def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> Databases:
-    """The given files, or where there are none the project's own of an interface revision. Raises DatabasesError.
+    """The given files, or where there are none the project's own of an interface revision. Raises UserError.
 
     What cantools made of the files is remembered (layout_cache.py): loading it and them takes longer than to decode
     a hundred thousand frames.
@@ -95,31 +92,22 @@ def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> 
             paths = [dbc_dir() / name for name in revision_named(revision).dbc_files]
         digest = layout_cache.digest(paths)
     except ValueError as error:
-        raise DatabasesError(str(error)) from error
+        raise UserError(str(error)) from error
     except OSError as error:
-        raise DatabasesError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
+        raise UserError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
     remembered = layout_cache.recall(digest)
     if remembered is not None:
         layouts, baudrate = remembered
         return Databases(
-            {layout.key: layout for layout in layouts}, _names(paths), baudrate, lambda: _messages_of(_load_all(paths))
+            {layout.key: layout for layout in layouts}, _names(paths), baudrate, lambda: _messages_of(map(_load, paths))
         )
-    databases = databases_of(_load_all(paths), paths)
+    databases = databases_of(map(_load, paths), paths)
     layout_cache.keep(digest, list(databases.layouts.values()), databases.baudrate)
     return databases
 
 
 def _names(paths: Iterable[Path | str]) -> tuple[str, ...]:
     return tuple(str(path) for path in paths)
-
-
-def _load_all(paths: Sequence[Path]) -> list[Database]:
-    from fsai_vcu.interface.database import DatabaseError
-
-    try:
-        return [_load(path) for path in paths]
-    except DatabaseError as error:
-        raise DatabasesError(str(error)) from error
 
 
 def databases_of(databases: Iterable[Database], sources: Iterable[Path | str] = ()) -> Databases:
@@ -148,7 +136,7 @@ def _load(path: Path) -> Database:
     import cantools.database
     from cantools.database.can import Database
 
-    from fsai_vcu.interface.database import DatabaseError, load_database
+    from fsai_vcu.interface.database import DatabaseError, check_whole, load_database
 
     if path.suffix.lower() == ".dbc":
         text = _text(path)
@@ -165,6 +153,8 @@ def _load(path: Path) -> Database:
         raise DatabaseError(f"{path}: describes diagnostics, not messages")
     if not loaded.messages:
         raise DatabaseError(f"{path}: describes no message")
+    if path.suffix.lower() == ".dbc":
+        check_whole(path, text)
     return loaded
 
 

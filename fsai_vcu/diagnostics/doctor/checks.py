@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from fsai_vcu.diagnostics.doctor.machine import Machine, Wanted
+from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Machine, Wanted
 
 Level = Literal["right", "wrong", "note"]
 
@@ -14,7 +14,7 @@ _FIRST_BELIEVABLE_YEAR = 2025
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 _IMPLEMENTATION = "rmw_fastrtps_cpp"  # the one that the configuration's DDS settings are for
 _NO_CONFIGURATION = "needs the configuration"
-_SETTLE = "sudo /usr/lib/fsai/settle"  # says which bus the services are for
+_SETTLE = "sudo /usr/lib/fsai/settle"  # sets which bus the services are for
 _ANOTHER = f"name another in [can] interface and to the services: {_SETTLE} NAME"
 # No do_set_mode in drivers/net/can/usb/gs_usb.c: some kernels refuse restart-ms, others accept it and never restart.
 _NEVER_RESTART = ("gs_usb",)
@@ -31,7 +31,7 @@ class Finding:
 
 
 def examine(machine: Machine) -> tuple[Finding, ...]:
-    """Everything there is to say, in the order in which it is put right."""
+    """All findings, in the order in which they are put right."""
     return tuple(finding for check in CHECKS for finding in check(machine))
 
 
@@ -91,7 +91,7 @@ def interface(machine: Machine) -> Iterator[Finding]:
     elif not link.up:
         yield _wrong("interface", f"{name} is down", bring_up)
     elif link.state == "ERROR-PASSIVE":
-        yield _note("interface", f"{name} is up, ERROR-PASSIVE: nobody acknowledges what is sent, or the wiring is bad")
+        yield _note("interface", f"{name} is up, ERROR-PASSIVE: nothing acknowledges its frames, or the wiring is bad")
     else:
         yield _right("interface", f"{name} is up" + (f", {link.state}" if link.state else ""))
     if link.kind == "vcan":
@@ -116,82 +116,72 @@ def interface(machine: Machine) -> Iterator[Finding]:
         else:
             yield _wrong(
                 "driver",
-                f"{link.driver or 'unknown'} does not start again after bus-off, and nobody does it for it",
+                f"{link.driver or 'unknown'} does not start again after bus-off, and no service does it",
                 f"sudo systemctl start fsai-link@{name}",
             )
 
 
 def bus(machine: Machine) -> Iterator[Finding]:
-    wanted, heard = machine.wanted, machine.bus
-    if wanted is None or heard is None:
+    wanted, seen = machine.wanted, machine.bus
+    if wanted is None or seen is None:
         yield _note("bus", "not listened to")
         return
-    if heard.problem:
-        yield _wrong("bus", heard.problem, "first put the interface right")
+    if seen.problem:
+        yield _wrong("bus", seen.problem, "first put the interface right")
         return
-    if not heard.frames or (heard.from_ai and not heard.from_others):
-        words = f"silent for {heard.seconds:g} s"
+    if not seen.frames or (seen.from_ai and not seen.from_others):
+        words = f"silent for {seen.seconds:g} s"
         yield _wrong(
             "bus",
-            f"the VCU is {words}: only this computer's own frames are there" if heard.frames else words,
+            f"the VCU is {words}: only this computer's own frames are there" if seen.frames else words,
             "switch the car's low voltage on; check plug, wiring (CAN high and low) and the two terminations",
         )
         return
-    if not heard.from_car:
+    if not seen.from_car:
         yield _wrong(
             "bus",
-            f"{heard.frames} frames in {heard.seconds:g} s, but none of the VCU's status (0x520)",
+            f"{seen.frames} frames in {seen.seconds:g} s, but none of the VCU's status (0x520)",
             "is this the AI bus of the car, and is the VCU on?",
         )
         return
-    if heard.error_frames:
+    if seen.error_frames:
         yield _wrong(
             "bus",
-            f"the VCU is heard, with {heard.error_frames} error frames in {heard.seconds:g} s",
+            f"the VCU sends, with {seen.error_frames} error frames in {seen.seconds:g} s",
             "check wiring and termination (60 ohm between CAN high and low)",
         )
     else:
-        yield _right("bus", f"the VCU is heard: {heard.frames} frames in {heard.seconds:g} s")
-    if heard.revision != wanted.revision:
+        yield _right("bus", f"the VCU sends: {seen.frames} frames in {seen.seconds:g} s")
+    if seen.revision != wanted.revision:
         yield _wrong(
             "revision",
-            f"the bus speaks {heard.revision} ({heard.revision_why}), the configuration says {wanted.revision}",
-            f'[can] revision = "{heard.revision}"',
+            f"the bus has {seen.revision} ({seen.revision_why}), the configuration says {wanted.revision}",
+            f'[can] revision = "{seen.revision}"',
         )
     else:
-        yield _right("revision", f"{heard.revision} ({heard.revision_why})")
-    yield from _wheels(wanted, heard.speeds_heard, heard.pulses_heard, heard.pulses, heard.speed_max_rpm)
+        yield _right("revision", f"{seen.revision} ({seen.revision_why})")
+    yield from _wheels(wanted, seen)
 
 
-def _wheels(
-    wanted: Wanted,
-    speeds_heard: bool,
-    pulses_heard: bool,
-    pulses: tuple[int, int, int, int],
-    speed_max_rpm: tuple[int, int, int, int],
-) -> Iterator[Finding]:
-    if not speeds_heard or not pulses_heard:
-        missing = " and ".join(
-            name
-            for name, heard in (("wheel speeds (0x525)", speeds_heard), ("pulses (0x526)", pulses_heard))
-            if not heard
-        )
+def _wheels(wanted: Wanted, seen: BusTraffic) -> Iterator[Finding]:
+    pulses, speeds = seen.pulses, seen.speed_max_rpm
+    if pulses is None or speeds is None:
+        absent = (("wheel speeds (0x525)", speeds), ("pulses (0x526)", pulses))
+        missing = " and ".join(name for name, values in absent if values is None)
         yield _wrong("wheels", f"no {missing} on the bus", "without them the car is braked; check the VCU")
         return
-    turning = [index for index in range(4) if pulses[index] or speed_max_rpm[index]]
+    turning = [index for index in range(4) if pulses[index] or speeds[index]]
+    words = ", ".join(f"{_WHEELS[index]} {pulses[index]} pulses, {speeds[index]} rpm" for index in turning)
     if not turning:
         yield _note("wheels", f"none turns ({wanted.wheel_mapping}); to check the wiring: fsai-vcu doctor --wheels")
-        return
-    mute = [index for index in turning if not pulses[index] or not speed_max_rpm[index]]
-    words = ", ".join(f"{_WHEELS[index]} {pulses[index]} pulses, {speed_max_rpm[index]} rpm" for index in turning)
-    if mute:
+    elif all(pulses[index] and speeds[index] for index in turning):
+        yield _right("wheels", words)
+    else:
         yield _wrong(
             "wheels",
             f"speed and pulses do not agree: {words}",
             "a sensor or its wiring; fsai-vcu doctor --wheels shows each",
         )
-    else:
-        yield _right("wheels", words)
 
 
 def ros(machine: Machine) -> Iterator[Finding]:
@@ -250,7 +240,7 @@ def dds(machine: Machine) -> Iterator[Finding]:
     elif not wanted.keystore:
         yield _wrong(
             "DDS",
-            f"{domain}, open to every network of this machine: anybody there can drive the car",
+            f"{domain}, open to every network of this machine: anyone there can drive the car",
             '[ros] discovery = "localhost", or keys: fsai-vcu enclaves, and [ros] keystore',
         )
     else:

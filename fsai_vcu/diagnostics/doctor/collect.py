@@ -16,12 +16,15 @@ import shutil
 import struct
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fsai_vcu.diagnostics.decode.revision import guess_revision
-from fsai_vcu.diagnostics.doctor.machine import BusHeard, Link, Machine, Ros, Scheduling, Wanted
+from fsai_vcu.diagnostics.doctor.machine import BusTraffic, Link, Machine, Ros, Scheduling, Wanted
+from fsai_vcu.diagnostics.doctor.wheels import Four
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.log.live import LiveSource
 from fsai_vcu.interface.codec import Codec
@@ -45,10 +48,9 @@ _DISTRIBUTIONS = Path("/opt/ros")
 _SHARED_MEMORY = Path("/dev/shm")
 _TCP_LISTEN, _UDP_OPEN = "0A", "07"  # linux/net/tcp_states.h; a UDP socket that is bound and not connected
 
-# linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Where nobody keeps the clock, maxerror is 16 s.
+# linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Of a clock that nothing keeps maxerror is 16 s.
 _TIMEX_BYTES, _MAX_ERROR_AT, _UNSYNCHRONISED_US = 512, struct.calcsize("@Ill0l"), 16_000_000
 
-Four = tuple[int, int, int, int]
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
@@ -57,9 +59,6 @@ def collect(
 ) -> Machine:
     """The machine, with `seconds` of listening to its bus. `codec`: of the configured revision and wheel mapping."""
     link = link_of(wanted.interface) if wanted is not None and ":" not in wanted.interface else None
-    heard = None
-    if wanted is not None and codec is not None:
-        heard = listen(wanted.interface, codec, seconds)
     files = [Path(name) for name in (wanted.path, wanted.limits_path) if name] if wanted is not None else []
     folder = Path(wanted.recording_folder) if wanted is not None else None
     here = folder is not None and folder.is_dir()
@@ -68,7 +67,7 @@ def collect(
         configuration_problems=problems,
         interfaces=tuple(sorted(path.name for path in _NET.glob("*") if _read(path / "type") == _ARPHRD_CAN)),
         link=link,
-        bus=heard,
+        bus=None if wanted is None or codec is None else listen(wanted.interface, codec, seconds),
         ros=_ros(proc),
         services=services(wanted.interface if wanted is not None else ""),
         starts_at_boot=starts_at_boot(),
@@ -127,74 +126,53 @@ def _details(name: str) -> dict[str, Any]:
 # ---------------------------------------------------------------- the bus
 
 
-def listen(interface: str, codec: Codec, seconds: float) -> BusHeard:
+def listen(interface: str, codec: Codec, seconds: float) -> BusTraffic:
     """What is on the bus for so long."""
     try:
         source = LiveSource([interface])
     except BusError as error:
-        return BusHeard(seconds, problem=str(error))
+        return BusTraffic(seconds, problem=str(error))
     chunks: list[Frames] = []
     with source:
         chunks += source.chunks(seconds)
         if source.lost is not None:
-            return BusHeard(seconds, problem=source.lost)
-    return heard_in(chunks, codec, seconds)
+            return BusTraffic(seconds, problem=source.lost)
+    return traffic_in(chunks, codec, seconds)
 
 
-def heard_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusHeard:
-    """The same of frames that have been heard."""
+def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic:
+    """The same of frames that have been received."""
     counts: list[Four] = []
     speeds: list[Four] = []
-    for image in images_of(chunks, codec):
-        if isinstance(image, WheelCounts):
-            counts.append((image.fl, image.fr, image.rl, image.rr))
-        else:
-            speeds.append(image.all_rpm)
-    ids = {int(can_id) for frames in chunks for can_id in set(frames.can_id.tolist())}
-    known = max(chunks, key=len, default=None)
+    for frames in chunks:
+        for frame in frames.only(np.isin(frames.can_id, (0x525, 0x526)) & (frames.flags & 0x07 == 0)):
+            image = codec.decode(Frame(frame.can_id, frame.data)).image
+            if isinstance(image, WheelCounts):
+                counts.append((image.fl, image.fr, image.rl, image.rr))
+            elif isinstance(image, WheelSpeeds):
+                speeds.append(image.all_rpm)
+    ids = {can_id for frames in chunks for can_id in frames.can_id.tolist()}
     revision = why = ""
-    if known is not None and STATUS_ID in ids:
-        found, why = guess_revision(known)
+    if STATUS_ID in ids:
+        found, why = guess_revision(max(chunks, key=len))
         revision = found.name
-    return BusHeard(
+    return BusTraffic(
         seconds,
-        frames=sum(len(frames) for frames in chunks),
+        frames=sum(map(len, chunks)),
         error_frames=sum(int((frames.flags & 0x04 != 0).sum()) for frames in chunks),
         from_car=STATUS_ID in ids,
         from_ai=not ids.isdisjoint(AI_IDS),
         from_others=not ids <= set(AI_IDS),
         revision=revision,
         revision_why=why,
-        speeds_heard=bool(speeds),
-        pulses_heard=bool(counts),
-        pulses=_advance(counts),
-        speed_max_rpm=_four(max((row[index] for row in speeds), default=0) for index in range(4)),
+        pulses=tuple(sum(_steps(wheel)) for wheel in zip(*counts, strict=True)) if counts else None,
+        speed_max_rpm=tuple(map(max, zip(*speeds, strict=True))) if speeds else None,
     )
 
 
-def images_of(chunks: list[Frames], codec: Codec) -> Iterator[WheelCounts | WheelSpeeds]:
-    """Speeds and pulses in the order in which they were heard."""
-    for frames in chunks:
-        for row in range(len(frames)):
-            if int(frames.can_id[row]) not in (0x525, 0x526) or frames.flags[row] & 0x07:
-                continue
-            data = int(frames.word[row]).to_bytes(8, "little")[: int(frames.length[row])]
-            image = codec.decode(Frame(int(frames.can_id[row]), data, int(frames.t_ns[row]))).image
-            if isinstance(image, (WheelCounts, WheelSpeeds)):
-                yield image
-
-
-def _advance(counts: list[Four]) -> Four:
-    total = [0, 0, 0, 0]
-    for before, after in itertools.pairwise(counts):
-        for index in range(4):
-            total[index] += (after[index] - before[index]) % (1 << 16)
-    return _four(total)
-
-
-def _four(values: Iterator[int] | list[int]) -> Four:
-    first, second, third, fourth = values
-    return first, second, third, fourth
+def _steps(counts: Iterable[int]) -> Iterator[int]:
+    """Of a counter of 16 bits."""
+    return ((after - before) % (1 << 16) for before, after in itertools.pairwise(counts))
 
 
 # ---------------------------------------------------------------- processes, services, the rest
@@ -279,15 +257,17 @@ def file_problems(files: list[Path]) -> tuple[tuple[str, str], ...]:
 
 
 def services(interface: str) -> dict[str, str]:
-    """The state of each service of ours that is enabled, by its name; of the interface's link, if somebody runs it."""
+    """The state of each service of ours that is enabled, by its name; of the interface's link, if it runs."""
     if not _SYSTEMD.is_dir():
         return {}
     names = sorted({link.name for link in _ENABLED.glob("*.wants/fsai-*.service")})
     wanted = [*names, *(name.replace("bridge", "link") for name in names if name.startswith("fsai-bridge@"))]
     links = [f"fsai-link@{interface}.service"] if interface and ":" not in interface else []
     asked = list(dict.fromkeys([*wanted, *links]))
-    states = states_in(_output("systemctl", "is-active", *asked), asked) if asked else {}
-    return {name: state for name, state in states.items() if name in wanted or state == "active"}
+    states = _output("systemctl", "is-active", *asked).split() if asked else []
+    if len(states) != len(asked):
+        states = ["unknown"] * len(asked)
+    return {name: state for name, state in zip(asked, states, strict=True) if name in wanted or state == "active"}
 
 
 def starts_at_boot() -> bool | None:
@@ -295,12 +275,6 @@ def starts_at_boot() -> bool | None:
     if not _SYSTEMD.is_dir() or not (_UNITS / "fsai.target").exists():
         return None
     return (_ENABLED / "multi-user.target.wants" / "fsai.target").is_symlink()
-
-
-def states_in(answer: str, names: list[str]) -> dict[str, str]:
-    """What `systemctl is-active` says of each of them, a line each in their order."""
-    lines = answer.split()
-    return dict(zip(names, lines if len(lines) == len(names) else ["unknown"] * len(names), strict=True))
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
@@ -360,7 +334,7 @@ def listening_addresses(folder: Path, proc: Path) -> list[Address]:
 def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> tuple[str, ...]:
     """Files of Fast DDS's shared memory whose owner is gone, as its own `fastdds shm clean` decides it.
 
-    A segment or port `fastrtps_X` is in use while somebody holds a lock on `fastrtps_X_el` or `fastrtps_X_sl`;
+    A segment or port `fastrtps_X` is in use while a lock is held on `fastrtps_X_el` or `fastrtps_X_sl`;
     `sem.fastrtps_X_mutex` belongs to it. The locks are read (proc_locks(5)), not tried: that would hold up an owner.
     """
     locked = {line.split()[5 if "->" not in line else 6] for line in _read(proc / "locks").splitlines()}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from fsai_vcu.diagnostics.doctor.wheels import Four
+
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
@@ -41,22 +43,20 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class BusHeard:
+class BusTraffic:
     """What was on the bus while the doctor listened. Pulses and speeds by the configured mapping: fl, fr, rl, rr."""
 
     seconds: float
     frames: int = 0
-    problem: str = ""  # why nothing could be heard
+    problem: str = ""  # why nothing could be received
     error_frames: int = 0
     from_car: bool = False  # 0x520 was among them
-    from_ai: bool = False  # somebody sends commands
-    from_others: bool = False  # somebody else than the AI computer says something
+    from_ai: bool = False  # commands are sent
+    from_others: bool = False  # by another than the AI computer
     revision: str = ""
     revision_why: str = ""
-    speeds_heard: bool = False
-    pulses_heard: bool = False
-    pulses: tuple[int, int, int, int] = (0, 0, 0, 0)  # counted while listening
-    speed_max_rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
+    pulses: Four | None = None  # counted while listening; None: no 0x526
+    speed_max_rpm: Four | None = None  # None: no 0x525
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Machine:
     configuration_problems: tuple[str, ...] = ()
     interfaces: tuple[str, ...] = ()  # CAN interfaces there are
     link: Link | None = None
-    bus: BusHeard | None = None
+    bus: BusTraffic | None = None
     ros: Ros = Ros()
     services: Mapping[str, str] = field(default_factory=dict)
     starts_at_boot: bool | None = None  # whether fsai.target is enabled; None: not installed, or no systemd

@@ -1,4 +1,4 @@
-"""The commissioning check of the wheels: one after another is turned by hand, and the bus tells whose sensor moved."""
+"""The commissioning check of the wheels: each is turned by hand, and the bus shows whose sensor moved."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ NAMES = {"fl": "front left", "fr": "front right", "rl": "rear left", "rr": "rear
 
 _WRAP = 1 << 16  # the counters of 0x526 have 16 bits
 _STILL_NS = 1_500_000_000  # so long without a pulse, a turn is over
-_FEW = 5  # pulses: a wheel that somebody leans on, not one that is turned
+_FEW = 5  # pulses: a wheel that was leaned on, not one that is turned
 _OTHERS_SHARE = 0.25  # of the pulses of the wheel that turns: more of another one is ambiguous
 _TOLERANCE = 2  # pulses by which a turn by hand may miss
 
-Four = tuple[int, int, int, int]
+Four = tuple[int, ...]
+"""Of fl, fr, rl, rr."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +28,8 @@ class Turn:
 
     @property
     def source(self) -> str | None:
-        """The position whose signal counted; None when it cannot be told."""
-        most = max(self.pulses)
-        others = sorted(self.pulses)[-2]
+        """The position whose signal counted; None when that is ambiguous."""
+        others, most = sorted(self.pulses)[-2:]
         if most < _FEW or others > _OTHERS_SHARE * most:
             return None
         return WHEELS[self.pulses.index(most)]
@@ -54,7 +54,7 @@ class Turn:
 
 
 class WheelWiringCheck:
-    """Asks for each wheel in turn. Fed with what the bus says, by signal position (fl, fr, rl, rr)."""
+    """Asks for each wheel in turn. Fed with what is on the bus, by signal position (fl, fr, rl, rr)."""
 
     def __init__(self) -> None:
         self.turns: list[Turn] = []
@@ -79,7 +79,7 @@ class WheelWiringCheck:
             self._pulses = [sum(pair) for pair in zip(self._pulses, steps, strict=True)]
         if self._moved_ns is None or t_ns - self._moved_ns < _STILL_NS:
             return None
-        turn = Turn(self.asked, _four(self._pulses), _four(self._fastest))
+        turn = Turn(self.asked, tuple(self._pulses), tuple(self._fastest))
         self._pulses, self._fastest, self._moved_ns = [0] * 4, [0] * 4, None
         if turn.counted < _FEW:
             return None
@@ -98,8 +98,3 @@ class WheelWiringCheck:
             return WheelMapping.of(found)
         except ValueError:
             return None
-
-
-def _four(values: list[int]) -> Four:
-    first, second, third, fourth = values
-    return first, second, third, fourth

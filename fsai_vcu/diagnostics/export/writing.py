@@ -18,6 +18,7 @@ from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.export.tables import LeftOut, Rows, Table, Tables, buses_in
 from fsai_vcu.diagnostics.export.wide import WideTable
 from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.interface.errors import UserError
 
 NEEDS: Final[Mapping[str, str]] = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
 """What has to be installed for a format; the extra has the format's name."""
@@ -25,7 +26,7 @@ _A_FILE_EACH: Final = ("csv", "parquet")
 _AT_ONCE: Final = 200_000  # frames
 
 
-class ExportError(Exception):
+class ExportError(UserError):
     """What cannot be written; the message is one clear line."""
 
 

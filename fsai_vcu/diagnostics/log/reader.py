@@ -20,6 +20,7 @@ from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, 
 from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of, last_line
 from fsai_vcu.diagnostics.log.frame import LogFrame
 from fsai_vcu.diagnostics.log.gvret import GvretLines
+from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
     import can
@@ -37,7 +38,7 @@ _BATCH: Final = 10_000
 _FREED_BYTES: Final = 31 << 20
 
 
-class LogError(Exception):
+class LogError(UserError):
     """A log that cannot be opened; the message is one clear line."""
 
 

@@ -37,6 +37,7 @@ _MARKS: Final = {Freshness.LATE: " late", Freshness.LOST: " LOST"}
 _NO_VALUE: Final = "-"
 _MESSAGE_WIDTH: Final = 39
 _LEAST_MESSAGE_LINES: Final = 3
+_LEAST_REASON_LINES: Final = 8
 
 
 class Part(NamedTuple):
@@ -51,12 +52,15 @@ Line = Sequence[Part]
 
 def screen_lines(picture: Picture, width: int, height: int, clock: str = "", *, color: bool = True) -> list[str]:
     """At most `height` lines of at most `width` characters. clock: what stands in the corner."""
-    top = [_title(picture, width, clock), *_state(picture), *_values(picture), _handshake(picture), _faults(picture)]
-    top += [[Part(f"! {text}", "bad")] for text in picture.link]
-    room = height - len(top)
-    why = _why(picture, width, max(2, room - _LEAST_MESSAGE_LINES))
-    room -= len(why)
-    lines = [*top, *why, *_messages(picture.messages, width, room)]
+    head = [_title(picture, width, clock), *_state(picture)]
+    figures = [*_values(picture), _handshake(picture)]
+    trouble = [_faults(picture), *([Part(f"! {text}", "bad")] for text in picture.link)]
+    room = height - len(head) - len(trouble)
+    if room - len(figures) < _LEAST_REASON_LINES:  # the reasons go before the figures
+        figures = []
+    room -= len(figures)
+    why = _why(picture, width, max(2, room - _LEAST_MESSAGE_LINES) if figures else room)
+    lines = [*head, *figures, *trouble, *why, *_messages(picture.messages, width, room - len(why))]
     return [_drawn(line, width, color) for line in lines[:height]]
 
 
@@ -65,7 +69,7 @@ def plain_line(picture: Picture, clock: str) -> str:
     steering = picture.actuators.get("steering")
     words = [
         clock,
-        picture.as_state or f"no 0x520{_last_said(picture)}",
+        picture.as_state or f"no 0x520{_last_state(picture)}",
         picture.mission or "",
         f"mode {picture.mode}",
         f"Go {_on(picture.go)}",
@@ -99,7 +103,7 @@ def _state(picture: Picture) -> Iterable[Line]:
     shown = Part(state, _STATE_STYLES.get(state, "strong")) if state else Part("no AS state", "bad")
     yield [
         shown,
-        Part(held if state else _last_said(picture)),
+        Part(held if state else _last_state(picture)),
         Part("  Go "),
         _switch(picture.go),
         Part("  ASMS "),
@@ -109,16 +113,17 @@ def _state(picture: Picture) -> Iterable[Line]:
         Part(f"  mode {picture.mode}"),
     ]
     asked = [word for word in (picture.mission_status, picture.direction) if word]
-    ai = " ".join(asked) if asked else "silent"
+    ai = f"sends {' '.join(asked)}" if asked else "is silent"
     estop = [Part("   ESTOP_REQUEST 1", "bad")] if picture.estop_request else []
     yield [
         Part("mission "),
         Part(picture.mission or _NO_VALUE, "strong"),
-        Part(f"   AI says {ai}"),
+        Part(f"   AI {ai}"),
         *estop,
     ]
     names = {"STEERING_STATUS": "steering ", "STATUS_BRK": "brakes ", "STATUS_EBS": "STATUS_EBS "}
-    yield [Part("  ".join(f"{names.get(name, '')}{word}" for name, word in picture.states.items()), "faint")]
+    if picture.states:
+        yield [Part("  ".join(f"{names.get(name, '')}{word}" for name, word in picture.states.items()), "faint")]
 
 
 def _values(picture: Picture) -> Iterable[Line]:
@@ -168,27 +173,28 @@ def _faults(picture: Picture) -> Line:
 def _why(picture: Picture, width: int, room: int) -> list[Line]:
     if picture.driving:
         return [[Part("driving", "good")]]
-    parts = [_obstacle(one, width) for one in picture.why_not_driving]
-    if sum(map(len, parts)) > room - 1:
-        # Evidence and remedy stand below for as long as each that follows has a line of its own.
-        spare = max(0, room - 1 - len(parts))
-        for place, part in enumerate(parts):
-            parts[place] = part[: 1 + spare]
-            spare -= len(parts[place]) - 1
-    lines = [line for part in parts for line in part]
+    if not picture.why_not_driving:
+        return []
+    reasons = [_reason(one, width) for one in picture.why_not_driving]
+    spare = room - 1 - sum(map(len, reasons))
+    if spare < 0:
+        reasons = [reason[:1] for reason in reasons]
+    lines: list[Line] = []
+    for one, reason in zip(picture.why_not_driving, reasons, strict=True):
+        remedy = _wrapped(one.remedy, "    ", "faint", width) if not one.follows else []
+        lines += reason
+        if len(remedy) <= spare:
+            lines += remedy
+            spare -= len(remedy)
     if len(lines) > room - 1:
         lines[room - 2 :] = [[Part(f"  … and {len(lines) - (room - 2)} more", "faint")]]
     return [[Part("why not driving:", "strong")], *lines]
 
 
-def _obstacle(one: Obstacle, width: int) -> list[Line]:
-    style = "faint" if one.follows else "warn"
-    said = one.evidence in one.words or one.evidence.replace(" is ", " ") in one.words
-    evidence = "" if said else f" ({one.evidence})"
-    lines = _wrapped(f"{one.words}{evidence}", "  - ", style, width)
-    if one.remedy and not one.follows:
-        lines += _wrapped(one.remedy, "    ", "faint", width)
-    return lines
+def _reason(one: Obstacle, width: int) -> list[Line]:
+    repeated = one.evidence in one.words or one.evidence.replace(" is ", " ") in one.words
+    evidence = "" if repeated else f" ({one.evidence})"
+    return _wrapped(f"{one.words}{evidence}", "  - ", "faint" if one.follows else "warn", width)
 
 
 def _wrapped(text: str, indent: str, style: str, width: int) -> list[Line]:
@@ -226,7 +232,7 @@ def _cell(message: MessagePicture) -> Part:
 # ---------------------------------------------------------------- words
 
 
-def _last_said(picture: Picture) -> str:
+def _last_state(picture: Picture) -> str:
     if picture.as_state_heard is None or picture.status_age_s is None:
         return ""
     return f" ({picture.as_state_heard} {_duration(picture.status_age_s)} ago)"

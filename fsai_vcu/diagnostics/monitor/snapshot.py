@@ -1,6 +1,6 @@
 """One moment on the bus as plain data: what is drawn, and what is printed as JSON.
 
-A value is None where it was never heard, or where its message has been missing for so long that it counts as lost: a
+A value is None where it was never received, or where its message has been missing for so long that it counts as lost: a
 message that stops coming must not leave its last values looking fresh.
 """
 
@@ -16,12 +16,12 @@ from fsai_vcu.diagnostics.statistics.measure import Handshake
 
 
 class Freshness(Enum):
-    """How a message does, in a word for people."""
+    """How a message does, in a word."""
 
     FRESH = "ok"
     LATE = "late"  # frames are missing, but not enough to count as lost
     LOST = "lost"  # missing for as long as the interface calls a loss
-    NEVER = "never heard"
+    NEVER = "never received"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +70,10 @@ class Picture:
     channel: str
     revision: str
     revision_reason: str
-    frames: int  # heard so far
+    frames: int  # received so far
     as_state: str | None = None
     as_state_s: float | None = None  # for how long
-    as_state_heard: str | None = None  # the last one heard, however long ago
+    as_state_heard: str | None = None  # the last one received, however long ago
     status_age_s: float | None = None
     mission: str | None = None
     mode: str = "unknown"

@@ -1,4 +1,4 @@
-"""What a view remembers of a bus: the last seconds whole, and of all before them what tells of states.
+"""What a view remembers of a bus: the last seconds whole, and of all before them what shows states.
 
 The whole of a day on a bus does not fit, and is not needed: states change seldom. So of 0x520, 0x510, 0x524 and 0x525
 those frames are kept at which a state in them changed, those on both sides of a pause, and two a second besides, which
@@ -65,7 +65,7 @@ def _states_of() -> dict[int, Callable[[Words], Words]]:
 class Memory:
     """Frames of one bus, the newest last. Times never go back: where the frames' clock does, what follows is moved on.
 
-    `frames` counts what was heard, `begin_ns` and `newest_ns` are the times of the first and the newest frame.
+    `frames` counts what was received, `begin_ns` and `newest_ns` are the times of the first and the newest frame.
     """
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class Memory:
         return self._newest.get(key)
 
     def condensed(self, window: Frames) -> Frames:
-        """All that is remembered, in the order of time: `window` whole, and before it what tells of states."""
+        """All that is remembered, in the order of time: `window` whole, and before it what shows states."""
         states = joined(self._states)
         if len(states) > MOST_STATES:
             states = states.only(np.arange(len(states) // 4, len(states), dtype=np.int64))

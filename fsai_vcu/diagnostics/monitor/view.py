@@ -20,7 +20,7 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory
 from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics, expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.measure import MessageStatistics, expected_period_ns, measure
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
@@ -31,7 +31,7 @@ EXPECTED: Final = tuple(
     for message in BUS_TABLE
     if message.flow in (Flow.TO_VCU, Flow.FROM_VCU) and message.timeout_ns is not None
 )
-"""What is on the car's bus whenever car and AI computer are up, heard or not."""
+"""What is on the car's bus whenever car and AI computer are up, received or not."""
 
 _UNSUPERVISED_PERIODS: Final = 10  # interface specification v4.0: ten in a row are a loss
 _LATE_PERIODS: Final = 5
@@ -62,7 +62,7 @@ _ONLY_2026: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE)
 
 
 class View:
-    """What a bus says, moment by moment. `revision` None: told from the frames. `databases` replace our own."""
+    """What is on a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace our own."""
 
     def __init__(self, channel: str = "", revision: Revision | None = None, databases: Databases | None = None) -> None:
         self.memory = Memory()
@@ -82,7 +82,9 @@ class View:
         frames = self.memory.condensed(window)
         if not len(frames):
             named = self._revision.name if self._revision else "2026"
-            return Picture(now_ns, self._channel, named, "nothing heard yet", 0, link=("nothing is heard on this bus",))
+            return Picture(
+                now_ns, self._channel, named, "nothing received yet", 0, link=("nothing is received on this bus",)
+            )
         revision, reason = (self._revision, "given") if self._revision else guess_revision(frames)
         record = record_of(frames, revision, reason, self._databases)
         self._look_for_emergency(record, now_ns, revision, reason)
@@ -111,11 +113,8 @@ class _Moment:
         self._now_ns = now_ns
         ours = [number for number, name in enumerate(window.channels) if name == record.channel]
         self._window = window.only(window.channel == ours[0]) if len(window.channels) > 1 and ours else window
-        self._stats = self._measured()
-
-    def _measured(self) -> BusStatistics | None:
-        found = measure(self._window, self._record.decoder, revision=self._record.revision.name)
-        return found[0] if found else None
+        measured = measure(self._window, record.decoder, revision=record.revision.name)
+        self._stats = measured[0] if measured else None
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
         record, now_ns, stats = self._record, self._now_ns, self._stats
@@ -182,15 +181,15 @@ class _Moment:
     def _states(self) -> dict[str, str]:
         found = {}
         for signal in _STATES:
-            said = self._label(signal)
-            if said is not None and not (signal in _ONLY_2026 and self._record.revision.name == "2021"):
-                found[signal.name] = said
+            word = self._label(signal)
+            if word is not None and not (signal in _ONLY_2026 and self._record.revision.name == "2021"):
+                found[signal.name] = word
         if sig.EBS_STATE.name in found:
             found.pop(sig.STATUS_EBS.name, None)  # the older word for the same
         return found
 
     def _fresh(self, can_id: int) -> bool:
-        """Whether the message is heard, whole, and not missing for so long that it counts as lost."""
+        """Whether the message comes, whole, and not missing for so long that it counts as lost."""
         times = self._record.times(can_id)
         return bool(len(times)) and self._now_ns - int(times[-1]) < self._lost_after_ns(can_id)
 
@@ -237,7 +236,7 @@ class _Moment:
     # ------------------------------------------------------------ the link
 
     def _handshake_waiting_s(self) -> float | None:
-        """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or nobody asks."""
+        """Since a toggle of the VCU that has no echo yet; None where the last one was answered, or there is none."""
         answers = self._record.answers
         if not answers or answers[-1].echo_ns is not None or not self._fresh(sig.STATUS):
             return None
@@ -245,26 +244,26 @@ class _Moment:
 
     def _link(self, messages: tuple[MessagePicture, ...]) -> list[str]:
         """What is wrong on the bus itself, the gravest first."""
-        said = []
+        found = []
         for other in self._record.second_senders:
             if other.end_ns > self._now_ns - WINDOW_NS:
-                said.append(f"somebody else sends on the AI computer's ids: {other.words}")
+                found.append(f"another sender uses the AI computer's ids: {other.words}")
         lost = [m for m in messages if not m.extended and m.can_id in AI_IDS and m.freshness is Freshness.LOST]
         if len(lost) == len(AI_IDS):
             age_s = min(m.age_s or 0.0 for m in lost)
-            said.append(f"the AI computer is silent for {ms(round(age_s * S))}: to the VCU that is AI_COMMS_LOST")
+            found.append(f"the AI computer is silent for {ms(round(age_s * S))}: to the VCU that is AI_COMMS_LOST")
         else:
-            said += [
+            found += [
                 f"{BY_ID[m.can_id]} is missing for {ms(round((m.age_s or 0.0) * S))}: to the VCU that is AI_COMMS_LOST"
                 for m in lost
             ]
         wrong = [message for message in messages if message.wrong_length]
-        said += [f"{m.name} (0x{m.number}) has the wrong length: it counts as missing" for m in wrong]
+        found += [f"{m.name} (0x{m.number}) has the wrong length: it counts as missing" for m in wrong]
         waiting_s = self._handshake_waiting_s()
         if waiting_s is not None and waiting_s >= _SLOW_ECHO_S and len(lost) < len(AI_IDS):
-            said.append(f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)")
-        said += self._errors()
-        return said
+            found.append(f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)")
+        found += self._errors()
+        return found
 
     def _errors(self) -> list[str]:
         errors = self._window.only((self._window.flags & ERROR) != 0)

@@ -47,7 +47,7 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
 
 
 def mode(record: Record, now_ns: int, fresh: bool) -> str:
-    """The AI side's mode as far as the bus tells it: by what the AI computer acknowledges. `fresh`: it is heard.
+    """The AI side's mode as far as the bus shows it: by what the AI computer acknowledges. `fresh`: it sends.
 
     A mission that is chosen and not acknowledged means manual mode, or planner and controller have yet to confirm.
     """
@@ -72,7 +72,7 @@ def _silent_car(record: Record) -> Obstacle:
 def _lost_car(silent_ns: int, state: str) -> Obstacle:
     cause = CAUSES["power_off" if silent_ns >= S else "vcu_silent"]
     remedy = "switched off, or unplugged: LVMS, CAN plug" if silent_ns >= S else cause.remedy
-    return Obstacle(f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"the last one said {state}", remedy)
+    return Obstacle(f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"the last one was {state}", remedy)
 
 
 def _braked(record: Record, emergency: Incident | None) -> list[Obstacle]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 class DurableFile:
-    """What is `put` waits in memory until `push` has it on the disk.
+    """What is written waits in memory until `push` has it on the disk.
 
     After a `push` that failed (a full disk), the file ends where the last good one left it, nothing of what waits is
     lost, and `push` may be tried again.
@@ -33,11 +33,8 @@ class DurableFile:
 
     @property
     def removed(self) -> bool:
-        """Somebody has deleted it: what is written now would be nowhere."""
+        """It was deleted: what is written now would be nowhere."""
         return os.fstat(self._descriptor).st_nlink == 0
-
-    def put(self, data: bytes | bytearray | memoryview) -> None:
-        self._waiting += data
 
     def push(self) -> None:
         """All that waits is on the disk. Raises OSError."""
@@ -63,7 +60,7 @@ class DurableFile:
     # What a writer of a format needs of a stream.
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        self.put(data)
+        self._waiting += data
         return len(data)
 
     def tell(self) -> int:

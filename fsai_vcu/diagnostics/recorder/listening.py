@@ -1,6 +1,6 @@
-"""A bus heard in a thread of its own: while the disk takes its time, nothing that passes is missed.
+"""A bus received in a thread of its own: while the disk takes its time, nothing that passes is missed.
 
-The bus may go and come back: the listener says so, and opens it again.
+The bus may go and come back: the listener reports it, and opens it again.
 """
 
 from __future__ import annotations
@@ -16,36 +16,32 @@ from typing import Final
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 
-Heard = tuple[Frame, int]  # and the bus's own wall-clock stamp
+Received = tuple[Frame, int]  # and the bus's own wall-clock stamp
 
 _WAIT_S: Final = 0.2
 _AGAIN_S: Final = 0.2
 _RECEIVE_BUFFER_BYTES: Final = 8 << 20  # some ten thousand frames: seconds of a full bus
-_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for who may
-_MOST_WAITING: Final = 1_000_000  # frames that nobody has fetched
+_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for those who may
+_MOST_WAITING: Final = 1_000_000  # frames that were not fetched
 
 
 class Listener:
-    """`fetch` what was heard and `news` for people, in order."""
+    """`fetch` what was received, and `news` for the operator, in order."""
 
     def __init__(self, spec: str) -> None:
         """Opens the bus. Raises BusError."""
         self._thread = threading.Thread(target=self._run, name="listener", daemon=True)
         self._spec = spec
         self._bus: CanBus | None = _open(spec)
-        self._heard: deque[Heard] = deque()
+        self._received: deque[Received] = deque()
         self._news: deque[str] = deque()
         self._ending = threading.Event()
         self.overrun = 0
-        """Frames thrown away because nobody fetched them for too long."""
+        """Frames thrown away because they were not fetched for too long."""
 
-    @property
-    def away(self) -> bool:
-        return self._bus is None
-
-    def fetch(self) -> list[Heard]:
-        """What was heard since the last call."""
-        return [self._heard.popleft() for _ in range(len(self._heard))]
+    def fetch(self) -> list[Received]:
+        """What was received since the last call."""
+        return [self._received.popleft() for _ in range(len(self._received))]
 
     def news(self) -> list[str]:
         return [self._news.popleft() for _ in range(len(self._news))]
@@ -61,19 +57,19 @@ class Listener:
                 bus = self._again(lost_s)
                 continue
             try:
-                heard = bus.recv_stamped(_WAIT_S, bus_off_is_lost=False)
+                received = bus.recv_stamped(_WAIT_S, bus_off_is_lost=False)
             except BusLost as error:
                 lost_s = time.monotonic()
                 self._bus = None
                 bus.close()
                 self._news.append(f"{error}; waiting for it to come back")
                 continue
-            if heard is None:
+            if received is None:
                 continue
-            if len(self._heard) >= _MOST_WAITING:
+            if len(self._received) >= _MOST_WAITING:
                 self.overrun += 1
                 continue
-            self._heard.append(heard)
+            self._received.append(received)
 
     def _again(self, lost_s: float) -> CanBus | None:
         try:
@@ -85,7 +81,7 @@ class Listener:
         return self._bus
 
     def close(self) -> None:
-        """What has been heard can still be fetched."""
+        """What has been received can still be fetched."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
-from fsai_vcu.diagnostics.recorder.listening import Heard
+from fsai_vcu.diagnostics.recorder.listening import Received
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
 from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 from fsai_vcu.runtime.recording import candump_line
@@ -62,14 +62,14 @@ class _Segment:
 
 
 class Recording:
-    """Takes what was heard; `turn` has it on the disk. Not thread-safe."""
+    """Takes what was received; `turn` has it on the disk. Not thread-safe."""
 
     def __init__(
         self,
         place: SegmentFolder,
         bus: str,
         about: Mapping[str, Any],
-        say: Callable[[str], None],
+        report: Callable[[str], None],
         *,
         decoder: Decoder | None = None,
         wall_ns: Callable[[], int],
@@ -79,10 +79,10 @@ class Recording:
         self._place = place
         self._bus = bus
         self._about = dict(about)
-        self._say = say
+        self._report = report
         self._decoder = decoder
         self._wall_ns = wall_ns
-        self._frames: deque[Heard] = deque(maxlen=_MOST_WAITING)
+        self._frames: deque[Received] = deque(maxlen=_MOST_WAITING)
         self._messages: deque[RosMessage] = deque(maxlen=_MOST_WAITING)
         self._channels = [bus]
         self._again_ns: int | None = None
@@ -93,23 +93,18 @@ class Recording:
         self._segment: _Segment | None = self._begin(now_ns)
 
     @property
-    def waiting(self) -> int:
-        """Frames that are not on the disk."""
-        return len(self._frames)
-
-    @property
     def in_trouble(self) -> bool:
         return self._again_ns is not None
 
-    def take(self, heard: Sequence[Heard]) -> None:
-        self.lost += max(0, len(self._frames) + len(heard) - _MOST_WAITING)
-        self._frames.extend(heard)
+    def take(self, received: Sequence[Received]) -> None:
+        self.lost += max(0, len(self._frames) + len(received) - _MOST_WAITING)
+        self._frames.extend(received)
 
     def take_messages(self, messages: Sequence[RosMessage]) -> None:
         self._messages.extend(messages)
 
     def turn(self, now_ns: int) -> None:
-        """Everything taken so far is on the disk; where that fails it is said once and tried again later."""
+        """Everything taken so far is on the disk; where that fails it is reported once and tried again later."""
         if self._again_ns is not None and now_ns < self._again_ns:
             return
         try:
@@ -120,13 +115,13 @@ class Recording:
         if self._again_ns is not None:
             self._again_ns = None
             lost = f"; {self.lost} frames were lost" if self.lost else ""
-            self._say(f"writing again in {self._place.path}{lost}")
+            self._report(f"writing again in {self._place.path}{lost}")
 
     def close(self, now_ns: int) -> None:
         """Write what waits, and end the files properly, as far as the disk lets."""
         self._again_ns = None if self._again_ns is None else now_ns
         self.turn(now_ns)
-        with contextlib.suppress(OSError):  # a disk that takes no more: said, and what is there is whole
+        with contextlib.suppress(OSError):  # a disk that takes no more: reported, and what is there is whole
             self._end()
         self.lost += len(self._frames)
         self._place.close()
@@ -140,11 +135,11 @@ class Recording:
             return
         log = place.file(".log")
         if log.exists() and (cut := repair_text(log)):
-            self._say(f"{log} was cut off in its last line: {cut} bytes taken away")
+            self._report(f"{log} was cut off in its last line: {cut} bytes taken away")
         # A disk that was full can have left any of them without an end.
         for mcap in place.all_files(".mcap") if self._decoder is not None else ():
             if (repaired := repair_mcap(mcap)) is not None:
-                self._say(f"{mcap} had no end: given one{f', {repaired} bytes taken away' if repaired else ''}")
+                self._report(f"{mcap} had no end: given one{f', {repaired} bytes taken away' if repaired else ''}")
 
     def _begin(self, now_ns: int) -> _Segment:
         place = self._place
@@ -196,7 +191,7 @@ class Recording:
 
     def _over(self, segment: _Segment, now_ns: int) -> bool:
         bounds = self._place.bounds
-        if not self._place.rotates or not segment.frames:
+        if self._place.single or not segment.frames:
             return False
         most = self._place.segment_bytes
         return (most is not None and segment.size >= most) or (
@@ -212,7 +207,7 @@ class Recording:
                 if any(file.removed for file in segment.files()):
                     self._segment = None
                     segment.close()
-                    self._say(f"{segment.log.path} has been deleted; going on in a new one")
+                    self._report(f"{segment.log.path} has been deleted; going on in a new one")
                     continue
                 if any(file.waiting for file in segment.files()):
                     self._push(segment)
@@ -236,15 +231,15 @@ class Recording:
 
     def _put(self, segment: _Segment) -> None:
         """Some of what waits goes to the segment's files, from where no full disk can lose it."""
-        heard = [self._frames.popleft() for _ in range(min(_PART, len(self._frames)))]
-        lines = "".join(f"{candump_line(frame, self._bus, stamp_ns)}\n" for frame, stamp_ns in heard)
-        segment.log.put(lines.encode("ascii"))
-        segment.frames += len(heard)
-        segment.unpushed += len(heard)
-        self.taken += len(heard)
+        taken = [self._frames.popleft() for _ in range(min(_PART, len(self._frames)))]
+        lines = "".join(f"{candump_line(frame, self._bus, stamp_ns)}\n" for frame, stamp_ns in taken)
+        segment.log.write(lines.encode("ascii"))
+        segment.frames += len(taken)
+        segment.unpushed += len(taken)
+        self.taken += len(taken)
         if segment.writer is None or segment.tables is None:
             return
-        frames = frames_of((_log_frame(frame, stamp_ns, self._bus) for frame, stamp_ns in heard), self._channels)
+        frames = frames_of((_log_frame(frame, stamp_ns, self._bus) for frame, stamp_ns in taken), self._channels)
         segment.writer.write_together(list(segment.tables.rows(frames)))
         while self._messages:
             segment.writer.write_message(self._messages.popleft())
@@ -254,7 +249,7 @@ class Recording:
     def _fail(self, error: OSError, now_ns: int) -> None:
         if self._again_ns is None:
             reason = error.strerror or str(error)
-            self._say(f"cannot write in {self._place.path}: {reason}; trying again every second")
+            self._report(f"cannot write in {self._place.path}: {reason}; trying again every second")
         self._again_ns = now_ns + AGAIN_NS
         segment = self._segment
         if error.errno not in _NO_ROOM and segment is not None and not self._place.single:

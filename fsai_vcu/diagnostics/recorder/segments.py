@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
 
+from fsai_vcu.interface.errors import UserError
+
 _DIGITS: Final = 6
 _KINDS: Final = (".log", ".mcap", ".json")
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
 
 
-class PlaceError(Exception):
+class PlaceError(UserError):
     """A place where nothing can be recorded; the message is one clear line."""
 
 
@@ -25,7 +27,7 @@ class NoRoomError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """None: no bound. keep_free_bytes: what is always left free on the disk, for everybody else."""
+    """None: no bound. keep_free_bytes: what is always left free on the disk, for all else."""
 
     segment_bytes: int | None = None
     segment_ns: int | None = None
@@ -59,12 +61,8 @@ class SegmentFolder:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 self._lock.close()
-                raise PlaceError(f"somebody records '{self._prefix}' in {path} already") from error
+                raise PlaceError(f"another program records '{self._prefix}' in {path} already") from error
             self.number = max(self._segments(), default=0)
-
-    @property
-    def rotates(self) -> bool:
-        return not self.single
 
     @property
     def segment_bytes(self) -> int | None:
@@ -94,22 +92,20 @@ class SegmentFolder:
         older = sorted(number for number in segments if number < self.number)
         total = sum(segments.values()) + bytes_to_come
         most = None if self.single else self.bounds.total_bytes
+        wanted = self.bounds.keep_free_bytes + bytes_to_come
         for number in older:
-            if (most is None or total <= most) and self._free(folder) >= self.bounds.keep_free_bytes + bytes_to_come:
+            if (most is None or total <= most) and shutil.disk_usage(folder).free >= wanted:
                 return
             for kind in _KINDS:
                 self.file(kind, number).unlink(missing_ok=True)
             total -= segments[number]
-        free = self._free(folder)
-        if self.bounds.keep_free_bytes and free < self.bounds.keep_free_bytes + bytes_to_come:
+        free = shutil.disk_usage(folder).free
+        if self.bounds.keep_free_bytes and free < wanted:
             raise NoRoomError(
                 f"only {free >> 20} MB free on the disk, and {self.bounds.keep_free_bytes >> 20} MB stay free"
             )
         if most is not None and total > most and len(segments) > 1:
             raise NoRoomError(f"more than {most >> 20} MB in one segment")
-
-    def _free(self, folder: Path) -> int:
-        return shutil.disk_usage(folder).free
 
     def _segments(self) -> dict[int, int]:
         """Bytes of each segment, by number."""

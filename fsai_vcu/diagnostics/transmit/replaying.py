@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Mask
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.runtime.bus import split_spec
@@ -22,7 +23,7 @@ _STAND_INS: Final = frozenset({"fsai_loopback", "virtual", "udp_multicast"})  # 
 _VIRTUAL_LINKS: Final = frozenset({"vcan", "vxcan"})
 
 
-class ReplayError(Exception):
+class ReplayError(UserError):
     """What cannot be replayed; the message is one clear line."""
 
 
@@ -62,8 +63,8 @@ class Chosen:
 def choose(frames: Frames, *, with_ai_ids: bool) -> Chosen:
     """What of a log may be sent at all.
 
-    Never reserved ids (safety rule 8), and the AI computer's own only if told: the bridge on the bus would take them
-    for an intruder's. 0x501 is the PCAN-GPS's, unless the car has none.
+    Never reserved ids (safety rule 8), and the AI computer's own only where asked for: the bridge on the bus would take
+    them for an intruder's. 0x501 is the PCAN-GPS's, unless the car has none.
     """
     why_not: list[tuple[str, Mask]] = [
         ("error frames", (frames.flags & ERROR) != 0),

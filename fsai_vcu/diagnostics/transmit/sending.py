@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.log.frames import CLASSIC_BYTES
 from fsai_vcu.interface.bus_table import BY_ID
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID, RESERVED_IDS
 
@@ -31,7 +32,7 @@ _ROUNDING: Final = 1e-9  # physical values are products of a raw integer and a d
 _NUMBER = re.compile(r"[+-]?0[xX][0-9A-Fa-f]+")
 
 
-class SendingError(ValueError):
+class SendingError(UserError):
     """A frame that cannot or must not be sent; the message is one clear line."""
 
 
@@ -102,7 +103,7 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
 def check_permission(layout: MessageLayout, *, as_ai: bool) -> None:
     """Raises SendingError for a message that is not ours to send."""
     name = f"{layout.name} (0x{layout.can_id:03X})"
-    # Whoever filters for a number may not look at the width of the identifier: reserved is reserved in both.
+    # A filter for a number may not look at the width of the identifier: reserved is reserved in both.
     if layout.can_id in RESERVED_IDS:
         raise SendingError(f"{name} is reserved for the car: it must never be sent from here")
     own = None if layout.extended else BY_ID.get(layout.can_id)

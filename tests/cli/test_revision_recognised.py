@@ -1,17 +1,16 @@
-"""A log or a bus of another revision than the latest is recognised, by every verb alike, and that is said."""
+"""A log or a bus of another revision than the latest is recognised and reported, by every verb alike."""
 
 from __future__ import annotations
 
 import json
 import os
-import threading
 from pathlib import Path
 
 import pytest
+from talking_bus import talking
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.runtime.bus import open_bus
 
 STATUS = "520#0000010000000000"  # OP_STATE is a signal of it in 2026
 OF_2021, OF_2026 = "523#0000D2000000", "523#00002C010000"  # ANGLE_MAX is 21 and 30 deg
@@ -26,7 +25,7 @@ def written(path: Path, *frames: str, times: int = 1) -> str:
 
 @pytest.mark.parametrize("verb", ["dump", "decode"])
 @pytest.mark.parametrize("option", [[], ["--json"]])
-def test_a_log_of_2021_is_decoded_as_one_and_that_is_said(
+def test_a_log_of_2021_is_decoded_as_one_and_reported(
     verb: str, option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([verb, written(tmp_path / "run.log", STATUS, OF_2021), *option]) == 0
@@ -36,7 +35,7 @@ def test_a_log_of_2021_is_decoded_as_one_and_that_is_said(
 
 
 @pytest.mark.parametrize("verb", ["dump", "decode"])
-def test_nothing_is_said_of_the_latest_or_of_one_that_is_named(
+def test_the_latest_or_a_named_revision_is_not_reported(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for argv in (
@@ -49,7 +48,7 @@ def test_nothing_is_said_of_the_latest_or_of_one_that_is_named(
         assert "OP_STATE" in said.out and said.err == ""
 
 
-def test_frames_that_no_filter_lets_through_tell_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_filtered_out_frames_show_the_revision_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dump", written(tmp_path / "run.log", OF_2021, STATUS) + ",520:7FF"]) == 0
     said = capsys.readouterr()
     assert "OP_STATE" not in said.out and SAID in said.err
@@ -85,23 +84,10 @@ def test_given_databases_decode_frames_of_any_revision(tmp_path: Path, capsys: p
     assert "OP_STATE" in said.out and said.err == ""
 
 
-def test_a_live_bus_tells_as_it_goes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_live_bus_shows_its_revision_as_it_goes(capsys: pytest.CaptureFixture[str]) -> None:
     name = f"loopback:told-{os.getpid()}"
-    ended = threading.Event()
-
-    def car() -> None:
-        with open_bus(name) as bus:
-            while not ended.wait(0.005):
-                bus.send(Frame(0x523, bytes.fromhex(OF_2021[4:])))
-                bus.send(Frame(0x520, bytes.fromhex(STATUS[4:])))
-
-    thread = threading.Thread(target=car)
-    thread.start()
-    try:
+    with talking(name, Frame(0x523, bytes.fromhex(OF_2021[4:])), Frame(0x520, bytes.fromhex(STATUS[4:]))):
         assert main(["dump", name, "-n", "20"]) == 0
-    finally:
-        ended.set()
-        thread.join()
     said = capsys.readouterr()
     assert "OP_STATE" not in said.out and "AS_STATE" in said.out
     assert said.err == f"fsai-vcu dump: {SAID}\n"
