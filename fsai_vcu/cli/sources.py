@@ -94,7 +94,7 @@ def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None
         metavar="FILE",
         help="decode with this database instead of the car's own; may be given several times, the first one counts",
     )
-    default = revision or "told from the frames"
+    default = revision or "known from the frames"
     parser.add_argument("--revision", default=revision, help=f"interface revision: 2021 or 2026 (default: {default})")
 
 

@@ -31,7 +31,7 @@ _NOT_SENT: Final = "not sent"
 _NO_FAULT: Final = "these faults are not seen"
 _NO_SWITCH: Final = "that a switch goes off is not seen"
 _NO_WARNING: Final = "these warnings are not seen"
-_NO_STATE: Final = "the states of the car's systems are not told"
+_NO_STATE: Final = "the states of the car's systems are not reported"
 
 # ---------------------------------------------------------------- AI -> VCU
 
@@ -178,7 +178,7 @@ class VcuStatus(Message, name="VCU2AI_Status", required=True):
     warn_batt_soc_low: bool = signal("WARN_BATT_SOC_LOW", False, absent=_NO_WARNING)
     faults: Faults = field(default_factory=Faults)
     shutdown_cause: ShutdownCause | None = signal(
-        "SHUTDOWN_CAUSE", None, unknown=None, absent="why the car shut down is not told"
+        "SHUTDOWN_CAUSE", None, unknown=None, absent="why the car shut down is not reported"
     )
     # The interface's tables give 255 for fault in a field of four bits: 15 and anything unknown is a fault.
     op_state: OpState | None = signal("OP_STATE", None, unknown=OpState.OP_FAULT, absent=_NO_STATE)

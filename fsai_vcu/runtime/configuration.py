@@ -125,7 +125,7 @@ def _of(table: str, node: str, settings: object, ranges: Ranges, **meanings: str
 
 
 KEYS: tuple[Key, ...] = (
-    Key("can", "interface", "can0", "the bus of the car; a service is told its own, fsai-bridge@can0", shape=_BUS),
+    Key("can", "interface", "can0", "the bus of the car; a service has its own, fsai-bridge@can0", shape=_BUS),
     Key(
         "can",
         "revision",

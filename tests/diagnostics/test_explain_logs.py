@@ -218,7 +218,7 @@ def test_a_pause_of_all_senders_blames_the_bus_or_the_recording() -> None:
     story = tell(log.frames())
     assert story.incidents[0].candidates[0].slug == "bus_lost"
     told = [event.text for event in story.events if "heard" in event.text or "silent" in event.text]
-    assert len(told) == 1 and told[0].startswith("nobody at all is heard for 3")
+    assert len(told) == 1 and told[0].startswith("nothing at all is received for 3")
 
 
 # ---------------------------------------------------------------- pieces of logs

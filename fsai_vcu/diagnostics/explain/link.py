@@ -35,7 +35,7 @@ def dead_bus(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
     """Nobody was heard just before `t_ns`: then no single message can be blamed."""
     for begin_ns, end_ns in record.silences:
         if begin_ns < t_ns and end_ns >= t_ns - AT_ONCE_NS:
-            words = f"nobody at all is heard for {ms(end_ns - begin_ns)}: the bus was dead, or the recording paused"
+            words = f"nothing at all is received for {ms(end_ns - begin_ns)}: the bus was dead, or the recording paused"
             return [candidate("bus_lost", sureness, [ChainLink(begin_ns, words)])]
     return []
 
@@ -74,7 +74,7 @@ def link_losses(record: Record, t_ns: int, said: Sureness) -> list[Candidate]:
         if len(errors):
             steps.append(_error_step(record, int(errors[0]), len(errors)))
         if is_on(record, sig.ESTOP, first):
-            steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped in order"))
+            steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped on purpose"))
         # An adapter that goes bus-off silences a program that runs on.
         off = any("bus-off" in error_text(record, int(t_error_ns)) for t_error_ns in errors)
         return [candidate("bus_lost" if off else "ai_silent", said, steps)]

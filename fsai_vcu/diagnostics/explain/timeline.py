@@ -250,7 +250,7 @@ def _gate(record: Record) -> Iterator[TimelineEntry]:
 def _gaps(record: Record) -> Iterator[TimelineEntry]:
     """Messages that did not come, several that stopped together as one."""
     for quiet_ns, heard_ns in record.silences:
-        text = f"nobody at all is heard for {ms(heard_ns - quiet_ns)}: the bus was dead, or the recording paused"
+        text = f"nothing at all is received for {ms(heard_ns - quiet_ns)}: the bus was dead, or the recording paused"
         yield TimelineEntry(quiet_ns, "bus", text, Weight.WARNING)
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
         together: dict[int, list[tuple[int, int, int | None]]] = {}

@@ -92,7 +92,7 @@ def _print_totals(results: Sequence[dict[str, Any]]) -> None:
     for name, seconds in latest.items():
         print(f"  {seconds:6.2f} s  with {name}")
     print(
-        "  A VCU that says AS_DRIVING for ever is at the end once it has been told ESTOP_REQUEST, or FINISHED at rest."
+        "  A VCU that says AS_DRIVING for ever is at the end once it has received ESTOP_REQUEST, or FINISHED at rest."
     )
     for figures in results:
         if figures["endless"]:

@@ -43,10 +43,10 @@ def _link(report: BridgeReport) -> DiagnosticStatus:
     if report.bus_lost is not None:
         return _status("link", DiagnosticStatus.ERROR, f"bus lost: {report.bus_lost}", values)
     if report.vcu_lost:
-        return _status("link", DiagnosticStatus.ERROR, "the VCU is not heard (0x520)", values)
+        return _status("link", DiagnosticStatus.ERROR, "nothing is received from the VCU (0x520)", values)
     if report.problem_counts:
         return _status("link", DiagnosticStatus.WARN, "frames were received that are not believed", values)
-    return _status("link", DiagnosticStatus.OK, "the VCU is heard", values)
+    return _status("link", DiagnosticStatus.OK, "the VCU's messages are received", values)
 
 
 def _supervision(report: BridgeReport) -> DiagnosticStatus:
@@ -77,7 +77,7 @@ def _supervision(report: BridgeReport) -> DiagnosticStatus:
 def _car(report: BridgeReport) -> DiagnosticStatus:
     status = report.vehicle.status
     if status is None:
-        return _status("car", DiagnosticStatus.STALE, "nothing heard yet", {})
+        return _status("car", DiagnosticStatus.STALE, "nothing received yet", {})
     faults = status.faults.names
     cause = "" if status.shutdown_cause is None else status.shutdown_cause.label
     values: dict[str, object] = {

@@ -91,6 +91,6 @@ class Waiting:
             if goal.lost_by_off and self._drove and as_state in OFF_LIKE:
                 return GoalResult(False, "missed", f"{as_state.label} after AS_DRIVING, instead of {self.until}")
         if self._timeout_ns and now_ns - self._began_ns >= self._timeout_ns:
-            state = "nothing heard from the car" if as_state is None else f"the car is in {as_state.label}"
+            state = "nothing received from the car" if as_state is None else f"the car is in {as_state.label}"
             return GoalResult(False, "timeout", f"not {self.until} within {self._timeout_ns / 1e9:g} s: {state}")
         return None

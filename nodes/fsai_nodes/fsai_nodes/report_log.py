@@ -64,7 +64,7 @@ class News:
         as_state = report.run.as_state
         mission = report.run.mission
         braking = as_state is AsState.EMERGENCY_BRAKE
-        state = "not heard" if as_state is None else as_state.label + (f": {_cause_of(report)}" if braking else "")
+        state = "not received" if as_state is None else as_state.label + (f": {_cause_of(report)}" if braking else "")
         return [
             ("mode", f"mode {report.mode}", False, "info"),
             ("as_state", f"AS state {state}", as_state is None, "error" if braking else "info"),
