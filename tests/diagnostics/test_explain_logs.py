@@ -217,7 +217,7 @@ def test_a_pause_of_all_senders_blames_the_bus_or_the_recording() -> None:
     log.cycles(30, lost, running, rpm=50)
     story = tell(log.frames())
     assert story.incidents[0].candidates[0].slug == "bus_lost"
-    told = [event.text for event in story.events if "heard" in event.text or "silent" in event.text]
+    told = [event.text for event in story.events if "nothing at all" in event.text or "silent" in event.text]
     assert len(told) == 1 and told[0].startswith("nothing at all is received for 3")
 
 

@@ -36,7 +36,7 @@ warnings, errors = (partial(logged, level=level) for level in (30, 40))  # of rc
 def test_silence_and_old_data_are_told_with_topic_and_node(rig: RosRig) -> None:
     speaker = rig.add(Node("speaker"))
     topic = Input(rig.tester, "raw_cones")
-    assert topic.late(0) == "/raw_cones, which nobody publishes, has sent nothing yet"
+    assert topic.late(0) == "/raw_cones, which nobody publishes: nothing received yet"
     speaker.create_publisher(ConeArray, "raw_cones", qos.SENSOR)
     rig.spin_until(lambda: bool(rig.tester.get_publishers_info_by_topic("/raw_cones")), "the publisher")
     topic.heard(1000 * MS, age_ns=10 * MS)
