@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
@@ -50,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
     if records[0].revision.name != records[1].revision.name:
         lines.append(f"interface revision: {records[0].revision.name}, then {records[1].revision.name}")
     if incidents[0] != incidents[1]:
-        lines += [f"only in {args.logs[0]}: {words}" for words in incidents[0] if words not in incidents[1]]
-        lines += [f"only in {args.logs[1]}: {words}" for words in incidents[1] if words not in incidents[0]]
+        for name, here, there in zip(args.logs, incidents, reversed(incidents), strict=True):
+            lines += [f"only in {name}: {words}" for words in (Counter(here) - Counter(there)).elements()]
     print("\n".join(lines) if lines else "nothing differs")
     return 1 if lines else status
 

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         return _short(args, decoding)
     sources = Sources("decode", args.logs, decoding, part_of(args, decoding))
     output = Output()
-    if sources.live or "-" in args.logs:
+    if not whole or not sources.files:  # a part begins where the log does; a pipe can be read but once
         try:
             for frames in sources.chunks():
                 output.write(decoding.writer.block(frames), at_once=True)

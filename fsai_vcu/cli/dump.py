@@ -94,7 +94,7 @@ class _Lines:
         self._decoding = decoding
         self._color = args.color or (sys.stdout.isatty() and not os.environ.get("NO_COLOR"))
         self._indented = False
-        self._newest: dict[int, int] = {}  # by key: the payload
+        self._newest: dict[tuple[str, int, int], tuple[int, int | bytes]] = {}  # length and payload of each message
         self._zero_ns: int | None = None
         self._last_ns: int | None = None
 
@@ -103,20 +103,21 @@ class _Lines:
         import numpy as np
 
         from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-        from fsai_vcu.diagnostics.log.frames import EXTENDED
+        from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE
 
         if self._args.signals is not None and len(frames):
             shown = np.fromiter(self._decoding.databases.layouts, np.int64) & 0x1FFF_FFFF
             frames = frames.only(np.isin(frames.can_id, shown))
         if not self._args.changes or not len(frames):
             return frames
-        changed = []
         layouts = self._decoding.databases.layouts if self._args.signals is not None else {}
         masks = {key: layout.mask for key, layout in layouts.items()}
-        keys = zip(frames.can_id.tolist(), (frames.flags & EXTENDED).tolist(), frames.word.tolist(), strict=True)
-        for can_id, extended, word in keys:
-            key = can_id | (EXTENDED_KEY if extended else 0)
-            said = word & masks.get(key, ~0)
+        changed = []
+        for row, word in enumerate(frames.word.tolist()):
+            flags, can_id = int(frames.flags[row]), int(frames.can_id[row])
+            mask = masks.get(can_id | (EXTENDED_KEY if flags & EXTENDED else 0), ~0)
+            said = (int(frames.length[row]), frames.long.get(row, word & mask))
+            key = (frames.channels[frames.channel[row]], can_id, flags & (EXTENDED | REMOTE | ERROR))
             changed.append(self._newest.get(key) != said)
             self._newest[key] = said
         return frames.only(np.array(changed, np.bool_))

@@ -29,7 +29,7 @@ mission ends with is no problem)."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
     add_sources_argument(parser)
-    add_part_arguments(parser)
+    add_part_arguments(parser, messages=False)
     add_seconds_argument(parser)
     add_database_arguments(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
+    from fsai_vcu.interface.errors import UserError
 
     check_seconds(args)
     decoding = Decoding("explain", args)  # before anything is read; the story itself says which revision it is, and why
@@ -49,10 +50,14 @@ def run(args: argparse.Namespace) -> int:
     if not len(frames):
         return 1
     record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+    begin_s, end_s = part.seconds(record.begin_ns)
+    length_s = (record.end_ns - record.begin_ns) / 1e9
+    if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):
+        raise UserError(f"no frame of {sources.name} is in that part")
     story = story_of(record)
     buses = measure(frames, record.decoder, revision=record.revision.name)
-    verdict = judge_log(record, story, buses).between(*part.seconds(record.begin_ns))
-    shown = cut(story, *part.seconds(record.begin_ns))
+    verdict = judge_log(record, story, buses).between(begin_s, end_s)
+    shown = cut(story, begin_s, end_s)
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)

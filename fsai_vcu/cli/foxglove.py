@@ -9,7 +9,14 @@ import time
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_seconds_argument, add_source_argument
+from fsai_vcu.cli.sources import (
+    SOURCE_HELP,
+    Decoding,
+    Sources,
+    add_database_arguments,
+    add_seconds_argument,
+    check_seconds,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -31,22 +38,16 @@ WORDS: Final = ("AS_STATE", "AMI_STATE", "SHUTDOWN_CAUSE", "GO_SIGNAL")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    add_source_argument(parser)
+    parser.add_argument("source", nargs="?", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
+    parser.add_argument("--layout", action="store_true", help="print a layout to import, and nothing else")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
     add_seconds_argument(parser)
     add_database_arguments(parser)
 
 
-def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
-    """`--layout` needs no source."""
-    if arguments == ["--layout"]:
-        return argparse.Namespace(layout=True)
-    return argparse.Namespace(layout=False, **vars(parser.parse_args(arguments)))
-
-
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
+    from fsai_vcu.interface.errors import UserError, WrongUse
 
     if args.layout:
         print(files("fsai_vcu.cli").joinpath("foxglove_layout.json").read_text(encoding="utf-8"), end="")
@@ -55,6 +56,11 @@ def run(args: argparse.Namespace) -> int:
         import foxglove
     except ImportError:
         raise UserError("foxglove-sdk is not installed; install it with: pip install 'fsai-vcu[foxglove]'") from None
+    if args.source is None:
+        raise WrongUse("a log or an interface is missing")
+    if not 0 < args.port < 65536:
+        raise WrongUse(f"--port is {args.port}, but must be 1 to 65535")
+    check_seconds(args)
     decoding = Decoding("foxglove", args)
     sources = Sources("foxglove", [args.source], decoding)
     try:
@@ -67,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
     try:
         chunks = sources.chunks(args.seconds)
-        for frames in chunks if sources.live else _as_recorded(chunks):
+        for frames in chunks if sources.live else _as_recorded(chunks, ended):
             if ended:
                 break
             topics.show(frames, decoding)
@@ -77,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
     return sources.status
 
 
-def _as_recorded(chunks: Iterable[Frames]) -> Iterator[Frames]:
-    """A log's frames in pieces, each at its time."""
+def _as_recorded(chunks: Iterable[Frames], ended: list[int]) -> Iterator[Frames]:
+    """A log's frames in pieces, each at its time, until `ended` holds something."""
     import numpy as np
 
     began: tuple[int, float] | None = None
@@ -88,8 +94,8 @@ def _as_recorded(chunks: Iterable[Frames]) -> Iterator[Frames]:
         began = began or (int(frames.t_ns[0]), time.monotonic())
         pieces = (frames.t_ns - began[0]) // PIECE_NS
         for piece in np.unique(pieces).tolist():
-            due_s = piece * PIECE_NS / 1e9 - (time.monotonic() - began[1])
-            time.sleep(max(0.0, due_s))
+            while not ended and (left_s := piece * PIECE_NS / 1e9 - (time.monotonic() - began[1])) > 0.0:
+                time.sleep(min(left_s, PIECE_NS / 1e9))
             yield frames.only(pieces == piece)
 
 

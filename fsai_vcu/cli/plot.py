@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     groups = _chosen(record, args.signals)
     if not groups:
         raise UserError(f"no signal {' or '.join(args.signals)} in {sources.name}; fsai-vcu dbc show lists them")
+    record.begin_ns = sources.first_ns or record.begin_ns
     _save(args.output, record, groups, sources.name)
     print(f"saved {args.output}: {', '.join(name for group in groups.values() for name, _ in group)}")
     return sources.status

@@ -42,7 +42,7 @@ def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources")
     )
 
 
-def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to") -> None:
+def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to", *, messages: bool = True) -> None:
     parser.add_argument(
         "--from",
         dest="begin",
@@ -50,9 +50,12 @@ def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to") -> No
         help="from so many seconds after the log's first frame on, or from a time of day (UTC, 14:03:30)",
     )
     parser.add_argument(end, dest="end", metavar="TIME", help="up to that time")
-    parser.add_argument(
-        "--messages", metavar="NAME,…", help="only these: names as in the database with * and ?, or identifiers (0x520)"
-    )
+    if messages:
+        parser.add_argument(
+            "--messages",
+            metavar="NAME,…",
+            help="only these: names with * and ?, or identifiers (0x520)",
+        )
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
@@ -60,13 +63,15 @@ def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
     from fsai_vcu.diagnostics.log.part import Part
 
     ids: frozenset[int] | None = None
-    if args.messages is not None:
-        patterns = [name for name in args.messages.split(",") if name]
+    if getattr(args, "messages", None) is not None:
         layouts = decoding.databases.layouts.values()
-        ids = frozenset(layout.can_id for layout in layouts if any(layout.is_called(name) for name in patterns))
-        ids |= {int(name, 16) for name in patterns if name.lower().startswith("0x") and _is_hex(name)}
-        if not ids:
-            raise UserError(f"no message {' or '.join(patterns)}; fsai-vcu dbc list names them")
+        chosen: set[int] = set()
+        for name in filter(None, args.messages.split(",")):
+            found = {layout.can_id for layout in layouts if layout.is_called(name)}
+            if not found and not (name.lower().startswith("0x") and _is_hex(name)):
+                raise UserError(f"no message {name}; fsai-vcu dbc list names them")
+            chosen |= found or {int(name, 16)}
+        ids = frozenset(chosen)
     try:
         return Part(args.begin, args.end, ids)
     except ValueError as error:
@@ -227,6 +232,8 @@ class Sources:
         if len(kinds) > 1:
             raise WrongUse("logs and live interfaces cannot be read together")
         self.live = kinds == {False}
+        self.files = all(Path(name).is_file() for name, _ in self._rules)
+        self.first_ns: int | None = None  # of the whole log, whatever the part
 
     def chunks(self, seconds: float | None = None, *, announced: bool = False) -> Iterator[Frames]:
         """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock.
@@ -254,6 +261,10 @@ class Sources:
         except KeyboardInterrupt:
             if not self.live:
                 raise
+        if self._part and self.first_ns is not None and not count:
+            from fsai_vcu.interface.errors import UserError
+
+            raise UserError(f"no frame of {self.name} is in that part")
         if self.live and not count:
             self._say(f"nothing was received on {self.name}")
             self.status = 1
@@ -294,6 +305,8 @@ class Sources:
             self.status |= report_problems(self.verb, log.name, count, log.problems)
 
     def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
+        if self.first_ns is None and len(frames):
+            self.first_ns = int(frames.t_ns[0])
         shown = frames if self._part is None else self._part.of(frames)
         return shown.only(rule.passes(shown)) if rule else shown
 
@@ -349,12 +362,24 @@ def check_seconds(args: argparse.Namespace) -> None:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
 
 
+def _first_stamp(path: Path) -> tuple[int, str]:
+    """When a log begins; one that cannot be read comes last, and is reported when it is opened."""
+    from fsai_vcu.diagnostics.log.reader import LogError, open_log
+
+    try:
+        with open_log(str(path)) as log:
+            return next((frame.t_ns for frame in log.frames()), 1 << 63), path.name
+    except LogError:
+        return 1 << 63, path.name
+
+
 def _unfolded(name: str) -> list[str]:
     """A folder as the logs in it, by their names; anything else as it is."""
     folder, _, filters = name.partition(",")
     if folder == "-" or not Path(folder).is_dir():
         return [name]
-    logs = sorted(path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES)
+    logs = [path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES]
+    logs.sort(key=_first_stamp)
     if not logs:
         raise UserError(f"{folder}: no log in this folder")
     return [f"{path},{filters}" if filters else str(path) for path in logs]

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import (
@@ -70,7 +71,7 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
         )
         return 1
     record = record_for(frames, decoding.revision, decoding.databases if args.dbc else None)
-    verdict = judge_log(record, story_of(record), buses)
+    verdict = replace(judge_log(record, story_of(record), buses), begin_ns=sources.first_ns or record.begin_ns)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     output.write("".join(f"{line}\n" for line in lines).encode(), at_once=True)
     return sources.status or verdict.status

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from story_runs import branch, driving, hand_made
 
+from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.explain import IncidentKind, record_for, story_of
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.statistics.measure import measure
@@ -41,9 +43,34 @@ def test_a_sound_drive_is_ok_with_status_0(drive: Frames) -> None:
 
 
 @pytest.mark.parametrize("batch_ms", [5, 20, 50])
-def test_a_log_in_an_adapters_batches_has_no_second_sender(drive: Frames, batch_ms: int) -> None:
+def test_a_sound_drive_in_an_adapters_batches_is_ok(drive: Frames, batch_ms: int) -> None:
     stamped = (drive.t_ns // (batch_ms * MS) + 1) * batch_ms * MS
-    assert "intruder" not in kinds(replace(drive, t_ns=stamped))
+    verdict = judged(replace(drive, t_ns=stamped))
+    assert verdict.ok, list(verdict.lines())
+
+
+@pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x521, 0x527)])
+def test_a_message_that_stops_for_good_is_a_problem(drive: Frames, can_id: int) -> None:
+    stopped = drive.only((drive.can_id != can_id) | (drive.t_ns < drive.t_ns[-1] - S))
+    assert "stopped" in kinds(stopped)
+
+
+def test_a_car_that_falls_silent_while_driving_is_a_problem(drive: Frames) -> None:
+    car = (drive.can_id >= 0x520) & (drive.can_id <= 0x526)
+    assert "stopped" in kinds(drive.only(~car | (drive.t_ns < drive.t_ns[-1] - S)))
+
+
+@pytest.mark.parametrize("can_id", [*range(0x510, 0x515), *range(0x521, 0x527)])
+def test_a_missing_message_is_no_mismatch_of_the_car(drive: Frames, can_id: int) -> None:
+    assert "not_as_asked" not in kinds(drive.only(drive.can_id != can_id))
+
+
+def test_a_database_that_is_not_the_cars_is_unknown(drive: Frames, tmp_path: Path) -> None:
+    text = 'VERSION ""\n\nBU_: A\n\nBO_ 1312 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "" A\n'
+    (tmp_path / "other.dbc").write_text(text)
+    record = record_for(drive, databases=load_databases([tmp_path / "other.dbc"]))
+    buses = measure(drive, record.decoder, revision=record.revision.name)
+    assert judge_log(record, story_of(record), buses).line().startswith("UNKNOWN: the database has no AS_STATE")
 
 
 def test_a_sender_that_catches_up_after_a_pause_is_one_sender(drive: Frames) -> None:

@@ -72,8 +72,8 @@ class Databases:
         chosen = {}
         for key, layout in self.layouts.items():
             signals = tuple(s for s in layout.signals if any(fnmatchcase(s.name, name) for name in names))
-            if signals:
-                chosen[key] = layout._replace(signals=signals)
+            if signals:  # of a message that cantools decodes all signals are shown
+                chosen[key] = layout._replace(signals=signals) if layout.plain else layout
         return Databases(chosen, self.sources, self.baudrate, self._load)
 
     def by_name(self, name: str) -> MessageLayout | None:

@@ -42,6 +42,7 @@ BRAKE_LASTING_NS: Final = 200 * MS
 CAR_TORQUE: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
 CAR_TORQUE_MAX: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"))
 WHEEL_NAMES: Final = ("FL", "FR", "RL", "RR")
+WHEEL: Final = Signal("VCU2AI_Speeds", "FL_WHEEL_SPEED")
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Mismatch:
 
     slug: str
     signal: Signal
+    asked: Signal
     holds: Mask
     words: Callable[[int], str]  # of a cycle's row
     least_ns: int = LASTING_NS
@@ -66,7 +68,10 @@ def mismatches(record: Record) -> list[Incident]:
             if len(times) > STEER_TIME_NS // PERIOD_NS:
                 seen: dict[str, Incident] = {}  # an axle that does not do it is enough
                 for one in _all(record, CARS[name], times):
-                    fresh = replace(one, holds=one.holds & _fresh(record, one.signal, times))
+                    known = np.logical_and.reduce(
+                        [_fresh(record, each, times) for each in (one.signal, one.asked, WHEEL)]
+                    )
+                    fresh = replace(one, holds=one.holds & known)
                     if (stretch := _longest(fresh, times)) is not None:
                         seen.setdefault(one.slug, _incident(one, times, *stretch))
                 found += seen.values()
@@ -83,6 +88,8 @@ def _incident(one: Mismatch, times: Ints, begin: int, end: int) -> Incident:
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
     """Where the car has reported it all along lately: what is missing is not a wrong answer."""
     received = record.times(signal.can_id)
+    if not len(received) or not len(record.series(signal)):
+        return np.zeros(len(times), np.bool_)
     newest = received[np.maximum(np.searchsorted(received, times, side="right") - 1, 0)]
     late = (times - newest >= FRESH_NS).astype(np.float64)
     fresh: Mask = highest(late, START_TIME_NS) == 0.0
@@ -125,18 +132,21 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         yield Mismatch(
             "torque_not_given",
             given_signal,
+            asked_signal,
             (low > TORQUE_NM) & (given < TORQUE_SHARE * low),
             asked_and_given(f"{axle} torque", "Nm", asked, given),
         )
         yield Mismatch(
             "torque_unasked",
             given_signal,
+            asked_signal,
             given > high + TORQUE_NM,
             asked_and_given(f"{axle} torque", "Nm", asked, given),
         )
     pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
+        CAR_TORQUE[1],
         sig.TORQUE_R,
         (pushed > TORQUE_NM) & (highest(fastest, START_TIME_NS) < STANDING_RPM),
         lambda row: f"{given_sum[row]:.0f} Nm are given, and no wheel turns",
@@ -152,6 +162,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         yield Mismatch(
             "brake_not_following",
             given_signal,
+            asked_signal,
             (low > BRAKE_PCT) & (given < BRAKE_SHARE * low),
             asked_and_given(f"{axle} brake", "%", asked, given),
             least_ns=BRAKE_LASTING_NS,
@@ -159,6 +170,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         yield Mismatch(
             "brake_unasked",
             given_signal,
+            asked_signal,
             given > 1.3 * high + BRAKE_PCT,
             asked_and_given(f"{axle} brake", "%", asked, given),
         )
@@ -172,6 +184,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         yield Mismatch(
             "steering_not_following",
             sig.ANGLE,
+            sig.STEER,
             off,
             asked_and_given("steering", "deg", asked, angle),
         )
@@ -182,6 +195,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             yield Mismatch(
                 "wheel_unlike",
                 Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED"),
+                WHEEL,
                 (np.abs(wheels[number] - middle) > WHEEL_RPM + WHEEL_SHARE * middle)
                 & (others[2] - others[0] <= WHEEL_RPM + WHEEL_SHARE * middle),
                 compared(name, wheels[number], middle),

@@ -23,7 +23,7 @@ class Part:
     def __init__(self, begin: str | None = None, end: str | None = None, ids: frozenset[int] | None = None) -> None:
         """Raises ValueError with one clear line."""
         for name, text in (("--from", begin), ("--to", end)):
-            if text is not None and not _CLOCK.fullmatch(text) and not _is_number(text):
+            if text is not None and not _is_clock(text) and not _is_number(text):
                 raise ValueError(f"{name} is {text}: neither seconds nor a time of day such as 14:03:30")
         self._begin, self._end, self._ids = begin, end, ids
         self._bounds: tuple[float, float] | None = None
@@ -53,6 +53,11 @@ class Part:
         if self._ids is not None:
             inside &= np.isin(frames.can_id, np.fromiter(self._ids, np.uint32))
         return frames.only(inside)
+
+
+def _is_clock(text: str) -> bool:
+    clock = _CLOCK.fullmatch(text)
+    return clock is not None and int(clock[1]) < 24 and int(clock[2]) < 60 and float(clock[3] or 0) < 60
 
 
 def _is_number(text: str) -> bool:

@@ -30,6 +30,7 @@ LOAD_WINDOW_NS: Final = 100 * MS
 
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
 _PERIOD_TOLERANCE = 0.1
+_BATCHED_SHARE = 0.05  # of frames under a millisecond after the one before: an adapter hands them over together
 _ENOUGH_INTERVALS = 20
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
 _HIGH_LOAD = 0.7
@@ -80,6 +81,7 @@ class MessageStatistics:
     gaps: int
     longest_gap_ms: float | None
     longest_gap_at_s: float | None
+    silent_ms: float  # from its last frame to the bus's last one
     frozen_ms: float
     payloads: int
     bits: int
@@ -105,6 +107,7 @@ class MessageStatistics:
             "gaps": self.gaps,
             "longest_gap_ms": _rounded(self.longest_gap_ms),
             "longest_gap_at_s": self.longest_gap_at_s,
+            "silent_ms": _rounded(self.silent_ms),
             "frozen_ms": _rounded(self.frozen_ms),
             "payloads": self.payloads,
             "bits": self.bits,
@@ -309,6 +312,7 @@ def _measure_message(
         gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
+        silent_ms=int(frames.t_ns[-1] - t_ns[-1]) / MS,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=1 + int(np.count_nonzero(np.diff(np.sort(word)))),
         bits=total_bits,
@@ -366,6 +370,8 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     in_time = first_ns < next_ns
     waited = (first_ns - toggle_ns)[in_time]
     unanswered = ~in_time
+    if (np.diff(asked_ns) < MS).mean() > _BATCHED_SHARE:
+        unanswered = first_ns - toggle_ns >= COMMS_LOST_NS  # stamps that do not tell which of two came first
     if len(toggles) and asked_ns[-1] - toggle_ns[-1] < COMMS_LOST_NS:
         unanswered[-1] = False  # the log ended before it had to be
     return Handshake(
@@ -499,6 +505,14 @@ def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) 
         return
     supervised = own is None or own.timeout_ns is not None
     lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * message.expected_ms
+    if message.silent_ms >= lost_ms:
+        yield BusFinding(
+            problem if supervised else note,
+            "stopped",
+            f"{name} is silent for the last {message.silent_ms:.0f} ms of the log",
+            message.can_id,
+            message.last_s,
+        )
     if message.longest_gap_ms >= lost_ms:
         yield BusFinding(
             problem if supervised else note,

@@ -26,6 +26,7 @@ EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender'
 BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after another one: their stamps are not when they were sent
 REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
 APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
+AHEAD_NS: Final = 5 * PERIOD_NS
 TOGETHER_NS: Final = 500 * MS
 
 
@@ -73,7 +74,7 @@ def second_senders(frames: Frames, handshake: int) -> list[SecondSender]:
 
 def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
     rows = np.flatnonzero((frames.can_id == can_id) & ((frames.flags | RECEIVED | SENT) == RECEIVED | SENT))
-    if len(rows) < 2:
+    if len(rows) < 2 or frames.t_ns[rows[0]] == frames.t_ns[rows[-1]]:
         return []
     flags = frames.flags[rows]
     t_ns = frames.t_ns[rows]
@@ -98,6 +99,10 @@ def _too_many(t_ns: Ints) -> Mask:
     middle = t_ns + SHORT_NS // 2
     around = np.searchsorted(t_ns, middle + LONG_NS // 2) - np.searchsorted(t_ns, middle - LONG_NS // 2)
     hits = (short >= SHORT_EXCESS * SHORT_NS / PERIOD_NS) & (around >= LONG_EXCESS * LONG_NS / PERIOD_NS)
+    # Frames that were held back, however long, bring one sender no further ahead of its period than it ever was.
+    ahead_ns = index * PERIOD_NS - (t_ns - t_ns[0])
+    last = np.minimum(index + short, len(t_ns)) - 1
+    hits &= ahead_ns[last] - np.maximum.accumulate(ahead_ns) >= AHEAD_NS
     covered = np.zeros(len(t_ns) + 1, np.int64)
     np.add.at(covered, index[hits], 1)
     np.add.at(covered, (index + short)[hits], -1)

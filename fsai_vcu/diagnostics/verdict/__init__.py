@@ -17,13 +17,16 @@ from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
-from fsai_vcu.diagnostics.explain.signals import STATUS
+from fsai_vcu.diagnostics.explain.signals import AS_STATE, DRIVING, READY, STATUS
 from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, Severity, judge
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
 
 AT_ONCE_NS: Final = 30 * MS  # gaps that begin within this time are one pause
 MANY: Final = 3
+SHORT_NS: Final = 1 * S
+WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +128,15 @@ def judge_log(record: Record, story: Explanation, buses: Sequence[BusStatistics]
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
     absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
     for bus in buses:
+        stopped = _stopped(record, bus)
+        findings += stopped
+        gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
             finding
             for finding in _of_bus(bus, record.begin_ns)
             # What follows from a second sender, or is said as what is unknown, is not said again.
-            if not (finding.kind == "period" and shared.issuperset(finding.can_ids))
+            if not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
+            and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
     findings.sort(key=lambda finding: (finding.severity is not Severity.PROBLEM, finding.t_ns or 0))
@@ -158,9 +165,18 @@ def _second_senders(record: Record) -> Iterator[Finding]:
 def _of_bus(bus: BusStatistics, begin_ns: int) -> Iterator[Finding]:
     """A channel's findings; the pauses of several messages at one moment are one."""
     pauses: list[list[BusFinding]] = []
+    gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
+
+    def same(one: BusFinding, other: BusFinding) -> bool:
+        """Whether two messages were missing at one time: most of the shorter pause lies within the longer one."""
+        begins = [finding.t_s or 0.0 for finding in (one, other)]
+        lasts = [gaps.get(finding.can_id or 0, 0.0) / 1000 for finding in (one, other)]
+        within = min(b + length for b, length in zip(begins, lasts, strict=True)) - max(begins)
+        return abs(begins[0] - begins[1]) * S <= AT_ONCE_NS or within > 0.5 * min(lasts)
+
     for finding in judge(bus):
         if finding.kind == "gap" and finding.t_s is not None:
-            together = next((p for p in pauses if abs((p[0].t_s or 0.0) - finding.t_s) * S <= AT_ONCE_NS), None)
+            together = next((p for p in pauses if same(p[0], finding)), None)
             if together is None:
                 pauses.append([finding])
             else:
@@ -169,7 +185,6 @@ def _of_bus(bus: BusStatistics, begin_ns: int) -> Iterator[Finding]:
         t_ns = None if finding.t_s is None else round(finding.t_s * S)
         one = () if finding.can_id is None else (finding.can_id,)
         yield Finding(finding.severity, finding.kind, finding.text, t_ns, "", one, bus.channel)
-    gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
     for pause in pauses:
         ids = tuple(sorted(finding.can_id for finding in pause if finding.can_id is not None))
         severity = min((finding.severity for finding in pause), key=lambda s: s is not Severity.PROBLEM)
@@ -178,6 +193,27 @@ def _of_bus(bus: BusStatistics, begin_ns: int) -> Iterator[Finding]:
             longest_ms = max(gaps[can_id] for can_id in ids)
             text = f"a pause of {longest_ms:.0f} ms of {_whose(ids, len(bus.messages))}"
         yield Finding(severity, "gap", text, round((pause[0].t_s or 0.0) * S), "", ids, bus.channel)
+
+
+def _stopped(record: Record, bus: BusStatistics) -> list[Finding]:
+    """All messages of the car, or of the AI computer, that end together before the log does: one finding.
+
+    Where the car was not about to drive somebody switched it off, or ended the program: that is no problem.
+    """
+    state = record.series(AS_STATE)
+    active = bool(len(state)) and state.values[-1] in (READY, DRIVING)
+    found = []
+    for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
+        silent = {m.can_id: m for m in bus.messages if m.can_id in ids and not m.extended}
+        lost = [m for m in silent.values() if m.silent_ms * MS >= COMMS_LOST_NS]
+        if len(lost) > 1 and len(lost) == len(silent):
+            severity = Severity.PROBLEM if active else Severity.NOTE
+            text = f"{who} is silent for the last {min(m.silent_ms for m in lost) / 1000:.1f} s of the log"
+            last_s = max(m.last_s for m in lost)
+            with_it = [m.can_id for m in bus.messages if abs(m.last_s - last_s) * S < WITH_IT_NS]  # its other devices
+            gone = tuple(sorted({*silent, *with_it}))
+            found.append(Finding(severity, "stopped", text, round(last_s * S), "", gone, bus.channel))
+    return found
 
 
 def _whose(ids: tuple[int, ...], messages: int) -> str:
@@ -198,6 +234,10 @@ def _unknown(record: Record) -> Iterator[str]:
         yield "the database does not name 0x520, so the car's state is not known: use the car's own, or --revision"
     elif not record.has(STATUS):
         yield "no 0x520 in the log, so the car's state is not known: is this the car's bus, and was the car on?"
+    elif not len(record.series(AS_STATE)):
+        yield "the database has no AS_STATE in 0x520, so the car's state is not known: it is not the car's"
+    elif record.end_ns - record.begin_ns < SHORT_NS:
+        yield "the log is shorter than a second"
     elif not record.ai_speaks:
         yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
     told = told_revision(record.frames)
