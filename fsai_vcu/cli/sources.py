@@ -64,7 +64,7 @@ def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
 
     ids: frozenset[int] | None = None
     if getattr(args, "messages", None) is not None:
-        layouts = decoding.databases.layouts.values()
+        layouts = [layout for databases in decoding.possible() for layout in databases.layouts.values()]
         chosen: set[int] = set()
         for name in filter(None, args.messages.split(",")):
             found = {layout.can_id for layout in layouts if layout.is_called(name)}
@@ -158,6 +158,15 @@ class Decoding:
         if self._writer is None:
             self._writer = LineWriter(self.decoder, as_json=self._args.json, words=not self._args.numbers)
         return self._writer
+
+    def possible(self) -> list[Databases]:
+        """The databases that may be meant: the given ones, or those of each revision while none is named."""
+        from fsai_vcu.diagnostics.decode.databases import load_databases
+        from fsai_vcu.interface.revisions import REVISIONS
+
+        if self._files or self.told:
+            return [self.databases]
+        return [load_databases((), name) for name in REVISIONS]
 
     def show_signals(self, names: str | None) -> None:
         """From now on only these signals, by name or pattern, and the messages that have them. Raises UserError."""

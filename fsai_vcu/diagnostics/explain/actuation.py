@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
@@ -18,11 +17,9 @@ from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, Surene
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
 from fsai_vcu.diagnostics.explain.signals import like_official_simulator
-from fsai_vcu.diagnostics.log.frames import Ints
+from fsai_vcu.diagnostics.log.frames import Ints, Mask
 from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
-
-Mask = npt.NDArray[np.bool_]
 
 TORQUE_NM: Final = 20.0  # less is within what a motor's own estimate is off
 TORQUE_SHARE: Final = 0.3
@@ -41,8 +38,6 @@ BRAKE_LASTING_NS: Final = 200 * MS
 
 CAR_TORQUE: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
 CAR_TORQUE_MAX: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"))
-WHEEL_NAMES: Final = ("FL", "FR", "RL", "RR")
-WHEEL: Final = Signal("VCU2AI_Speeds", "FL_WHEEL_SPEED")
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,7 @@ def mismatches(record: Record) -> list[Incident]:
                 seen: dict[str, Incident] = {}  # an axle that does not do it is enough
                 for one in _all(record, CARS[name], times):
                     known = np.logical_and.reduce(
-                        [_fresh(record, each, times) for each in (one.signal, one.asked, WHEEL)]
+                        [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
                     )
                     fresh = replace(one, holds=one.holds & known)
                     if (stretch := _longest(fresh, times)) is not None:
@@ -108,7 +103,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
     def column(signal: Signal) -> Values:
         return sampled(record.series(signal), times)
 
-    wheels = np.stack([column(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")) for name in WHEEL_NAMES])
+    wheels = np.stack([column(signal) for signal in sig.WHEELS])
     fastest = wheels.max(axis=0)
     braked = np.maximum(column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)) > 0
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
@@ -188,14 +183,14 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             off,
             asked_and_given("steering", "deg", asked, angle),
         )
-    if len(record.series(Signal("VCU2AI_Speeds", "FL_WHEEL_SPEED"))):
-        for number, name in enumerate(WHEEL_NAMES):
+    if len(record.series(sig.WHEELS[0])):
+        for number, name in enumerate(sig.WHEEL_NAMES):
             others = np.sort(np.delete(wheels, number, axis=0), axis=0)
             middle = others[1]
             yield Mismatch(
                 "wheel_unlike",
-                Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED"),
-                WHEEL,
+                sig.WHEELS[number],
+                sig.WHEELS[0],
                 (np.abs(wheels[number] - middle) > WHEEL_RPM + WHEEL_SHARE * middle)
                 & (others[2] - others[0] <= WHEEL_RPM + WHEEL_SHARE * middle),
                 compared(name, wheels[number], middle),

@@ -16,6 +16,7 @@ from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.actuation import sampled
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at, ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Values
@@ -32,7 +33,6 @@ BUS_NS: Final = 1 * S
 JUDGED_NS: Final = 30 * S  # implausibility is looked for over so much of the drive
 BELIEVED_NS: Final = 4 * S  # so much before is needed to compare wheel speeds with pulse counts
 SLACK_NS: Final = 25 * MS
-WHEELS: Final = ("FL", "FR", "RL", "RR")
 
 
 def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: bool) -> list[Candidate]:
@@ -109,10 +109,9 @@ def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate
     """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
     car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
     times, counts_ns = record.times(0x525), record.times(0x526)
-    first = max(int(np.searchsorted(times, t_ns - BELIEVED_NS)), 0)
-    rows = range(first, int(np.searchsorted(times, t_ns, side="right")))
-    speeds = [record.series(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")).values for name in WHEELS]
-    pulses = [record.series(Signal("VCU2AI_Wheel_counts", f"{name}_PULSE_COUNT")).values for name in WHEELS]
+    rows = range(int(np.searchsorted(times, t_ns - BELIEVED_NS)), int(np.searchsorted(times, t_ns, side="right")))
+    speeds = [record.series(signal).values for signal in sig.WHEELS]
+    pulses = [record.series(signal).values for signal in sig.PULSES]
     belief, believed_ns, doubt = WheelBelief(), None, ""
     place = int(np.searchsorted(counts_ns, t_ns - BELIEVED_NS))
     for row in rows:
@@ -185,11 +184,7 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         return []
 
     def column(signal: Signal) -> Values:
-        series = record.series(signal)
-        if not len(series):
-            return np.zeros(len(times))
-        places = np.maximum(np.searchsorted(series.t_ns, times, side="right") - 1, 0)
-        return series.values[places]
+        return sampled(record.series(signal), times)
 
     def age_base(can_id: int) -> Ints:
         heard = record.times(can_id)
@@ -197,7 +192,7 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         return np.where(places >= 0, heard[np.maximum(places, 0)] if len(heard) else 0, -S)
 
     angle, angle_ns = column(sig.ANGLE), age_base(0x523)
-    rpm = [column(Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED")) for name in WHEELS]
+    rpm = [column(signal) for signal in sig.WHEELS]
     rpm_ns = age_base(0x525)
     asked = column(sig.STEER)
     torque_f, torque_r = column(sig.TORQUE_F), column(sig.TORQUE_R)

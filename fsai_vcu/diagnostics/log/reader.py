@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import gzip
 import io
+import logging
 import sys
 import zlib
 from collections.abc import Callable, Iterator
@@ -181,8 +182,17 @@ class Log:
             from can.io.trc import TRCReader
 
             text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
+            if self.kind == "TRC":  # rows that its reader skips, error frames among them, are named in its own log only
+                skipped = logging.getLogger(TRCReader.__module__)
+                skipped.setLevel(logging.INFO)
+                skipped.addFilter(self._row_skipped)
             return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
         return self._mf4_reader()
+
+    def _row_skipped(self, record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.INFO:
+            self.problems.add(f"{self.name}: a row is left out: {record.getMessage().removeprefix('TRCReader: ')}")
+        return False
 
     def _mf4_reader(self) -> Iterator[can.Message]:
         try:

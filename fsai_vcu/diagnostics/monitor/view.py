@@ -55,7 +55,7 @@ _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
-_WHEELS: Final = {name: Signal("VCU2AI_Speeds", f"{name}_WHEEL_SPEED") for name in ("FL", "FR", "RL", "RR")}
+_WHEELS: Final = dict(zip(sig.WHEEL_NAMES, sig.WHEELS, strict=True))
 _CAR_SPEED: Final = Signal("VCU2LOG_Dynamics1", "Speed_actual")
 _STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig.STEERING_STATUS, sig.STATUS_BRK)
 _ONLY_2026: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE)
