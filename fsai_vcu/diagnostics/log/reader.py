@@ -185,7 +185,7 @@ class Log:
             if self.kind == "TRC":  # rows that its reader skips, error frames among them, are named in its own log only
                 skipped = logging.getLogger(TRCReader.__module__)
                 skipped.setLevel(logging.INFO)
-                skipped.addFilter(self._row_skipped)
+                skipped.filters = [self._row_skipped]
             return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
         return self._mf4_reader()
 
