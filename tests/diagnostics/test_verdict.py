@@ -73,13 +73,19 @@ def test_a_database_that_is_not_the_cars_is_unknown(drive: Frames, tmp_path: Pat
     assert judge_log(record, story_of(record), buses).line().startswith("UNKNOWN: the database has no AS_STATE")
 
 
-def test_a_sender_that_catches_up_after_a_pause_is_one_sender(drive: Frames) -> None:
-    held = (drive.t_ns > drive.t_ns[-1] - S) & (drive.t_ns < drive.t_ns[-1] - 800 * MS)
-    late = drive.t_ns[-1] - 800 * MS + np.arange(held.sum()) * MS // 20
+@pytest.mark.parametrize("held_ms", [200, 600, 2000])
+def test_a_sender_that_catches_up_after_a_pause_is_one_sender(drive: Frames, held_ms: int) -> None:
+    end_ns = drive.t_ns[-1] - 800 * MS
+    held = (drive.t_ns > end_ns - held_ms * MS) & (drive.t_ns < end_ns)
+    late = end_ns - held.sum() + np.arange(held.sum())  # all at once, before those that were not held
     t_ns = drive.t_ns.copy()
     t_ns[held] = late
     moved = replace(drive, t_ns=t_ns)
     assert "intruder" not in kinds(moved.only(np.argsort(t_ns, kind="stable")))
+
+
+def test_a_log_without_times_has_no_second_sender(drive: Frames) -> None:
+    assert "intruder" not in kinds(replace(drive, t_ns=np.zeros_like(drive.t_ns)))
 
 
 def test_two_bridges_at_once_are_one_finding(drive: Frames) -> None:

@@ -26,6 +26,7 @@ EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender'
 BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after another one: their stamps are not when they were sent
 REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
 APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
+BEFORE: Final = 300  # frames: after a longer pause than these take, one that catches up may contradict itself
 AHEAD_NS: Final = 5 * PERIOD_NS
 TOGETHER_NS: Final = 500 * MS
 
@@ -134,9 +135,14 @@ def _contradicting(frames: Frames, rows: Ints, ignored: int) -> Mask:
         alone = np.array(near, np.int64) < REPEATED
         hits[places[alone]] = False
         return hits
-    for around in (AROUND, round(LONG_NS / PERIOD_NS) // 2):  # one too many here, and not made up for by a pause
-        low, high = np.maximum(np.arange(count) - around, 0), np.minimum(np.arange(count) + around, count - 1)
-        hits &= (high - low) * PERIOD_NS - (t_ns[high] - t_ns[low]) >= EXTRA_NS
+    # One too many here, and not made up for by a pause before: by the period that the sender really has.
+    index, every = np.arange(count), round(LONG_NS / PERIOD_NS)
+    period_ns = float(np.median(np.diff(t_ns[::every]))) / every if count > 2 * every else float(PERIOD_NS)
+    ahead_ns = index * period_ns - (t_ns - t_ns[0])
+    padded = np.concatenate((np.full(BEFORE, -np.inf), ahead_ns))
+    most_before = np.lib.stride_tricks.sliding_window_view(padded, BEFORE)[:count].max(axis=1)
+    low, high = np.maximum(index - AROUND, 1), np.minimum(index + AROUND, count - 1)
+    hits &= ahead_ns[high] - most_before[low] >= EXTRA_NS
     return hits
 
 
