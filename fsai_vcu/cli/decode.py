@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         return _short(args, decoding)
     sources = Sources("decode", args.logs, decoding, part_of(args, decoding))
     output = Output()
-    if not whole or not sources.files:  # a part begins where the log does; a pipe can be read but once
+    if not whole or not sources.files:  # a part begins where the log does
         try:
             for frames in sources.chunks():
                 output.write(decoding.writer.block(frames), at_once=True)
@@ -94,6 +94,8 @@ def _is_short(path: Path) -> bool:
     """Whether this is a file in one of candump's formats, and a small one."""
     from fsai_vcu.diagnostics.log.files import kind_of
 
+    if not path.is_file():  # a pipe can be read but once
+        return False
     try:
         with path.open("rb") as file:
             return os.fstat(file.fileno()).st_size <= _SHORT_BYTES and kind_of(file.read(16)) == "candump"

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -168,3 +169,38 @@ def test_each_line_of_a_pipe_is_shown_before_the_next_one() -> None:
         giving_up.cancel()
         process.kill()
         process.stdout.close()
+
+
+def test_a_pipe_is_read_to_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pipe = tmp_path / "run.log"
+    os.mkfifo(pipe)
+    text = "".join(f"({1000 + n / 1000:.6f}) can0 513#3200\n" for n in range(20_000))
+    writer = Thread(target=pipe.write_text, args=(text,))
+    writer.start()
+    assert main(["decode", str(pipe)]) == 0
+    writer.join()
+    assert capsys.readouterr().out.count("\n") == 20_000
+
+
+def test_a_part_of_a_log_of_many_blocks_is_that_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("".join(f"({1000 + n / 1000:.6f}) can0 513#3200\n" for n in range(100_000)))
+    assert main(["decode", str(log), "--from", "90", "--to", "90.002"]) == 0
+    stamps = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert stamps == ["(1090.000000)", "(1090.001000)", "(1090.002000)"]
+
+
+def test_a_folder_is_one_log_in_the_order_of_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in (10, 2):
+        (tmp_path / f"run_{number}.log").write_text(f"({number}.000000) can0 513#3200\n")
+    assert main(["decode", str(tmp_path)]) == 0
+    stamps = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert stamps == ["(2.000000)", "(10.000000)"]
+
+
+def test_a_part_without_frames_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(1.000000) can0 513#3200\n(2.000000) can0 513#3200\n")
+    for verb in ("check", "explain"):
+        assert main([verb, str(log), "--from", "5"]) == 1
+        assert "is in that part" in capsys.readouterr().err
