@@ -87,8 +87,10 @@ class Explained:
     @property
     def grade(self) -> str:
         named = self.named if PLANNED in self.expected else [slug for slug in self.named if slug != PLANNED]
-        if self.expected.intersection(named or ("",)):
+        if self.expected.issuperset(named or ("",)):
             return "right"
+        if self.expected.intersection(named):
+            return "partly"
         return "partly" if self.expected.intersection(self.others) else "wrong"
 
     @property
