@@ -104,7 +104,7 @@ class Input:
     def silence(self, now_ns: int) -> str:
         """In words for how long nothing has come; empty while something comes."""
         if self._heard_ns is None:
-            return f"{self.who()}: nothing received yet{self._note}"
+            return f"{self.who().rstrip(',')}: nothing received yet{self._note}"
         silent_ns = now_ns - self._heard_ns
         if silent_ns < self._silent_ns:
             return ""
