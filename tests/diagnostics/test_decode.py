@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.databases import databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.text import FrameText
 from fsai_vcu.diagnostics.log.candump import log_lines
@@ -50,7 +51,7 @@ def assert_like_cantools(decoder: Decoder, frames: Frames) -> int:
                 found[row, series.name] = values[index], series.label(index)
     compared = 0
     for row, frame in enumerate(frames):
-        layout = decoder.layout_of(frame.can_id, frame.extended)
+        layout = decoder.databases.layouts.get(frame.can_id | (EXTENDED_KEY if frame.extended else 0))
         if layout is None or len(frame.data) != layout.length:
             continue
         message = decoder.databases.message(layout.key)
@@ -257,7 +258,7 @@ def assert_printed_like_cantools(decoder: Decoder, frames: Frames) -> None:
     from cantools.subparsers.__utils__ import format_message  # type: ignore[attr-defined]
 
     for frame, line in zip(frames, tails(decoder, frames), strict=True):
-        layout = decoder.layout_of(frame.can_id, frame.extended)
+        layout = decoder.databases.layouts.get(frame.can_id | (EXTENDED_KEY if frame.extended else 0))
         assert layout is not None
         message = decoder.databases.message(layout.key)
         try:
@@ -315,7 +316,7 @@ def test_each_line_of_json_is_one_object_with_cantools_values(wild_log: Path) ->
     frames = read_log(wild_log)[0].head(15_000)
     for frame, line in zip(frames, lines(decoder, frames, as_json=True), strict=True):
         entry = json.loads(line)
-        layout = decoder.layout_of(frame.can_id)
+        layout = decoder.databases.layouts.get(frame.can_id)
         assert layout is not None
         words: Any = decoder.databases.message(layout.key).decode(frame.data)
         signals = {name: value if isinstance(value, int | float) else str(value) for name, value in words.items()}

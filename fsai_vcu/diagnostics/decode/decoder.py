@@ -80,10 +80,6 @@ class Decoder:
             index[(odd & (ERROR | REMOTE)) != 0] = _NO_DATA_FRAME
         return index
 
-    def layout_of(self, can_id: int, extended: bool = False) -> MessageLayout | None:
-        index = self._index.get(can_id | (EXTENDED_KEY if extended else 0))
-        return None if index is None else self._layouts[index]
-
     def by_message(self, frames: Frames) -> Iterator[tuple[MessageLayout | None, Ints]]:
         """(message, rows of its frames in order); None for frames that no database describes."""
         index = self.which(frames)

@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import like_official_simulator
+from fsai_vcu.diagnostics.explain.signals import car_of
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
 from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
@@ -54,7 +54,6 @@ class Mismatch:
 
 def mismatches(record: Record) -> list[Incident]:
     """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
-    name = "official-simulator" if like_official_simulator(record) else record.revision.name
     found: list[Incident] = []
     for span in record.series(sig.AS_STATE).spans:
         if span.value == sig.DRIVING:
@@ -62,7 +61,7 @@ def mismatches(record: Record) -> list[Incident]:
             times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
             if len(times) > STEER_TIME_NS // PERIOD_NS:
                 seen: dict[str, Incident] = {}  # an axle that does not do it is enough
-                for one in _all(record, CARS[name], times):
+                for one in _all(record, car_of(record), times):
                     known = np.logical_and.reduce(
                         [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
                     )
@@ -124,18 +123,10 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
         low = lowest(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
         high = highest(asked, TORQUE_TIME_NS)
-        yield Mismatch(
-            "torque_not_given",
-            given_signal,
-            asked_signal,
-            (low > TORQUE_NM) & (given < TORQUE_SHARE * low),
-            asked_and_given(f"{axle} torque", "Nm", asked, given),
-        )
-        yield Mismatch(
-            "torque_unasked",
-            given_signal,
-            asked_signal,
-            given > high + TORQUE_NM,
+        yield from both_ways(
+            ("torque_not_given", (low > TORQUE_NM) & (given < TORQUE_SHARE * low), LASTING_NS),
+            ("torque_unasked", given > high + TORQUE_NM, LASTING_NS),
+            (given_signal, asked_signal),
             asked_and_given(f"{axle} torque", "Nm", asked, given),
         )
     pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
@@ -154,19 +145,10 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             continue
         asked, given = column(asked_signal), column(given_signal)
         low, high = lowest(asked, BRAKE_TIME_NS), highest(asked, 2 * BRAKE_TIME_NS)
-        yield Mismatch(
-            "brake_not_following",
-            given_signal,
-            asked_signal,
-            (low > BRAKE_PCT) & (given < BRAKE_SHARE * low),
-            asked_and_given(f"{axle} brake", "%", asked, given),
-            least_ns=BRAKE_LASTING_NS,
-        )
-        yield Mismatch(
-            "brake_unasked",
-            given_signal,
-            asked_signal,
-            given > 1.3 * high + BRAKE_PCT,
+        yield from both_ways(
+            ("brake_not_following", (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), BRAKE_LASTING_NS),
+            ("brake_unasked", given > 1.3 * high + BRAKE_PCT, LASTING_NS),
+            (given_signal, asked_signal),
             asked_and_given(f"{axle} brake", "%", asked, given),
         )
     if len(record.series(sig.ANGLE)):
@@ -195,6 +177,17 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
                 & (others[2] - others[0] <= WHEEL_RPM + WHEEL_SHARE * middle),
                 compared(name, wheels[number], middle),
             )
+
+
+def both_ways(
+    less: tuple[str, Mask, int],
+    more: tuple[str, Mask, int],
+    signals: tuple[Signal, Signal],
+    words: Callable[[int], str],
+) -> Iterator[Mismatch]:
+    """Less than asked, and more: each (cause, where it holds, for how long at least); signals: given and asked."""
+    for slug, holds, least_ns in (less, more):
+        yield Mismatch(slug, *signals, holds, words, least_ns)
 
 
 def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:

@@ -24,7 +24,7 @@ from fsai_vcu.diagnostics.explain.incident import (
     candidate,
     ranked,
 )
-from fsai_vcu.diagnostics.explain.link import gap_at, link_losses, ms, timeouts_said
+from fsai_vcu.diagnostics.explain.link import GONE_NS, REBOOT_NS, gap_at, link_losses, ms, timeouts_said
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
 from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.interface.bus_table import BY_ID
@@ -36,8 +36,6 @@ AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of 
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
 BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off …
-REBOOT_NS: Final = 3 * S  # … unless it is back by then
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
 PLANNED: Final = (Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO)
@@ -423,8 +421,10 @@ def _lost_car(record: Record) -> list[Incident]:
     if record.end_ns - last_ns < GONE_NS:
         return []
     words = f"the last 0x520 of the log, {ms(record.end_ns - last_ns)} before its end"
-    heard = sorted(can_id for can_id in BY_ID if can_id > sig.STATUS and can_id < 0x527 and len(record.times(can_id)))
-    still = any(int(record.times(can_id)[-1]) > last_ns + SILENT_NS for can_id in heard)
+    received = sorted(
+        can_id for can_id in BY_ID if can_id > sig.STATUS and can_id < 0x527 and len(record.times(can_id))
+    )
+    still = any(int(record.times(can_id)[-1]) > last_ns + SILENT_NS for can_id in received)
     slug = "vcu_silent" if still else "power_off"
     return [
         Incident(

@@ -14,13 +14,12 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
-from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.actuation import sampled
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
 from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at, ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
+from fsai_vcu.diagnostics.explain.signals import car_of, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelCounts, WheelSpeeds
@@ -107,7 +106,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
 
 def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
     """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
-    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    car = car_of(record)
     times, counts_ns = record.times(0x525), record.times(0x526)
     rows = range(int(np.searchsorted(times, t_ns - BELIEVED_NS)), int(np.searchsorted(times, t_ns, side="right")))
     speeds = [record.series(signal).values for signal in sig.WHEELS]
@@ -175,7 +174,7 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
 
 def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: int) -> list[Candidate]:
     """The supervisor's plausibility checks, run over the log up to `t_ns`."""
-    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    car = car_of(record)
     begin_ns = max(drive_begin_ns + CONFIG.launch_wait_ns, t_ns - JUDGED_NS)
     steer, wheel = SteeringCheck(), WheelCheck()
     times = record.times(0x513)

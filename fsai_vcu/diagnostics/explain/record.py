@@ -256,9 +256,7 @@ class Record:
     @cached_property
     def second_senders(self) -> Sequence[SecondSender]:
         """Where somebody else sends on the AI computer's ids, in the order of time."""
-        layout = self.decoder.databases.by_name("AI2VCU_Status")
-        places = [1 << signal.start for signal in layout.signals if signal.name == "HANDSHAKE"] if layout else []
-        return second_senders(self.frames, sum(places))
+        return second_senders(self.frames, self.decoder.databases)
 
 
 def record_of(frames: Frames, revision: Revision, reason: str = "given", databases: Databases | None = None) -> Record:

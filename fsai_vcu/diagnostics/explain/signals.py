@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.diagnostics.explain.record import Record, Signal
 from fsai_vcu.interface.enums import (
     Ami,
@@ -119,6 +120,11 @@ def label(signal: Signal, value: float | None) -> str:
 def is_on(record: Record, signal: Signal, t_ns: int) -> bool:
     """Whether the signal's newest value at `t_ns` is not zero; False before it was heard."""
     return bool(record.series(signal).at(t_ns))
+
+
+def car_of(record: Record) -> VehicleParameters:
+    """The figures of the car that wrote the log."""
+    return CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
 
 
 def like_official_simulator(record: Record) -> bool:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import not_
 from typing import Final
 
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Incident, IncidentKind, Sureness, candidate
-from fsai_vcu.diagnostics.explain.link import ms
+from fsai_vcu.diagnostics.explain.link import GONE_NS, REBOOT_NS, ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
 from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
@@ -23,8 +24,6 @@ from fsai_vcu.interface.units import MS, S
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
-REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 HEARD_NS: Final = 500 * MS
 
 Unmet = Callable[[Record, int], "ChainLink | None"]
@@ -167,8 +166,7 @@ def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
 
 
 def _torque(record: Record, t_ns: int) -> ChainLink | None:
-    zero = lambda value: value == 0  # noqa: E731
-    return _is(sig.TORQUE_F, zero)(record, t_ns) or _is(sig.TORQUE_R, zero)(record, t_ns)
+    return _is(sig.TORQUE_F, not_)(record, t_ns) or _is(sig.TORQUE_R, not_)(record, t_ns)
 
 
 TO_DRIVING: Final[tuple[StartCondition, ...]] = (

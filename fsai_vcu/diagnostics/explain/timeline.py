@@ -9,7 +9,7 @@ import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.explain.link import error_text, ms
+from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS, GONE_NS, error_text, ms
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
@@ -19,9 +19,7 @@ from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
-GONE_NS: Final = 1 * S
 MANY: Final = 12  # gaps of one message told singly
-AT_ONCE_NS: Final = 30 * MS
 # What one instant brings is told with causes before effects.
 ORDER: Final = (
     "bus", "link", "intruder", "switches", "Go", "mission", "fault", "AS state", "AI", "mode", "gate", "power", "EBS",

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
+from fsai_vcu.diagnostics.explain.signals import car_of, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, LOAD_WINDOW_NS
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
@@ -55,7 +55,7 @@ class Plot:
 
 def plots(record: Record) -> list[Plot]:
     """Every plot for which the log has something."""
-    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    car = car_of(record)
     torque = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
     found = [
         Plot("speed", "Speed", "m/s", 2, _speeds(record, car)),

@@ -8,11 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.actuation import sampled
 from fsai_vcu.diagnostics.explain.record import Record, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
+from fsai_vcu.diagnostics.explain.signals import car_of, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.units import KMH_PER_MPS, MS, S
 
@@ -42,7 +41,7 @@ def way_of(record: Record) -> Way | None:
     rear = [record.series(Signal("VCU2AI_Speeds", f"{wheel}_WHEEL_SPEED")) for wheel in ("RL", "RR")]
     if not all(len(series) for series in rear):
         return None
-    car = CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
+    car = car_of(record)
     t_ns = rear[0].t_ns
     speed = car.speed_of_wheel_rpm(1.0) * (rear[0].values + rear[1].values) / 2.0
     steps_ns = np.diff(t_ns, prepend=t_ns[0])

@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
+from fsai_vcu.diagnostics.statistics.senders import batched
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BY_ID, BusMessage, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
@@ -30,7 +31,6 @@ LOAD_WINDOW_NS: Final = 100 * MS
 
 _MISSING_PERIODS = 1.8  # an interval from here on lacks at least one frame
 _PERIOD_TOLERANCE = 0.1
-_BATCHED_SHARE = 0.05  # of frames under a millisecond after the one before: an adapter hands them over together
 _ENOUGH_INTERVALS = 20
 _LOST_PERIODS = 10  # interface specification v4.0: ten in a row are a loss; used where the bus table names no timeout
 _HIGH_LOAD = 0.7
@@ -183,16 +183,6 @@ class BusFinding:
     text: str
     can_id: int | None = None
     t_s: float | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "type": "finding",
-            "severity": self.severity.value,
-            "kind": self.kind,
-            "text": self.text,
-            "id": self.can_id,
-            "t": self.t_s,
-        }
 
 
 # ---------------------------------------------------------------- measuring
@@ -370,7 +360,7 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     in_time = first_ns < next_ns
     waited = (first_ns - toggle_ns)[in_time]
     unanswered = ~in_time
-    if (np.diff(asked_ns) < MS).mean() > _BATCHED_SHARE:
+    if batched(asked_ns):
         unanswered = first_ns - toggle_ns >= COMMS_LOST_NS  # stamps that do not tell which of two came first
     if len(toggles) and asked_ns[-1] - toggle_ns[-1] < COMMS_LOST_NS:
         unanswered[-1] = False  # the log ended before it had to be

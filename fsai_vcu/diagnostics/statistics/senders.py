@@ -1,4 +1,4 @@
-"""Does a second sender use one of the AI computer's ids? Told by how many frames come and by what they say.
+"""Does a second sender use one of the AI computer's ids? Known by how many frames come and by what they say.
 
 Spacing alone proves nothing: a USB adapter hands frames over in batches, and a program that was held up sends two at
 once. What proves it: the log's own marks of direction, more frames in a second than one sender's period allows, or a
@@ -12,20 +12,25 @@ from typing import Final
 
 import numpy as np
 
+from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.decode.decoder import raw_of
+from fsai_vcu.diagnostics.decode.layouts import MessageLayout
 from fsai_vcu.diagnostics.log.frames import RECEIVED, SENT, Frames, Ints, Mask
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import PERIOD_NS
 from fsai_vcu.interface.units import MS, S
 
 SHORT_NS: Final = 200 * MS
-LONG_NS: Final = 1 * S  # whoever catches up after a pause sends no more than its period allows in this time
+LONG_NS: Final = 1 * S  # a sender that catches up after a pause sends no more than its period allows in this time
 SHORT_EXCESS: Final = 1.5
 LONG_EXCESS: Final = 1.09
 AROUND: Final = 3  # frames before and after one that contradicts them
 EXTRA_NS: Final = 5 * MS  # by which so many frames come sooner than one sender's would
-BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after another one: their stamps are not when they were sent
+_BATCHED_SHARE: Final = 0.05  # of frames under a millisecond after the one before
 REPEATED: Final = 3  # contradictions that prove a second sender where stamps do not
 APART: Final = 40  # raw steps: 4 degrees, 4 Nm, 20 % of brake; the noise of one sender's commands is below
+FEW_BITS: Final = 4  # a signal this short is a flag, a state or a counter: any other value of it is another word
+ECHO: Final = "HANDSHAKE"  # follows the VCU, so it may well change and change back
 BEFORE: Final = 300  # frames: after a longer pause than these take, one that catches up may contradict itself
 AHEAD_NS: Final = 5 * PERIOD_NS
 TOGETHER_NS: Final = 500 * MS
@@ -50,12 +55,9 @@ class SecondSender:
         return f"{ids}: {self.proof}{which}"
 
 
-def second_senders(frames: Frames, handshake: int) -> list[SecondSender]:
-    """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards.
-
-    handshake: the echo's bit in the payload of 0x510; it follows the VCU, so it may well change and change back.
-    """
-    found = [one for can_id in AI_IDS for one in _of_id(frames, can_id, 0 if can_id != AI_IDS[0] else handshake)]
+def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
+    """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards."""
+    found = [one for can_id in AI_IDS for one in _of_id(frames, can_id, databases.layouts.get(can_id))]
     joined: list[SecondSender] = []
     for one in sorted(found, key=lambda one: one.begin_ns):
         last = joined[-1] if joined else None
@@ -73,7 +75,7 @@ def second_senders(frames: Frames, handshake: int) -> list[SecondSender]:
     return joined
 
 
-def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
+def _of_id(frames: Frames, can_id: int, layout: MessageLayout | None) -> list[SecondSender]:
     rows = np.flatnonzero((frames.can_id == can_id) & ((frames.flags | RECEIVED | SENT) == RECEIVED | SENT))
     if len(rows) < 2 or frames.t_ns[rows[0]] == frames.t_ns[rows[-1]]:
         return []
@@ -90,7 +92,12 @@ def _of_id(frames: Frames, can_id: int, ignored: int) -> list[SecondSender]:
         each_s = (upto - begins) / max((int(t_ns[upto]) - int(t_ns[begins])) / S, 1e-3)
         return _stretches(frames, rows, many, f"{each_s:.0f} frames a second, and one sender sends {S // PERIOD_NS}")
     proof = "a frame comes between two others and says something else than both"
-    return _stretches(frames, rows, _contradicting(frames, rows, ignored), proof, payloads=True)
+    return _stretches(frames, rows, _contradicting(frames, rows, layout), proof, payloads=True)
+
+
+def batched(t_ns: Ints) -> bool:
+    """Whether an adapter handed these frames of one message over together: the stamps are not when they were sent."""
+    return bool((np.diff(t_ns) < MS).mean() > _BATCHED_SHARE) if len(t_ns) > 1 else False
 
 
 def _too_many(t_ns: Ints) -> Mask:
@@ -111,25 +118,21 @@ def _too_many(t_ns: Ints) -> Mask:
     return within
 
 
-def _contradicting(frames: Frames, rows: Ints, ignored: int) -> Mask:
+def _contradicting(frames: Frames, rows: Ints, layout: MessageLayout | None) -> Mask:
     """Frames that are far from both neighbours while these agree, and for which there was no room."""
     t_ns, count = frames.t_ns[rows], len(rows)
     hits = np.zeros(count, np.bool_)
-    if count < 2 * AROUND + 1:
+    signals = [signal for signal in layout.signals if signal.name != ECHO] if layout and layout.plain else []
+    if count < 2 * AROUND + 1 or not signals:
         return hits
-    words = frames.word[rows] & ~np.uint64(ignored)
-    data = words.astype("<u8", copy=False).view(np.uint8).reshape(-1, 8).astype(np.int64)
-    if ignored:  # flags and counters of 0x510, not quantities
-        said = data * APART
-    elif frames.can_id[rows[0]] == AI_IDS[-1]:  # two bytes of pressure; the others are numbers of 16 bits
-        said = data
-    else:
-        said = (data[:, 0::2] + (data[:, 1::2] << 8) + 0x8000) % 0x10000 - 0x8000
-    before = np.abs(said[1:-1] - said[:-2]).max(axis=1)
-    after = np.abs(said[2:] - said[1:-1]).max(axis=1)
-    across = np.abs(said[2:] - said[:-2]).max(axis=1)
+    steps = [1 if signal.length > FEW_BITS else APART for signal in signals]
+    raw = [raw_of(signal, frames.word[rows]).astype(np.int64) for signal in signals]
+    values = np.stack([step * column for step, column in zip(steps, raw, strict=True)], axis=1)
+    before = np.abs(values[1:-1] - values[:-2]).max(axis=1)
+    after = np.abs(values[2:] - values[1:-1]).max(axis=1)
+    across = np.abs(values[2:] - values[:-2]).max(axis=1)
     hits[1:-1] = np.minimum(before, after) > 3 * across + APART - 1
-    if (np.diff(t_ns) < MS).mean() > BATCHED_SHARE:
+    if batched(t_ns):
         places = np.flatnonzero(hits)
         near = [(np.abs(t_ns[places] - t_ns[place]) < LONG_NS).sum() for place in places]
         alone = np.array(near, np.int64) < REPEATED
@@ -146,14 +149,7 @@ def _contradicting(frames: Frames, rows: Ints, ignored: int) -> Mask:
     return hits
 
 
-def _stretches(
-    frames: Frames,
-    rows: Ints,
-    hits: Mask,
-    proof: str,
-    *,
-    payloads: bool = False,
-) -> list[SecondSender]:
+def _stretches(frames: Frames, rows: Ints, hits: Mask, proof: str, *, payloads: bool = False) -> list[SecondSender]:
     places = np.flatnonzero(hits)
     if not len(places):
         return []

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.explain import Explanation, Incident
+from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, DRIVING, READY, STATUS
@@ -23,7 +24,6 @@ from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
 
-AT_ONCE_NS: Final = 30 * MS  # gaps that begin within this time are one pause
 MANY: Final = 3
 SHORT_NS: Final = 1 * S
 WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
@@ -133,7 +133,7 @@ def judge_log(record: Record, story: Explanation, buses: Sequence[BusStatistics]
         gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
             finding
-            for finding in _of_bus(bus, record.begin_ns)
+            for finding in _of_bus(bus)
             # What follows from a second sender, or is said as what is unknown, is not said again.
             if not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
@@ -162,7 +162,7 @@ def _second_senders(record: Record) -> Iterator[Finding]:
         yield Finding(Severity.PROBLEM, "intruder", text, other.begin_ns, remedy, other.can_ids, record.channel)
 
 
-def _of_bus(bus: BusStatistics, begin_ns: int) -> Iterator[Finding]:
+def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
     """A channel's findings; the pauses of several messages at one moment are one."""
     pauses: list[list[BusFinding]] = []
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
