@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -112,18 +113,39 @@ class Chain:
 
     @contextmanager
     def drive(self, name: str) -> Iterator[CarRun]:
-        """The shared car drives, after a power cycle; at the end the bus log has been checked."""
+        """The shared car drives, after a power cycle unless it drives already; at the end the bus log is checked."""
         folder = self._folder / name
         folder.mkdir(parents=True, exist_ok=True)
         log = BusLog(self._interface, folder)
         try:
-            run = self.shared_car()
+            run = self.driving_car()
             run.log_path = folder / "bus.log"
-            self.power_up(run)
             yield run
         finally:
             log.stop()
             self.wire = check_candump(log.path, CODEC, busy_machine=True)
+
+    def driving_car(self) -> CarRun:
+        """The shared car, driving: as the test before has left it, or after a power cycle."""
+        drives = self._shared is not None
+        run = self.shared_car()
+        if drives:
+            self.operator.state = None
+            state = self.operator.await_state(lambda s: True, STOP_S, "the bridge reports its state")
+            drives = state.as_state == AsState.AS_DRIVING and not (state.emergency or state.stopping)
+        if not drives:
+            self.power_up(run)
+        return run
+
+    def drives_on(self, seconds: float = 0.0) -> None:
+        """For so long, and now, the car drives in order."""
+        until = time.monotonic() + seconds
+        while True:
+            self.operator.spin()
+            assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
+            assert not self.state.emergency and not self.state.stopping, self.operator.describe()
+            if time.monotonic() >= until:
+                return
 
     def power_up(self, run: CarRun) -> None:
         """A new power cycle of the shared car, which clears whatever was latched; then it drives."""

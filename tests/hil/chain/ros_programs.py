@@ -1,8 +1,9 @@
-"""ROS programs of others, started one by one: each hears one message, as `ros2 topic echo --once` does.
+"""ROS programs of others, started one by one: each receives one message, as `ros2 topic echo --once` does.
 
-`stay` or `leave` on standard input starts one; `PID heard` is printed when it has heard, and `PID left` when it has
-ended in order. They are forked from a process that has imported ROS 2 already: what is tested is that they join, and
-on one slow processor the import would be all that there is to see.
+A line of standard input starts one: `stay` or `leave`, then the environment that chooses its transport as
+`NAME=VALUE` words. `PID received` is printed when it has received, and `PID left` when it has ended in order. They are
+forked from a process that has imported ROS 2 already: what is tested is that they join, and on one slow processor the
+import would be all that there is to see.
 """
 
 from __future__ import annotations
@@ -19,18 +20,20 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from fsai_vcu.runtime.transport import VARIABLES
+
 TOPICS = ((Odometry, "/odometry", qos_profile_sensor_data), (VehicleState, "/vehicle_state", 1))  # the second reliable
 
 
 def visit(number: int, stays: bool) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f"visitor_{number}")
-    heard: list[object] = []
+    received: list[object] = []
     message_type, topic, qos = TOPICS[number % len(TOPICS)]
-    node.create_subscription(message_type, topic, heard.append, qos)
-    while not heard:
+    node.create_subscription(message_type, topic, received.append, qos)
+    while not received:
         rclpy.spin_once(node)
-    print(os.getpid(), "heard", flush=True)
+    print(os.getpid(), "received", flush=True)
     while stays:
         rclpy.spin_once(node)
     node.destroy_node()
@@ -50,7 +53,11 @@ def main() -> None:
         if os.fork() == 0:
             os.close(sys.stdin.fileno())
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            visit(number, stays=line.strip() == "stay")
+            what, *transport = line.split()
+            for name in VARIABLES:
+                os.environ.pop(name, None)
+            os.environ.update(word.split("=", 1) for word in transport)
+            visit(number, stays=what == "stay")
             os._exit(0)
 
 

@@ -1,0 +1,28 @@
+"""How a person ends a run by the bridge's services. The first test ends what the one before it has driven."""
+
+from __future__ import annotations
+
+from chain.conftest import STOP_S, Chain
+from fsai_vcu.interface.enums import AsState
+
+
+def test_manual_while_driving_is_a_controlled_stop(chain: Chain) -> None:
+    with chain.drive("manual"):
+        accepted, message = chain.operator.set_mode("manual")
+        assert accepted, message
+        state = chain.operator.await_state(lambda s: s.as_state != AsState.AS_DRIVING, STOP_S, "the run ends")
+        assert state.as_state == AsState.AS_FINISHED, chain.operator.describe()
+        assert state.mode == "manual"
+    assert chain.wire is not None and chain.wire.ok, chain.wire
+
+
+def test_the_emergency_brake_service_stops_and_stays_latched(chain: Chain) -> None:
+    with chain.drive("emergency_brake"):
+        accepted, message = chain.operator.emergency_brake()
+        assert accepted, message
+        state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
+        assert state.shutdown_cause_label == "AI_COMPUTER_REQUEST"
+        assert state.emergency and state.sent_estop_request
+        accepted, message = chain.operator.reset()
+        assert not accepted and "EMERGENCY_BRAKE" in message
+    assert chain.wire is not None and chain.wire.ok, chain.wire
