@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
+import time
 from collections.abc import Callable
 
 import pytest
@@ -11,6 +13,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 
 WITHIN_S = 5.0
+CLOCK_GETTIME = 228  # the system call, on x86-64
 
 
 def ip(*arguments: str) -> None:
@@ -59,3 +62,20 @@ def test_a_bus_lost_with_its_interface_is_opened_again() -> None:
             assert bus.send(Frame(0x510, b"\x01"))
     finally:
         ip("link", "del", "vcan1")
+
+
+def test_programs_and_the_kernel_go_by_one_clock() -> None:
+    """Programs in User-Mode Linux read a clock without a system call, and idle time is skipped there."""
+
+    def by_kernel_ns() -> int:
+        time_of_kernel = (ctypes.c_long * 2)()
+        assert not ctypes.CDLL(None).syscall(CLOCK_GETTIME, time.CLOCK_MONOTONIC, time_of_kernel)
+        return time_of_kernel[0] * 1_000_000_000 + time_of_kernel[1]
+
+    for _ in range(3):
+        ahead_ns = []
+        for _ in range(5):
+            before_ns, kernel_ns, after_ns = time.monotonic_ns(), by_kernel_ns(), time.monotonic_ns()
+            ahead_ns.append(max(before_ns - kernel_ns, kernel_ns - after_ns))
+        assert min(ahead_ns) < 100_000, "between two readings of the one clock comes one of the other"
+        time.sleep(1.0)  # idle, and longer than the clocks are compared

@@ -72,13 +72,14 @@ def test_a_command_in_uml_keeps_environment_folder_and_status(
 
 @needs_uml
 def test_every_clock_in_uml_goes_by_the_pace(tmp_path: Path) -> None:
-    """By the kernel's clock, by the one that programs are given, by the wall clock, and for timers."""
+    """Work does, by the kernel's clock, by the one that programs are given, and by the wall clock."""
     pace = 2.0
     inside = (
         "import subprocess, sys, time; "
         "kernel = [sys.executable, '-S', '-c', 'import time; print(time.monotonic())']; "
         "asked = lambda: float(subprocess.run(kernel, env={}, capture_output=True, check=True).stdout); "
-        "print('began', flush=True); before = asked(); began, wall = time.monotonic(), time.time(); time.sleep(1.0); "
+        "print('began', flush=True); before = asked(); began, wall = time.monotonic(), time.time()\n"
+        "while time.monotonic() < began + 1.0: pass\n"
         "print('ended', time.monotonic() - began, time.time() - wall, asked() - before, flush=True)"
     )
     program = (
@@ -161,6 +162,12 @@ def test_uml_that_does_not_come_up_says_so_and_where_its_log_is(tmp_path: Path) 
     with pytest.raises(VcanError, match=r"did not come up: .*uml-kernel\.log") as refused:
         run_in_uml(["true"], cwd=CHECKOUT, env={}, timeout_s=5, results_dir=tmp_path, memory_mib=8)
     assert "\n" not in str(refused.value)
+
+
+@needs_uml
+def test_by_a_slower_clock_idle_time_takes_none(tmp_path: Path) -> None:
+    status = run_in_uml(["sleep", "600"], cwd=CHECKOUT, env=ENVIRONMENT, timeout_s=60, results_dir=tmp_path, pace=3.0)
+    assert status == 0, "ten minutes are over in less than one"
 
 
 @needs_uml

@@ -28,7 +28,7 @@ _SOAKED = 1.5  # as long as the driving alone: power cycles, and missions that a
 _TIMEOUT_ALL_S = 3600.0
 # User-Mode Linux has one processor, and five ROS 2 nodes and a car on it have no time to spare: it gets so many seconds
 # of this machine for each second inside. What fails all the same while the machine is disturbed gets more.
-_PACE = 1.25
+_PACE = 3.0
 _SLOW_PACE = 3.0
 # What of the caller's environment a run sees: enough to behave alike everywhere, and nothing that is nobody's business.
 _PASSED_ON = ("PATH", "TERM", "TZ", "CI", "NO_COLOR", "FORCE_COLOR", "LD_LIBRARY_PATH")

@@ -7,11 +7,16 @@
  * The machine inside stays on one processor, so there is one counter. Its scale comes measured from outside, in the
  * environment. Twenty times a second the kernel's clock is asked again and the difference, some microseconds, is worked
  * off over the next such period, so that the time never steps nor runs backwards; the wall clock follows its steps.
+ *
+ * Where the machine inside skips its idle time (slow_clock.c), the counter does not: what was skipped so far stands in a
+ * page that both sides map, FSAI_SKIPPED. While a program runs nothing is skipped.
  */
 #define _GNU_SOURCE
+#include <fcntl.h>
 #include <stdatomic.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <sys/mman.h>
 #include <sys/syscall.h>
 #include <sys/time.h>
 #include <time.h>
@@ -26,18 +31,31 @@ struct anchor {
   int64_t monotonic_ns;
   int64_t owed_ns;    /* what is to be made up over the period that begins here */
   int64_t realtime_ns; /* wall clock minus monotonic */
+  int64_t skipped_ns;  /* by then */
 };
 
 static struct anchor anchors[2];
 static atomic_uint generation; /* of the anchor in force: anchors[generation % 2]; 0 is none yet */
 static atomic_flag asking = ATOMIC_FLAG_INIT;
 static double ns_per_count;
+static const _Atomic int64_t none_skipped;
+static const _Atomic int64_t *skipped_ns = &none_skipped;
 
 uint64_t fsai_counter(void) { return __builtin_ia32_rdtsc(); }
 
 __attribute__((constructor)) static void start(void) {
   const char *scale = getenv("FSAI_NS_PER_COUNT");
+  const char *skipped = getenv("FSAI_SKIPPED");
   ns_per_count = scale ? strtod(scale, NULL) : 0.0;
+  if (skipped != NULL) {
+    int device = open(skipped, O_RDONLY | O_CLOEXEC);
+    void *page = mmap(NULL, sizeof *skipped_ns, PROT_READ, MAP_SHARED, device, 0);
+    if (page == MAP_FAILED)
+      ns_per_count = 0.0; /* the kernel knows better */
+    else
+      skipped_ns = page;
+    close(device);
+  }
 }
 
 static int64_t kernel_ns(clockid_t clock) {
@@ -70,9 +88,10 @@ static void ask_kernel(unsigned current) {
   next->counter = before + (after - before) / 2;
   next->monotonic_ns = kernel;
   next->owed_ns = 0;
+  next->skipped_ns = *skipped_ns;
   if (current) {
     const struct anchor *last = &anchors[current % 2];
-    int64_t ours = last->monotonic_ns + since(last, next->counter);
+    int64_t ours = last->monotonic_ns + since(last, next->counter) + next->skipped_ns - last->skipped_ns;
     int64_t behind = kernel - ours;
     if (behind < LOST_NS) {
       next->monotonic_ns = ours;
@@ -100,7 +119,7 @@ static int64_t now_ns(int wall_clock) {
     }
     if (!current) /* another thread is just asking for the first time */
       return kernel_ns(wall_clock ? CLOCK_REALTIME : CLOCK_MONOTONIC);
-    return anchor.monotonic_ns + elapsed_ns + (wall_clock ? anchor.realtime_ns : 0);
+    return anchor.monotonic_ns + elapsed_ns + *skipped_ns - anchor.skipped_ns + (wall_clock ? anchor.realtime_ns : 0);
   }
 }
 

@@ -6,6 +6,7 @@ clock.c and slow_clock.c say why. The scale of the counter that the former reads
 from __future__ import annotations
 
 import ctypes
+import mmap
 import shutil
 import subprocess
 import time
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from fsai_hil.vcan.network import VcanError
 
+SKIPPED = "/dev/mmapper"  # inside: the page that says how much idle time was skipped (`iomem=` of the kernel)
 SLOWEST_PACE = 100.0  # seconds of this machine for one inside; beyond it nobody waits for the end
 _HERE = Path(__file__).parent
 _STEADY = {"constant_tsc", "nonstop_tsc"}  # without these the counter is no clock
@@ -24,18 +26,20 @@ def preloaded_clock(folder: Path, pace: float = 1.0) -> dict[str, str]:
     """The environment variables that give a program in User-Mode Linux a fast clock; none where that is not possible.
 
     The library is built into `folder`. Takes a good third of a second.
-    pace: as given to the kernel inside, with `slowed_clock`.
+    pace: as given to the kernel inside, with `slowed_clock`; where it is not 1, idle time is skipped.
     """
     library = _built("clock", folder) if _counter_is_steady() else None
     if library is None:
         return {}
-    return {"LD_PRELOAD": str(library), "FSAI_NS_PER_COUNT": f"{_ns_per_count(library) / pace:.12g}"}
+    skipped = {} if pace == 1.0 else {"FSAI_SKIPPED": SKIPPED}
+    return {"LD_PRELOAD": str(library), "FSAI_NS_PER_COUNT": f"{_ns_per_count(library) / pace:.12g}", **skipped}
 
 
 def slowed_clock(folder: Path, pace: float) -> dict[str, str]:
-    """The environment variables for User-Mode Linux itself that make a second inside last `pace` seconds.
+    """The environment variables for User-Mode Linux itself that make a second of work inside last `pace` seconds.
 
-    None for 1. The library is built into `folder`. Raises VcanError where there is no compiler.
+    Idle time takes none then. None for 1. The library is built into `folder`. Raises VcanError where there is no
+    compiler.
     """
     if pace == 1.0:
         return {}
@@ -44,7 +48,9 @@ def slowed_clock(folder: Path, pace: float) -> dict[str, str]:
         raise VcanError(
             "a slower clock for User-Mode Linux needs a C compiler; as root: apt-get install -y gcc libc6-dev"
         )
-    return {"LD_PRELOAD": str(library), "FSAI_PACE": f"{pace:.12g}"}
+    page = folder / "skipped"
+    page.write_bytes(bytes(mmap.PAGESIZE))
+    return {"LD_PRELOAD": str(library), "FSAI_PACE": f"{pace:.12g}", "FSAI_SKIPPED": str(page)}
 
 
 def _built(name: str, folder: Path) -> Path | None:

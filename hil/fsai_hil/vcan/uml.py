@@ -130,8 +130,8 @@ def run_in_uml(
     timeout_s: for the command; the boot (1 to 3 s) is not counted in.
     results_dir: the one writable folder, at the same path inside, where what was there before is not seen; the kernel's
     log goes there as `uml-kernel.log`. Its content appears outside at the end.
-    pace: how long a second inside takes, in seconds of this machine, `timeout_s` not; as if the processor were so many
-    times faster. For 1 nothing is changed.
+    pace: how long a second of work inside takes, in seconds of this machine, `timeout_s` not; as if the processor were
+    so many times faster. Idle time then takes none. For 1 nothing is changed.
     Its output goes to this process's standard output, live. Everything is ended on Ctrl-C and when this process dies.
     Raises VcanError if User-Mode Linux is not there or does not come up.
     """
@@ -290,6 +290,7 @@ def boot(
             "con=null",
             "con0=null,fd:1",  # the kernel's console: this process's log
             f"con1=null,fd:{console}",  # the command's
+            *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
         ],
         stdin=subprocess.DEVNULL,
         stdout=log,
