@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fsai_hil import CHECKOUT
 from fsai_hil.cli.hil import add_place_arguments, environment, prepared_place
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
@@ -54,7 +55,6 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
     from fsai_hil.vcan import INTERFACE, VcanError
     from fsai_hil.vcan.clock import SLOWEST_PACE
-    from fsai_vcu.cli.main import UserError, WrongUse
 
     seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
     if not 0.0 < seconds < math.inf:
@@ -79,18 +79,16 @@ def run(args: argparse.Namespace) -> int:
         _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
         if pace != 1.0:
             _say(args, f"{pace:g} s of this machine for each second inside")
-        argv = [
-            sys.executable,
-            "-m",
-            "fsai_hil.rehearsal.scrutineering",
-            INTERFACE,
-            str(result),
-            "--seconds",
-            str(seconds),
-        ]
-        argv += ["--revision", args.revision, "--conditions", ",".join(each.name for each in conditions)]
+        plan = {
+            "bus": INTERFACE,
+            "result": str(result),
+            "seconds": seconds,
+            "revision": args.revision,
+            "conditions": [each.name for each in conditions],
+            "slow_place": place.has_pace,
+        }
         status = place.run(
-            [*argv, *(["--slow-place"] if place.name == "uml" else [])],
+            [sys.executable, "-m", "fsai_hil.rehearsal.scrutineering", json.dumps(plan)],
             cwd=CHECKOUT,
             env=environment(os.environ, INTERFACE, place.name, out),
             timeout_s=pace * (_SLACK_S + len(conditions) * (2 * seconds + _PER_CONDITION_S)),
@@ -113,29 +111,21 @@ def run(args: argparse.Namespace) -> int:
         "source": source_revision(CHECKOUT),
     }
     measured["failures"] = failures(measured)
-    left_out = not_measured(measured)
-    measured["result"] = "fail" if measured["failures"] else "incomplete" if left_out else "pass"
+    measured["result"] = "fail" if measured["failures"] else "incomplete" if not_measured(measured) else "pass"
     result.unlink()
-    saved = [out / "response-time.md", *([args.report] if args.report else [])]
+    text, data = markdown(measured), json.dumps(measured, indent=1) + "\n"
+    saved = [out / "response-time.md", *([args.report] if args.report else []), out / "response-time.json"]
     for path in saved:
-        _write(path, markdown(measured))
-    saved.append(out / "response-time.json")
-    _write(saved[-1], json.dumps(measured, indent=1) + "\n")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(data if path == saved[-1] else text, encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{path} cannot be written: {error.strerror}") from error
     _say(args, "\n" + summary(measured))
     _say(args, f"saved {', '.join(str(path) for path in saved)}")
     if args.json:
         print(json.dumps(measured))
     return 0 if measured["result"] == "pass" else 1
-
-
-def _write(path: Path, text: str) -> None:
-    from fsai_vcu.cli.main import UserError
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def _say(args: argparse.Namespace, text: str) -> None:

@@ -87,7 +87,7 @@ def programs(chain: Chain, transport: str, folder: Path) -> Iterator[Programs]:
     process = RunningProcess("programs", argv, log, environ, stdin=subprocess.PIPE)
     started = Programs(process)
     try:
-        process.await_log("^ready", START_S)
+        process.await_log("ready", START_S)
         yield started
     finally:
         started.end()
