@@ -33,6 +33,7 @@ from fsai_hil.rehearsal.scrutineering.machine import (
     versions,
 )
 from fsai_hil.rehearsal.stack import Stack, StackError, await_condition
+from fsai_vcu.interface.errors import WrongUse
 
 
 def test_a_frame_without_stuff_bits_has_its_standard_length() -> None:
@@ -129,7 +130,7 @@ def test_named_conditions_are_measured_in_the_tables_order() -> None:
 
 @pytest.mark.parametrize("names", [["idle", "asleep"], [], [""]])
 def test_an_unknown_condition_is_refused_with_the_known_ones(names: list[str]) -> None:
-    with pytest.raises(ValueError, match="choose from idle, idle-busy"):
+    with pytest.raises(WrongUse, match="choose from idle, idle-busy"):
         conditions_named(names)
 
 
@@ -146,7 +147,7 @@ def test_scheduling_is_read_from_the_kernel(tmp_path: Path) -> None:
     with Stack("vcan0", tmp_path) as stack:
         process = stack.start("sleeper", ["sleep", "60"])
         found = scheduling_of(process.popen.pid)
-    assert (found["policy"], found["priority"], found["memory_locked"]) == ("ordinary", 0, False)
+    assert (found["policy"], found["priority"], found["memory_locked"]) == ("SCHED_OTHER", 0, False)
     assert "refused" in scheduling_in_words(found)
 
 

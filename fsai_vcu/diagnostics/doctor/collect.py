@@ -84,7 +84,7 @@ def collect(
         listening=listening_on_networks(proc),
         dds_leftovers=dds_leftovers(proc),
         kernel=platform.release(),
-        system=_system(),
+        system=system(),
     )
 
 
@@ -278,22 +278,26 @@ def starts_at_boot() -> bool | None:
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
-    """That of the running CAN loop's most urgent thread."""
-    for folder in _processes(proc, _LOOP_MODULE):
-        threads = []
-        for thread in (folder / "task").glob("*"):
-            try:
-                number = int(thread.name)
-                threads.append((os.sched_getparam(number).sched_priority, os.sched_getscheduler(number)))
-            except (OSError, ValueError):
-                continue
-        if threads:
-            priority, policy = max(threads)
-            locked = any(
-                line.startswith("VmLck:") and line.split()[1] != "0" for line in _read(folder / "status").splitlines()
-            )
-            return Scheduling(_POLICIES.get(policy & 0xFF, str(policy)), priority, locked)
-    return None
+    """That of the running CAN loop."""
+    return next(filter(None, map(scheduling_of, _processes(proc, _LOOP_MODULE))), None)
+
+
+def scheduling_of(process: Path) -> Scheduling | None:
+    """That of the most urgent thread of a process, by its folder in /proc; None when it has just ended."""
+    threads = []
+    for thread in (process / "task").glob("*"):
+        try:
+            number = int(thread.name)
+            threads.append((os.sched_getparam(number).sched_priority, os.sched_getscheduler(number)))
+        except (OSError, ValueError):
+            continue
+    if not threads:
+        return None
+    priority, policy = max(threads)
+    locked = any(
+        line.startswith("VmLck:") and line.split()[1] != "0" for line in _read(process / "status").splitlines()
+    )
+    return Scheduling(_POLICIES.get(policy & 0xFF, str(policy)), priority, locked)
 
 
 def listening_on_networks(proc: Path) -> tuple[str, ...] | None:
@@ -420,7 +424,7 @@ def _groups() -> tuple[str, ...]:
     return tuple(names)
 
 
-def _system() -> str:
+def system() -> str:
     try:
         return platform.freedesktop_os_release()["PRETTY_NAME"]
     except (OSError, KeyError):

@@ -7,12 +7,14 @@ import platform
 import re
 import subprocess
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from fsai_vcu.diagnostics.doctor import collect
+
 PACKAGES = ("fsai-vcu", "python-can", "cantools", "numpy", "ros-rclpy")
-_POLICIES = {os.SCHED_OTHER: "ordinary", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 
 
 def machine() -> dict[str, Any]:
@@ -23,7 +25,7 @@ def machine() -> dict[str, Any]:
         "processors": os.cpu_count() or 1,
         "memory_gib": round(int(_first_match(Path("/proc/meminfo"), r"MemTotal:\s*(\d+)") or 0) / (1 << 20), 1),
         "python": platform.python_version(),
-        "system": _first_match(Path("/etc/os-release"), r'PRETTY_NAME="(.+)"') or platform.system(),
+        "system": collect.system(),
     }
 
 
@@ -56,17 +58,9 @@ def source_revision(checkout: Path) -> str:
 
 def scheduling_of(pid: int) -> dict[str, Any]:
     """How the most urgent thread of a process is scheduled, and whether its memory is locked, as the kernel has it."""
-    policy, priority = os.SCHED_OTHER, 0
-    for thread in Path(f"/proc/{pid}/task").iterdir():
-        number = int(thread.name)
-        if (found := os.sched_getparam(number).sched_priority) > priority:
-            policy, priority = os.sched_getscheduler(number), found
-    locked = _first_match(Path(f"/proc/{pid}/status"), r"VmLck:\s*(\d+)")
-    return {
-        "policy": _POLICIES.get(policy, str(policy)),
-        "priority": priority,
-        "memory_locked": locked not in (None, "0"),
-    }
+    found = collect.scheduling_of(Path("/proc", str(pid)))
+    assert found is not None, f"process {pid} has ended"
+    return asdict(found)
 
 
 def scheduling_in_words(scheduling: Mapping[str, Any]) -> str:
