@@ -12,7 +12,10 @@ from fsai_hil.rehearsal import bench
 from fsai_hil.rehearsal.bench import NODE_START, NODE_START_WALL, QUICK, bench_node, main, row, too_slow
 
 
-def test_quick_prints_a_table_and_writes_every_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quick_prints_a_table_and_writes_every_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "QUICK", QUICK._replace(rounds=2, turns=40, starts=1, log_frames=2000))
     assert main(["--quick", "-o", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "bench.json").read_text())
     assert found["quick"] is True and found["machine"]["python"] and found["versions"]["cantools"]

@@ -74,6 +74,7 @@ def run(
 ) -> tuple[pytest.RunResult, list[str]]:
     """The result of the tests under a stall monitor that answers by the script, and what the tests noted."""
     pytester.syspathinsert()
+    pytester._monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # others' plugins cost a second each time
     pytester.makepyfile(scripted=PLUGIN.format(script=script, put_off=put_off, busy=busy))
     pytester.makepyfile("from scripted import note\n" + textwrap.dedent(tests))
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "scripted")
