@@ -11,7 +11,7 @@ import pytest
 
 from fsai_hil.rehearsal.carpc import __main__ as rehearsal
 from fsai_hil.rehearsal.carpc import probe, scenes, wifi
-from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Said, car_was_deaf, longest_gap_s, standing, torque_ends_s
+from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Seen, car_was_deaf, longest_gap_s, rest_s, standing, torque_ends_s
 from fsai_hil.rehearsal.stall_monitor import RUNS, STALL, Disturbance
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
@@ -89,24 +89,25 @@ def test_after_the_reboot_the_report_goes_on_where_it_was(report: scenes.Rehears
 
 
 def test_the_last_frame_with_torque_on_either_axle_is_measured() -> None:
-    said = [
-        Said(100 * MS, AiDriveFront(torque_nm=5.0)),
-        Said(120 * MS, AiDriveRear(torque_nm=5.0)),
-        Said(130 * MS, AiDriveRear()),
+    seen = [
+        Seen(100 * MS, AiDriveFront(torque_nm=5.0)),
+        Seen(120 * MS, AiDriveRear(torque_nm=5.0)),
+        Seen(130 * MS, AiDriveRear()),
     ]
-    assert torque_ends_s(said, 100 * MS) == pytest.approx(0.02)
-    assert torque_ends_s(said[2:], 100 * MS) == 0.0
+    assert torque_ends_s(seen, 100 * MS) == pytest.approx(0.02)
+    assert torque_ends_s(seen[2:], 100 * MS) == 0.0
 
 
 def test_a_car_of_which_one_wheel_turns_does_not_stand() -> None:
     assert standing(WheelSpeeds(rr_rpm=9))
     assert not standing(WheelSpeeds(rr_rpm=10))
-    assert not scenes.standing_at_the_end([])
+    assert rest_s([], 0) is None
+    assert rest_s([Seen(5 * MS, WheelSpeeds(rr_rpm=10)), Seen(9 * MS, WheelSpeeds())], 0) == 0.005
 
 
 def test_the_longest_pause_is_of_the_ai_computers_frames() -> None:
-    said = [Said(0, AiStatus()), Said(10 * MS, WheelSpeeds()), Said(30 * MS, AiStatus()), Said(40 * MS, AiStatus())]
-    assert longest_gap_s(said) == pytest.approx(0.03)
+    seen = [Seen(0, AiStatus()), Seen(10 * MS, WheelSpeeds()), Seen(30 * MS, AiStatus()), Seen(40 * MS, AiStatus())]
+    assert longest_gap_s(seen) == pytest.approx(0.03)
 
 
 def test_a_bus_log_that_breaks_a_rule_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,43 +133,28 @@ class Scene:
 
 
 @pytest.mark.usefixtures("report")
-@pytest.mark.parametrize("breaks_off", [False, True])
-def test_a_scene_failed_while_disturbed_is_played_again(
-    breaks_off: bool,
+@pytest.mark.parametrize(
+    ("disturbed", "failures", "breaks_off", "runs", "well"),
+    [
+        ([], 0, False, 1, True),  # would fail, being asked
+        ([True, True], 2, False, 3, True),
+        ([True, True], 2, True, 3, True),
+        ([False], 1, False, 1, False),
+        ([True] * RUNS, RUNS, False, RUNS, False),
+    ],
+)
+def test_only_a_scene_failed_while_disturbed_is_played_again(
+    disturbed: list[bool], failures: int, breaks_off: bool, runs: int, well: bool
 ) -> None:
-    rehearsal_of_it = rehearsed(True, True)
-    scene = Scene(rehearsal_of_it, failures=2, breaks_off=breaks_off)
+    rehearsal_of_it = rehearsed(*disturbed)
+    scene = Scene(rehearsal_of_it, failures, breaks_off=breaks_off)
     rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == 3
-    assert rehearsal.all_well(rehearsal_of_it.steps)
+    assert scene.runs == runs and rehearsal.all_well(rehearsal_of_it.steps) is well
     counting = [step["what"] for step in rehearsal_of_it.steps if step["counts"]]
-    assert "run 3" in counting and "run 1" not in counting
-    assert any("the machine stood still for 80 ms" in str(step["what"]) for step in rehearsal_of_it.steps)
-
-
-@pytest.mark.usefixtures("report")
-def test_a_scene_failed_while_undisturbed_has_failed() -> None:
-    rehearsal_of_it = rehearsed(False)
-    scene = Scene(rehearsal_of_it, failures=1)
-    rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == 1 and not rehearsal.all_well(rehearsal_of_it.steps)
-
-
-@pytest.mark.usefixtures("report")
-def test_a_scene_never_undisturbed_has_failed_with_the_cause() -> None:
-    rehearsal_of_it = rehearsed(*[True] * RUNS)
-    scene = Scene(rehearsal_of_it, failures=RUNS)
-    rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == RUNS and not rehearsal.all_well(rehearsal_of_it.steps)
-    assert rehearsal_of_it.steps[-1]["what"] == "a scene: never undisturbed"
-
-
-@pytest.mark.usefixtures("report")
-def test_a_scene_that_passed_asks_for_no_disturbances() -> None:
-    rehearsal_of_it = rehearsed()  # would fail, being asked
-    scene = Scene(rehearsal_of_it, failures=0)
-    rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == 1 and rehearsal.all_well(rehearsal_of_it.steps)
+    assert f"run {runs}" in counting and (runs == 1 or "run 1" not in counting)
+    reasons = [step for step in rehearsal_of_it.steps if "the machine stood still for 80 ms" in str(step)]
+    assert len(reasons) == sum(disturbed)
+    assert ("a scene: never undisturbed" in counting) is (runs == RUNS and not well)
 
 
 def test_a_rehearsal_of_which_nothing_counts_is_not_well() -> None:

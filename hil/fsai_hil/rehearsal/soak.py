@@ -121,7 +121,7 @@ class Flatness:
         for trend in self.trends:
             rss = f"{trend.rss_mib[0]:.1f} -> {trend.rss_mib[1]:.1f}"
             fds, threads = (f"{first} -> {last}" for first, last in (trend.fds, trend.threads))
-            note = "" if trend.judged else "  not judged: it keeps its whole story"
+            note = "" if trend.judged else "  not judged: it keeps all of its run"
             lines.append(f"{trend.name:<20} {rss:>17} {trend.growth_mib_per_hour:>8.1f} {fds:>13} {threads:>9}{note}")
         p99 = ", ".join("none" if value is None else f"{value:.2f} ms" for value in self.response_p99_ms)
         lines.append(f"handshake answered at p99, in each third: {p99}")

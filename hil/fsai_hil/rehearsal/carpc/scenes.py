@@ -25,13 +25,12 @@ from fsai_hil.rehearsal.carpc.bus_watch import (
     HOUR_NS,
     BusWatch,
     CarService,
-    Said,
     brakes,
     car_was_deaf,
     first_s,
     in_state,
     longest_gap_s,
-    standing,
+    rest_s,
     torque_ends_s,
     wants_emergency,
 )
@@ -331,7 +330,7 @@ class Rehearsal:
         here = wifi.looked([], STRANGER_S * 4, dict(line.split("=", 1) for line in lines))
         self.check("a ROS program on this machine sees the bridge", here["sees_the_car"] is True, json.dumps(here))
         there = wifi.looked(wifi.from_there(), STRANGER_S, wifi.STRANGERS)
-        blind = there == {"nodes": [], "commands_heard_by": 0, "set_mode": False, "sees_the_car": False}
+        blind = there == {"nodes": [], "subscribers": 0, "set_mode": False, "sees_the_car": False}
         words = "" if blind else json.dumps(there)
         self.note("one on the team's network sees nothing", STRANGER_S, passed=blind, words=words)
 
@@ -386,7 +385,7 @@ class Rehearsal:
         self.note("the clock stepped by an hour, both ways: drives on", 3.0, passed=passed)
 
     def disk_filled(self, watch: BusWatch) -> None:
-        since = len(self.said_by(self.recorder))
+        since = len(self.journal_of(self.recorder))
         fill = Path("/var/log/fill")
         since_ns = time.time_ns()
         subprocess.run(["nice", "-n", "19", "sh", "-c", f"cat /dev/zero > {fill}"], capture_output=True, check=False)
@@ -394,18 +393,18 @@ class Rehearsal:
         on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
         gap_s = longest_gap_s(watch.since(since_ns))
         fill.unlink()
-        reported = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        reported = [line for line in self.journal_of(self.recorder)[since:] if "cannot write" in line]
         words = (
             f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder reports {reported}"
         )
         self.note("the disk full: drives on", FULL_S, passed=on, words=words)
         self.step(
             "with room again the recorder writes again",
-            lambda: any("writing again" in line for line in self.said_by(self.recorder)[since:]),
+            lambda: any("writing again" in line for line in self.journal_of(self.recorder)[since:]),
             30.0,
             RECORDS_AGAIN_S,
         )
-        reported = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
+        reported = [line for line in self.journal_of(self.recorder)[since:] if "cannot write" in line]
         self.check("it has reported that in one line", len(reported) == 1, "; ".join(reported))
         self.check("and the car drives on", self.undisturbed(watch))
 
@@ -454,7 +453,7 @@ class Rehearsal:
             self.note(f"{what}: the last torque", torque_ends_s(seen, struck_ns), strike.torque_s)
             if first is AsState.EMERGENCY_BRAKE:
                 self.note(f"{what}: the car stops itself", over_s, CAR_STOPS_ITSELF_S)
-        self.note(f"{what}: at rest", _rest_s(seen, struck_ns), AT_REST_S, passed=standing_at_the_end(seen))
+        self.note(f"{what}: at rest", rest_s(seen, struck_ns), AT_REST_S)
         elsewhere = in_state(*(state for state in AsState if state not in (first, ends_in, AsState.AS_DRIVING)))
         came_first = first_s(seen, struck_ns, in_state(first))
         stays = watch.as_state is ends_in and came_first == over_s and not any(elsewhere(each.image) for each in seen)
@@ -534,7 +533,7 @@ class Rehearsal:
             self.note(f"{what}: brake asked for or EMERGENCY_BRAKE, no torque", soonest_s, 0.1, passed=passed)
             ai = [each.t_ns for each in after if isinstance(each.image, AiStatus)]
             self.note(f"{what}: silence begins", (max(ai) - began_ns) / 1e9, 0.2)
-            self.note(f"{what}: at rest", _rest_s(after, began_ns), SHUTDOWN_REST_S, passed=at_rest)
+            self.note(f"{what}: at rest", rest_s(after, began_ns), SHUTDOWN_REST_S, passed=at_rest)
 
     def switched_off(self) -> None:
         """Switched off by hand, nobody sends, not even when an adapter is plugged in; the bus named, all are back."""
@@ -600,7 +599,7 @@ class Rehearsal:
                 return found
         return None
 
-    def said_by(self, service: str) -> list[str]:
+    def journal_of(self, service: str) -> list[str]:
         return output("journalctl", "-b", "-o", "cat", "-u", service).splitlines()
 
     # ------------------------------------------------------------ the report
@@ -630,17 +629,6 @@ class Rehearsal:
     def check(self, what: str, passed: bool, words: str = "") -> None:
         """A step that takes no time."""
         self.note(what, None, None, passed, words)
-
-
-def _rest_s(said: list[Said], since_ns: int) -> float | None:
-    """When the car stood for good."""
-    moving = [each.t_ns for each in said if hasattr(each.image, "fl_rpm") and not standing(each.image)]
-    return (max(moving) - since_ns) / 1e9 if moving else 0.0
-
-
-def standing_at_the_end(said: list[Said]) -> bool:
-    wheels = [each.image for each in said if hasattr(each.image, "fl_rpm")]
-    return bool(wheels) and standing(wheels[-1])
 
 
 def output(*argv: str) -> str:

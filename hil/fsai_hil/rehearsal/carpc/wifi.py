@@ -80,7 +80,7 @@ def nodes_seen(seconds: float) -> dict[str, object]:
             break
         time.sleep(_LOOK_AGAIN_S)
     rclpy.shutdown()
-    return {"nodes": nodes, "commands_heard_by": subscribers, "set_mode": set_mode, "sees_the_car": sees}
+    return {"nodes": nodes, "subscribers": subscribers, "set_mode": set_mode, "sees_the_car": sees}
 
 
 STRANGERS = {
