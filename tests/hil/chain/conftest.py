@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -152,11 +153,22 @@ class Chain:
         assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
         assert run.vcu.alive, run.vcu.last_words()
 
+    def drives_on(self, seconds: float = 0.0) -> None:
+        """For so long, and now."""
+        until = time.monotonic() + seconds
+        while True:
+            self.operator.spin()
+            assert self.state.as_state == AsState.AS_DRIVING, self.operator.describe()
+            assert not self.state.emergency and not self.state.stopping, self.operator.describe()
+            if time.monotonic() >= until:
+                return
+
     @property
     def pids(self) -> dict[str, int]:
         """Of the nodes, and of the CAN loop, which has a process of its own and holds the interface."""
         loop = holder_pid(self.stack.bus)
         assert loop is not None, "nobody drives the interface"
+        assert loop != self.stack.processes["vcu_bridge"].popen.pid, "the loop has a process of its own"
         return {**{name: self.stack.processes[name].popen.pid for name in NODES}, "CAN loop": loop}
 
     @property

@@ -35,7 +35,6 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import open_bus
-from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 DEADLINES = BridgeConfig()
@@ -191,17 +190,9 @@ def test_without_fresh_data_the_car_stops_for_good(
     rules_kept(drive)
 
 
-def loop_of(chain: Chain) -> int:
-    """The process of the CAN loop: the one that holds the interface."""
-    pid = holder_pid(chain.stack.bus)
-    assert pid is not None, "nobody drives the interface"
-    assert pid != chain.stack.processes["vcu_bridge"].popen.pid, "the loop has a process of its own"
-    return pid
-
-
 @pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
 def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire, hang_s: float) -> None:
-    loop = loop_of(chain)
+    loop = chain.pids["CAN loop"]
     stopped_ns = time.time_ns()
     os.kill(loop, signal.SIGSTOP)
     try:
@@ -230,7 +221,7 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire
 def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: Wire) -> None:
     bridge = chain.stack.processes["vcu_bridge"]
     killed_ns = time.time_ns()
-    os.kill(loop_of(chain), signal.SIGKILL)
+    os.kill(chain.pids["CAN loop"], signal.SIGKILL)
     assert bridge.wait(STOP_S) == 1
     assert "the CAN loop ended by itself: its process was killed by signal 9" in bridge.log()
     chain.stack.start_node("vcu_bridge")
@@ -263,7 +254,7 @@ def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: Wire) -> Non
 
 def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: Wire) -> None:
     """The loop brakes the car to rest, says FINISHED, and ends; the next bridge may start."""
-    loop = loop_of(chain)
+    loop = chain.pids["CAN loop"]
     killed_ns = time.time_ns()
     chain.stack.processes["vcu_bridge"].signal(signal.SIGKILL)
     chain.operator.state = None
@@ -326,11 +317,7 @@ def test_a_clock_step_is_nothing_a_foreign_0x511_an_emergency(chain: Chain, driv
     if os.environ.get("FSAI_HIL_PLACE") == "uml":  # elsewhere it would be the clock of the whole machine
         for step_s in (3600, -7200, 3600):
             step_clock(step_s)
-            until = time.monotonic() + 1.0  # longer than any deadline of the table
-            while time.monotonic() < until:
-                chain.operator.spin()
-                assert chain.state.as_state == AsState.AS_DRIVING, chain.operator.describe()
-                assert not chain.state.emergency and not chain.state.stopping, chain.operator.describe()
+            chain.drives_on(1.0)  # longer than any deadline of the table
     subprocess.run(["cansend", interface, f"511#{INTRUDER.hex()}"], check=True)
     comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
     assert chain.state.shutdown_cause_label == "AI_COMPUTER_REQUEST"
@@ -360,11 +347,7 @@ def test_on_a_flooded_bus_dropped_cycles_are_counted_and_stop_it(chain: Chain, d
 @long
 def test_a_bus_that_is_busy_but_not_full_changes_nothing(chain: Chain, drive: Wire, interface: str) -> None:
     with flooded(interface, gap_ms="0.5"):
-        until = time.monotonic() + 2.0  # far longer than any deadline of the table
-        while time.monotonic() < until:
-            chain.operator.spin()
-            assert chain.state.as_state == AsState.AS_DRIVING, chain.operator.describe()
-            assert not chain.state.emergency and not chain.state.stopping, chain.operator.describe()
+        chain.drives_on(2.0)  # far longer than any deadline of the table
     rules_kept(drive)
 
 

@@ -8,17 +8,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
 from chain.conftest import CODEC, START_S, Chain
-from fsai_hil.rehearsal.stack import RunningProcess
+from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_hil.rules.checker import MS, checker_for, read_candump
 from fsai_hil.rules.response import ResponseTimes
-from fsai_vcu.interface.enums import AsState
 from fsai_vcu.runtime.transport import VARIABLES
 
 RESPONSE_NS = 20 * MS  # no more than a missed cycle
@@ -40,7 +39,7 @@ class Programs:
         """The process id of a program that has heard since it was told `what`."""
         before = self._lines("heard")
         self._process.type(what)
-        await_that(lambda: len(self._lines("heard")) > len(before), "a program hears the bridge")
+        await_condition(lambda: len(self._lines("heard")) > len(before), HEARD_S, "a program receives of the bridge")
         return int(self._lines("heard")[-1])
 
     def _lines(self, what: str) -> list[str]:
@@ -48,7 +47,7 @@ class Programs:
 
     def leaves(self) -> None:
         pid = str(self._heard("leave"))
-        await_that(lambda: pid in self._lines("left"), "the program leaves")
+        await_condition(lambda: pid in self._lines("left"), HEARD_S, "the program leaves")
 
     def killed(self) -> None:
         os.kill(self._heard("stay"), signal.SIGKILL)
@@ -69,13 +68,6 @@ ACTS = {"leave": Programs.leaves, "killed": Programs.killed, "hang": Programs.ha
 TRANSPORTS = ("shared memory", "loopback profile")
 
 
-def await_that(condition: Callable[[], bool], what: str) -> None:
-    until = time.monotonic() + HEARD_S
-    while not condition():
-        assert time.monotonic() < until, f"waited {HEARD_S:g} s in vain: {what}"
-        time.sleep(0.05)
-
-
 @contextmanager
 def programs(chain: Chain, transport: str, folder: Path) -> Iterator[Programs]:
     environ = chain.stack.environ
@@ -91,18 +83,6 @@ def programs(chain: Chain, transport: str, folder: Path) -> Iterator[Programs]:
         yield started
     finally:
         started.end()
-
-
-def drives_on(chain: Chain, seconds: float = 0.0) -> None:
-    """For so long, and now."""
-    until = time.monotonic() + seconds
-    while True:
-        chain.operator.spin()
-        state = chain.state
-        assert state.as_state == AsState.AS_DRIVING, chain.operator.describe()
-        assert not state.emergency and not state.stopping, chain.operator.describe()
-        if time.monotonic() >= until:
-            return
 
 
 def responses(log: Path, windows: Windows) -> dict[str, ResponseTimes]:
@@ -131,12 +111,12 @@ def storm(chain: Chain, results: Path, name: str, transports: Sequence[str], act
         visitors = {each: started.enter_context(programs(chain, each, results)) for each in transports}
         with chain.drive(name) as run:
             with window("calm"):
-                drives_on(chain, CALM_S)
+                chain.drives_on(CALM_S)
             for transport, act in itertools.product(transports, acts):
                 with window(f"{transport}, {count} times {act}"):
                     for _ in range(count):
                         ACTS[act](visitors[transport])
-                        drives_on(chain)
+                        chain.drives_on()
     times = responses(run.log_path, windows)
     for what, each in times.items():
         words = ", ".join(f"{each.quantile_ms(share):.2f}" for share in (0.5, 0.99, 1.0)) if len(each) else "none"
