@@ -109,19 +109,19 @@ def _campaign(args: argparse.Namespace) -> int:
         kept = len(writer.runs)
         if kept:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
-        told = CampaignProgress()
+        progress = CampaignProgress()
         try:
             spread = partial(on_cluster, address=args.dask) if args.dask else partial(in_processes, jobs=jobs)
-            campaign(plan, writer, spread, told)
+            campaign(plan, writer, spread, progress)
         except KeyboardInterrupt:
-            told.end()
+            progress.end()
             print(f"{len(writer.runs)} runs are kept in {writer.path}; --resume goes on", file=sys.stderr)
             raise
-        told.end()
+        progress.end()
         worse = failures(writer.runs)
         new = len(writer.runs) - kept
-        if new and told.pace is not None:
-            rate = told.pace.runs_per_s
+        if new and progress.pace is not None:
+            rate = progress.pace.runs_per_s
             print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
         print(f"{len(writer.runs)} runs of {len(plan.selection.kinds())} kinds, record in {writer.path}")
         print(f"table: fsai-vcu campaign --table {writer.path}")

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
@@ -51,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0: in every condition answered in time, and sooner than the loop in C; 1: not, or not measured."""
     from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME, SHORT, conditions_named
-    from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
+    from fsai_hil.rehearsal.scrutineering.machine import facts, machine
     from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
     from fsai_hil.vcan import INTERFACE, VcanError
     from fsai_hil.vcan.clock import SLOWEST_PACE
@@ -102,10 +101,8 @@ def run(args: argparse.Namespace) -> int:
         **json.loads(result.read_text()),
         "place": place.name,
         "pace": pace,
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "host": machine(),
-        "versions": versions(),
-        "source": source_revision(CHECKOUT),
+        **facts(CHECKOUT),
     }
     measured["failures"] = failures(measured)
     measured["result"] = "fail" if measured["failures"] else "incomplete" if not_measured(measured) else "pass"

@@ -20,7 +20,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
 from timeit import timeit
@@ -31,7 +30,7 @@ import can
 from fsai_hil import CHECKOUT
 from fsai_hil.rehearsal.bench_logs import KINDS, cantools_database, logs_us
 from fsai_hil.rehearsal.carpc.recovery_times import START_TO_FIRST_FRAME_S
-from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
+from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
@@ -368,20 +367,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         "-o", "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="folder for bench.json"
     )
     args = parser.parse_args(argv)
-    facts = machine()
-    print(f"{facts['processor']} x {facts['processors']}, {facts['kernel']}, Python {facts['python']}", flush=True)
+    here = machine()
+    print(f"{here['processor']} x {here['processors']}, {here['kernel']}, Python {here['python']}", flush=True)
     began = time.monotonic()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
         rows = run(QUICK if args.quick else FULL, lambda text: print(text, flush=True))
         whole = {
-            "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            **facts(CHECKOUT),
             "quick": args.quick,
             "time": "processor time, user and kernel",
             "seconds": round(time.monotonic() - began, 1),
-            "machine": facts,
-            "versions": versions(),
-            "source": source_revision(CHECKOUT),
+            "machine": here,
             "results": rows,
         }
         path = args.out / "bench.json"

@@ -8,6 +8,7 @@ import re
 import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,15 @@ def machine() -> dict[str, Any]:
         "memory_gib": round(int(_first_match(Path("/proc/meminfo"), r"MemTotal:\s*(\d+)") or 0) / (1 << 20), 1),
         "python": platform.python_version(),
         "system": collect.system(),
+    }
+
+
+def facts(checkout: Path) -> dict[str, Any]:
+    """When, on what and of which sources something was measured."""
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "versions": versions(),
+        "source": source_revision(checkout),
     }
 
 
