@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import json
 import os
 import subprocess
@@ -11,6 +10,8 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+
+from fsai_vcu.diagnostics.doctor.collect import local_address
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"  # RFC 5737: addresses for documentation, nobody's
 INTERFACE = "wifi0"
@@ -58,8 +59,7 @@ def listeners_in(listing: str) -> list[str]:
     found = []
     for line in listing.splitlines():
         protocol, _, _, _, local, _, *process = line.split()
-        address = ipaddress.ip_address(local.rpartition(":")[0].partition("%")[0].strip("[]").replace("*", "::"))
-        if not address.is_loopback:
+        if not local_address(line).is_loopback:
             found.append(" ".join((protocol, local, *process)))
     return found
 
