@@ -11,8 +11,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from fsai_vcu.diagnostics.doctor.collect import local_address
-
 HERE, THERE = "192.0.2.1", "192.0.2.2"  # RFC 5737: addresses for documentation, nobody's
 INTERFACE = "wifi0"
 _ELSEWHERE = "wifi"  # the network namespace
@@ -56,6 +54,8 @@ def talked_to(port: int) -> Iterator[None]:
 
 def listeners_in(listing: str) -> list[str]:
     """Of what `ss -H -lntup` prints: who takes anything from beyond this machine, as 'udp 0.0.0.0:7400 users:…'."""
+    from fsai_vcu.diagnostics.doctor.collect import local_address  # not for the strangers, who are to start soon
+
     found = []
     for line in listing.splitlines():
         protocol, _, _, _, local, _, *process = line.split()
