@@ -23,22 +23,15 @@ _LATE_NS: Final = 10_000_000  # a cycle of the bus
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "log",
-        metavar="LOG[,FILTER…]",
-        help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j",
-    )
-    parser.add_argument("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
-    parser.add_argument("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
-    parser.add_argument(
-        "--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)"
-    )
-    parser.add_argument("--from", dest="begin_s", type=float, default=0.0, metavar="S", help="begin S seconds into it")
-    parser.add_argument("--to", dest="end_s", type=float, metavar="S", help="end S seconds into it")
-    parser.add_argument(
-        "--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("log", metavar="LOG[,FILTER…]", help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j")
+    add("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
+    add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
+    add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
+    add("--from", dest="begin_s", type=float, default=0.0, metavar="S", help="begin S seconds into it")
+    add("--to", dest="end_s", type=float, metavar="S", help="end S seconds into it")
+    add("--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out")
+    add(
         "--with-ai-ids",
         action="store_true",
         help="send 0x510 to 0x514 too: to a bridge on the bus they are an intruder's",

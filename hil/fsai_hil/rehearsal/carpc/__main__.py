@@ -196,12 +196,7 @@ class StepPrinter:
 
 
 def init_script(
-    missions: str,
-    installed: Path,
-    results: Path,
-    modules: list[Path],
-    clock: Mapping[str, str],
-    short: bool,
+    missions: str, installed: Path, results: Path, modules: list[Path], clock: Mapping[str, str], short: bool
 ) -> str:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
