@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, ReplayError, between, choose, is_physical
+from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, between, choose, is_physical
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.units import MS
@@ -152,7 +153,7 @@ def test_a_part_of_a_log_is_given_in_seconds_from_its_start() -> None:
     frames = frames_of(every_10_ms(100))
     assert between(frames, 500 * MS, 520 * MS).t_ns.tolist() == [WALL_NS + n * MS for n in (500, 510, 520)]
     assert len(between(frames, 0, None)) == 100
-    with pytest.raises(ReplayError, match=r"nothing in that part of the log: it lasts 0\.990 s"):
+    with pytest.raises(UserError, match=r"nothing in that part of the log: it lasts 0\.990 s"):
         between(frames, 2000 * MS, None)
 
 

@@ -22,10 +22,6 @@ _STAND_INS: Final = frozenset({"fsai_loopback", "virtual", "udp_multicast"})  # 
 _VIRTUAL_LINKS: Final = frozenset({"vcan", "vxcan"})
 
 
-class ReplayError(UserError):
-    """What cannot be replayed; the message is one clear line."""
-
-
 def is_physical(spec: str) -> bool:
     """Whether `spec` may be a real bus: anything that is not known to be none.
 
@@ -74,7 +70,7 @@ def choose(frames: Frames, *, with_ai_ids: bool, physical: bool) -> tuple[Frames
 
 
 def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
-    """The frames of a part of the log, in ns since its first frame. Raises ReplayError if there are none."""
+    """The frames of a part of the log, in ns since its first frame. Raises UserError if there are none."""
     if not len(frames):
         return frames
     since_ns = frames.t_ns - frames.t_ns.min()
@@ -82,7 +78,7 @@ def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
     if end_ns is not None:
         inside &= since_ns <= end_ns
     if not inside.any():
-        raise ReplayError(f"nothing in that part of the log: it lasts {int(since_ns.max()) / 1e9:.3f} s")
+        raise UserError(f"nothing in that part of the log: it lasts {int(since_ns.max()) / 1e9:.3f} s")
     return frames.only(inside)
 
 
