@@ -164,14 +164,14 @@ def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic
         from_others=not ids <= set(AI_IDS),
         revision=revision,
         revision_why=why,
-        pulses=tuple(sum(_steps(wheel)) for wheel in zip(*counts, strict=True)) if counts else None,
+        pulses=tuple(map(_counted, zip(*counts, strict=True))) if counts else None,
         speed_max_rpm=tuple(map(max, zip(*speeds, strict=True))) if speeds else None,
     )
 
 
-def _steps(counts: Iterable[int]) -> Iterator[int]:
-    """Of a counter of 16 bits."""
-    return ((after - before) % (1 << 16) for before, after in pairwise(counts))
+def _counted(values: Iterable[int]) -> int:
+    """By a counter of 16 bits."""
+    return sum((after - before) % (1 << 16) for before, after in pairwise(values))
 
 
 # ---------------------------------------------------------------- processes, services, the rest

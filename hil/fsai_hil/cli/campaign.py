@@ -49,7 +49,10 @@ def run(args: argparse.Namespace) -> int:
 
     try:
         if args.list:
-            return _list()
+            from fsai_hil.evidence.campaign.table import catalogue_lines
+
+            print("\n".join(catalogue_lines()))
+            return 0
         if args.table:
             return _table(args.table, args.output)
         return _campaign(args)
@@ -58,13 +61,6 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         raise UserError(text) from error
-
-
-def _list() -> int:
-    from fsai_hil.evidence.campaign.table import catalogue_lines
-
-    print("\n".join(catalogue_lines()))
-    return 0
 
 
 def _table(record: Path, output: Path | None) -> int:

@@ -47,7 +47,9 @@ def main() -> int:
     args.mission = args.mission or MISSION
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
-        _check(args)
+        # What would only fail once everything is running.
+        World(setup_of(args, [args.mission]))
+        args.out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as error:
         text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         print(f"demo: {text}", file=sys.stderr)
@@ -81,12 +83,6 @@ def rehearse(run: Callable[[], int]) -> int:
                 + (": that run shows nothing, once more" if again else ", this time too: no run was undisturbed")
             )
         return status
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Raises ValueError or OSError for what would only fail once everything is running."""
-    World(setup_of(args, [args.mission]))
-    args.out.mkdir(parents=True, exist_ok=True)
 
 
 def _in_own_vcan(args: argparse.Namespace) -> int | None:

@@ -1,4 +1,4 @@
-"""What the bus of the rehearsed car PC shows, and the person beside the car who works its switches."""
+"""What the bus of the rehearsed car PC shows."""
 
 from __future__ import annotations
 
@@ -102,21 +102,6 @@ class BusWatch:
         self._reading.close()
 
 
-class CarService:
-    """The simulated car as a service whose switches are typed."""
-
-    def __init__(self, unit: str, fifo: Path) -> None:
-        self._unit = unit
-        self._fifo = fifo
-
-    def start(self) -> None:
-        subprocess.run(["systemctl", "start", self._unit], check=True)
-
-    def type(self, *lines: str) -> None:
-        with self._fifo.open("w") as fifo:
-            fifo.write("".join(f"{line}\n" for line in lines))
-
-
 def fastest_rpm(image: object) -> float:
     assert isinstance(image, WheelSpeeds)
     return max(map(abs, image.all_rpm))
@@ -124,12 +109,9 @@ def fastest_rpm(image: object) -> float:
 
 def torque_ends_s(seen: list[Seen], since_ns: int) -> float:
     """How long after `since_ns` torque was last asked for; 0 if it was not."""
-    asked = [each.t_ns for each in seen if _asks_torque(each.image)]
+    drives = ((each.t_ns, each.image) for each in seen)
+    asked = [t_ns for t_ns, image in drives if isinstance(image, AiDriveFront | AiDriveRear) and image.torque_nm > 0]
     return (max(asked) - since_ns) / 1e9 if asked else 0.0
-
-
-def _asks_torque(image: object) -> bool:
-    return isinstance(image, AiDriveFront | AiDriveRear) and image.torque_nm > 0
 
 
 def first_s(seen: list[Seen], since_ns: int, condition: Callable[[object], bool]) -> float | None:

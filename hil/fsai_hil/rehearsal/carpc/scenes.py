@@ -24,7 +24,6 @@ from fsai_hil.rehearsal.carpc import probe, wifi
 from fsai_hil.rehearsal.carpc.bus_watch import (
     HOUR_NS,
     BusWatch,
-    CarService,
     brakes,
     car_was_deaf,
     first_s,
@@ -135,7 +134,6 @@ class Rehearsal:
         self.bridge = f"fsai-bridge@{interface}"
         self.recorder = f"fsai-recorder@{interface}"
         self.bench_car = f"fsai-simulated-car@{interface}"
-        self.car = CarService("fsai-typed-car", FIFO)
         self.services = (*NODES, self.bridge, self.recorder)
         report = RESULTS / "report.json"
         self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
@@ -145,8 +143,8 @@ class Rehearsal:
     def run_short(self) -> None:
         """What every change of the sources goes through."""
         self.booted()
-        self.car.start()
-        self.car.type("on")
+        self.start_car()
+        self.type("on")
         self.fresh_car = True
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
@@ -162,7 +160,7 @@ class Rehearsal:
         self.scene("the sandbox", lambda: self.sandboxed(compare=True))
         self.scene("the network", self.not_found)
         self.scene("the missions", self.driven)
-        self.car.start()
+        self.start_car()
         self.scene("undisturbed", self.undisturbed_drive)
         for strike in STRIKES:
             self.scene(strike.what, partial(self.struck_in_a_drive, strike))
@@ -172,7 +170,7 @@ class Rehearsal:
     def go_on(self, reboot: int) -> None:
         """After a reboot in mid-drive, the `reboot`th; one that a disturbed machine made fail is to be had again."""
         self.booted()
-        self.car.start()
+        self.start_car()
         self.scene("after the reboot", self.after_the_reboot)
         if reboot > 1:
             self.rebooted(reboot)
@@ -228,7 +226,7 @@ class Rehearsal:
 
     def after_the_reboot(self) -> None:
         watch = BusWatch(self.interface, Path("/run/rehearsal/after.log"))
-        self.car.type("off", "on")
+        self.type("off", "on")
         up = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
         self.check("after the reboot the car powers up", up)
         since_ns = time.time_ns()
@@ -343,7 +341,7 @@ class Rehearsal:
         self.watched = watch
         fresh, self.fresh_car = self.fresh_car, False
         if not fresh:
-            self.car.type("off", "ami not_selected")
+            self.type("off", "ami not_selected")
         drives = (
             (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
             and self._typed(watch, ["on"], AsState.AS_OFF)
@@ -352,7 +350,7 @@ class Rehearsal:
         )
         until = time.monotonic() + POWER_UP_S
         while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
-            self.car.type("go")
+            self.type("go")
             watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
@@ -369,8 +367,16 @@ class Rehearsal:
             if not AGAIN.exists():  # else the machine goes down: it has been kept
                 shutil.copy(watch.path, RESULTS / f"bus-{name}.log")
 
+    def start_car(self) -> None:
+        """The simulated car as a service whose switches are typed."""
+        subprocess.run(["systemctl", "start", "fsai-typed-car"], check=True)
+
+    def type(self, *lines: str) -> None:
+        with FIFO.open("w") as fifo:
+            fifo.write("".join(f"{line}\n" for line in lines))
+
     def _typed(self, watch: BusWatch, lines: list[str], state: AsState) -> bool:
-        self.car.type(*lines)
+        self.type(*lines)
         return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
 
     # ------------------------------------------------------------ what must not matter

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 import os
+import re
 import signal
 import sys
 import time
@@ -110,18 +111,13 @@ def keep_memory_busy(most_bytes: int) -> None:
     """Take the share, but no more than so much, write to each of its pages twice, give it back, over and over."""
     # Should memory run out all the same, it is this process that the kernel ends, and the measurement says so.
     Path("/proc/self/oom_score_adj").write_text("1000")
-    pages = int(min(MEMORY_SHARE * _available_bytes(), most_bytes)) // mmap.PAGESIZE
+    (available_kib,) = re.findall(r"^MemAvailable:\s*(\d+)", Path("/proc/meminfo").read_text(), re.MULTILINE)
+    pages = int(min(MEMORY_SHARE * 1024 * int(available_kib), most_bytes)) // mmap.PAGESIZE
     print(BUSY, flush=True)
     while True:
         with mmap.mmap(-1, pages * mmap.PAGESIZE) as memory:
             for value in (b"\1", b"\2"):
                 memory[:: mmap.PAGESIZE] = value * pages
-
-
-def _available_bytes() -> int:
-    lines = Path("/proc/meminfo").read_text().splitlines()
-    (kib,) = (int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-    return kib << 10
 
 
 def keep_disk_busy(path: Path, force: bool) -> None:
