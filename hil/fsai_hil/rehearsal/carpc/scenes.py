@@ -344,8 +344,8 @@ class Rehearsal:
             self.type("off", "ami not_selected")
         drives = (
             (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
-            and self._typed(watch, ["on"], AsState.AS_OFF)
-            and self._typed(watch, [f"ami {MISSION}"], AsState.AS_READY)
+            and self._typed(watch, "on", AsState.AS_OFF)
+            and self._typed(watch, f"ami {MISSION}", AsState.AS_READY)
             and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
         )
         until = time.monotonic() + POWER_UP_S
@@ -375,8 +375,8 @@ class Rehearsal:
         with FIFO.open("w") as fifo:
             fifo.write("".join(f"{line}\n" for line in lines))
 
-    def _typed(self, watch: BusWatch, lines: list[str], state: AsState) -> bool:
-        self.type(*lines)
+    def _typed(self, watch: BusWatch, line: str, state: AsState) -> bool:
+        self.type(line)
         return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
 
     # ------------------------------------------------------------ what must not matter
@@ -479,21 +479,18 @@ class Rehearsal:
 
     def unplugged(self) -> None:
         with self.drive("unplugged"):
-            self.pulled_and_plugged()
-
-    def pulled_and_plugged(self) -> None:
-        before = main_pid(self.bridge)
-        output("ip", "link", "del", self.interface)
-        self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, UNPLUGGED_S)
-        plugged_ns = time.time_ns()
-        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
-        after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
-        self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, SERVICE_BACK_S)
-        self.step("and the recorder", lambda: is_active(self.recorder), 60.0, SERVICE_BACK_S)
-        after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
-        self.rested(after, UNPLUGGED, plugged_ns)
-        self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
-        after.close()
+            before = main_pid(self.bridge)
+            output("ip", "link", "del", self.interface)
+            self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, UNPLUGGED_S)
+            plugged_ns = time.time_ns()
+            output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+            after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
+            self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, SERVICE_BACK_S)
+            self.step("and the recorder", lambda: is_active(self.recorder), 60.0, SERVICE_BACK_S)
+            after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
+            self.rested(after, UNPLUGGED, plugged_ns)
+            self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
+            after.close()
 
     def rebooted(self, run: int) -> None:
         """In mid-drive; what is to be done after the next boot is in AGAIN."""
