@@ -57,6 +57,13 @@ NODE_START_WALL = f"{NODE_START}, wall"
 NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/recovery_times.py)
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
 Row = dict[str, Any]
+COMMAND = AiCommand(
+    handshake=True,
+    mission_status=MissionStatus.RUNNING,
+    direction=Direction.FORWARD,
+    steer_deg=-7.3,
+    rear_torque_nm=81.5,
+)
 
 
 class Effort(NamedTuple):
@@ -123,35 +130,16 @@ def bench_decode(codec: Codec, database: Any, effort: Effort) -> Row:
     return row("decode a frame", "us/frame", times[0], "cantools", times[1])
 
 
-def some_command() -> AiCommand:
-    return AiCommand(
-        handshake=True,
-        mission_status=MissionStatus.RUNNING,
-        direction=Direction.FORWARD,
-        steer_deg=-7.3,
-        front_torque_nm=0.0,
-        rear_torque_nm=81.5,
-        front_motor_speed_max_rpm=1200,
-        rear_motor_speed_max_rpm=1200,
-        lap_counter=3,
-        cones_count_actual=17,
-        cones_count_all=412,
-        speed_actual_kmh=21,
-        speed_demand_kmh=24,
-    )
-
-
 def command_values(database: Any, frames: Sequence[Frame]) -> list[tuple[int, dict[str, float]]]:
     """What cantools encodes into these frames."""
     return [(frame.can_id, database.decode_message(frame.can_id, frame.data, decode_choices=False)) for frame in frames]
 
 
 def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
-    command = some_command()
-    values = command_values(database, codec.encode_command(command))
+    values = command_values(database, codec.encode_command(COMMAND))
 
     def ours() -> None:
-        codec.encode_command(command)
+        codec.encode_command(COMMAND)
 
     def peer() -> None:
         for can_id, signals in values:
@@ -167,7 +155,7 @@ def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
 def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
     """From a 0x520 received to five frames sent, on the loopback bus: ours supervised and limited, theirs not."""
     name = f"bench-{os.getpid()}"
-    values = command_values(database, codec.encode_command(some_command()))
+    values = command_values(database, codec.encode_command(COMMAND))
     chosen = revision(REVISION)
     statuses = [codec.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)) for bit in (False, True)]
     with open_bus(f"loopback:{name}", may_send=AI_IDS) as bus:
