@@ -27,13 +27,12 @@ _PATIENCE_S = 60.0  # for a wheel to be turned
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration (default: /etc/fsai/fsai.toml)")
-    parser.add_argument("-i", "--interface", help="the bus to listen to (default: the configuration's)")
-    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to listen to the bus (2 s)")
-    parser.add_argument(
-        "--wheels", action="store_true", help="commissioning: asks for one wheel after the other to be turned by hand"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add = parser.add_argument
+    add("--config", type=Path, metavar="FILE", help="the configuration (default: /etc/fsai/fsai.toml)")
+    add("-i", "--interface", help="the bus to listen to (default: the configuration's)")
+    add("--seconds", type=float, default=2.0, metavar="S", help="how long to listen to the bus (2 s)")
+    add("--wheels", action="store_true", help="commissioning: asks for one wheel after the other to be turned by hand")
+    add("--json", action="store_true", help="print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:

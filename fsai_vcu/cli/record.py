@@ -38,8 +38,9 @@ _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-i", "--interface", required=True, help="CAN interface: vcan0, can0, loopback:NAME …")
-    parser.add_argument(
+    add = parser.add_argument
+    add("-i", "--interface", required=True, help="CAN interface: vcan0, can0, loopback:NAME …")
+    add(
         "-o",
         "--output",
         required=True,
@@ -48,34 +49,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a folder: numbered segments, bounded, gone on with after a restart; a file (run.log): one candump log, "
         "which must not be there yet",
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long (default: until Ctrl-C)")
-    parser.add_argument("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
-    parser.add_argument(
-        "--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)"
-    )
-    parser.add_argument(
-        "--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often"
-    )
-    parser.add_argument("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
-    parser.add_argument(
+    add("--seconds", type=float, metavar="S", help="stop after so long (default: until Ctrl-C)")
+    add("--mcap", action="store_true", help="beside each log an MCAP with every signal decoded")
+    add("--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)")
+    add("--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often")
+    add("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
+    add(
         "--segment-size",
         metavar="SIZE",
         help=f"begin a new segment at this size (default: {_DEFAULTS['segment_size']})",
     )
-    parser.add_argument(
+    add(
         "--segment-time",
         metavar="TIME",
         help=f"… or after so long: 30s, 10min, 1h (default: {_DEFAULTS['segment_time']})",
     )
-    parser.add_argument(
+    add(
         "--max-total",
         metavar="SIZE",
         help=f"most that all segments take; the oldest are deleted (default: {_DEFAULTS['max_total']})",
     )
-    parser.add_argument(
-        "--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)"
-    )
-    parser.add_argument(
+    add("--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)")
+    add(
         "--limits",
         type=Path,
         metavar="FILE.toml",

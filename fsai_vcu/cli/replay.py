@@ -23,20 +23,15 @@ _LATE_NS: Final = 10_000_000  # a cycle of the bus
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "log",
-        metavar="LOG[,FILTER…]",
-        help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j",
-    )
-    parser.add_argument("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
-    parser.add_argument("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
-    parser.add_argument(
-        "--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)"
-    )
-    parser.add_argument("--from", dest="begin_s", type=float, default=0.0, metavar="S", help="begin S seconds into it")
-    parser.add_argument("--to", dest="end_s", type=float, metavar="S", help="end S seconds into it")
-    parser.add_argument("--physical", action="store_true", help="the interface may be a real bus")
-    parser.add_argument(
+    add = parser.add_argument
+    add("log", metavar="LOG[,FILTER…]", help=f"{LOG_HELP}, with candump's filters: ID:MASK, ID~MASK, j")
+    add("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
+    add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
+    add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
+    add("--from", dest="begin_s", type=float, default=0.0, metavar="S", help="begin S seconds into it")
+    add("--to", dest="end_s", type=float, metavar="S", help="end S seconds into it")
+    add("--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out")
+    add(
         "--with-ai-ids",
         action="store_true",
         help="send 0x510 to 0x514 too: to a bridge on the bus they are an intruder's",
@@ -58,26 +53,27 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("replay", [args.log])
     if sources.live:
         raise WrongUse(f"{args.log} is an interface; replay reads logs")
-    if is_physical(args.interface) and not args.physical:
+    physical = is_physical(args.interface)
+    if physical and not args.physical:
         raise UserError(
             f"{args.interface} may be a real bus, with a car on it: frames of a log move things there; "
             "if you mean it, say --physical"
         )
     frames = joined(sources.chunks())
     part = between(frames, int(args.begin_s * 1e9), None if args.end_s is None else int(args.end_s * 1e9))
-    chosen = choose(part, with_ai_ids=args.with_ai_ids)
-    if chosen.words():
-        print(f"fsai-vcu replay: left out: {chosen.words()}", file=sys.stderr)
-    if not len(chosen.frames):
+    chosen, left_out = choose(part, with_ai_ids=args.with_ai_ids, physical=physical)
+    if left_out:
+        print(f"fsai-vcu replay: left out: {left_out}", file=sys.stderr)
+    if not len(chosen):
         raise UserError("nothing is left to send")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-    bus = open_bus(args.interface, receive=(), may_send=set(chosen.frames.can_id.tolist()))
+    bus = open_bus(args.interface, receive=(), may_send=set(chosen.can_id.tolist()) if physical else None)
     laps = 1 if args.loop is None else args.loop or None
-    player = Player(chosen.frames, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
+    player = Player(chosen, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
     status = sources.status
     with bus:
         try:
-            _play(player, chosen.frames)
+            _play(player, chosen)
         except KeyboardInterrupt:
             pass
         except BusLost as error:
@@ -92,22 +88,16 @@ def _play(player: Player, frames: Frames) -> None:
     for _ in player.play():
         if terminal and time.monotonic() >= next_s:
             next_s = time.monotonic() + _PROGRESS_S
-            progress = player.progress
-            print(
-                f"\r\x1b[K{progress.sent} frames sent, {progress.laps} times through {len(frames)}",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
+            words = f"{player.sent} frames sent, {player.laps} times through {len(frames)}"
+            print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
     if terminal:
         print("\r\x1b[K", end="", file=sys.stderr)
 
 
 def _result(player: Player) -> int:
-    progress = player.progress
-    print(f"{progress.sent} frames sent", file=sys.stderr)
-    if progress.refused:
-        print(f"fsai-vcu replay: {progress.refused} frames not sent: the transmit queue stayed full", file=sys.stderr)
-    if progress.late_max_ns > _LATE_NS:
-        print(f"fsai-vcu replay: the latest frame left {progress.late_max_ns / 1e6:.0f} ms late", file=sys.stderr)
-    return 1 if progress.refused else 0
+    print(f"{player.sent} frames sent", file=sys.stderr)
+    if player.refused:
+        print(f"fsai-vcu replay: {player.refused} frames not sent: the transmit queue stayed full", file=sys.stderr)
+    if player.late_max_ns > _LATE_NS:
+        print(f"fsai-vcu replay: the latest frame left {player.late_max_ns / 1e6:.0f} ms late", file=sys.stderr)
+    return 1 if player.refused else 0

@@ -40,18 +40,17 @@ _PERIOD_MS = 100.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
-    parser.add_argument("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
-    parser.add_argument("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
+    add = parser.add_argument
+    add("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
+    add("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
+    add("-i", "--interface", help="CAN interface: vcan0, can0, loopback:NAME …")
     add_database_arguments(parser, "2026")
-    parser.add_argument("--count", type=int, default=1, metavar="N", help="so many times (default: 1; 0: until Ctrl-C)")
-    parser.add_argument("--period", type=float, metavar="MS", help="so far apart (default: the database's, or 100 ms)")
-    parser.add_argument(
-        "--listen", type=float, default=_LISTEN_S, metavar="S", help="for a live bridge, before sending (default: 0.5)"
-    )
-    parser.add_argument("--as-ai", action="store_true", help="the AI computer's own identifiers too: see above")
-    parser.add_argument("--dry-run", action="store_true", help="send nothing; print the frame as cansend takes it")
-    parser.add_argument("--json", action="store_true", help="print the frame and its signals as one JSON object")
+    add("--count", type=int, default=1, metavar="N", help="so many times (default: 1; 0: until Ctrl-C)")
+    add("--period", type=float, metavar="MS", help="so far apart (default: the database's, or 100 ms)")
+    add("--listen", type=float, default=_LISTEN_S, metavar="S", help="for a live bridge, before sending (default: 0.5)")
+    add("--as-ai", action="store_true", help="the AI computer's own identifiers too: see above")
+    add("--dry-run", action="store_true", help="send nothing; print the frame as cansend takes it")
+    add("--json", action="store_true", help="print the frame and its signals as one JSON object")
 
 
 def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:

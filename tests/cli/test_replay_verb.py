@@ -18,7 +18,7 @@ LOG = """\
 (10.000000) can0 520#0000030000000000
 (10.001000) can0 510#0000000000000000
 (10.002000) can0 523#640064006400
-(10.003000) can0 081#01
+(10.003000) can0 621#01
 (10.004000) can0 520#0000030000000000
 """
 BUS = f"loopback:replay-{os.getpid()}"
@@ -48,15 +48,15 @@ def test_the_cars_frames_are_sent_and_the_rest_is_reported(
     log: str, bus: CanBus, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", log, "-i", BUS]) == 0
-    assert received(bus, 3) == ["520#0000030000000000", "523#640064006400", "520#0000030000000000"]
-    assert capsys.readouterr().err == (
-        "fsai-vcu replay: left out: 1 frames of reserved ids, 1 frames of the AI computer's own ids\n3 frames sent\n"
-    )
+    gps = "621#01"
+    assert received(bus, 4) == ["520#0000030000000000", "523#640064006400", gps, "520#0000030000000000"]
+    left_out = "fsai-vcu replay: left out: 1 frames of the AI computer's own ids\n"
+    assert capsys.readouterr().err == f"{left_out}4 frames sent\n"
 
 
 def test_the_ais_own_frames_are_sent_where_that_is_asked_for(log: str, bus: CanBus) -> None:
     assert main(["replay", log, "-i", BUS, "--with-ai-ids"]) == 0
-    assert received(bus, 4)[1] == "510#0000000000000000"
+    assert received(bus, 5)[1] == "510#0000000000000000"
 
 
 def test_a_part_filtered_and_looped(log: str, bus: CanBus) -> None:
@@ -110,5 +110,5 @@ def test_a_broken_log_is_sent_up_to_the_break_and_fails(
     path = Path(log)
     path.write_text("nonsense\n" + LOG)
     assert main(["replay", log, "-i", BUS]) == 1
-    assert len(received(bus, 3)) == 3
+    assert len(received(bus, 4)) == 4
     assert "line 1: not a line of candump" in capsys.readouterr().err

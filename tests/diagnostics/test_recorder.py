@@ -21,7 +21,8 @@ from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.recorder.recording import AGAIN_NS, Recording
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
-from fsai_vcu.diagnostics.recorder.segments import Bounds, PlaceError, SegmentFolder
+from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import S
 
@@ -166,7 +167,7 @@ def test_a_restart_begins_a_new_segment_and_overwrites_nothing(tmp_path: Path) -
 
 def test_a_second_recorder_of_the_same_bus_is_refused(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "run")
-    with pytest.raises(PlaceError, match=r"another program records 'can0' in .*run already"):
+    with pytest.raises(UserError, match=r"another program records 'can0' in .*run already"):
         SegmentFolder(tmp_path / "run", "can0", Bounds())
     other = SegmentFolder(tmp_path / "run", "can1", Bounds())
     assert other.number == 0

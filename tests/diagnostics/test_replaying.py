@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, ReplayError, between, choose, is_physical
+from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, between, choose, is_physical
+from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.units import MS
@@ -62,14 +63,14 @@ def test_each_frame_leaves_when_due_and_lateness_never_adds_up(rate: float) -> N
     for number, (at_ns, frame) in enumerate(clock.sent):
         late_ns = at_ns - began_ns - number * 10 * MS / rate
         assert 0 <= late_ns <= 320_001 and frame.data == bytes([number & 0xFF])
-    assert player.progress.sent == 1000 and player.progress.late_max_ns <= 320_001
+    assert player.sent == 1000 and player.late_max_ns <= 320_001
 
 
 def test_laps_follow_each_other_at_the_buss_pace() -> None:
     clock = Clock(0)
     began_ns = clock.now_ns
     player = play(clock, every_10_ms(5), laps=3)
-    assert player.progress.laps == 3
+    assert player.laps == 3
     lap_ns = 40 * MS + LAP_GAP_NS
     dues = [began_ns + lap * lap_ns + n * 10 * MS for lap in range(3) for n in range(5)]
     assert [at_ns - 20_000 for at_ns, _ in clock.sent] == dues
@@ -79,7 +80,7 @@ def test_a_loop_without_end_goes_on_until_it_is_stopped() -> None:
     clock = Clock()
     player = Player(frames_of(every_10_ms(3)), clock.send, clock.clock, clock.sleep, laps=None)
     for _ in player.play():
-        if player.progress.sent == 100:
+        if player.sent == 100:
             break
     assert len(clock.sent) == 100
 
@@ -88,10 +89,10 @@ def test_a_full_queue_is_tried_again_and_given_up_after_a_second() -> None:
     clock = Clock(0)
     clock.full = 10
     player = play(clock, every_10_ms(3))
-    assert (player.progress.sent, player.progress.refused) == (3, 0)
+    assert (player.sent, player.refused) == (3, 0)
     clock.full = 2000
     player = play(clock, every_10_ms(1))
-    assert (player.progress.sent, player.progress.refused) == (0, 1)
+    assert (player.sent, player.refused) == (0, 1)
 
 
 def test_remote_and_extended_frames_are_sent_as_what_they_are() -> None:
@@ -112,20 +113,22 @@ def test_remote_and_extended_frames_are_sent_as_what_they_are() -> None:
 # ---------------------------------------------------------------- what is sent at all
 
 
-def test_reserved_ids_are_never_sent_ai_ids_only_on_demand() -> None:
+def test_reserved_ids_go_to_no_car_ai_ids_only_on_demand() -> None:
     ids = [*range(0x800)]
     frames = frames_of([LogFrame(WALL_NS + n, "can0", can_id) for n, can_id in enumerate(ids)])
-    without = choose(frames, with_ai_ids=False)
-    assert set(without.frames.can_id.tolist()) == set(ids) - RESERVED_IDS - set(AI_IDS)
-    assert without.words() == (f"{len(RESERVED_IDS)} frames of reserved ids, 5 frames of the AI computer's own ids")
-    told = choose(frames, with_ai_ids=True)
-    assert set(told.frames.can_id.tolist()) == set(ids) - RESERVED_IDS
-    assert told.words() == f"{len(RESERVED_IDS)} frames of reserved ids"
+    sent, left_out = choose(frames, with_ai_ids=False, physical=True)
+    assert set(sent.can_id.tolist()) == set(ids) - RESERVED_IDS - set(AI_IDS)
+    assert left_out == f"{len(RESERVED_IDS)} frames of reserved ids, 5 frames of the AI computer's own ids"
+    sent, left_out = choose(frames, with_ai_ids=True, physical=True)
+    assert set(sent.can_id.tolist()) == set(ids) - RESERVED_IDS
+    assert left_out == f"{len(RESERVED_IDS)} frames of reserved ids"
+    sent, left_out = choose(frames, with_ai_ids=False, physical=False)
+    assert set(sent.can_id.tolist()) == set(ids) - set(AI_IDS), "a virtual bus gets the sensors' too"
 
 
 def test_a_reserved_number_is_not_sent_as_a_29_bit_one_either() -> None:
     frames = frames_of([LogFrame(1, "can0", 0x080, extended=True), LogFrame(2, "can0", 0x510, extended=True)])
-    assert choose(frames, with_ai_ids=False).frames.can_id.tolist() == [0x510]
+    assert choose(frames, with_ai_ids=False, physical=True)[0].can_id.tolist() == [0x510]
 
 
 def test_what_cannot_be_sent_is_left_out_and_reported() -> None:
@@ -136,21 +139,21 @@ def test_what_cannot_be_sent_is_left_out_and_reported() -> None:
             LogFrame(3, "can0", 0x1F0, bytes(8)),
         ]
     )
-    chosen = choose(frames, with_ai_ids=False)
-    assert chosen.words() == "1 error frames, 1 CAN FD frames"
-    assert len(chosen.frames) == 1
+    sent, left_out = choose(frames, with_ai_ids=False, physical=True)
+    assert left_out == "1 error frames, 1 CAN FD frames"
+    assert len(sent) == 1
 
 
 def test_frames_are_sent_in_order_of_time() -> None:
     frames = frames_of([LogFrame(t, "can0", 0x520) for t in (30, 10, 20)])
-    assert np.array_equal(choose(frames, with_ai_ids=False).frames.t_ns, [10, 20, 30])
+    assert np.array_equal(choose(frames, with_ai_ids=False, physical=True)[0].t_ns, [10, 20, 30])
 
 
 def test_a_part_of_a_log_is_given_in_seconds_from_its_start() -> None:
     frames = frames_of(every_10_ms(100))
     assert between(frames, 500 * MS, 520 * MS).t_ns.tolist() == [WALL_NS + n * MS for n in (500, 510, 520)]
     assert len(between(frames, 0, None)) == 100
-    with pytest.raises(ReplayError, match=r"nothing in that part of the log: it lasts 0\.990 s"):
+    with pytest.raises(UserError, match=r"nothing in that part of the log: it lasts 0\.990 s"):
         between(frames, 2000 * MS, None)
 
 

@@ -118,6 +118,17 @@ def listen(interface: str) -> Iterator[Callable[..., CanBus]]:
         bus.close()
 
 
+@pytest.fixture
+def other() -> Iterator[str]:
+    """An interface of one's own, to be taken down."""
+    subprocess.run(["ip", "link", "add", "dev", "vcan3", "type", "vcan"], check=True)
+    try:
+        subprocess.run(["ip", "link", "set", "vcan3", "up"], check=True)
+        yield "vcan3"
+    finally:
+        subprocess.run(["ip", "link", "del", "vcan3"], check=True)
+
+
 def listeners(interface: str) -> int:
     """How many filters of all sockets are on the interface, as the kernel counts them."""
     return sum(path.read_text().split().count(interface) for path in Path("/proc/net/can").glob("rcvlist_*"))

@@ -18,7 +18,7 @@ pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this enviro
 
 from fsai_nodes.config_arguments import Configured, ros_arguments
 from fsai_nodes.parameters import NodeError
-from fsai_vcu.diagnostics.doctor.collect import listening_addresses
+from fsai_vcu.diagnostics.doctor.collect import listening_addresses, listening_sockets
 from fsai_vcu.runtime.transport import VARIABLES
 
 LONG_S = 60.0
@@ -75,8 +75,7 @@ class Watched:
         return output
 
     def addresses(self) -> set[str]:
-        proc = Path("/proc")
-        found = listening_addresses(proc / str(self.process.pid), proc)
+        found = listening_addresses(self.process.pid, listening_sockets())
         return {str(address) for address in found if not (address.is_loopback or address.is_multicast)}
 
     def shares_memory(self) -> bool:

@@ -9,10 +9,13 @@ from pathlib import Path
 import pytest
 
 from fsai_hil.rehearsal import bench
-from fsai_hil.rehearsal.bench import NODE_START, NODE_START_WALL, QUICK, Result, bench_node, main, too_slow
+from fsai_hil.rehearsal.bench import NODE_START, NODE_START_WALL, QUICK, bench_node, main, row, too_slow
 
 
-def test_quick_prints_a_table_and_writes_every_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quick_prints_a_table_and_writes_every_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "QUICK", QUICK._replace(rounds=2, turns=40, starts=1, log_frames=2000))
     assert main(["--quick", "-o", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "bench.json").read_text())
     assert found["quick"] is True and found["machine"]["python"] and found["versions"]["cantools"]
@@ -37,8 +40,8 @@ def test_quick_prints_a_table_and_writes_every_figure(tmp_path: Path, capsys: py
 def test_a_bridge_slower_than_1_s_to_its_first_frame_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    slow = [Result.of(NODE_START, "s", [1.04, 1.2]), Result.of(NODE_START_WALL, "s", [1.4, 1.6])]
-    assert too_slow([Result.of(NODE_START, "s", [1.0, 1.2]), slow[1]]) is None, "one start was disturbed"
+    slow = [row(NODE_START, "s", [1.04, 1.2]), row(NODE_START_WALL, "s", [1.4, 1.6])]
+    assert too_slow([row(NODE_START, "s", [1.0, 1.2]), slow[1]]) is None, "one start was disturbed"
     assert too_slow([]) is None
     monkeypatch.setattr(bench, "run", lambda *_: slow)
     assert main(["--quick", "-o", str(tmp_path)]) == 0, "in a hurry nothing is judged"

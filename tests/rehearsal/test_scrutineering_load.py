@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import pytest
 
+from fsai_hil.rehearsal.scrutineering import load
 from fsai_hil.rehearsal.scrutineering.conditions import (
     BY_NAME,
     CONDITIONS,
@@ -33,6 +33,7 @@ from fsai_hil.rehearsal.scrutineering.machine import (
     versions,
 )
 from fsai_hil.rehearsal.stack import Stack, StackError, await_condition
+from fsai_vcu.interface.errors import WrongUse
 
 
 def test_a_frame_without_stuff_bits_has_its_standard_length() -> None:
@@ -73,7 +74,9 @@ def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> Non
         assert not disk_file.exists()
 
 
-def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path) -> None:
+def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    most_bytes = MEMORY_MOST_BYTES // 8
+    monkeypatch.setattr(load, "MEMORY_MOST_BYTES", most_bytes)
     condition = Condition("driving-memory", Stance.DRIVING, (Load.MEMORY,))
 
     def resident_bytes(pid: int) -> int:
@@ -82,34 +85,24 @@ def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path) -> None
     with Stack("vcan0", tmp_path) as stack, loaded(stack, condition, tmp_path / "file", 0.0):
         (neighbour,) = stack.processes.values()
         pid = neighbour.popen.pid
-        await_condition(lambda: resident_bytes(pid) > MEMORY_MOST_BYTES // 8, 20.0, "it takes memory")
+        await_condition(lambda: resident_bytes(pid) > most_bytes // 2, 20.0, "it takes memory")
         assert Path(f"/proc/{pid}/oom_score_adj").read_text().strip() == "1000"
         most = 0
         before = resident_bytes(pid)
         while (now := resident_bytes(pid)) >= before:
             most = before = max(before, now)
-        assert most <= MEMORY_MOST_BYTES + (64 << 20), "and no more than it may"
+        assert most <= most_bytes + (64 << 20), "and no more than it may"
 
 
-def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path) -> None:
-    condition = Condition("driving-disk", Stance.DRIVING, (Load.DISK,))
-    with (
-        Stack("vcan0", tmp_path) as stack,
-        pytest.raises(StackError, match="disk-driving-disk ended with status 1"),
-        loaded(stack, condition, tmp_path / "absent" / "file", 0.0),
-    ):
-        time.sleep(0)
-
-
-def test_a_bus_that_is_not_filled_to_the_end_is_an_error(tmp_path: Path) -> None:
-    condition = Condition("driving-full-bus", Stance.DRIVING, (Load.BUS,))
+@pytest.mark.parametrize(("load", "how"), [(Load.DISK, "with status 1"), (Load.BUS, "")])
+def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path, load: Load, how: str) -> None:
     with (
         Stack("absent0", tmp_path) as stack,
-        pytest.raises(StackError, match="bus-driving-full-bus ended"),
-        loaded(stack, condition, tmp_path / "file", 0.0),
+        pytest.raises(StackError, match=f"driving-early ended {how}"),
+        loaded(stack, Condition("driving-early", Stance.DRIVING, (load,)), tmp_path / "absent" / "file", 0.0),
     ):
-        (cangen,) = stack.processes.values()
-        cangen.wait(20.0)
+        (program,) = stack.processes.values()
+        program.wait(20.0)
 
 
 # ------------------------------------------------------------ conditions
@@ -129,7 +122,7 @@ def test_named_conditions_are_measured_in_the_tables_order() -> None:
 
 @pytest.mark.parametrize("names", [["idle", "asleep"], [], [""]])
 def test_an_unknown_condition_is_refused_with_the_known_ones(names: list[str]) -> None:
-    with pytest.raises(ValueError, match="choose from idle, idle-busy"):
+    with pytest.raises(WrongUse, match="choose from idle, idle-busy"):
         conditions_named(names)
 
 
@@ -146,7 +139,7 @@ def test_scheduling_is_read_from_the_kernel(tmp_path: Path) -> None:
     with Stack("vcan0", tmp_path) as stack:
         process = stack.start("sleeper", ["sleep", "60"])
         found = scheduling_of(process.popen.pid)
-    assert (found["policy"], found["priority"], found["memory_locked"]) == ("ordinary", 0, False)
+    assert (found["policy"], found["priority"], found["memory_locked"]) == ("SCHED_OTHER", 0, False)
     assert "refused" in scheduling_in_words(found)
 
 

@@ -19,13 +19,13 @@ class FakePlace:
     def __init__(self) -> None:
         self.status = 0
         self.result: dict[str, Any] | None = measured()
-        self.argv: list[str] = []
+        self.plan: dict[str, Any] = {}
         self.options: dict[str, Any] = {}
 
     def run(self, argv: list[str], **options: Any) -> int:
-        self.argv, self.options = argv, options
+        self.plan, self.options = json.loads(argv[-1]), options
         if self.result is not None:
-            Path(argv[4]).write_text(json.dumps(self.result))
+            Path(self.plan["result"]).write_text(json.dumps(self.result))
         return self.status
 
 
@@ -71,12 +71,10 @@ def test_what_could_not_be_measured_fails_the_command(
 
 def test_only_what_was_asked_for_is_measured(place: FakePlace, tmp_path: Path) -> None:
     assert main(["scrutineering", "-o", str(tmp_path), "--conditions", "driving,idle", "--seconds", "7"]) == 0
-    options = dict(zip(place.argv[5::2], place.argv[6::2], strict=False))
-    assert (options["--conditions"], options["--seconds"]) == ("idle,driving", "7.0")
-    assert "--slow-place" in place.argv
+    assert (place.plan["conditions"], place.plan["seconds"]) == (["idle", "driving"], 7.0)
+    assert place.plan["slow_place"] is True
     assert main(["scrutineering", "-o", str(tmp_path), "--short"]) == 0
-    options = dict(zip(place.argv[5::2], place.argv[6::2], strict=False))
-    assert (options["--conditions"], options["--seconds"]) == ("idle,idle-loaded", "3.0")
+    assert (place.plan["conditions"], place.plan["seconds"]) == (["idle", "idle-loaded"], 3.0)
 
 
 def test_a_slower_clock_is_only_for_those_who_ask_and_is_said(place: FakePlace, tmp_path: Path) -> None:
@@ -94,7 +92,7 @@ def test_on_this_kernels_own_vcan_there_is_no_other_clock(
     monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("native", "", place.run))
     assert main(["scrutineering", "-o", str(tmp_path), "--pace", "2"]) == 2
     assert "--pace is for User-Mode Linux" in capsys.readouterr().err
-    assert place.argv == []
+    assert place.plan == {}
     assert main(["scrutineering", "-o", str(tmp_path)]) == 0
     assert "pace" not in place.options
 
@@ -115,7 +113,7 @@ def test_bad_input_gets_one_clear_line(
     assert main(["scrutineering", *argv]) == status
     error = capsys.readouterr().err
     assert error.startswith("fsai-vcu scrutineering: ") and words in error and error.count("\n") == 1
-    assert place.argv == []
+    assert place.plan == {}
 
 
 def test_a_measurement_that_broke_off_is_no_report(

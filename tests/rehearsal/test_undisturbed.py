@@ -11,34 +11,34 @@ from pathlib import Path
 
 import pytest
 
-import fsai_hil.rehearsal.stall_monitor
+from fsai_hil.rehearsal import stall_monitor
 from fsai_hil.rehearsal.demo import rehearse
 from fsai_hil.rehearsal.stack import StackError
 from fsai_hil.rehearsal.stall_monitor import (
     RUNS,
+    SLOW,
     SPELL,
+    STALL,
     STOOD_STILL_NS,
-    RunValidity,
-    SlowSpell,
-    Stall,
+    Disturbance,
     StallMonitor,
     describe,
-    judge_run,
     watch,
 )
+from fsai_vcu.interface.units import MS
 
 pytest_plugins = ["pytester"]
 
-STALL = Stall(1_000_000_000, 52_000_000)
+STALLED = Disturbance(STALL, 1000 * MS, 1052 * MS)
 
 PLUGIN = """
 import itertools, pathlib, pytest
 from fsai_hil.rehearsal.undisturbed import Undisturbed
-from fsai_hil.rehearsal.stall_monitor import BusySpell, Stall
+from fsai_hil.rehearsal.stall_monitor import BUSY, STALL, Disturbance
 
 SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
 PUT_OFF = {put_off!r}
-BUSY = {busy!r}
+IS_BUSY = {busy!r}
 
 class Scripted:
     def __init__(self):
@@ -49,9 +49,9 @@ class Scripted:
         return self.time_ns
     def disturbances(self, since_ns):
         assert since_ns == self.time_ns, "it asks about this run"
-        return [Stall(since_ns, 52_000_000)] if self.left.pop(0) else []
+        return [Disturbance(STALL, since_ns, since_ns + 52_000_000)] if self.left.pop(0) else []
     def busy_spells(self, since_ns):
-        return [BusySpell(since_ns, since_ns + 500_000_000)] if BUSY else []
+        return [Disturbance(BUSY, since_ns, since_ns + 500_000_000)] if IS_BUSY else []
 
 def pytest_configure(config):
     monitor = Scripted()
@@ -74,6 +74,7 @@ def run(
 ) -> tuple[pytest.RunResult, list[str]]:
     """The result of the tests under a stall monitor that answers by the script, and what the tests noted."""
     pytester.syspathinsert()
+    pytester._monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # others' plugins cost a second each time
     pytester.makepyfile(scripted=PLUGIN.format(script=script, put_off=put_off, busy=busy))
     pytester.makepyfile("from scripted import note\n" + textwrap.dedent(tests))
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "scripted")
@@ -159,36 +160,30 @@ def test_disturbed_setups_and_teardowns_are_run_again_too(pytester: pytest.Pytes
     assert notes == ["up", "down", "up", "run", "run", "down", "up", "run", "down"]
 
 
-@pytest.mark.parametrize("number", range(1, RUNS + 1))
-def test_without_a_stall_or_without_a_failure_every_run_counts(number: int) -> None:
-    assert judge_run(True, [], number) is RunValidity.COUNTS
-    assert judge_run(False, [STALL], number) is RunValidity.COUNTS
-    assert judge_run(True, [STALL], number) is (RunValidity.AGAIN if number < RUNS else RunValidity.NEVER_UNDISTURBED)
-
-
-def noted(tmp_path: Path, *stalls: Stall) -> StallMonitor:
-    """A stall monitor whose notes are these and whose process is not started."""
-    stall_monitor = object.__new__(StallMonitor)
-    stall_monitor._path = tmp_path / "notes"
-    lines = ["real-time", *(f"stall {stall.due_ns} {stall.late_ns}" for stall in stalls)]
-    stall_monitor._path.write_text("\n".join(lines) + "\nstall 12345 9999")  # the last is just being written
-    return stall_monitor
+def noted(path: Path, *stalls: Disturbance) -> StallMonitor:
+    """A stall monitor whose notes are there, and begin with these, and whose process is not started."""
+    monitor = object.__new__(StallMonitor)
+    monitor._path = path
+    if stalls:
+        lines = ["real-time", *(f"stall {stall.due_ns} {stall.until_ns} 1" for stall in stalls)]
+        path.write_text("\n".join(lines) + "\nstall 12345 9999")  # the last is just being written
+    return monitor
 
 
 def test_only_long_stalls_within_the_asked_time_are_reported(tmp_path: Path) -> None:
-    before = Stall(0, STOOD_STILL_NS)
-    into = Stall(STOOD_STILL_NS, STOOD_STILL_NS)
-    short = Stall(3 * STOOD_STILL_NS, STOOD_STILL_NS - 1)
-    after = Stall(5 * STOOD_STILL_NS, STOOD_STILL_NS)
-    stall_monitor = noted(tmp_path, before, into, short, after)
-    assert stall_monitor.stalls(2 * STOOD_STILL_NS) == [into, after]
-    assert stall_monitor.stalls(2 * STOOD_STILL_NS, at_least_ns=0) == [into, short, after]
+    long = STOOD_STILL_NS
+    times = ((0, long), (long, 2 * long), (3 * long, 4 * long - 1), (5 * long, 6 * long))
+    before, into, short, after = (Disturbance(STALL, *each) for each in times)
+    monitor = noted(tmp_path / "notes", before, into, short, after)
+    assert monitor.stalls(2 * long) == [into, after]
+    assert monitor.stalls(2 * long, at_least_ns=0) == [into, short, after]
 
 
 def test_disturbances_are_described_by_the_longest_and_the_sum() -> None:
-    spells = [SlowSpell(0, 500_000_000, 0.61), SlowSpell(500_000_000, 1_200_000_000, 0.52)]
-    assert describe([STALL, Stall(0, 90_400_000)]) == "stood still for 90 ms (the longest of 2 times)"
-    assert describe([STALL, *spells]) == "stood still for 52 ms and ran at 52 % of its speed for 1.2 s"
+    spells = [Disturbance(SLOW, 0, 500 * MS, 0.61), Disturbance(SLOW, 500 * MS, 1200 * MS, 0.52)]
+    stalls = [STALLED, Disturbance(STALL, 0, 90 * MS)]
+    assert describe(stalls) == "stood still for 90 ms (the longest of 2 times)"
+    assert describe([STALLED, *spells]) == "stood still for 52 ms and ran at 52 % of its speed for 1.2 s"
 
 
 class Machine:
@@ -198,10 +193,10 @@ class Machine:
         self.now_ns, self.wakes = 0, 0
         self._notes = notes
         for name, instead in (("monotonic_ns", lambda: self.now_ns), ("sleep", self._sleep)):
-            monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor.time, name, instead)
-        monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor, "sum", self._sum, raising=False)
-        monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor, "_idle_ns", lambda _: int(self.now_ns * idle_share))
-        monkeypatch.setattr(fsai_hil.rehearsal.stall_monitor, "_stand_first", lambda: "ordinary")
+            monkeypatch.setattr(stall_monitor.time, name, instead)
+        monkeypatch.setattr(stall_monitor, "sum", self._sum, raising=False)
+        monkeypatch.setattr(stall_monitor, "_idle_ns", lambda _: int(self.now_ns * idle_share))
+        monkeypatch.setattr(stall_monitor, "_stand_first", lambda: "ordinary")
         self.counting_ns: Callable[[int], int] = lambda _: 50_000  # at which wake it takes how long
 
     def _sleep(self, seconds: float) -> None:
@@ -211,7 +206,7 @@ class Machine:
             raise EOFError
 
     def _sum(self, numbers: Iterable[int]) -> int:
-        if numbers is fsai_hil.rehearsal.stall_monitor.COUNTED:
+        if numbers is stall_monitor.COUNTED:
             self.now_ns += self.counting_ns(self.wakes)
         return sum(numbers)
 
@@ -219,16 +214,14 @@ class Machine:
         self._last = spells * SPELL
         with pytest.raises(EOFError):
             watch(str(self._notes))
-        stall_monitor = object.__new__(StallMonitor)
-        stall_monitor._path = self._notes
-        return stall_monitor
+        return noted(self._notes)
 
 
 def test_the_monitor_notes_a_machine_that_has_become_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another's work on the same processor is what slows it on a shared machine; here its own counting grows."""
     machine = Machine(monkeypatch, tmp_path / "notes")
     machine.counting_ns = lambda wake: 100_000 if 2 * SPELL < wake <= 4 * SPELL else 50_000
-    slow = machine.watched(6).slow_spells(0)
+    slow = machine.watched(6).disturbances(0)
     assert [spell.speed for spell in slow] == [0.5, 0.5]
     assert slow[0].until_ns == slow[1].due_ns, "each spell begins where the last one ended"
 
@@ -237,10 +230,10 @@ def test_the_monitor_notes_a_machine_that_has_become_slow(tmp_path: Path, monkey
 def test_the_monitor_notes_that_no_processor_had_time_to_spare(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, idle_share: float, spells: int
 ) -> None:
-    stall_monitor = Machine(monkeypatch, tmp_path / "notes", idle_share).watched(2)
-    busy = stall_monitor.busy_spells(0)
+    monitor = Machine(monkeypatch, tmp_path / "notes", idle_share).watched(2)
+    busy = monitor.busy_spells(0)
     assert len(busy) == spells
-    assert stall_monitor.disturbances(0) == [], "it may be those that are tested"
+    assert monitor.disturbances(0) == [], "it may be those that are tested"
     if spells:
         assert describe(busy) == "had no time to spare for 1.0 s"
 
@@ -249,7 +242,7 @@ def test_idle_time_is_the_kernels_own_figure_for_one_processor() -> None:
     def idle_s() -> float:
         stat = os.open("/proc/stat", os.O_RDONLY)
         try:
-            return fsai_hil.rehearsal.stall_monitor._idle_ns(stat) / 1e9
+            return stall_monitor._idle_ns(stat) / 1e9
         finally:
             os.close(stat)
 
@@ -259,17 +252,17 @@ def test_idle_time_is_the_kernels_own_figure_for_one_processor() -> None:
 
 
 def test_the_monitor_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
-    with StallMonitor(tmp_path / "notes") as stall_monitor:
+    with StallMonitor(tmp_path / "notes") as monitor:
         since_ns = time.monotonic_ns()
-        os.kill(stall_monitor._process.pid, signal.SIGSTOP)
+        os.kill(monitor._process.pid, signal.SIGSTOP)
         held_s = 0.2
         time.sleep(held_s)  # the very thing that is measured
-        os.kill(stall_monitor._process.pid, signal.SIGCONT)
+        os.kill(monitor._process.pid, signal.SIGCONT)
         until = time.monotonic() + 10.0
-        while not (seen := stall_monitor.stalls(since_ns)) and time.monotonic() < until:
+        while not (seen := monitor.stalls(since_ns)) and time.monotonic() < until:
             time.sleep(0.01)
-    assert max(stall.late_ns for stall in seen) >= held_s * 1e9 * 0.9
-    assert stall_monitor._process.returncode is not None, "it has been ended"
+    assert max(stall.lasted_ns for stall in seen) >= held_s * 1e9 * 0.9
+    assert monitor._process.returncode is not None, "it has been ended"
 
 
 @pytest.mark.parametrize(
@@ -301,7 +294,7 @@ def test_the_demo_drives_again_only_after_a_failure_in_a_stall(
             raise StackError("a process ended")
         return result
 
-    monkeypatch.setattr(StallMonitor, "disturbances", lambda *_: [STALL] if disturbed else [])
+    monkeypatch.setattr(StallMonitor, "disturbances", lambda *_: [STALLED] if disturbed else [])
     assert rehearse(drive) == status
     assert left == []
     lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]

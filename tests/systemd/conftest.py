@@ -33,3 +33,16 @@ def machine(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy("/bin/true", file)
     return folder
+
+
+@pytest.fixture(scope="session")
+def deb(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package without its Python environment, which takes minutes and is what the rehearsal installs."""
+    if shutil.which("dpkg-deb") is None:
+        pytest.skip("no dpkg-deb here: a Debian package is made on Debian or Ubuntu")
+    folder = tmp_path_factory.mktemp("deb")
+    done = install_car("deb", str(folder))
+    assert done.returncode == 0, done.stderr
+    (found,) = folder.glob("*.deb")
+    assert not (folder / "root").exists(), "nothing is left behind"
+    return found

@@ -10,28 +10,19 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from install_rig import install_car
 
 from fsai_hil.rehearsal.carpc import package as rehearsed
 from fsai_hil.vcan import VcanError
 
-TOOLS = ("dpkg", "dpkg-deb", "systemctl", "systemd-sysusers", "systemd-tmpfiles")
+TOOLS = ("dpkg", "systemctl", "systemd-sysusers", "systemd-tmpfiles")
+pytestmark = pytest.mark.skipif(
+    os.geteuid() != 0 or not all(shutil.which(tool, path=f"{os.environ['PATH']}:/usr/sbin:/sbin") for tool in TOOLS),
+    reason=f"dpkg fills an image as root only, with {', '.join(TOOLS)}",
+)
 HAVE = {"systemd": "252.1", "iproute2": "6.1", "python3.11": "3.11.2", "python3.12": "3.12.3"}
 TARGET = "etc/systemd/system/multi-user.target.wants/fsai.target"
 NODES = {f"fsai-{name}.service" for name in ("detector", "planner", "controller")}
 BRIDGE = "etc/systemd/system/fsai.target.wants/fsai-bridge@{}.service"
-
-
-@pytest.fixture(scope="module")
-def deb(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package without its Python environment, which takes minutes and is what the rehearsal installs."""
-    missing = [tool for tool in TOOLS if shutil.which(tool, path=f"{os.environ['PATH']}:/usr/sbin:/sbin") is None]
-    if missing or os.geteuid() != 0:
-        pytest.skip(f"dpkg fills an image as root only, with {', '.join(TOOLS)}")
-    folder = tmp_path_factory.mktemp("deb")
-    done = install_car("deb", str(folder))
-    assert done.returncode == 0, done.stderr
-    return next(folder.glob("*.deb"))
 
 
 class Image:

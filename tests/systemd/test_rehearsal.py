@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from fsai_hil.rehearsal.carpc import __main__ as rehearsal
 from fsai_hil.rehearsal.carpc import probe, scenes, wifi
-from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Said, car_was_deaf, longest_gap_s, standing, torque_ends_s
-from fsai_hil.rehearsal.stall_monitor import RUNS, Stall
+from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Seen, car_was_deaf, longest_gap_s, rest_s, standing, torque_ends_s
+from fsai_hil.rehearsal.stall_monitor import RUNS, STALL, Disturbance
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
@@ -32,16 +34,16 @@ class Remembers:
     def __init__(self, *disturbed: bool) -> None:
         self._disturbed = list(disturbed)
 
-    def disturbances(self, since_ns: int) -> list[Stall]:
-        return [Stall(since_ns, 80 * MS)] if self._disturbed.pop(0) else []
+    def disturbances(self, since_ns: int) -> list[Disturbance]:
+        return [Disturbance(STALL, since_ns, since_ns + 80 * MS)] if self._disturbed.pop(0) else []
 
 
 def rehearsed(*disturbed: bool) -> scenes.Rehearsal:
-    return scenes.Rehearsal("vcan0", 1, Remembers(*disturbed))
+    return scenes.Rehearsal("vcan0", 1, Remembers(*disturbed))  # type: ignore[arg-type]
 
 
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> scenes.Rehearsal:
+def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> scenes.Rehearsal:
     monkeypatch.setattr(scenes, "RESULTS", tmp_path)
     return rehearsed()
 
@@ -72,39 +74,40 @@ def test_a_pace_that_no_machine_keeps_is_refused_with_one_line(
 
 @pytest.mark.parametrize(("seconds", "passed"), [(10.0, True), (10.1, False), (None, False)])
 def test_a_step_that_takes_longer_than_stated_is_wrong(
-    machine: scenes.Rehearsal, tmp_path: Path, seconds: float | None, passed: bool
+    report: scenes.Rehearsal, tmp_path: Path, seconds: float | None, passed: bool
 ) -> None:
-    machine.note("back", seconds, 10.0)
+    report.note("back", seconds, 10.0)
     (step,) = json.loads((tmp_path / "report.json").read_text())
     assert step["passed"] is passed
 
 
-def test_after_the_reboot_the_report_goes_on_where_it_was(machine: scenes.Rehearsal) -> None:
-    machine.note("before", 1.0)
+def test_after_the_reboot_the_report_goes_on_where_it_was(report: scenes.Rehearsal) -> None:
+    report.note("before", 1.0)
     again = rehearsed()
     again.note("after", 1.0)
     assert [step["what"] for step in again.steps] == ["before", "after"]
 
 
 def test_the_last_frame_with_torque_on_either_axle_is_measured() -> None:
-    said = [
-        Said(100 * MS, AiDriveFront(torque_nm=5.0)),
-        Said(120 * MS, AiDriveRear(torque_nm=5.0)),
-        Said(130 * MS, AiDriveRear()),
+    seen = [
+        Seen(100 * MS, AiDriveFront(torque_nm=5.0)),
+        Seen(120 * MS, AiDriveRear(torque_nm=5.0)),
+        Seen(130 * MS, AiDriveRear()),
     ]
-    assert torque_ends_s(said, 100 * MS) == pytest.approx(0.02)
-    assert torque_ends_s(said[2:], 100 * MS) == 0.0
+    assert torque_ends_s(seen, 100 * MS) == pytest.approx(0.02)
+    assert torque_ends_s(seen[2:], 100 * MS) == 0.0
 
 
 def test_a_car_of_which_one_wheel_turns_does_not_stand() -> None:
     assert standing(WheelSpeeds(rr_rpm=9))
     assert not standing(WheelSpeeds(rr_rpm=10))
-    assert not scenes.standing_at_the_end([])
+    assert rest_s([], 0) is None
+    assert rest_s([Seen(5 * MS, WheelSpeeds(rr_rpm=10)), Seen(9 * MS, WheelSpeeds())], 0) == 0.005
 
 
 def test_the_longest_pause_is_of_the_ai_computers_frames() -> None:
-    said = [Said(0, AiStatus()), Said(10 * MS, WheelSpeeds()), Said(30 * MS, AiStatus()), Said(40 * MS, AiStatus())]
-    assert longest_gap_s(said) == pytest.approx(0.03)
+    seen = [Seen(0, AiStatus()), Seen(10 * MS, WheelSpeeds()), Seen(30 * MS, AiStatus()), Seen(40 * MS, AiStatus())]
+    assert longest_gap_s(seen) == pytest.approx(0.03)
 
 
 def test_a_bus_log_that_breaks_a_rule_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,44 +132,29 @@ class Scene:
             raise scenes.CannotGoOn
 
 
-@pytest.mark.usefixtures("machine")
-@pytest.mark.parametrize("breaks_off", [False, True])
-def test_a_scene_failed_while_disturbed_is_played_again(
-    breaks_off: bool,
+@pytest.mark.usefixtures("report")
+@pytest.mark.parametrize(
+    ("disturbed", "failures", "breaks_off", "runs", "well"),
+    [
+        ([], 0, False, 1, True),  # would fail, being asked
+        ([True, True], 2, False, 3, True),
+        ([True, True], 2, True, 3, True),
+        ([False], 1, False, 1, False),
+        ([True] * RUNS, RUNS, False, RUNS, False),
+    ],
+)
+def test_only_a_scene_failed_while_disturbed_is_played_again(
+    disturbed: list[bool], failures: int, breaks_off: bool, runs: int, well: bool
 ) -> None:
-    rehearsal_of_it = rehearsed(True, True)
-    scene = Scene(rehearsal_of_it, failures=2, breaks_off=breaks_off)
+    rehearsal_of_it = rehearsed(*disturbed)
+    scene = Scene(rehearsal_of_it, failures, breaks_off=breaks_off)
     rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == 3
-    assert rehearsal.all_well(rehearsal_of_it.steps)
+    assert scene.runs == runs and rehearsal.all_well(rehearsal_of_it.steps) is well
     counting = [step["what"] for step in rehearsal_of_it.steps if step["counts"]]
-    assert "run 3" in counting and "run 1" not in counting
-    assert any("the machine stood still for 80 ms" in str(step["what"]) for step in rehearsal_of_it.steps)
-
-
-@pytest.mark.usefixtures("machine")
-def test_a_scene_failed_while_undisturbed_has_failed() -> None:
-    rehearsal_of_it = rehearsed(False)
-    scene = Scene(rehearsal_of_it, failures=1)
-    rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == 1 and not rehearsal.all_well(rehearsal_of_it.steps)
-
-
-@pytest.mark.usefixtures("machine")
-def test_a_scene_never_undisturbed_has_failed_with_the_cause() -> None:
-    rehearsal_of_it = rehearsed(*[True] * RUNS)
-    scene = Scene(rehearsal_of_it, failures=RUNS)
-    rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == RUNS and not rehearsal.all_well(rehearsal_of_it.steps)
-    assert rehearsal_of_it.steps[-1]["what"] == "a scene: never undisturbed"
-
-
-@pytest.mark.usefixtures("machine")
-def test_a_scene_that_passed_asks_for_no_disturbances() -> None:
-    rehearsal_of_it = rehearsed()  # would fail, being asked
-    scene = Scene(rehearsal_of_it, failures=0)
-    rehearsal_of_it.scene("a scene", scene)
-    assert scene.runs == 1 and rehearsal.all_well(rehearsal_of_it.steps)
+    assert f"run {runs}" in counting and (runs == 1 or "run 1" not in counting)
+    reasons = [step for step in rehearsal_of_it.steps if "the machine stood still for 80 ms" in str(step)]
+    assert len(reasons) == sum(disturbed)
+    assert ("a scene: never undisturbed" in counting) is (runs == RUNS and not well)
 
 
 def test_a_rehearsal_of_which_nothing_counts_is_not_well() -> None:
@@ -192,14 +180,18 @@ tcp   LISTEN 0 128         [::]:22        [::]:*
     assert wifi.listeners_in("") == []
 
 
-def test_the_probe_has_the_bridges_restrictions_but_no_restart() -> None:
-    unit = (Path(__file__).parents[2] / "systemd/units/fsai-bridge@.service").read_text()
-    text = scenes.in_its_place(unit, "/opt/fsai/bin/python probe", Path("/run/printed"))
-    lines = text.splitlines()
-    assert "ExecStart=/opt/fsai/bin/python probe" in lines and "Type=oneshot" in lines
-    kept = [line for line in unit.splitlines() if line.startswith(("RestrictAddressFamilies", "UMask", "Limit", "CPU"))]
-    assert kept and set(kept) <= set(lines)
-    assert not any(line.startswith(("Restart=", "WatchdogSec=", "WantedBy=", "NotifyAccess=")) for line in lines)
+def test_the_probe_has_the_bridges_restrictions_but_no_restart(machine: Path) -> None:
+    units = machine / "usr/lib/systemd/system"
+    shutil.copy(units / "fsai-bridge@.service", units / "fsai-probe@.service")
+    settings = shutil.copytree(units / "fsai-bridge@.service.d", units / "fsai-probe@.service.d")
+    (settings / "90-probe.conf").write_text(scenes.PROBE.format(command="/opt/fsai/bin/python", printed="/run/printed"))
+    done = subprocess.run(
+        ["systemd-analyze", "--no-pager", f"--root={machine}", "verify", "--man=no", "fsai-probe@can0.service"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0 and "probe" not in done.stderr, done.stderr
 
 
 def test_the_probe_distinguishes_refused_from_allowed(tmp_path: Path) -> None:
@@ -235,7 +227,7 @@ def test_a_deaf_vcu_is_no_silent_ai_computer() -> None:
     assert not car_was_deaf([])
 
 
-@pytest.mark.usefixtures("machine")
+@pytest.mark.usefixtures("report")
 def test_a_drive_with_a_deaf_simulated_vcu_is_driven_again() -> None:
     rehearsal_of_it = rehearsed(False, False)
     scene = Scene(rehearsal_of_it, failures=1)

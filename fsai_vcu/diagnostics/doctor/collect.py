@@ -7,7 +7,6 @@ import getpass
 import grp
 import importlib.util
 import ipaddress
-import itertools
 import json
 import os
 import platform
@@ -17,6 +16,7 @@ import struct
 import subprocess
 import time
 from collections.abc import Iterable, Iterator
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,6 @@ _NODE_MODULES = b"fsai_nodes."
 _GROUP = "fsai"  # of the services' user
 _DISTRIBUTIONS = Path("/opt/ros")
 _SHARED_MEMORY = Path("/dev/shm")
-_TCP_LISTEN, _UDP_OPEN = "0A", "07"  # linux/net/tcp_states.h; a UDP socket that is bound and not connected
 
 # linux/timex.h: struct timex begins with modes, offset, freq, maxerror. Of a clock that nothing keeps maxerror is 16 s.
 _TIMEX_BYTES, _MAX_ERROR_AT, _UNSYNCHRONISED_US = 512, struct.calcsize("@Ill0l"), 16_000_000
@@ -84,7 +83,7 @@ def collect(
         listening=listening_on_networks(proc),
         dds_leftovers=dds_leftovers(proc),
         kernel=platform.release(),
-        system=_system(),
+        system=system(),
     )
 
 
@@ -165,14 +164,14 @@ def traffic_in(chunks: list[Frames], codec: Codec, seconds: float) -> BusTraffic
         from_others=not ids <= set(AI_IDS),
         revision=revision,
         revision_why=why,
-        pulses=tuple(sum(_steps(wheel)) for wheel in zip(*counts, strict=True)) if counts else None,
+        pulses=tuple(map(_counted, zip(*counts, strict=True))) if counts else None,
         speed_max_rpm=tuple(map(max, zip(*speeds, strict=True))) if speeds else None,
     )
 
 
-def _steps(counts: Iterable[int]) -> Iterator[int]:
-    """Of a counter of 16 bits."""
-    return ((after - before) % (1 << 16) for before, after in itertools.pairwise(counts))
+def _counted(values: Iterable[int]) -> int:
+    """By a counter of 16 bits."""
+    return sum((after - before) % (1 << 16) for before, after in pairwise(values))
 
 
 # ---------------------------------------------------------------- processes, services, the rest
@@ -278,57 +277,54 @@ def starts_at_boot() -> bool | None:
 
 
 def _scheduling(proc: Path) -> Scheduling | None:
-    """That of the running CAN loop's most urgent thread."""
-    for folder in _processes(proc, _LOOP_MODULE):
-        threads = []
-        for thread in (folder / "task").glob("*"):
-            try:
-                number = int(thread.name)
-                threads.append((os.sched_getparam(number).sched_priority, os.sched_getscheduler(number)))
-            except (OSError, ValueError):
-                continue
-        if threads:
-            priority, policy = max(threads)
-            locked = any(
-                line.startswith("VmLck:") and line.split()[1] != "0" for line in _read(folder / "status").splitlines()
-            )
-            return Scheduling(_POLICIES.get(policy & 0xFF, str(policy)), priority, locked)
-    return None
+    """That of the running CAN loop."""
+    return next(filter(None, map(scheduling_of, _processes(proc, _LOOP_MODULE))), None)
+
+
+def scheduling_of(process: Path) -> Scheduling | None:
+    """That of the most urgent thread of a process, by its folder in /proc; None when it has just ended."""
+    threads = []
+    for thread in (process / "task").glob("*"):
+        try:
+            number = int(thread.name)
+            threads.append((os.sched_getparam(number).sched_priority, os.sched_getscheduler(number)))
+        except (OSError, ValueError):
+            continue
+    if not threads:
+        return None
+    priority, policy = max(threads)
+    locked = any(
+        line.startswith("VmLck:") and line.split()[1] != "0" for line in _read(process / "status").splitlines()
+    )
+    return Scheduling(_POLICIES.get(policy & 0xFF, str(policy)), priority, locked)
 
 
 def listening_on_networks(proc: Path) -> tuple[str, ...] | None:
     """Where, other than on the loopback and at multicast addresses, a node of ours takes UDP or TCP.
 
-    None where nothing was found, and this user may not look at all of them.
+    None where nothing was found, and this user may not look at all of them: every node has a socket.
     """
-    found: set[str] = set()
-    closed = False
-    for folder in _processes(proc, _NODE_MODULES):
-        try:
-            addresses = listening_addresses(folder, proc)
-        except PermissionError:
-            closed = True
-            continue
-        found |= {str(address) for address in addresses if not (address.is_loopback or address.is_multicast)}
-    return None if closed and not found else tuple(sorted(found))
+    listing = listening_sockets()
+    of_nodes = [listening_addresses(int(folder.name), listing) for folder in _processes(proc, _NODE_MODULES)]
+    found = {str(each) for each in chain(*of_nodes) if not (each.is_loopback or each.is_multicast)}
+    return tuple(sorted(found)) if found or all(of_nodes) else None
 
 
-def listening_addresses(folder: Path, proc: Path) -> list[Address]:
-    """The local addresses on which the process whose folder in /proc is `folder` takes UDP or TCP.
+def listening_sockets() -> str:
+    """A line for each UDP or TCP socket that takes what comes, with the process where this user may see it (ss(8))."""
+    return _output("ss", "-H", "-lntup")
 
-    Raises PermissionError where this user may not see its sockets.
-    """
-    sockets = _listening_sockets(proc)
-    found = []
-    for entry in _entries(folder / "fd"):
-        try:
-            target = str(entry.readlink())
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        address = sockets.get(target.removeprefix("socket:[").removesuffix("]"))
-        if address is not None:
-            found.append(address)
-    return found
+
+def listening_addresses(pid: int, listing: str) -> list[Address]:
+    """The local addresses on which a process takes UDP or TCP."""
+    return [local_address(line) for line in listing.splitlines() if f"pid={pid}," in line]
+
+
+def local_address(line: str) -> Address:
+    """Of a line of `listening_sockets`."""
+    text = line.split()[4].rpartition(":")[0].partition("%")[0].strip("[]").replace("*", "::")
+    address = ipaddress.ip_address(text)
+    return getattr(address, "ipv4_mapped", None) or address
 
 
 def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> tuple[str, ...]:
@@ -350,26 +346,6 @@ def dds_leftovers(proc: Path = Path("/proc"), folder: Path = _SHARED_MEMORY) -> 
         if f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}" in locked:
             in_use.add(owner)
     return tuple(sorted(str(path) for owner in files.keys() - in_use for path in files[owner]))
-
-
-def _listening_sockets(proc: Path) -> dict[str, Address]:
-    """The local address of every socket that takes what comes, by its inode (proc(5), /proc/net)."""
-    found: dict[str, Address] = {}
-    for name, state in (("udp", _UDP_OPEN), ("udp6", _UDP_OPEN), ("tcp", _TCP_LISTEN), ("tcp6", _TCP_LISTEN)):
-        for line in _read(proc / "net" / name).splitlines()[1:]:
-            fields = line.split()
-            if fields[3] == state:
-                found[fields[9]] = _address(fields[1].partition(":")[0])
-    return found
-
-
-def _address(text: str) -> Address:
-    """An address as /proc/net spells it: words of 32 bits, each in the machine's byte order."""
-    data = b"".join(bytes.fromhex(text[start : start + 8])[::-1] for start in range(0, len(text), 8))
-    if len(data) == 4:
-        return ipaddress.IPv4Address(data)
-    address = ipaddress.IPv6Address(data)
-    return address.ipv4_mapped or address
 
 
 def _processes(proc: Path, module: bytes) -> Iterator[Path]:
@@ -420,7 +396,7 @@ def _groups() -> tuple[str, ...]:
     return tuple(names)
 
 
-def _system() -> str:
+def system() -> str:
     try:
         return platform.freedesktop_os_release()["PRETTY_NAME"]
     except (OSError, KeyError):
@@ -444,14 +420,6 @@ def _output(*argv: str) -> str:
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout
-
-
-def _entries(folder: Path) -> list[Path]:
-    """Of a folder of /proc, which is gone as soon as its process has ended."""
-    try:
-        return list(folder.iterdir())
-    except (FileNotFoundError, ProcessLookupError):
-        return []
 
 
 def _read(path: Path) -> str:

@@ -17,14 +17,6 @@ _KINDS: Final = (".log", ".mcap", ".json")
 _PARTS: Final = 4  # a segment is at most such a part of all: what is deleted is never most of what there is
 
 
-class PlaceError(UserError):
-    """A place where nothing can be recorded; the message is one clear line."""
-
-
-class NoRoomError(OSError):
-    """There is not as much room as the recording must leave free."""
-
-
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """None: no bound. keep_free_bytes: what is always left free on the disk, for all else."""
@@ -41,7 +33,7 @@ class SegmentFolder:
     def __init__(self, path: Path, prefix: str, bounds: Bounds) -> None:
         """A path with a suffix is one file, which must not be there; any other a folder, which is gone on with.
 
-        Raises PlaceError and OSError.
+        Raises UserError and OSError.
         """
         self.single = path.suffix != "" and not path.is_dir()
         self.path = path
@@ -53,7 +45,7 @@ class SegmentFolder:
         if self.single:
             for kind in (".log", ".mcap"):
                 if self.file(kind).exists():
-                    raise PlaceError(f"{self.file(kind)} is there already; name another file, or a folder to go on in")
+                    raise UserError(f"{self.file(kind)} is there already; name another file, or a folder to go on in")
         else:
             path.mkdir(parents=True, exist_ok=True)
             self._lock = (path / f".{self._prefix}.lock").open("wb")
@@ -61,7 +53,7 @@ class SegmentFolder:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 self._lock.close()
-                raise PlaceError(f"another program records '{self._prefix}' in {path} already") from error
+                raise UserError(f"another program records '{self._prefix}' in {path} already") from error
             self.number = max(self._segments(), default=0)
 
     @property
@@ -86,7 +78,7 @@ class SegmentFolder:
             self.number = max(self.number, max(self._segments(), default=0)) + 1
 
     def make_room(self, bytes_to_come: int) -> None:
-        """Delete the oldest segments until there is room. Raises NoRoomError where that is not enough."""
+        """Delete the oldest segments until there is room. Raises OSError where that is not enough."""
         folder = self.path.parent if self.single else self.path
         segments = {} if self.single else self._segments()
         older = sorted(number for number in segments if number < self.number)
@@ -101,11 +93,11 @@ class SegmentFolder:
             total -= segments[number]
         free = shutil.disk_usage(folder).free
         if self.bounds.keep_free_bytes and free < wanted:
-            raise NoRoomError(
+            raise OSError(
                 f"only {free >> 20} MB free on the disk, and {self.bounds.keep_free_bytes >> 20} MB stay free"
             )
         if most is not None and total > most and len(segments) > 1:
-            raise NoRoomError(f"more than {most >> 20} MB in one segment")
+            raise OSError(f"more than {most >> 20} MB in one segment")
 
     def _segments(self) -> dict[int, int]:
         """Bytes of each segment, by number."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,10 +20,6 @@ RETRY_NS: Final = 1_000_000  # a full transmit queue is tried again so soon …
 GIVE_UP_NS: Final = 1_000_000_000  # … for so long
 _STAND_INS: Final = frozenset({"fsai_loopback", "virtual", "udp_multicast"})  # python-can's kinds without a wire
 _VIRTUAL_LINKS: Final = frozenset({"vcan", "vxcan"})
-
-
-class ReplayError(UserError):
-    """What cannot be replayed; the message is one clear line."""
 
 
 def is_physical(spec: str) -> bool:
@@ -48,43 +43,34 @@ def is_physical(spec: str) -> bool:
         return True
 
 
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """The frames that are sent, in order of time; and how many are not, by why."""
+def choose(frames: Frames, *, with_ai_ids: bool, physical: bool) -> tuple[Frames, str]:
+    """What of a log may be sent at all, in order of time; and in words what not, empty if all may.
 
-    frames: Frames
-    left_out: dict[str, int]
-
-    def words(self) -> str:
-        """What was left out; empty if nothing was."""
-        return ", ".join(f"{count} {why}" for why, count in self.left_out.items() if count)
-
-
-def choose(frames: Frames, *, with_ai_ids: bool) -> Chosen:
-    """What of a log may be sent at all.
-
-    Never reserved ids (safety rule 8), and the AI computer's own only where asked for: the bridge on the bus would take
-    them for an intruder's. 0x501 is the PCAN-GPS's, unless the car has none.
+    On a physical bus never reserved ids (safety rule 8), the sensors' among them. The AI computer's own only where that
+    is asked for: the bridge on the bus would take them for an intruder's. 0x501 is the PCAN-GPS's, unless the car has
+    none.
     """
-    why_not: list[tuple[str, Mask]] = [
+    not_sent: list[tuple[str, Mask]] = [
         ("error frames", (frames.flags & ERROR) != 0),
         ("CAN FD frames", (frames.flags & FD) != 0),
-        ("frames of reserved ids", np.isin(frames.can_id, list(RESERVED_IDS))),
     ]
+    if physical:
+        not_sent.append(("frames of reserved ids", np.isin(frames.can_id, list(RESERVED_IDS))))
     if not with_ai_ids:
         standard = (frames.flags & EXTENDED) == 0
-        why_not.append(("frames of the AI computer's own ids", standard & np.isin(frames.can_id, AI_IDS)))
+        not_sent.append(("frames of the AI computer's own ids", standard & np.isin(frames.can_id, AI_IDS)))
     sent: Mask = np.ones(len(frames), np.bool_)
-    left_out: dict[str, int] = {}
-    for why, mask in why_not:
-        left_out[why] = int((sent & mask).sum())
+    left_out = []
+    for what, mask in not_sent:
+        if count := int((sent & mask).sum()):
+            left_out.append(f"{count} {what}")
         sent &= ~mask
     frames = frames.only(sent)
-    return Chosen(frames.only(np.argsort(frames.t_ns, kind="stable")), left_out)
+    return frames.only(np.argsort(frames.t_ns, kind="stable")), ", ".join(left_out)
 
 
 def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
-    """The frames of a part of the log, in ns since its first frame. Raises ReplayError if there are none."""
+    """The frames of a part of the log, in ns since its first frame. Raises UserError if there are none."""
     if not len(frames):
         return frames
     since_ns = frames.t_ns - frames.t_ns.min()
@@ -92,18 +78,8 @@ def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
     if end_ns is not None:
         inside &= since_ns <= end_ns
     if not inside.any():
-        raise ReplayError(f"nothing in that part of the log: it lasts {int(since_ns.max()) / 1e9:.3f} s")
+        raise UserError(f"nothing in that part of the log: it lasts {int(since_ns.max()) / 1e9:.3f} s")
     return frames.only(inside)
-
-
-@dataclass
-class ReplayProgress:
-    """What has been sent. late_max_ns: the latest that a frame left after it was due."""
-
-    sent: int = 0
-    laps: int = 0
-    refused: int = 0  # the transmit queue stayed full for too long
-    late_max_ns: int = 0
 
 
 class Player:
@@ -120,7 +96,10 @@ class Player:
         laps: int | None = 1,
     ) -> None:
         """`frames` in order of time. laps: None is for ever. `send` returns False for a full transmit queue."""
-        self.progress = ReplayProgress()
+        self.sent = 0
+        self.laps = 0
+        self.refused = 0  # the transmit queue stayed full for too long
+        self.late_max_ns = 0  # the latest that a frame left after it was due
         self._frames = frames
         self._send = send
         self._clock_ns = clock_ns
@@ -130,7 +109,7 @@ class Player:
 
     def play(self) -> Iterator[None]:
         """Sends one frame after the other; a caller that stops asking stops it."""
-        frames, progress = self._frames, self.progress
+        frames = self._frames
         if not len(frames):
             return
         begin_ns = int(frames.t_ns[0])
@@ -142,26 +121,25 @@ class Player:
             )
         ]
         start_ns = self._clock_ns()
-        while self._laps is None or progress.laps < self._laps:
-            lap_begin_ns = progress.laps * lap_ns
+        while self._laps is None or self.laps < self._laps:
+            lap_begin_ns = self.laps * lap_ns
             for since_ns, frame in ready:
                 due_ns = start_ns + round((lap_begin_ns + since_ns) / self._rate)
                 self._await(due_ns)
                 self._one(frame, due_ns)
                 yield
-            progress.laps += 1
+            self.laps += 1
 
     def _await(self, due_ns: int) -> None:
         while (left_ns := due_ns - self._clock_ns()) > 0:
             self._sleep_s(left_ns / 1e9)
 
     def _one(self, frame: Frame, due_ns: int) -> None:
-        progress = self.progress
         give_up_ns = self._clock_ns() + GIVE_UP_NS
         while not self._send(frame):
             if self._clock_ns() >= give_up_ns:
-                progress.refused += 1
+                self.refused += 1
                 return
             self._sleep_s(RETRY_NS / 1e9)
-        progress.sent += 1
-        progress.late_max_ns = max(progress.late_max_ns, self._clock_ns() - due_ns)
+        self.sent += 1
+        self.late_max_ns = max(self.late_max_ns, self._clock_ns() - due_ns)

@@ -32,10 +32,6 @@ _ROUNDING: Final = 1e-9  # physical values are products of a raw integer and a d
 _NUMBER = re.compile(r"[+-]?0[xX][0-9A-Fa-f]+")
 
 
-class SendingError(UserError):
-    """A frame that cannot or must not be sent; the message is one clear line."""
-
-
 @dataclass(frozen=True, slots=True)
 class Outgoing:
     """A frame and what it says. `values`: every signal, rounded to what the wire carries; `filled`: not named."""
@@ -60,12 +56,12 @@ class Outgoing:
 def outgoing(databases: Databases, message: str, assignments: Sequence[str], *, as_ai: bool = False) -> Outgoing:
     """The frame of `message` (its name, or its identifier as in 0x514) with `SIGNAL=VALUE` each.
 
-    as_ai: the AI computer's own identifiers may be sent too. Raises SendingError.
+    as_ai: the AI computer's own identifiers may be sent too. Raises UserError.
     """
     layout = find_message(databases, message)
     check_permission(layout, as_ai=as_ai)
     if layout.length > CLASSIC_BYTES:
-        raise SendingError(f"{layout.name} has {layout.length} bytes, and a classic CAN frame at most {CLASSIC_BYTES}")
+        raise UserError(f"{layout.name} has {layout.length} bytes, and a classic CAN frame at most {CLASSIC_BYTES}")
     described = databases.message(layout.key)
     given = _assigned(described, assignments)
     raws, filled = _raw_values(described, given)
@@ -73,7 +69,7 @@ def outgoing(databases: Databases, message: str, assignments: Sequence[str], *, 
         data = bytes(described.encode(raws, scaling=False, padding=False, strict=False))
     except Exception as error:  # cantools lets several unrelated kinds of errors through
         words = " ".join(str(error).split()) or type(error).__name__
-        raise SendingError(f"{layout.name} cannot be encoded: {words}") from error
+        raise UserError(f"{layout.name} cannot be encoded: {words}") from error
     by_name = {signal.name: signal for signal in described.signals}
     values = {name: _shown(by_name[name], raw) for name, raw in raws.items()}
     frame = Frame(layout.can_id, data, extended=layout.extended)
@@ -81,7 +77,7 @@ def outgoing(databases: Databases, message: str, assignments: Sequence[str], *, 
 
 
 def find_message(databases: Databases, words: str) -> MessageLayout:
-    """The message by its name (in any case) or its identifier. Raises SendingError."""
+    """The message by its name (in any case) or its identifier. Raises UserError."""
     found = databases.by_name(words)
     if found is not None:
         return found
@@ -90,32 +86,32 @@ def find_message(databases: Databases, words: str) -> MessageLayout:
         number = int(words, 16)
         matching = [layout for layout in layouts if layout.can_id == number]
         if not matching:
-            raise SendingError(f"no message has the identifier {words}")
+            raise UserError(f"no message has the identifier {words}")
     else:
         matching = [layout for layout in layouts if layout.name.casefold() == words.casefold()]
         if not matching:
-            raise SendingError(f"no message '{words}'{_near(words, (layout.name for layout in layouts))}")
+            raise UserError(f"no message '{words}'{_near(words, (layout.name for layout in layouts))}")
     if len(matching) > 1:
-        raise SendingError(f"'{words}' may be {' or '.join(layout.name for layout in matching)}")
+        raise UserError(f"'{words}' may be {' or '.join(layout.name for layout in matching)}")
     return matching[0]
 
 
 def check_permission(layout: MessageLayout, *, as_ai: bool) -> None:
-    """Raises SendingError for a message that is not ours to send."""
+    """Raises UserError for a message that is not ours to send."""
     name = f"{layout.name} (0x{layout.can_id:03X})"
     # A filter for a number may not look at the width of the identifier: reserved is reserved in both.
     if layout.can_id in RESERVED_IDS:
-        raise SendingError(f"{name} is reserved for the car: it must never be sent from here")
+        raise UserError(f"{name} is reserved for the car: it must never be sent from here")
     own = None if layout.extended else BY_ID.get(layout.can_id)
     if layout.can_id in (*AI_IDS, OPTIONAL_AI_ID):
         if not as_ai:
-            raise SendingError(f"{name} is the AI computer's own, the bridge's to send; --as-ai sends it all the same")
+            raise UserError(f"{name} is the AI computer's own, the bridge's to send; --as-ai sends it all the same")
         return
     if own is not None:
         remedy = "; fsai-vcu vcu simulates a whole VCU" if own.owner == _VCU else ""
-        raise SendingError(f"{name} is the {own.owner}'s: it must never be sent from here{remedy}")
+        raise UserError(f"{name} is the {own.owner}'s: it must never be sent from here{remedy}")
     if any(sender.upper() == _VCU for sender in layout.senders):
-        raise SendingError(f"{name} is the VCU's, as its database says: it must never be sent from here")
+        raise UserError(f"{name} is the VCU's, as its database says: it must never be sent from here")
 
 
 # ---------------------------------------------------------------- values
@@ -128,14 +124,14 @@ def _assigned(message: Message, assignments: Sequence[str]) -> dict[str, str]:
     for assignment in assignments:
         name, equals, words = assignment.partition("=")
         if not equals or not words.strip():
-            raise SendingError(f"'{assignment}' is not SIGNAL=VALUE")
+            raise UserError(f"'{assignment}' is not SIGNAL=VALUE")
         if name not in names:
             alike = [each for each in names if each.casefold() == name.casefold()]
             if len(alike) != 1:
-                raise SendingError(f"{message.name} has no signal '{name}'{_near(name, names)}")
+                raise UserError(f"{message.name} has no signal '{name}'{_near(name, names)}")
             name = alike[0]
         if name in found:
-            raise SendingError(f"{name} is given twice")
+            raise UserError(f"{name} is given twice")
         found[name] = words.strip()
     return found
 
@@ -157,10 +153,10 @@ def _raw_values(message: Message, given: Mapping[str, str]) -> tuple[dict[str, A
         branches = [signal for signal in message.signals if signal.multiplexer_signal == selector]
         values = sorted({number for signal in branches for number in signal.multiplexer_ids or ()})
         if raws[selector] not in values:
-            raise SendingError(f"{selector} {raws[selector]} selects nothing: it may be {', '.join(map(str, values))}")
+            raise UserError(f"{selector} {raws[selector]} selects nothing: it may be {', '.join(map(str, values))}")
     absent = [name for name in given if name not in raws]
     if absent:
-        raise SendingError(f"{absent[0]} is not in the part of {message.name} that its multiplexer selects")
+        raise UserError(f"{absent[0]} is not in the part of {message.name} that its multiplexer selects")
     return raws, filled
 
 
@@ -176,7 +172,7 @@ def _initial(signal: Signal) -> int | float:
     low, high = _limits(signal)
     if low <= _physical(signal, 0) <= high:
         return 0.0 if signal.is_float else 0
-    raise SendingError(f"{signal.name} must be given: it has no initial value, and 0 is not in {low:g} … {high:g}")
+    raise UserError(f"{signal.name} must be given: it has no initial value, and 0 is not in {low:g} … {high:g}")
 
 
 def _raw_of(signal: Signal, words: str) -> int | float:
@@ -188,27 +184,27 @@ def _raw_of(signal: Signal, words: str) -> int | float:
         if len(named) == 1:
             return _in_field(signal, named[0], f"{signal.name} {words}")
         if choices:
-            raise SendingError(f"{signal.name} has no value '{words}': it may be {', '.join(choices.values())}")
-        raise SendingError(f"{signal.name}: '{words}' is not a number")
+            raise UserError(f"{signal.name} has no value '{words}': it may be {', '.join(choices.values())}")
+        raise UserError(f"{signal.name}: '{words}' is not a number")
     if not math.isfinite(value):
-        raise SendingError(f"{signal.name} is {words}, not a finite number")
+        raise UserError(f"{signal.name} is {words}, not a finite number")
     low, high = _limits(signal)
     margin = _ROUNDING * max(1.0, abs(low), abs(high)) if math.isfinite(low + high) else 0.0
     if not low - margin <= value <= high + margin:
         unit = f" {signal.unit}" if signal.unit and not signal.unit.startswith("_") else ""
-        raise SendingError(f"{signal.name} {value:g} is out of range {low:g} … {high:g}{unit}")
+        raise UserError(f"{signal.name} {value:g} is out of range {low:g} … {high:g}{unit}")
     if signal.is_float:
         return float((value - signal.offset) / signal.scale)
     raw = round((value - signal.offset) / signal.scale)
     if choices and signal.length == 1 and raw not in choices:
-        raise SendingError(f"{signal.name} has no value {raw}")
+        raise UserError(f"{signal.name} has no value {raw}")
     return _in_field(signal, raw, f"{signal.name} {value:g}")
 
 
 def _in_field(signal: Signal, raw: int, what: str) -> int:
     least, most = _raw_limits(signal)
     if not least <= raw <= most:
-        raise SendingError(f"{what} does not fit into the {signal.length} bits of its field")
+        raise UserError(f"{what} does not fit into the {signal.length} bits of its field")
     return raw
 
 

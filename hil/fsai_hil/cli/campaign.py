@@ -23,28 +23,23 @@ MANY_FAILURES = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--runs", type=int, default=RUNS, metavar="N", help=f"runs from snapshots (default: {RUNS})")
-    parser.add_argument("--full", type=int, default=FULL, metavar="N", help=f"full-length runs (default: {FULL})")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
-    parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one per processor)")
-    parser.add_argument("--faults", metavar="A,B,…", help="only these kinds (default: all; see --list)")
-    parser.add_argument("--missions", metavar="A,B,…", help="only these missions (default: all)")
-    parser.add_argument("--revisions", metavar="A,B", help="only these interface revisions (default: all)")
-    parser.add_argument("--world-seeds", type=int, metavar="N", help="different worlds that are driven in (default: 3)")
-    parser.add_argument("--window", type=float, metavar="S", help="length of a run from a snapshot (default: 10 s)")
-    parser.add_argument("--out", type=Path, default=Path("out/campaign"), metavar="DIR", help="default: out/campaign")
-    parser.add_argument(
-        "--resume", action="store_true", help="go on with the record in DIR (else it is kept there by another name)"
-    )
-    parser.add_argument(
-        "--renew", action="store_true", help="with --resume: begin anew where the record is of other sources"
-    )
-    parser.add_argument("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
-    parser.add_argument("--list", action="store_true", help="list the kinds of fault")
-    parser.add_argument("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.md", help="where --table goes (default: the terminal)"
-    )
+    add = parser.add_argument
+    add("--runs", type=int, default=RUNS, metavar="N", help=f"runs from snapshots (default: {RUNS})")
+    add("--full", type=int, default=FULL, metavar="N", help=f"full-length runs (default: {FULL})")
+    add("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
+    add("--jobs", type=int, metavar="N", help="processes (default: one per processor)")
+    add("--faults", metavar="A,B,…", help="only these kinds (default: all; see --list)")
+    add("--missions", metavar="A,B,…", help="only these missions (default: all)")
+    add("--revisions", metavar="A,B", help="only these interface revisions (default: all)")
+    add("--world-seeds", type=int, metavar="N", help="different worlds that are driven in (default: 3)")
+    add("--window", type=float, metavar="S", help="length of a run from a snapshot (default: 10 s)")
+    add("--out", type=Path, default=Path("out/campaign"), metavar="DIR", help="default: out/campaign")
+    add("--resume", action="store_true", help="go on with the record in DIR (else it is kept there by another name)")
+    add("--renew", action="store_true", help="with --resume: begin anew where the record is of other sources")
+    add("--dask", metavar="ADDRESS", help="drive on the Dask cluster whose scheduler is there")
+    add("--list", action="store_true", help="list the kinds of fault")
+    add("--table", type=Path, metavar="RECORD", help="drive nothing: make the table of a record")
+    add("-o", "--output", type=Path, metavar="FILE.md", help="where --table goes (default: the terminal)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,7 +49,10 @@ def run(args: argparse.Namespace) -> int:
 
     try:
         if args.list:
-            return _list()
+            from fsai_hil.evidence.campaign.table import catalogue_lines
+
+            print("\n".join(catalogue_lines()))
+            return 0
         if args.table:
             return _table(args.table, args.output)
         return _campaign(args)
@@ -63,13 +61,6 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         raise UserError(text) from error
-
-
-def _list() -> int:
-    from fsai_hil.evidence.campaign.table import catalogue_lines
-
-    print("\n".join(catalogue_lines()))
-    return 0
 
 
 def _table(record: Path, output: Path | None) -> int:
@@ -109,19 +100,19 @@ def _campaign(args: argparse.Namespace) -> int:
         kept = len(writer.runs)
         if kept:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
-        told = CampaignProgress()
+        progress = CampaignProgress()
         try:
             spread = partial(on_cluster, address=args.dask) if args.dask else partial(in_processes, jobs=jobs)
-            campaign(plan, writer, spread, told)
+            campaign(plan, writer, spread, progress)
         except KeyboardInterrupt:
-            told.end()
+            progress.end()
             print(f"{len(writer.runs)} runs are kept in {writer.path}; --resume goes on", file=sys.stderr)
             raise
-        told.end()
+        progress.end()
         worse = failures(writer.runs)
         new = len(writer.runs) - kept
-        if new and told.pace is not None:
-            rate = told.pace.runs_per_s
+        if new and progress.pace is not None:
+            rate = progress.pace.runs_per_s
             print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
         print(f"{len(writer.runs)} runs of {len(plan.selection.kinds())} kinds, record in {writer.path}")
         print(f"table: fsai-vcu campaign --table {writer.path}")

@@ -134,11 +134,11 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
         if case.leg_ms is not None:
             drive_to(rig, case.leg_ms)
         scenario = Scenario(case, rig)
-        story = ScenarioNarrator(case)
+        narrator = ScenarioNarrator(case)
         while not scenario.over:
             scenario.step()
             if not args.json:
-                story.listen(scenario)
+                narrator.listen(scenario)
     verdict = scenario.verdict()
     status = 0 if verdict.ok else 1
     if args.plot and not plotted("fsai-vcu drive", args.plot, rig.world.runs[-1]):
@@ -147,7 +147,7 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
         print(json.dumps(as_record(case, verdict, {})))
         return status
     print(f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}; again with:\n  {case.replay}\n")
-    print("\n".join(story.lines(scenario, verdict)))
+    print("\n".join(narrator.lines(scenario, verdict)))
     print("as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW")
     return status
 

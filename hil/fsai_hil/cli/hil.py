@@ -96,12 +96,16 @@ def run(args: argparse.Namespace) -> int:
         results = _results_dir(args.results, CHECKOUT / "out" / ("hil" if args.soak is None else "soak"))
 
         def suite(words: Sequence[str], results: Path, pace: float, put_off: Path | None) -> int:
-            # Always said: one that a caller has in his environment must not let a failure be put off for ever.
-            reruns = {"FSAI_HIL_PUT_OFF": "" if put_off is None else str(put_off)}
+            # Always given: one that a caller has in his environment must not let a failure be put off for ever.
+            wanted = {"FSAI_HIL_PUT_OFF": "" if put_off is None else str(put_off)}
+            if args.all or args.soak:
+                wanted["FSAI_HIL_ALL"] = "1"
+            if args.soak is not None:
+                wanted["FSAI_HIL_SOAK_MINUTES"] = f"{args.soak:g}"
             return place.run(
                 [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words],
                 cwd=CHECKOUT,
-                env={**environment(os.environ, INTERFACE, place.name, results), **_extent(args), **reruns},
+                env=environment(os.environ, INTERFACE, place.name, results) | wanted,
                 timeout_s=pace * timeout_s,
                 results_dir=results,
                 **({"pace": pace} if place.has_pace else {}),
@@ -157,14 +161,6 @@ def _selection(args: argparse.Namespace) -> list[str]:
         return [str(_SOAK), "-s", *words]
     named = [word for word in words if not word.startswith("-") and Path(CHECKOUT, word.split("::")[0]).exists()]
     return [*words] if named else [str(_SUITE), *words]
-
-
-def _extent(args: argparse.Namespace) -> dict[str, str]:
-    """What the suite is given of how much of it is wanted."""
-    return {
-        **({"FSAI_HIL_ALL": "1"} if args.all or args.soak else {}),
-        **({} if args.soak is None else {"FSAI_HIL_SOAK_MINUTES": f"{args.soak:g}"}),
-    }
 
 
 def environment(caller: Mapping[str, str], interface: str, place: str, results: Path) -> dict[str, str]:

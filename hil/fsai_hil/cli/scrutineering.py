@@ -7,11 +7,11 @@ import json
 import math
 import os
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
 from fsai_hil.cli.hil import add_place_arguments, environment, prepared_place
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
@@ -50,22 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0: in every condition answered in time, and sooner than the loop in C; 1: not, or not measured."""
     from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME, SHORT, conditions_named
-    from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
+    from fsai_hil.rehearsal.scrutineering.machine import facts, machine
     from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
     from fsai_hil.vcan import INTERFACE, VcanError
     from fsai_hil.vcan.clock import SLOWEST_PACE
-    from fsai_vcu.cli.main import UserError, WrongUse
 
     seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
     if not 0.0 < seconds < math.inf:
         raise WrongUse(f"--seconds is {seconds:g}, but must be a time in seconds")
     if args.pace is not None and not 1.0 <= args.pace <= SLOWEST_PACE:
         raise WrongUse(f"--pace is {args.pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
-    try:
-        names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
-        conditions = conditions_named(names)
-    except ValueError as error:
-        raise WrongUse(str(error)) from error
+    names = args.conditions.split(",") if args.conditions is not None else SHORT if args.short else tuple(BY_NAME)
+    conditions = conditions_named(names)
     out: Path = args.out.resolve()
     result = out / "measured.json"
     try:
@@ -79,18 +75,16 @@ def run(args: argparse.Namespace) -> int:
         _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
         if pace != 1.0:
             _say(args, f"{pace:g} s of this machine for each second inside")
-        argv = [
-            sys.executable,
-            "-m",
-            "fsai_hil.rehearsal.scrutineering",
-            INTERFACE,
-            str(result),
-            "--seconds",
-            str(seconds),
-        ]
-        argv += ["--revision", args.revision, "--conditions", ",".join(each.name for each in conditions)]
+        plan = {
+            "bus": INTERFACE,
+            "result": str(result),
+            "seconds": seconds,
+            "revision": args.revision,
+            "conditions": [each.name for each in conditions],
+            "slow_place": place.has_pace,
+        }
         status = place.run(
-            [*argv, *(["--slow-place"] if place.name == "uml" else [])],
+            [sys.executable, "-m", "fsai_hil.rehearsal.scrutineering", json.dumps(plan)],
             cwd=CHECKOUT,
             env=environment(os.environ, INTERFACE, place.name, out),
             timeout_s=pace * (_SLACK_S + len(conditions) * (2 * seconds + _PER_CONDITION_S)),
@@ -107,35 +101,25 @@ def run(args: argparse.Namespace) -> int:
         **json.loads(result.read_text()),
         "place": place.name,
         "pace": pace,
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "host": machine(),
-        "versions": versions(),
-        "source": source_revision(CHECKOUT),
+        **facts(CHECKOUT),
     }
     measured["failures"] = failures(measured)
-    left_out = not_measured(measured)
-    measured["result"] = "fail" if measured["failures"] else "incomplete" if left_out else "pass"
+    measured["result"] = "fail" if measured["failures"] else "incomplete" if not_measured(measured) else "pass"
     result.unlink()
-    saved = [out / "response-time.md", *([args.report] if args.report else [])]
+    text, data = markdown(measured), json.dumps(measured, indent=1) + "\n"
+    saved = [out / "response-time.md", *([args.report] if args.report else []), out / "response-time.json"]
     for path in saved:
-        _write(path, markdown(measured))
-    saved.append(out / "response-time.json")
-    _write(saved[-1], json.dumps(measured, indent=1) + "\n")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(data if path == saved[-1] else text, encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{path} cannot be written: {error.strerror}") from error
     _say(args, "\n" + summary(measured))
     _say(args, f"saved {', '.join(str(path) for path in saved)}")
     if args.json:
         print(json.dumps(measured))
     return 0 if measured["result"] == "pass" else 1
-
-
-def _write(path: Path, text: str) -> None:
-    from fsai_vcu.cli.main import UserError
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def _say(args: argparse.Namespace, text: str) -> None:

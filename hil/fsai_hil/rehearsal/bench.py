@@ -11,7 +11,6 @@ on the machine cost nothing. That both give the same values is shown in `tests/i
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import os
 import resource
@@ -21,19 +20,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from timeit import timeit
+from typing import Any, NamedTuple
 
 import can
-import cantools
 
 from fsai_hil import CHECKOUT
-from fsai_hil.rehearsal.bench_logs import logs_us
+from fsai_hil.rehearsal.bench_logs import KINDS, cantools_database, logs_us
 from fsai_hil.rehearsal.carpc.recovery_times import START_TO_FIRST_FRAME_S
-from fsai_hil.rehearsal.scrutineering.machine import machine, source_revision, versions
+from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
@@ -41,7 +38,6 @@ from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiCommand, VcuStatus
@@ -60,47 +56,17 @@ NODE_START = "start bridge node"
 NODE_START_WALL = f"{NODE_START}, wall"
 NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/recovery_times.py)
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
+Row = dict[str, Any]
+COMMAND = AiCommand(
+    handshake=True,
+    mission_status=MissionStatus.RUNNING,
+    direction=Direction.FORWARD,
+    steer_deg=-7.3,
+    rear_torque_nm=81.5,
+)
 
 
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Of one figure over the rounds."""
-
-    median: float
-    least: float
-    most: float
-
-    @staticmethod
-    def of(values: Sequence[float]) -> Spread:
-        return Spread(statistics.median(values), min(values), max(values))
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """One row. `ratio` is the peer's time by ours, round by round; None where there is no peer."""
-
-    name: str
-    unit: str
-    peer_name: str
-    ours: Spread
-    peer: Spread | None
-    ratio: Spread | None
-
-    @staticmethod
-    def of(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: Sequence[float] = ()) -> Result:
-        ratios = [theirs / own for own, theirs in zip(ours, peer, strict=False)]
-        return Result(
-            name,
-            unit,
-            peer_name,
-            Spread.of(ours),
-            Spread.of(peer) if peer else None,
-            Spread.of(ratios) if ratios else None,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Effort:
+class Effort(NamedTuple):
     """How much is run."""
 
     rounds: int
@@ -115,47 +81,32 @@ FULL = Effort(rounds=15, turns=2000, starts=7, missions=MISSIONS, log_frames=2_0
 QUICK = Effort(rounds=5, turns=300, starts=2, missions=MISSIONS[:1], log_frames=50_000, log_rounds=1)
 
 
+def spread(values: Sequence[float]) -> dict[str, float] | None:
+    """Of one figure over the rounds."""
+    return {"median": statistics.median(values), "least": min(values), "most": max(values)} if values else None
+
+
+def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: Sequence[float] = ()) -> Row:
+    """One row of the table. `ratio` is the peer's time by ours, round by round; None where there is no peer."""
+    ratios = [theirs / own for own, theirs in zip(ours, peer, strict=False)]
+    figures = {"ours": spread(ours), "peer": spread(peer), "ratio": spread(ratios)}
+    return {"name": name, "unit": unit, "peer_name": peer_name, **figures}
+
+
 def alternately(
-    name: str,
-    unit: str,
-    ours: Callable[[], object],
-    peer_name: str,
-    peer: Callable[[], object],
-    effort: Effort,
-    per: int,
-) -> Result:
-    """Time both in turns. `per` is how many things of the unit one call does; figures are microseconds for each."""
-
-    def round_us(work: Callable[[], object]) -> float:
-        began = time.process_time_ns()
-        for _ in range(effort.turns):
-            work()
-        return (time.process_time_ns() - began) / 1000 / effort.turns / per
-
-    ours(), peer()  # whatever is only done once is done now
-    own_us: list[float] = []
-    peer_us: list[float] = []
-    gc.collect()
-    gc.disable()
-    try:
-        for number in range(effort.rounds):
-            # Neither is always the one that finds the caches warm.
-            for work, times_us in ((ours, own_us), (peer, peer_us))[:: 1 if number % 2 else -1]:
-                times_us.append(round_us(work))
-    finally:
-        gc.enable()
-    return Result.of(name, unit, own_us, peer_name, peer_us)
+    ours: Callable[[], object], peer: Callable[[], object], rounds: int, turns: int, per: int
+) -> tuple[list[float], list[float]]:
+    """Microseconds of both, timed in turns, for each of the `per` things that one call does."""
+    times_us: dict[Callable[[], object], list[float]] = {ours: [], peer: []}
+    for number in range(rounds + 1):
+        # Neither is always the one that finds the caches warm.
+        for work in (ours, peer)[:: 1 if number % 2 else -1]:
+            took_s = timeit(work, timer=time.process_time, number=turns)
+            times_us[work].append(took_s * 1e6 / turns / per)
+    return times_us[ours][1:], times_us[peer][1:]  # whatever is only done once was done in the first
 
 
 # ---------------------------------------------------------------- codec
-
-
-def cantools_database() -> Any:
-    """The revision's files, as anybody would load them."""
-    database = cantools.database.Database()
-    for name in revision(REVISION).dbc_files:
-        database.add_dbc_file(str(dbc_dir() / name))
-    return database
 
 
 def car_frames() -> list[Frame]:
@@ -164,7 +115,7 @@ def car_frames() -> list[Frame]:
     return [frame for frame in sent if frame.can_id in VCU_IDS][-20 * len(VCU_IDS) :]
 
 
-def bench_decode(codec: Codec, database: Any, effort: Effort) -> Result:
+def bench_decode(codec: Codec, database: Any, effort: Effort) -> Row:
     frames = car_frames()
 
     def ours() -> None:
@@ -175,26 +126,8 @@ def bench_decode(codec: Codec, database: Any, effort: Effort) -> Result:
         for frame in frames:
             database.decode_message(frame.can_id, frame.data, decode_choices=False)
 
-    fewer = replace(effort, turns=max(1, effort.turns // 20))
-    return alternately("decode a frame", "us/frame", ours, "cantools", peer, fewer, len(frames))
-
-
-def some_command() -> AiCommand:
-    return AiCommand(
-        handshake=True,
-        mission_status=MissionStatus.RUNNING,
-        direction=Direction.FORWARD,
-        steer_deg=-7.3,
-        front_torque_nm=0.0,
-        rear_torque_nm=81.5,
-        front_motor_speed_max_rpm=1200,
-        rear_motor_speed_max_rpm=1200,
-        lap_counter=3,
-        cones_count_actual=17,
-        cones_count_all=412,
-        speed_actual_kmh=21,
-        speed_demand_kmh=24,
-    )
+    times = alternately(ours, peer, effort.rounds, effort.turns // 20, len(frames))
+    return row("decode a frame", "us/frame", times[0], "cantools", times[1])
 
 
 def command_values(database: Any, frames: Sequence[Frame]) -> list[tuple[int, dict[str, float]]]:
@@ -202,27 +135,27 @@ def command_values(database: Any, frames: Sequence[Frame]) -> list[tuple[int, di
     return [(frame.can_id, database.decode_message(frame.can_id, frame.data, decode_choices=False)) for frame in frames]
 
 
-def bench_encode(codec: Codec, database: Any, effort: Effort) -> Result:
-    command = some_command()
-    values = command_values(database, codec.encode_command(command))
+def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
+    values = command_values(database, codec.encode_command(COMMAND))
 
     def ours() -> None:
-        codec.encode_command(command)
+        codec.encode_command(COMMAND)
 
     def peer() -> None:
         for can_id, signals in values:
             database.encode_message(can_id, signals)
 
-    return alternately("encode a frame", "us/frame", ours, "cantools", peer, effort, len(values))
+    times = alternately(ours, peer, effort.rounds, effort.turns, len(values))
+    return row("encode a frame", "us/frame", times[0], "cantools", times[1])
 
 
 # ---------------------------------------------------------------- the answer
 
 
-def bench_answer(codec: Codec, database: Any, effort: Effort) -> Result:
+def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
     """From a 0x520 received to five frames sent, on the loopback bus: ours supervised and limited, theirs not."""
     name = f"bench-{os.getpid()}"
-    values = command_values(database, codec.encode_command(some_command()))
+    values = command_values(database, codec.encode_command(COMMAND))
     chosen = revision(REVISION)
     statuses = [codec.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)) for bit in (False, True)]
     with open_bus(f"loopback:{name}", may_send=AI_IDS) as bus:
@@ -253,36 +186,26 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Result:
             for _ in range(100):  # past the time in which a bridge only listens
                 ours()
             before = engine.cycles
-            result = alternately("answer a 0x520", "us/cycle", ours, "cantools + python-can", peer, effort, 1)
+            times = alternately(ours, peer, effort.rounds, effort.turns, 1)
             assert engine.cycles - before >= effort.rounds * effort.turns, "not every 0x520 was answered"
         finally:
             plain.shutdown()
-    return result
+    return row("answer a 0x520", "us/cycle", times[0], "cantools + python-can", times[1])
 
 
-# ---------------------------------------------------------------- logs
-
-
-def bench_logs(effort: Effort) -> list[Result]:
+def bench_logs(effort: Effort) -> list[Row]:
     """Logs by the command line; of a short log the start of the process is most of it."""
-    found = logs_us(effort.log_frames, effort.log_rounds, recorded=effort is FULL)
+    kinds = KINDS if effort is FULL else KINDS[:1]
     return [
-        Result.of(
-            f"{name}, wall",
-            "us/frame",
-            ours,
-            "cantools decode" if name.startswith("decode") else "",
-            found[name.replace("decode", "cantools")] if name.startswith("decode") else (),
-        )
-        for name, ours in found.items()
-        if not name.startswith("cantools")
+        row(f"{name}, wall", "us/frame", ours, "cantools decode" if peer else "", peer)
+        for name, ours, peer in logs_us(kinds, effort.log_frames, effort.log_rounds)
     ]
 
 
 # ---------------------------------------------------------------- lockstep
 
 
-def bench_missions(missions: Sequence[str]) -> list[Result]:
+def bench_missions(missions: Sequence[str]) -> list[Row]:
     """How many times faster than real time a whole mission is driven. Raises AssertionError where it does not pass."""
     results = []
     for mission in missions:
@@ -292,7 +215,7 @@ def bench_missions(missions: Sequence[str]) -> list[Result]:
         done = lockstep.run()
         took_s = time.process_time() - began
         assert done.passed, f"{mission}: {done.verdict.reasons}"
-        results.append(Result.of(f"drive {mission}", "x real time", [done.sim_time_s / took_s]))
+        results.append(row(f"drive {mission}", "x real time", [done.sim_time_s / took_s]))
     return results
 
 
@@ -314,7 +237,7 @@ codec.encode_command(AiCommand())
 """
 
 
-def bench_start(effort: Effort) -> Result:
+def bench_start(effort: Effort) -> Row:
     """A process that could send its first frame now, with database and bridge; and one with the libraries alone."""
 
     def seconds(code: str) -> float:
@@ -328,10 +251,10 @@ def bench_start(effort: Effort) -> Result:
     for _ in range(effort.starts):
         peer.append(seconds(_PEER_START))
         ours.append(seconds(_OUR_START))
-    return Result.of("start to a first frame", "s", ours, "import can, cantools", peer)
+    return row("start to a first frame", "s", ours, "import can, cantools", peer)
 
 
-def bench_node(effort: Effort) -> list[Result]:
+def bench_node(effort: Effort) -> list[Row]:
     """From exec to the first frame of the bridge node as the car starts it, on a loopback bus with nobody else on it.
 
     Its processor time and the wall's, the 200 ms in which it only listens included. Raises AssertionError where none
@@ -359,7 +282,7 @@ def bench_node(effort: Effort) -> list[Result]:
                 node.stop()
             while bus.recv(0.0) is not None:
                 pass  # the last of this one are not the first of the next
-    return [Result.of(NODE_START, "s", processor_s), Result.of(NODE_START_WALL, "s", wall_s)]
+    return [row(NODE_START, "s", processor_s), row(NODE_START_WALL, "s", wall_s)]
 
 
 def _processor_s(pid: int) -> float:
@@ -368,9 +291,9 @@ def _processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def too_slow(results: Sequence[Result]) -> str | None:
+def too_slow(rows: Sequence[Row]) -> str | None:
     """What is wrong with the one figure that is judged, by the quickest start: others are held up by other programs."""
-    least_s = next((each.ours.least for each in results if each.name == NODE_START), 0.0)
+    least_s = next((each["ours"]["least"] for each in rows if each["name"] == NODE_START), 0.0)
     if least_s <= NODE_START_S:
         return None
     return f"{NODE_START}: {least_s:.3g} s of processor time to its first frame, more than {NODE_START_S:g} s"
@@ -379,36 +302,32 @@ def too_slow(results: Sequence[Result]) -> str | None:
 # ---------------------------------------------------------------- table and command
 
 
-def run(effort: Effort, say: Callable[[str], None]) -> list[Result]:
+def run(effort: Effort, say: Callable[[str], None]) -> list[Row]:
     codec, database = Codec(revision(REVISION)), cantools_database()
     ros = all(find_spec(name) for name in ("rclpy", "fsai_msgs", "fsai_nodes"))
-    steps: tuple[tuple[str, Callable[[], list[Result]]], ...] = (
+    steps: tuple[tuple[str, Callable[[], list[Row]]], ...] = (
         ("decoding", lambda: [bench_decode(codec, database, effort)]),
         ("encoding", lambda: [bench_encode(codec, database, effort)]),
         ("answering on the loopback bus", lambda: [bench_answer(codec, database, effort)]),
         ("starting processes", lambda: [bench_start(effort)]),
-        (
-            "starting the bridge node" if ros else "not measured: the bridge node; ROS 2 is not in this environment",
-            lambda: bench_node(effort) if ros else [],
-        ),
+        ("starting the bridge node", lambda: bench_node(effort))
+        if ros
+        else ("not measured: the bridge node; ROS 2 is not in this environment", list),
         (f"reading logs of {effort.log_frames} frames", lambda: bench_logs(effort)),
         ("driving in lockstep", lambda: bench_missions(effort.missions)),
     )
-    results: list[Result] = []
+    rows: list[Row] = []
     for number, (words, step) in enumerate(steps, start=1):
         say(f"[{number}/{len(steps)}] {words}")
-        results += step()
-    return results
+        rows += step()
+    return rows
 
 
-def table(results: Sequence[Result]) -> str:
+def table(rows: Sequence[Row]) -> str:
     lines = [f"{'what':<24}{'unit':<12}{'ours':>24}{'peer':>24}{'peer / ours':>24}  peer is"]
-    for each in results:
-        peer = _spread(each.peer) if each.peer else "-"
-        ratio = _spread(each.ratio) if each.ratio else "-"
-        lines.append(
-            f"{each.name:<24}{each.unit:<12}{_spread(each.ours):>24}{peer:>24}{ratio:>24}  {each.peer_name}".rstrip()
-        )
+    for each in rows:
+        figures = "".join(f"{_words(each[figure]):>24}" for figure in ("ours", "peer", "ratio"))
+        lines.append(f"{each['name']:<24}{each['unit']:<12}{figures}  {each['peer_name']}".rstrip())
     lines.append("median (quickest to slowest round), of processor time where not wall time")
     lines.append(
         f"{NODE_START}: to its first frame, {NODE_START_S:g} s of processor time at most; the rehearsal grants "
@@ -417,10 +336,11 @@ def table(results: Sequence[Result]) -> str:
     return "\n".join(lines)
 
 
-def _spread(spread: Spread) -> str:
-    if spread.least == spread.most:
-        return f"{spread.median:.3g}"
-    return f"{spread.median:.3g} ({spread.least:.3g} to {spread.most:.3g})"
+def _words(figure: dict[str, float] | None) -> str:
+    if figure is None:
+        return "-"
+    least, most = figure["least"], figure["most"]
+    return f"{figure['median']:.3g}" + (f" ({least:.3g} to {most:.3g})" if least != most else "")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -435,35 +355,33 @@ def main(argv: Sequence[str] | None = None) -> int:
         "-o", "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="folder for bench.json"
     )
     args = parser.parse_args(argv)
-    facts = machine()
-    print(f"{facts['processor']} x {facts['processors']}, {facts['kernel']}, Python {facts['python']}", flush=True)
+    here = machine()
+    print(f"{here['processor']} x {here['processors']}, {here['kernel']}, Python {here['python']}", flush=True)
     began = time.monotonic()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
-        results = run(QUICK if args.quick else FULL, lambda text: print(text, flush=True))
+        rows = run(QUICK if args.quick else FULL, lambda text: print(text, flush=True))
         whole = {
-            "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            **facts(CHECKOUT),
             "quick": args.quick,
             "time": "processor time, user and kernel",
             "seconds": round(time.monotonic() - began, 1),
-            "machine": facts,
-            "versions": versions(),
-            "source": source_revision(CHECKOUT),
-            "results": [asdict(each) for each in results],
+            "machine": here,
+            "results": rows,
         }
         path = args.out / "bench.json"
         path.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
-    except AssertionError as error:
-        print(f"fsai_hil.rehearsal.bench: nothing to compare: {error}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        print(f"fsai_hil.rehearsal.bench: {error.filename or args.out}: {error.strerror}", file=sys.stderr)
+    except (AssertionError, OSError) as error:
+        words = f"nothing to compare: {error}"
+        if isinstance(error, OSError):
+            words = f"{error.filename or args.out}: {error.strerror}"
+        print(f"fsai_hil.rehearsal.bench: {words}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("fsai_hil.rehearsal.bench: interrupted", file=sys.stderr)
         return 130
-    print(f"\n{table(results)}\nsaved {path}")
-    if not args.quick and (problem := too_slow(results)):
+    print(f"\n{table(rows)}\nsaved {path}")
+    if not args.quick and (problem := too_slow(rows)):
         print(f"fsai_hil.rehearsal.bench: {problem}", file=sys.stderr)
         return 1
     return 0

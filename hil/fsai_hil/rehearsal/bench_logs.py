@@ -9,10 +9,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from timeit import timeit
 
 import numpy as np
 from cantools.database.can import Database
@@ -26,7 +25,7 @@ from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.revisions import revision
 
 REVISION = "2026"
-RANDOM, RECORDED = "random", "recorded"
+KINDS = ("random", "recorded")
 _PEER_FRAMES = 50_000  # cantools takes a second for so many
 _FRAME_NS = 700_000  # of a full bus
 _AT_ONCE = 200_000
@@ -60,14 +59,23 @@ def recorded_frames(count: int, folder: Path) -> Frames:
     return joined(repeated).head(count)
 
 
-def logs_us(count: int, rounds: int, *, recorded: bool) -> dict[str, list[float]]:
-    """Microseconds a frame, round by round, of each figure: "decode random", "cantools random", "values random" …"""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        found = _figures(RANDOM, random_frames(count), folder, rounds)
-        if recorded:
-            found |= _figures(RECORDED, recorded_frames(count, folder), folder, rounds)
-        return found
+def cantools_database() -> Database:
+    """The revision's files, as anybody would load them."""
+    database = Database()
+    for name in revision(REVISION).dbc_files:
+        database.add_dbc_file(str(dbc_dir() / name))
+    return database
+
+
+def logs_us(kinds: Sequence[str], count: int, rounds: int) -> Iterator[tuple[str, list[float], list[float]]]:
+    """(what, microseconds a frame, those of cantools where it does the same), round by round: "decode random" …"""
+    for kind in kinds:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            frames = random_frames(count) if kind == "random" else recorded_frames(count, folder)
+            found = _figures(kind, frames, folder, rounds)
+        peer = found.pop("cantools")
+        yield from ((f"{what} {kind}", ours, peer if what == "decode" else []) for what, ours in found.items())
 
 
 def _figures(kind: str, frames: Frames, folder: Path, rounds: int) -> dict[str, list[float]]:
@@ -75,26 +83,20 @@ def _figures(kind: str, frames: Frames, folder: Path, rounds: int) -> dict[str, 
     few = frames.head(_PEER_FRAMES)
     _write(frames, log)
     _write(few, part)
-    whole = Database()
-    for name in revision(REVISION).dbc_files:
-        whole.add_dbc_file(dbc_dir() / name)
-    dbc.write_text(whole.as_dbc_string(), encoding="cp1252")  # cantools' command line takes one file
+    dbc.write_text(cantools_database().as_dbc_string(), encoding="cp1252")  # cantools' command line takes one file
     assert _decoded(part) == _decoded_by_cantools(part, dbc), f"{kind}: cantools prints other lines"
-    found: dict[str, list[float]] = {}
+    works: dict[str, tuple[Callable[[], object], Frames]] = {
+        "cantools": (lambda: _decoded_by_cantools(part, dbc), few),
+        "decode": (lambda: _decoded(log, None), frames),
+        "values": (lambda: _values(log), frames),
+        "parquet": (lambda: _exported("parquet", log, folder), frames),
+        "mcap": (lambda: _exported("mcap", log, folder), frames),
+        "check": (lambda: _fsai_vcu("check", log), frames),
+    }
+    found: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
-        with tempfile.TemporaryDirectory(dir=folder) as out:
-            works: dict[str, tuple[Callable[[], object], int]] = {
-                "cantools": (partial(_decoded_by_cantools, part, dbc), len(few)),
-                "decode": (partial(_decoded, log, None), len(frames)),
-                "values": (partial(_values, log), len(frames)),
-                "parquet": (partial(_fsai_vcu, "export", log, "--to", "parquet", "-o", f"{out}/p"), len(frames)),
-                "mcap": (partial(_fsai_vcu, "export", log, "--to", "mcap", "-o", f"{out}/m"), len(frames)),
-                "check": (partial(_fsai_vcu, "check", log), len(frames)),
-            }
-            for figure, (work, count) in works.items():
-                began = time.perf_counter()
-                work()
-                found.setdefault(f"{figure} {kind}", []).append((time.perf_counter() - began) * 1e6 / count)
+        for name, (work, read) in works.items():
+            found[name].append(timeit(work, number=1) * 1e6 / len(read))
     return found
 
 
@@ -121,6 +123,11 @@ def _fsai_vcu(*argv: str | Path, out: int | None = None) -> bytes:
     done = subprocess.run(command, stdout=out or subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     assert done.returncode in (0, 1), f"{' '.join(command)}: status {done.returncode}"
     return done.stdout or b""
+
+
+def _exported(kind: str, log: Path, folder: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=folder) as out:
+        _fsai_vcu("export", log, "--to", kind, "-o", f"{out}/tables")
 
 
 def _values(log: Path) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, Stack, StackError
 from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
-from fsai_hil.rules.checker import check_candump
+from fsai_hil.rules.checker import WireReport, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
 from fsai_hil.simulator.world import World
 from fsai_hil.vcan import INTERFACE
@@ -33,6 +33,7 @@ START_TIMEOUT_S = 60.0
 RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 15.0
 PROGRESS_PERIOD_S = 1.0
+SAVED = ("bus.log", "run.png", "verdict.json")
 _INSIDE = "FSAI_DEMO_INSIDE"  # set in the process that already has its own vcan0
 
 
@@ -46,7 +47,9 @@ def main() -> int:
     args.mission = args.mission or MISSION
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
-        _check(args)
+        # What would only fail once everything is running.
+        World(setup_of(args, [args.mission]))
+        args.out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as error:
         text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
         print(f"demo: {text}", file=sys.stderr)
@@ -55,19 +58,19 @@ def main() -> int:
     if inside is not None:
         return inside
     try:
-        return rehearse(lambda: Demo(args).run())
+        return rehearse(lambda: drive(args))
     except KeyboardInterrupt:
         print("demo: interrupted; every process has been ended", file=sys.stderr)
         return 130
 
 
-def rehearse(drive: Callable[[], int]) -> int:
-    """The exit status of `drive`; it drives once more if it failed on a disturbed machine."""
+def rehearse(run: Callable[[], int]) -> int:
+    """The exit status of `run`; it is run once more if it failed on a disturbed machine."""
     with tempfile.TemporaryDirectory(prefix="fsai-demo-") as folder, StallMonitor(Path(folder) / "stalls") as monitor:
         for again in (True, False):
             since_ns = time.monotonic_ns()
             try:
-                status = drive()
+                status = run()
             except StackError as error:
                 print(f"demo: {error}", file=sys.stderr)
                 status = 1
@@ -76,17 +79,10 @@ def rehearse(drive: Callable[[], int]) -> int:
                 break
             what = f"this machine {describe(disturbances)} meanwhile, and the car and its bridge with it"
             _say(
-                f"\n{what}: that run shows nothing, once more"
-                if again
-                else f"\n{what}, this time too: no run was undisturbed"
+                f"\n{what}"
+                + (": that run shows nothing, once more" if again else ", this time too: no run was undisturbed")
             )
         return status
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Raises ValueError or OSError for what would only fail once everything is running."""
-    World(setup_of(args, [args.mission]))
-    args.out.mkdir(parents=True, exist_ok=True)
 
 
 def _in_own_vcan(args: argparse.Namespace) -> int | None:
@@ -104,86 +100,63 @@ def _in_own_vcan(args: argparse.Namespace) -> int | None:
     )
 
 
-class Demo:
+def drive(args: argparse.Namespace) -> int:
     """One rehearsal, from the start of the processes to the verdict."""
-
-    def __init__(self, args: argparse.Namespace) -> None:
-        self._args = args
-        on_vcan = existing_vcan() or bool(os.environ.get(_INSIDE))
-        self._bus = args.bus or (INTERFACE if on_vcan else f"loopback:demo-{os.getpid()}")
-        for name in ("bus.log", "verdict.json", "run.png", *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
-            (args.out / name).unlink(missing_ok=True)
-        self._stack = Stack(self._bus, args.out)
-        self._log = args.out / "bus.log"
-        self._verdict = args.out / "verdict.json"
-        self._plot = args.out / "run.png"
-
-    def run(self) -> int:
-        args = self._args
-        kind = " (stand-in: this kernel has no vcan)" if args.bus is None and self._bus != INTERFACE else ""
-        _say(f"bus {self._bus}{kind}, ROS domain {self._stack.domain_id}, logs in {args.out}")
-        with self._stack as stack:
-            _say(f"starting {', '.join(NODES)}, each its own process")
-            stack.start_verb("recorder", "record", "-i", self._bus, "-o", str(self._log))
-            stack.start_nodes(_node_parameters(args))
-            operator = RosOperator(stack, "demo")
-            try:
-                operator.await_bridge(START_TIMEOUT_S)
-                vcu = stack.start_verb("vcu", *self._vcu_arguments())
-                _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
-                result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *NODES)
-                _say(f"run_mission: {result.message}")
-            finally:
-                operator.close()
-            status = vcu.wait(VERDICT_TIMEOUT_S)
-        return self._report(status)
-
-    def _vcu_arguments(self) -> list[str]:
-        args = self._args
-        words = ["vcu", "-i", self._bus, "--auto", "--mission", args.mission, "--revision", args.revision]
-        words += ["--seed", str(args.seed), "--truth", str(self._stack.truth_port)]
-        words += ["--result", str(self._verdict), "--plot", str(self._plot)]
-        if args.laps is not None:
-            words += ["--laps", str(args.laps)]
-        if args.track is not None:
-            words += ["--track", args.track]
-        return words
-
-    def _report(self, status: int) -> int:
-        """The judge's verdict and what the bus log shows, for a person."""
-        try:
-            verdict: dict[str, Any] = json.loads(self._verdict.read_text())
-        except (OSError, ValueError):
-            raise StackError(f"the simulated car left no verdict; see {self._args.out / 'vcu.log'}") from None
-        wire = check_candump(self._log, Codec(revision(self._args.revision)), busy_machine=True)
-        laps = ", ".join(f"{lap_s:.2f} s" for lap_s in verdict["lap_times_s"])
-        print(
-            f"\njudge      {verdict['mission']}: {verdict['result'].upper()}", *verdict["reasons"], sep="\n           "
+    on_vcan = existing_vcan() or bool(os.environ.get(_INSIDE))
+    bus = args.bus or (INTERFACE if on_vcan else f"loopback:demo-{os.getpid()}")
+    for name in (*SAVED, *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
+        (args.out / name).unlink(missing_ok=True)
+    log, plot, verdict = (args.out / name for name in SAVED)
+    with Stack(bus, args.out) as stack:
+        kind = " (stand-in: this kernel has no vcan)" if args.bus is None and bus != INTERFACE else ""
+        _say(f"bus {bus}{kind}, ROS domain {stack.domain_id}, logs in {args.out}")
+        _say(f"starting {', '.join(NODES)}, each its own process")
+        stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
+        car = {"car": args.revision}
+        laps = {} if args.laps is None else {"laps": args.laps}
+        stack.start_nodes(
+            {"vcu_bridge": {"revision": args.revision, **car}, "path_planner": car | laps, "vehicle_controller": car}
         )
-        print(f"laps       {verdict['laps']}" + (f" ({laps})" if laps else ""))
-        print(f"speed      mean {verdict['mean_speed_mps']:.1f} m/s, top {verdict['top_speed_mps']:.1f} m/s")
-        print(f"cones hit  {verdict['cones_hit']}, off course {verdict['off_course']}")
-        handshake = verdict["handshake"]
-        if handshake.get("echoes"):
-            print(
-                f"handshake  {handshake['echoes']} echoes, response p50 {handshake['median_ms']:.2f} ms, "
-                f"p99 {handshake['p99_ms']:.2f} ms, max {handshake['max_ms']:.2f} ms"
-            )
-        print(f"bus log    {wire.frames} frames, {'every rule kept' if wire.ok else 'RULES BROKEN:'}")
-        for violation in wire.violations[:20]:
-            print(f"           {violation}")
-        print(f"saved      {self._log}, {self._plot}, {self._verdict}")
-        return 0 if status == 0 and wire.ok else 1
+        operator = RosOperator(stack, "demo")
+        try:
+            operator.await_bridge(START_TIMEOUT_S)
+            words = ["vcu", "-i", bus, "--auto", "--truth", str(stack.truth_port), "--result", str(verdict)]
+            words += ["--plot", str(plot)]
+            for name in ("mission", "revision", "seed", "laps", "track"):
+                if getattr(args, name) is not None:
+                    words.append(f"--{name}={getattr(args, name)}")
+            vcu = stack.start_verb("vcu", *words)
+            _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
+            result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *NODES)
+            _say(f"run_mission: {result.message}")
+        finally:
+            operator.close()
+        status = vcu.wait(VERDICT_TIMEOUT_S)
+    if not verdict.exists():
+        raise StackError(f"the simulated car left no verdict; see {args.out / 'vcu.log'}")
+    wire = check_candump(log, Codec(revision(args.revision)), busy_machine=True)
+    _report(json.loads(verdict.read_text()), wire)
+    print(f"saved      {log}, {plot}, {verdict}")
+    return 0 if status == 0 and wire.ok else 1
 
 
-def _node_parameters(args: argparse.Namespace) -> dict[str, dict[str, object]]:
-    car = {"car": args.revision}
-    laps = {} if args.laps is None else {"laps": args.laps}
-    return {
-        "vcu_bridge": {"revision": args.revision, **car},
-        "path_planner": {**car, **laps},
-        "vehicle_controller": {**car},
-    }
+def _report(verdict: dict[str, Any], wire: WireReport) -> None:
+    """The judge's verdict and what the bus log shows, for a person."""
+    laps = ", ".join(f"{lap_s:.2f} s" for lap_s in verdict["lap_times_s"])
+    lines = [
+        ("judge", f"{verdict['mission']}: {verdict['result'].upper()}"),
+        *(("", reason) for reason in verdict["reasons"]),
+        ("laps", f"{verdict['laps']}" + (f" ({laps})" if laps else "")),
+        ("speed", f"mean {verdict['mean_speed_mps']:.1f} m/s, top {verdict['top_speed_mps']:.1f} m/s"),
+        ("cones hit", f"{verdict['cones_hit']}, off course {verdict['off_course']}"),
+    ]
+    if (handshake := verdict["handshake"]).get("echoes"):
+        figures = ((name, handshake[key]) for name, key in (("p50", "median_ms"), ("p99", "p99_ms"), ("max", "max_ms")))
+        words = ", ".join(f"{name} {time_ms:.2f} ms" for name, time_ms in figures)
+        lines.append(("handshake", f"{handshake['echoes']} echoes, response {words}"))
+    lines.append(("bus log", f"{wire.frames} frames, {'every rule kept' if wire.ok else 'RULES BROKEN:'}"))
+    lines += [("", violation) for violation in wire.violations[:20]]
+    print("", *(f"{name:<10} {text}" for name, text in lines), sep="\n")
 
 
 class RunPrinter:

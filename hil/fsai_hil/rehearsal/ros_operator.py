@@ -42,18 +42,18 @@ class RosOperator:
         self._set_mode = self.node.create_client(SetMode, "/set_mode")
         self._triggers = {each: self.node.create_client(Trigger, each) for each in ("/emergency_brake", "/reset")}
         self.state: Any = None  # the newest VehicleState
-        self.node.create_subscription(VehicleState, "/vehicle_state", self._on_state, qos_profile_sensor_data)
-
         self._diagnostics: dict[str, dict[str, str]] = {}  # the newest, by the bridge's parts
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
-    def _on_state(self, message: Any) -> None:
-        self.state = message
+        def on_state(message: Any) -> None:
+            self.state = message
 
-    def _on_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            values = {value.key: value.value for value in status.values}
-            self._diagnostics[status.name.removeprefix("vcu_bridge: ")] = {"message": status.message, **values}
+        def on_diagnostics(message: Any) -> None:
+            for status in message.status:
+                values = {value.key: value.value for value in status.values}
+                self._diagnostics[status.name.removeprefix("vcu_bridge: ")] = {"message": status.message, **values}
+
+        self.node.create_subscription(VehicleState, "/vehicle_state", on_state, qos_profile_sensor_data)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
 
     def close(self) -> None:
         self.node.destroy_node()
@@ -62,7 +62,7 @@ class RosOperator:
     # ------------------------------------------------------------ waiting
 
     def spin(self) -> None:
-        """Hear what has arrived, for a moment."""
+        """Receive what has arrived, for a moment."""
         self._rclpy.spin_once(self.node, timeout_sec=_SPIN_S)
 
     def await_that(self, condition: Callable[[], bool], timeout_s: float, what: str, *alive: str) -> None:
@@ -93,7 +93,7 @@ class RosOperator:
     def diagnostics(self, part: str) -> dict[str, str]:
         """What the bridge next publishes of its 'link', 'supervision', 'car' or 'loop': its message and its values."""
         self._diagnostics.pop(part, None)
-        self.await_that(lambda: part in self._diagnostics, ANSWER_TIMEOUT_S, f"/diagnostics tells of the {part}")
+        self.await_that(lambda: part in self._diagnostics, ANSWER_TIMEOUT_S, f"/diagnostics has the {part}")
         return self._diagnostics[part]
 
     def describe(self) -> str:
@@ -114,7 +114,7 @@ class RosOperator:
     def become_autonomous(self, timeout_s: float, refused: Callable[[str], None] | None = None, *alive: str) -> str:
         """Ask for autonomous until the bridge accepts it (it does in AS_INIT, AS_OFF and AS_READY); its answer.
 
-        `refused` hears each new reason for which it does not. Raises StackError when one of `alive` has ended.
+        `refused` gets each new reason for which it does not. Raises StackError when one of `alive` has ended.
         """
         until = time.monotonic() + timeout_s
         reason = ""
@@ -133,17 +133,12 @@ class RosOperator:
             while time.monotonic() < pause:
                 self.spin()
 
-    def emergency_brake(self) -> tuple[bool, str]:
-        return self._trigger("/emergency_brake")
-
-    def reset(self) -> tuple[bool, str]:
-        return self._trigger("/reset")
-
-    def _trigger(self, service: str) -> tuple[bool, str]:
+    def trigger(self, service: str) -> tuple[bool, str]:
+        """Call /emergency_brake or /reset."""
         return self._call(self._triggers[service], self._types[2].Request())
 
     def _call(self, client: Any, request: Any) -> tuple[bool, str]:
-        """Ask until there is an answer: the first one is lost when the server has not yet discovered its client's ear.
+        """Ask until there is an answer: the first one is lost when the server has not yet discovered its client.
 
         Every request of the operator may be repeated without harm.
         """
@@ -166,13 +161,11 @@ class RosOperator:
         """Follow a run to its end over the action; its result. `feedback` gets each feedback message."""
         goal = self._types[0].Goal(mission=mission, until=until, timeout_s=timeout_s)
         callback = None if feedback is None else lambda message: feedback(message.feedback)
-        handle = self._await(self._run_mission.send_goal_async(goal, feedback_callback=callback), "the goal is taken")
+        sent = self._run_mission.send_goal_async(goal, feedback_callback=callback)
+        self.await_that(sent.done, ANSWER_TIMEOUT_S, "the goal is taken")
+        handle = sent.result()
         if not handle.accepted:
             raise StackError("the bridge did not take the /run_mission goal")
         future = handle.get_result_async()
         self.await_that(future.done, timeout_s + ANSWER_TIMEOUT_S, f"the run reaches '{until}'", *alive)
         return future.result().result
-
-    def _await(self, future: Any, what: str) -> Any:
-        self.await_that(future.done, ANSWER_TIMEOUT_S, what)
-        return future.result()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median, median_high
@@ -121,7 +121,7 @@ class Flatness:
         for trend in self.trends:
             rss = f"{trend.rss_mib[0]:.1f} -> {trend.rss_mib[1]:.1f}"
             fds, threads = (f"{first} -> {last}" for first, last in (trend.fds, trend.threads))
-            note = "" if trend.judged else "  not judged: it keeps its whole story"
+            note = "" if trend.judged else "  not judged: it keeps all of its run"
             lines.append(f"{trend.name:<20} {rss:>17} {trend.growth_mib_per_hour:>8.1f} {fds:>13} {threads:>9}{note}")
         p99 = ", ".join("none" if value is None else f"{value:.2f} ms" for value in self.response_p99_ms)
         lines.append(f"handshake answered at p99, in each third: {p99}")
@@ -171,11 +171,13 @@ def _trend(name: str, samples: Sequence[ProcessSample], *, judged: bool) -> Tren
         absent = (f"only {len(samples)} samples: it was not there all the time",)
         return Trend(name, judged, len(samples), (0.0, 0.0), 0.0, (0, 0), (0, 0), absent)
     part = len(samples) // PARTS
-    first, last = samples[:part], samples[-part:]
-    rss_kib = median(each.rss_kib for each in first), median(each.rss_kib for each in last)
-    hours = (median(each.t_s for each in last) - median(each.t_s for each in first)) / 3600.0
-    fds = median_high(each.fds for each in first), median_high(each.fds for each in last)
-    threads = median_high(each.threads for each in first), median_high(each.threads for each in last)
+
+    def of(figure: str, middle: Callable[[Iterable[Any]], Any] = median_high) -> tuple[Any, Any]:
+        first, last = (middle(getattr(each, figure) for each in seen) for seen in (samples[:part], samples[-part:]))
+        return first, last
+
+    rss_kib, t_s, fds, threads = of("rss_kib", median), of("t_s", median), of("fds"), of("threads")
+    hours = (t_s[1] - t_s[0]) / 3600.0
     broken: list[str] = []
     if rss_kib[1] - rss_kib[0] > NOISE_KIB + GROWTH_KIB_PER_HOUR * hours:
         broken.append(f"memory grew by {(rss_kib[1] - rss_kib[0]) / 1024:.1f} MiB in {60 * hours:.1f} min")

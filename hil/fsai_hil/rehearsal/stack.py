@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -69,23 +68,24 @@ class RunningProcess:
     def log(self) -> str:
         return self.log_path.read_text(errors="replace")
 
-    def await_log(self, pattern: str, timeout_s: float) -> re.Match[str]:
-        """The first match of `pattern` in what the process has printed. Raises StackError when it ends or is late."""
-        expression = re.compile(pattern)
-        until = time.monotonic() + timeout_s
-        while True:
-            alive = self.alive
-            match = expression.search(self.log())
-            if match:
-                return match
-            if not alive:
-                raise StackError(f"{self.name} ended with status {self.popen.returncode}:\n{self.last_words()}")
-            if time.monotonic() > until:
-                raise StackError(f"{self.name} did not print /{pattern}/ in {timeout_s:g} s:\n{self.last_words()}")
-            time.sleep(_POLL_S)
+    def check_alive(self) -> None:
+        """Raises StackError when it has ended by itself."""
+        if not self.alive:
+            raise StackError(f"{self.name} ended with status {self.popen.returncode}:{self.last_words()}")
+
+    def await_log(self, words: str, timeout_s: float) -> None:
+        """Until the process has printed `words`. Raises StackError when it ends without, or is late."""
+
+        def printed() -> bool:
+            alive = self.alive  # what it printed before its end counts
+            if words not in self.log() and not alive:
+                self.check_alive()
+            return words in self.log()
+
+        await_condition(printed, timeout_s, f"{self.name} prints '{words}'")
 
     def last_words(self, lines: int = 15) -> str:
-        return "\n".join("    " + line for line in self.log().splitlines()[-lines:])
+        return "".join(f"\n    {line}" for line in self.log().splitlines()[-lines:])
 
     def type(self, line: str) -> None:
         """A line on its standard input, which is a pipe."""
@@ -102,14 +102,17 @@ class RunningProcess:
         try:
             return self.popen.wait(timeout_s)
         except subprocess.TimeoutExpired as error:
-            raise StackError(f"{self.name} did not end in {timeout_s:g} s:\n{self.last_words()}") from error
+            raise StackError(f"{self.name} did not end in {timeout_s:g} s:{self.last_words()}") from error
 
-    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> int:
-        """Ask it to end, insist if it does not; its exit status."""
+    def ask_to_end(self) -> None:
         self.signal(signal.SIGCONT)
         self.signal(signal.SIGTERM)
+
+    def stop(self) -> int:
+        """Ask it to end, insist if it does not; its exit status."""
+        self.ask_to_end()
         try:
-            self.popen.wait(timeout_s)
+            self.popen.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.popen.kill()
             self.popen.wait()
@@ -154,24 +157,24 @@ class Stack:
     def start_node(self, name: str, **parameters: object) -> RunningProcess:
         """Start one ROS node: with the rehearsal's parameters, those of its last start, and `parameters` on top."""
         self._parameters[name] |= parameters
-        return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *ros_arguments(self._parameters[name])])
+        words = ["--ros-args"]
+        for parameter, value in self._parameters[name].items():
+            words += ["-p", f"{parameter}:={value}"]
+        return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *words])
 
-    def start_nodes(self, parameters: Mapping[str, Mapping[str, object]] | None = None) -> None:
+    def start_nodes(self, parameters: Mapping[str, Mapping[str, object]]) -> None:
         """Start the five nodes, each its own process; `parameters` by node name."""
         for name in NODES:
-            self.start_node(name, **(parameters or {}).get(name, {}))
+            self.start_node(name, **parameters.get(name, {}))
 
     def check_alive(self, *names: str) -> None:
         """Raises StackError naming the first of `names` (all, if none are given) that has ended by itself."""
         for name in names or tuple(self.processes):
-            process = self.processes[name]
-            if not process.alive:
-                raise StackError(f"{name} ended with status {process.popen.returncode}:\n{process.last_words()}")
+            self.processes[name].check_alive()
 
     def stop(self) -> None:
         for process in reversed(self.processes.values()):
-            process.signal(signal.SIGCONT)
-            process.signal(signal.SIGTERM)
+            process.ask_to_end()
         for process in reversed(self.processes.values()):
             process.stop()
 
@@ -180,12 +183,3 @@ class Stack:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-
-
-def ros_arguments(parameters: Mapping[str, object]) -> list[str]:
-    """`parameters` as a ROS command line."""
-    arguments = []
-    for name, value in parameters.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        arguments += ["-p", f"{name}:={text}"]
-    return ["--ros-args", *arguments] if arguments else []

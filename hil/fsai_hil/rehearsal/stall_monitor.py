@@ -29,9 +29,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
-from typing import Protocol, TypeVar
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
 NOTED_NS = 20_000_000  # woken later than this: noted
@@ -43,87 +41,41 @@ SPELL = 50  # wakes, half a second: so much is looked at as one
 SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
 NO_TIME = 0.02  # of all processors' time idle, or less: none to spare
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
-_STALL, _SLOW, _BUSY = "stall", "slow", "busy"
+STALL, SLOW, BUSY = "stall", "slow", "busy"
 _START_S = 20.0
 RUNS = 3  # of what failed on a disturbed machine
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 
 
 @dataclass(frozen=True)
-class Stall:
-    """The machine should have woken the stall monitor at `due_ns` (CLOCK_MONOTONIC), and did `late_ns` later."""
+class Disturbance:
+    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine stood still (STALL: the stall monitor should have been
+    woken at the first and was at the second), ran at the fraction `speed` of its best (SLOW), or had all processors
+    busy (BUSY)."""
 
+    kind: str
     due_ns: int
-    late_ns: int
+    until_ns: int
+    speed: float = 1.0
 
     @property
-    def until_ns(self) -> int:
-        return self.due_ns + self.late_ns
-
-
-@dataclass(frozen=True)
-class SlowSpell:
-    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine ran at the fraction `speed` of its best."""
-
-    due_ns: int
-    until_ns: int
-    speed: float
-
-
-@dataclass(frozen=True)
-class BusySpell:
-    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) all processors were busy."""
-
-    due_ns: int
-    until_ns: int
-
-
-Disturbance = Stall | SlowSpell | BusySpell
+    def lasted_ns(self) -> int:
+        return self.until_ns - self.due_ns
 
 
 def describe(disturbances: Sequence[Disturbance]) -> str:
     """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
+    stalls, slow, busy = ([one for one in disturbances if one.kind == kind] for kind in (STALL, SLOW, BUSY))
     words = []
-    stalls = [one.late_ns for one in disturbances if isinstance(one, Stall)]
     if stalls:
         more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
-        words.append(f"stood still for {max(stalls) / 1e6:.0f} ms{more}")
-    spells = [one for one in disturbances if isinstance(one, SlowSpell)]
-    if spells:
-        lasted_s = sum(spell.until_ns - spell.due_ns for spell in spells) / 1e9
-        words.append(f"ran at {100 * min(spell.speed for spell in spells):.0f} % of its speed for {lasted_s:.1f} s")
-    busy = [one for one in disturbances if isinstance(one, BusySpell)]
+        words.append(f"stood still for {max(one.lasted_ns for one in stalls) / 1e6:.0f} ms{more}")
+    if slow:
+        lasted_s = sum(one.lasted_ns for one in slow) / 1e9
+        words.append(f"ran at {100 * min(one.speed for one in slow):.0f} % of its speed for {lasted_s:.1f} s")
     if busy:
-        words.append(f"had no time to spare for {sum(spell.until_ns - spell.due_ns for spell in busy) / 1e9:.1f} s")
+        words.append(f"had no time to spare for {sum(one.lasted_ns for one in busy) / 1e9:.1f} s")
     return " and ".join(words)
-
-
-class Watcher(Protocol):
-    """What is asked of the stall monitor."""
-
-    def disturbances(self, since_ns: int) -> Sequence[Disturbance]: ...
-
-    def busy_spells(self, since_ns: int) -> Sequence[Disturbance]: ...
-
-
-class RunValidity(Enum):
-    COUNTS = "the run counts, whichever way it ended"
-    AGAIN = "it failed on a disturbed machine: it is run again"
-    NEVER_UNDISTURBED = "it failed in its last run too, which the machine disturbed as it did those before"
-
-
-def judge_run(failed: bool, disturbances: Sequence[object], run: int) -> RunValidity:
-    """What the `run`th run of a test (1 is the first) is worth; `disturbances` is empty if nothing befell it."""
-    if not failed or not disturbances:
-        return RunValidity.COUNTS
-    return RunValidity.AGAIN if run < RUNS else RunValidity.NEVER_UNDISTURBED
-
-
-Noted = TypeVar("Noted", Stall, SlowSpell, BusySpell)
-
-
-def _since(noted: Sequence[Noted], since_ns: int) -> list[Noted]:
-    return [one for one in noted if one.until_ns >= since_ns]
 
 
 class StallMonitor:
@@ -137,40 +89,30 @@ class StallMonitor:
             [sys.executable, "-I", "-S", __file__, str(path)], stdin=subprocess.DEVNULL, start_new_session=True
         )
         until = time.monotonic() + _START_S
-        while not self._lines():
+        while not (path.exists() and path.read_text()):
             if self._process.poll() is not None or time.monotonic() > until:
                 self.stop()
                 raise OSError("the stall monitor to the machine's own delays does not start")
             time.sleep(SLEEP_NS / 1e9)
 
-    def stalls(self, since_ns: int, *, at_least_ns: int = STOOD_STILL_NS) -> list[Stall]:
+    def stalls(self, since_ns: int, *, at_least_ns: int = STOOD_STILL_NS) -> list[Disturbance]:
         """When the machine stood still for `at_least_ns` or longer since an instant of CLOCK_MONOTONIC."""
-        noted = [Stall(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _STALL]
-        return [stall for stall in _since(noted, since_ns) if stall.late_ns >= at_least_ns]
+        return [stall for stall in self._noted(STALL, since_ns) if stall.lasted_ns >= at_least_ns]
 
-    def slow_spells(self, since_ns: int) -> list[SlowSpell]:
-        """When it ran far below its best speed."""
-        noted = [SlowSpell(int(note[1]), int(note[2]), float(note[3])) for note in self._notes() if note[0] == _SLOW]
-        return _since(noted, since_ns)
-
-    def busy_spells(self, since_ns: int) -> list[BusySpell]:
+    def busy_spells(self, since_ns: int) -> list[Disturbance]:
         """When it had no time to spare, whoever was busy."""
-        noted = [BusySpell(int(note[1]), int(note[2])) for note in self._notes() if note[0] == _BUSY]
-        return _since(noted, since_ns)
+        return self._noted(BUSY, since_ns)
 
     def disturbances(self, since_ns: int) -> list[Disturbance]:
-        """All that happened to the machine since then, and that lets a rehearsal show nothing."""
-        return [*self.stalls(since_ns), *self.slow_spells(since_ns)]
+        """When it stood still, or ran far below its best speed: a rehearsal then shows nothing."""
+        return [*self.stalls(since_ns), *self._noted(SLOW, since_ns)]
 
-    def _notes(self) -> list[list[str]]:
-        return [line.split() for line in self._lines()[1:]]
-
-    def _lines(self) -> list[str]:
-        """Whole lines only: the last may be just being written."""
-        try:
-            return self._path.read_text().rpartition("\n")[0].splitlines()
-        except FileNotFoundError:
-            return []
+    def _noted(self, kind: str, since_ns: int) -> list[Disturbance]:
+        lines = self._path.read_text().rpartition("\n")[0].splitlines()[1:]  # the last may be just being written
+        notes = [
+            Disturbance(what, int(due), int(until), float(speed)) for what, due, until, speed in map(str.split, lines)
+        ]
+        return [one for one in notes if one.kind == kind and one.until_ns >= since_ns]
 
     def stop(self) -> None:
         self._process.kill()
@@ -218,7 +160,7 @@ def watch(path: str) -> None:
         time.sleep(SLEEP_NS / 1e9)
         woken_ns = time.monotonic_ns()
         if woken_ns - due_ns >= NOTED_NS:
-            os.write(notes, f"{_STALL} {due_ns} {woken_ns - due_ns}\n".encode())
+            os.write(notes, f"{STALL} {due_ns} {woken_ns} 1\n".encode())
         sum(COUNTED)
         now_ns = time.monotonic_ns()
         counted_ns += now_ns - woken_ns
@@ -226,10 +168,10 @@ def watch(path: str) -> None:
         if counts == SPELL:
             best_ns = min(best_ns or counted_ns, counted_ns)
             if best_ns < SLOWED_TO * counted_ns:
-                os.write(notes, f"{_SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
+                os.write(notes, f"{SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
             before_ns, idle_ns = idle_ns, _idle_ns(stat)
             if idle_ns - before_ns <= NO_TIME * (now_ns - spell_ns):
-                os.write(notes, f"{_BUSY} {spell_ns} {now_ns}\n".encode())
+                os.write(notes, f"{BUSY} {spell_ns} {now_ns} 1\n".encode())
             spell_ns, counted_ns, counts = now_ns, 0, 0
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from _pytest.runner import runtestprotocol
 
-from fsai_hil.rehearsal.stall_monitor import RUNS, RunValidity, Watcher, describe, judge_run
+from fsai_hil.rehearsal.stall_monitor import RUNS, StallMonitor, describe
 
 PUT_OFF = "put off"  # an outcome beside pytest's own: neither passed nor failed, it goes on the list
 
@@ -30,7 +30,7 @@ class Undisturbed:
     """
 
     def __init__(
-        self, stall_monitor: Watcher, clock: Callable[[], int] = time.monotonic_ns, put_off: Path | None = None
+        self, stall_monitor: StallMonitor, clock: Callable[[], int] = time.monotonic_ns, put_off: Path | None = None
     ) -> None:
         self._stall_monitor = stall_monitor
         self._clock = clock
@@ -49,40 +49,42 @@ class Undisturbed:
 
     def _reports(self, item: pytest.Item, nextitem: pytest.Item | None) -> list[pytest.TestReport]:
         """Those of the run that counts, or of the last."""
-        run = 0
-        while True:
-            run += 1
+        for run in range(1, RUNS + 1):
             since_ns = self._clock()
             reports = runtestprotocol(item, log=False, nextitem=nextitem)
             failed = [report for report in reports if report.failed]
-            disturbances = list(self._stall_monitor.disturbances(since_ns)) if failed else []
-            if failed and self._put_off is not None:
-                disturbances += self._stall_monitor.busy_spells(since_ns)
-            if failed:
-                # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
-                item.session._setupstate.teardown_exact(None)
-            outcome = judge_run(bool(failed), disturbances, run)
-            if outcome is RunValidity.AGAIN and self._put_off is not None:
-                self._say(item, f"{item.name}: the machine {describe(disturbances)}: put off")
-                with self._put_off.open("a") as names:
-                    print(item.nodeid, file=names)
-                with self._put_off.with_suffix(".txt").open("a") as story:
-                    for report in failed:
-                        print(item.nodeid, report.when, report.longreprtext, sep="\n", file=story)
-                for report in failed:
-                    report.outcome = PUT_OFF  # type: ignore[assignment]
+            if not failed:
                 return reports
-            if outcome is RunValidity.AGAIN:
-                self._say(item, f"{item.name}: the machine {describe(disturbances)}: run {run} shows nothing")
-                continue
-            if outcome is RunValidity.NEVER_UNDISTURBED:
-                why = f"never ran undisturbed: in run {run} of {RUNS} too the machine {describe(disturbances)}"
-                self._say(item, f"{item.name}: {why}")
-                failed[0].sections.append(("the machine", why))
-            return reports
+            # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
+            item.session._setupstate.teardown_exact(None)
+            disturbances = list(self._stall_monitor.disturbances(since_ns))
+            if self._put_off is not None:
+                disturbances += self._stall_monitor.busy_spells(since_ns)
+            if not disturbances:
+                return reports
+            what = f"the machine {describe(disturbances)}"
+            if self._put_off is not None:
+                self._say(item, f"{item.name}: {what}: put off")
+                _put_off(self._put_off, item.nodeid, failed)
+                return reports
+            if run < RUNS:
+                self._say(item, f"{item.name}: {what}: run {run} shows nothing")
+        why = f"never ran undisturbed: in run {RUNS} of {RUNS} too {what}"
+        self._say(item, f"{item.name}: {why}")
+        failed[0].sections.append(("the machine", why))
+        return reports
 
     def _say(self, item: pytest.Item, line: str) -> None:
         terminal = item.config.pluginmanager.get_plugin("terminalreporter")
         if terminal is not None:
             terminal.ensure_newline()
             terminal.write_line(line, yellow=True)
+
+
+def _put_off(names: Path, nodeid: str, failed: list[pytest.TestReport]) -> None:
+    """Put it on the list, and beside the list how it failed; its reports then say neither passed nor failed."""
+    with names.open("a") as listed, names.with_suffix(".txt").open("a") as reasons:
+        print(nodeid, file=listed)
+        for report in failed:
+            print(nodeid, report.when, report.longreprtext, sep="\n", file=reasons)
+            report.outcome = PUT_OFF  # type: ignore[assignment]

@@ -179,6 +179,7 @@ class Chain:
         """Of the nodes, and of the CAN loop, which has a process of its own and holds the interface."""
         loop = holder_pid(self.stack.bus)
         assert loop is not None, "nobody drives the interface"
+        assert loop != self.stack.processes["vcu_bridge"].popen.pid, "the loop has a process of its own"
         return {**{name: self.stack.processes[name].popen.pid for name in NODES}, "CAN loop": loop}
 
     @property

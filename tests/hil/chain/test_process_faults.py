@@ -36,7 +36,6 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import open_bus
-from fsai_vcu.runtime.lock import holder_pid
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 DEADLINES = BridgeConfig()
@@ -192,17 +191,9 @@ def test_without_fresh_data_the_car_stops_for_good(
     rules_kept(drive)
 
 
-def loop_of(chain: Chain) -> int:
-    """The process of the CAN loop: the one that holds the interface."""
-    pid = holder_pid(chain.stack.bus)
-    assert pid is not None, "nobody drives the interface"
-    assert pid != chain.stack.processes["vcu_bridge"].popen.pid, "the loop has a process of its own"
-    return pid
-
-
 @pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
 def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire, hang_s: float) -> None:
-    loop = loop_of(chain)
+    loop = chain.pids["CAN loop"]
     stopped_ns = time.time_ns()
     os.kill(loop, signal.SIGSTOP)
     try:
@@ -231,7 +222,7 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire
 def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: Wire) -> None:
     bridge = chain.stack.processes["vcu_bridge"]
     killed_ns = time.time_ns()
-    os.kill(loop_of(chain), signal.SIGKILL)
+    os.kill(chain.pids["CAN loop"], signal.SIGKILL)
     assert bridge.wait(STOP_S) == 1
     assert "the CAN loop ended by itself: its process was killed by signal 9" in bridge.log()
     chain.stack.start_node("vcu_bridge")
@@ -264,7 +255,7 @@ def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: Wire) -> Non
 
 def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: Wire) -> None:
     """The loop brakes the car to rest, says FINISHED, and ends; the next bridge may start."""
-    loop = loop_of(chain)
+    loop = chain.pids["CAN loop"]
     killed_ns = time.time_ns()
     chain.stack.processes["vcu_bridge"].signal(signal.SIGKILL)
     chain.operator.state = None

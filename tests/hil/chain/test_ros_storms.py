@@ -8,14 +8,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from chain.conftest import CODEC, START_S, Chain
-from fsai_hil.rehearsal.stack import RunningProcess
+from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_hil.rules.checker import MS, checker_for, read_candump
 from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.runtime.transport import LOOPBACK
@@ -39,7 +39,11 @@ class Programs:
         """The process id of a program that was started for `what` and has received a message."""
         before = self._lines("received")
         self._process.type(" ".join([what, *(f"{name}={value}" for name, value in TRANSPORTS[transport].items())]))
-        await_that(lambda: len(self._lines("received")) > len(before), "a program receives what the bridge publishes")
+        await_condition(
+            lambda: len(self._lines("received")) > len(before),
+            RECEIVED_S,
+            "a program receives of the bridge",
+        )
         return int(self._lines("received")[-1])
 
     def _lines(self, what: str) -> list[str]:
@@ -47,7 +51,7 @@ class Programs:
 
     def leaves(self, transport: str) -> None:
         pid = str(self._started("leave", transport))
-        await_that(lambda: pid in self._lines("left"), "the program leaves")
+        await_condition(lambda: pid in self._lines("left"), RECEIVED_S, "the program leaves")
 
     def killed(self, transport: str) -> None:
         os.kill(self._started("stay", transport), signal.SIGKILL)
@@ -71,13 +75,6 @@ TRANSPORTS = {
 }
 
 
-def await_that(condition: Callable[[], bool], what: str) -> None:
-    until = time.monotonic() + RECEIVED_S
-    while not condition():
-        assert time.monotonic() < until, f"waited {RECEIVED_S:g} s in vain: {what}"
-        time.sleep(0.05)
-
-
 @contextmanager
 def programs(chain: Chain, folder: Path) -> Iterator[Programs]:
     # The last in line for the processor: it is their joining that is to show, not their work.
@@ -85,7 +82,7 @@ def programs(chain: Chain, folder: Path) -> Iterator[Programs]:
     process = RunningProcess("programs", argv, folder / "programs.log", chain.stack.environ, stdin=subprocess.PIPE)
     started = Programs(process)
     try:
-        process.await_log("^ready", START_S)
+        process.await_log("ready", START_S)
         yield started
     finally:
         started.end()

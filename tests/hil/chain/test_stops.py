@@ -18,11 +18,11 @@ def test_manual_while_driving_is_a_controlled_stop(chain: Chain) -> None:
 
 def test_the_emergency_brake_service_stops_and_stays_latched(chain: Chain) -> None:
     with chain.drive("emergency_brake"):
-        accepted, message = chain.operator.emergency_brake()
+        accepted, message = chain.operator.trigger("/emergency_brake")
         assert accepted, message
         state = chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "an emergency")
         assert state.shutdown_cause_label == "AI_COMPUTER_REQUEST"
         assert state.emergency and state.sent_estop_request
-        accepted, message = chain.operator.reset()
+        accepted, message = chain.operator.trigger("/reset")
         assert not accepted and "EMERGENCY_BRAKE" in message
     assert chain.wire is not None and chain.wire.ok, chain.wire

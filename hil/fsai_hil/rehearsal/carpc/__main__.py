@@ -23,6 +23,7 @@ from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_hil.rules.checker import checker_for, read_candump
 from fsai_hil.vcan import VcanError, uml
 from fsai_hil.vcan.clock import SKIPPED, SLOWEST_PACE, preloaded_clock, slowed_clock
+from fsai_vcu.interface.errors import UserError
 
 MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
@@ -59,10 +60,6 @@ TimeoutStopSec=90s
 ExecStart=/opt/fsai/bin/python -m fsai_hil.rehearsal.carpc.scenes"""
 
 
-class CarPcError(Exception):
-    """The rehearsal cannot be held; the message is one clear line."""
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.rehearsal.carpc",
@@ -91,7 +88,7 @@ def main() -> int:
         parser.error(f"--pace is {pace:g}, but must be from 1 to {SLOWEST_PACE:g}")
     try:
         return rehearse(args.missions, args.results.resolve(), args.timeout, args.short, pace)
-    except (CarPcError, VcanError) as error:
+    except (UserError, VcanError) as error:
         print(f"fsai_hil.rehearsal.carpc: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -114,7 +111,7 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
     else:
         package.unpack(package.make(results), installed)
     if not Path("/usr/lib/systemd/systemd-udevd").exists():
-        raise CarPcError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
+        raise UserError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
     if pace != 1.0:
         print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
@@ -125,7 +122,7 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         init.write_text(init_script(missions, installed, results, modules, clock, short))
         init.chmod(0o755)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
-        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, Telling(results):
+        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, StepPrinter(results):
 
             def boot() -> bool:
                 return uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, pace * timeout_s, slowed)
@@ -135,12 +132,12 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
                 if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
                     in_time = boot()
     if not in_time:
-        raise CarPcError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
+        raise UserError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
     report = results / "report.json"
     if not report.is_file():
-        raise CarPcError(f"the machine went off without a report: {results / 'console.log'}")
+        raise UserError(f"the machine went off without a report: {results / 'console.log'}")
     if (results / "again").exists():
-        raise CarPcError(f"the machine did not come back from its reboot: {results / 'console.log'}")
+        raise UserError(f"the machine did not come back from its reboot: {results / 'console.log'}")
     kept = [rules_kept(log) for log in sorted(results.glob("bus-*.log"))]
     return 0 if all_well(json.loads(report.read_text())) and all(kept) else 1
 
@@ -166,12 +163,12 @@ def rules_kept(log: Path) -> bool:
     return report.ok
 
 
-class Telling:
+class StepPrinter:
     """Prints each step of the report as it comes."""
 
     def __init__(self, results: Path) -> None:
         self._report = results / "report.json"
-        self._told = 0
+        self._printed = 0
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -182,31 +179,24 @@ class Telling:
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
-        self._tell()
 
     def _run(self) -> None:
-        while not self._over.wait(1.0):
-            self._tell()
-
-    def _tell(self) -> None:
-        try:
-            steps = json.loads(self._report.read_text())
-        except (OSError, ValueError):  # not there yet, or being written at this moment
-            return
-        for step in steps[self._told :]:
-            took, within = ("" if each is None else f"{each:.2f} s" for each in (step["seconds"], step["within"]))
-            mark = "ok   " if step["passed"] else "WRONG"
-            print(f"{mark} {took:>10} {within:>10}   {step['what']}  {step['words']}".rstrip(), flush=True)
-        self._told = len(steps)
+        over = False
+        while not over:
+            over = self._over.wait(1.0)
+            try:
+                steps = json.loads(self._report.read_text())
+            except (OSError, ValueError):  # not there yet, or being written at this moment
+                continue
+            for step in steps[self._printed :]:
+                took, within = ("" if each is None else f"{each:.2f} s" for each in (step["seconds"], step["within"]))
+                mark = "ok   " if step["passed"] else "WRONG"
+                print(f"{mark} {took:>10} {within:>10}   {step['what']}  {step['words']}".rstrip(), flush=True)
+            self._printed = len(steps)
 
 
 def init_script(
-    missions: str,
-    installed: Path,
-    results: Path,
-    modules: list[Path],
-    clock: Mapping[str, str],
-    short: bool,
+    missions: str, installed: Path, results: Path, modules: list[Path], clock: Mapping[str, str], short: bool
 ) -> str:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote

@@ -1,4 +1,4 @@
-"""What the bus of the rehearsed car PC shows, and the person beside the car who works its switches."""
+"""What the bus of the rehearsed car PC shows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _POLL_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Seen:
     """One frame of the bus, decoded; the time is the wall clock's."""
 
     t_ns: int
@@ -83,16 +83,16 @@ class BusWatch:
             time.sleep(_POLL_S)
 
     def silent_for_s(self) -> float:
-        """So long the car has said nothing."""
+        """So long no 0x520 has been received."""
         return time.monotonic() - self.received_s
 
     def at_rest_in(self, state: AsState) -> bool:
         return self.as_state is state and self.fastest_rpm < STANDING_RPM
 
-    def since(self, t_ns: int) -> list[Said]:
+    def since(self, t_ns: int) -> list[Seen]:
         """What was on the bus since then, decoded."""
         self.read()
-        return [Said(frame.t_ns, CODEC.decode(frame).image) for frame in self.frames if frame.t_ns >= t_ns]
+        return [Seen(frame.t_ns, CODEC.decode(frame).image) for frame in self.frames if frame.t_ns >= t_ns]
 
     def close(self) -> None:
         self._candump.terminate()
@@ -102,39 +102,21 @@ class BusWatch:
         self._reading.close()
 
 
-class CarService:
-    """The simulated car as a service whose switches are typed."""
-
-    def __init__(self, unit: str, fifo: Path) -> None:
-        self._unit = unit
-        self._fifo = fifo
-
-    def start(self) -> None:
-        subprocess.run(["systemctl", "start", self._unit], check=True)
-
-    def type(self, *lines: str) -> None:
-        with self._fifo.open("w") as fifo:
-            fifo.write("".join(f"{line}\n" for line in lines))
-
-
 def fastest_rpm(image: object) -> float:
     assert isinstance(image, WheelSpeeds)
-    return max(abs(rpm) for rpm in (image.fl_rpm, image.fr_rpm, image.rl_rpm, image.rr_rpm))
+    return max(map(abs, image.all_rpm))
 
 
-def torque_ends_s(said: list[Said], since_ns: int) -> float:
+def torque_ends_s(seen: list[Seen], since_ns: int) -> float:
     """How long after `since_ns` torque was last asked for; 0 if it was not."""
-    asked = [each.t_ns for each in said if _asks_torque(each.image)]
+    drives = ((each.t_ns, each.image) for each in seen)
+    asked = [t_ns for t_ns, image in drives if isinstance(image, AiDriveFront | AiDriveRear) and image.torque_nm > 0]
     return (max(asked) - since_ns) / 1e9 if asked else 0.0
 
 
-def _asks_torque(image: object) -> bool:
-    return isinstance(image, AiDriveFront | AiDriveRear) and image.torque_nm > 0
-
-
-def first_s(said: list[Said], since_ns: int, condition: Callable[[object], bool]) -> float | None:
+def first_s(seen: list[Seen], since_ns: int, condition: Callable[[object], bool]) -> float | None:
     """How long after `since_ns` the first of them with `condition` was on the bus."""
-    return next(((each.t_ns - since_ns) / 1e9 for each in said if condition(each.image)), None)
+    return next(((each.t_ns - since_ns) / 1e9 for each in seen if condition(each.image)), None)
 
 
 def in_state(*states: AsState) -> Callable[[object], bool]:
@@ -145,6 +127,15 @@ def standing(image: object) -> bool:
     return isinstance(image, WheelSpeeds) and fastest_rpm(image) < STANDING_RPM
 
 
+def rest_s(seen: list[Seen], since_ns: int) -> float | None:
+    """How long after `since_ns` the car stood for good; None if it still moves in the end, or no wheel was seen."""
+    wheels = [each for each in seen if isinstance(each.image, WheelSpeeds)]
+    moving = [each.t_ns for each in wheels if not standing(each.image)]
+    if not wheels or not standing(wheels[-1].image):
+        return None
+    return (max(moving) - since_ns) / 1e9 if moving else 0.0
+
+
 def wants_emergency(image: object) -> bool:
     return isinstance(image, AiStatus) and image.estop_request
 
@@ -153,9 +144,9 @@ def brakes(image: object) -> bool:
     return isinstance(image, AiBrake) and image.front_pct > 0
 
 
-def longest_gap_s(said: list[Said]) -> float:
+def longest_gap_s(seen: list[Seen]) -> float:
     """Between two frames with the AI computer's status."""
-    times = [each.t_ns for each in said if isinstance(each.image, AiStatus)]
+    times = [each.t_ns for each in seen if isinstance(each.image, AiStatus)]
     return max((later - earlier for earlier, later in pairwise(times)), default=0) / 1e9
 
 

@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -23,14 +24,12 @@ from fsai_hil.rehearsal.carpc import probe, wifi
 from fsai_hil.rehearsal.carpc.bus_watch import (
     HOUR_NS,
     BusWatch,
-    CarService,
-    Said,
     brakes,
     car_was_deaf,
     first_s,
     in_state,
     longest_gap_s,
-    standing,
+    rest_s,
     torque_ends_s,
     wants_emergency,
 )
@@ -49,7 +48,7 @@ from fsai_hil.rehearsal.carpc.recovery_times import (
     TORQUE_WITHOUT_DATA_S,
     UNPLUGGED_S,
 )
-from fsai_hil.rehearsal.stall_monitor import RUNS, RunValidity, StallMonitor, Watcher, describe, judge_run
+from fsai_hil.rehearsal.stall_monitor import RUNS, StallMonitor, describe
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import AiStatus
 from fsai_vcu.runtime.lock import holder_pid
@@ -74,19 +73,67 @@ _POLL_S = 0.1
 _BOOT_POLL_S = 0.5  # each look takes from the one processor what the services start with
 
 
+# The bridge's unit with another command, that ends, in the place of its own.
+PROBE = """[Service]
+Type=oneshot
+ExecStart=
+ExecStart={command}
+StandardOutput=file:{printed}
+Restart=no
+WatchdogSec=0
+"""
+
+
 class CannotGoOn(Exception):
     """A scene has noted why it ends here."""
 
 
+@dataclass(frozen=True)
+class Strike:
+    """A service's main process is killed or stopped in mid-drive; of_loop: the process that holds the interface.
+
+    torque_s: within which the last torque is asked for. first: the AS state that ends the drive, where it is another
+    than the one that the car ends in.
+    """
+
+    what: str
+    service: str
+    torque_s: float
+    ends_in: AsState = AsState.AS_FINISHED
+    first: AsState | None = None
+    number: signal.Signals = signal.SIGKILL
+    of_loop: bool = False
+
+
+def strikes_of_bridge(what: str, number: signal.Signals) -> tuple[Strike, Strike]:
+    """Its edge, without which the loop stops the car, and goes silent when that has finished; and the loop."""
+    ends_in, first = AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED
+    return (
+        Strike(f"bridge {what}", "fsai-bridge", TORQUE_WITHOUT_COMMANDS_S, ends_in, first, number),
+        Strike(f"CAN loop {what}", "fsai-bridge", TORQUE_OF_A_DEAD_BRIDGE_S, ends_in, None, number, of_loop=True),
+    )
+
+
+UNPLUGGED = Strike("plugged in", "fsai-bridge", 0.0, AsState.EMERGENCY_BRAKE)
+DETECTOR_KILLED = Strike("fsai-detector killed", "fsai-detector", TORQUE_WITHOUT_DATA_S)
+BRIDGE_KILLED, LOOP_KILLED = strikes_of_bridge("killed", signal.SIGKILL)
+STRIKES = (
+    Strike("fsai-planner killed", "fsai-planner", TORQUE_WITHOUT_DATA_S),
+    Strike("fsai-controller killed", "fsai-controller", TORQUE_WITHOUT_COMMANDS_S),
+    BRIDGE_KILLED,
+    LOOP_KILLED,
+    *strikes_of_bridge("hung", signal.SIGSTOP),
+)
+
+
 class Rehearsal:
-    def __init__(self, interface: str, missions: int, stall_monitor: Watcher) -> None:
+    def __init__(self, interface: str, missions: int, stall_monitor: StallMonitor) -> None:
         self.interface = interface
         self.missions = missions
         self.stall_monitor = stall_monitor
         self.bridge = f"fsai-bridge@{interface}"
         self.recorder = f"fsai-recorder@{interface}"
         self.bench_car = f"fsai-simulated-car@{interface}"
-        self.car = CarService("fsai-typed-car", FIFO)
         self.services = (*NODES, self.bridge, self.recorder)
         report = RESULTS / "report.json"
         self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
@@ -96,12 +143,12 @@ class Rehearsal:
     def run_short(self) -> None:
         """What every change of the sources goes through."""
         self.booted()
-        self.car.start()
-        self.car.type("on")
+        self.start_car()
+        self.type("on")
         self.fresh_car = True
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
-        self.scene("bridge killed", lambda: self.edge_struck(signal.SIGKILL, "killed"))
+        self.scene(BRIDGE_KILLED.what, lambda: self.struck_in_a_drive(BRIDGE_KILLED))
         self.step("at the end all services are active", self.all_active, 60.0, SERVICE_BACK_S)
 
     def run(self) -> None:
@@ -113,23 +160,17 @@ class Rehearsal:
         self.scene("the sandbox", lambda: self.sandboxed(compare=True))
         self.scene("the network", self.not_found)
         self.scene("the missions", self.driven)
-        self.car.start()
+        self.start_car()
         self.scene("undisturbed", self.undisturbed_drive)
-        for service, torque_s in (
-            ("fsai-planner", TORQUE_WITHOUT_DATA_S),
-            ("fsai-controller", TORQUE_WITHOUT_COMMANDS_S),
-        ):
-            self.scene(f"{service} killed", partial(self.node_killed, service, torque_s))
-        for number, what in ((signal.SIGKILL, "killed"), (signal.SIGSTOP, "hung")):
-            self.scene(f"bridge {what}", partial(self.edge_struck, number, what))
-            self.scene(f"CAN loop {what}", partial(self.loop_struck, number, what))
+        for strike in STRIKES:
+            self.scene(strike.what, partial(self.struck_in_a_drive, strike))
         self.scene("unplugged", self.unplugged)
         self.rebooted(1)
 
     def go_on(self, reboot: int) -> None:
         """After a reboot in mid-drive, the `reboot`th; one that a disturbed machine made fail is to be had again."""
         self.booted()
-        self.car.start()
+        self.start_car()
         self.scene("after the reboot", self.after_the_reboot)
         if reboot > 1:
             self.rebooted(reboot)
@@ -142,28 +183,26 @@ class Rehearsal:
     def scene(self, name: str, play: Callable[[], None]) -> None:
         """Play it; again where it failed while the machine stood still or was slow, for then it has shown nothing."""
         for run in range(1, RUNS + 1):
-            if self.judged(name, play, run) is not RunValidity.AGAIN:
+            if not self.shows_nothing(name, play, run):
                 return
 
-    def judged(self, name: str, play: Callable[[], None], run: int) -> RunValidity:
-        """One run of a scene, and what it is worth."""
+    def shows_nothing(self, name: str, play: Callable[[], None], run: int) -> bool:
+        """Play a scene; whether it is to be played again."""
         since_ns, first = time.monotonic_ns(), len(self.steps)
         self.watched = None
         try:
             play()
+            failed = not all(step["passed"] for step in self.steps[first:])
         except CannotGoOn:
             failed = True
-        else:
-            failed = not all(step["passed"] for step in self.steps[first:])
         why = self.disturbed(since_ns) if failed else ""
-        outcome = judge_run(failed, why, run)
-        if outcome is RunValidity.AGAIN:
+        if why and run == RUNS:
+            self.check(f"{name}: never undisturbed", False, f"in run {run} too {why}")
+        elif why:
             for step in self.steps[first:]:
                 step["counts"] = False
             self.note(f"{name}: run {run} shows nothing: {why}", None)
-        elif outcome is RunValidity.NEVER_UNDISTURBED:
-            self.note(f"{name}: never undisturbed", None, passed=False, words=f"in run {run} too {why}")
-        return outcome
+        return bool(why) and run < RUNS
 
     def disturbed(self, since_ns: int) -> str:
         """What befell the machine, or the simulated car on it, since then; '' if nothing did."""
@@ -179,43 +218,17 @@ class Rehearsal:
             self.clock_stepped(watch)
             self.disk_filled(watch)
             self.recorder_killed(watch)
-            self.struck(watch, "fsai-detector killed", "fsai-detector", torque_s=TORQUE_WITHOUT_DATA_S)
+            self.struck(watch, DETECTOR_KILLED)
 
-    def node_killed(self, service: str, torque_s: float) -> None:
-        with self.drive(service) as watch:
-            self.struck(watch, f"{service} killed", service, torque_s=torque_s)
-
-    def edge_struck(self, number: signal.Signals, what: str) -> None:
-        """The service's main process: its loop stops the car, and goes silent when the car has finished."""
-        with self.drive(f"bridge-{what}") as watch:
-            self.struck(
-                watch,
-                f"bridge {what}",
-                self.bridge,
-                number,
-                torque_s=TORQUE_WITHOUT_COMMANDS_S,
-                first=AsState.AS_FINISHED,
-                ends_in=AsState.EMERGENCY_BRAKE,
-            )
-
-    def loop_struck(self, number: signal.Signals, what: str) -> None:
-        """The process that holds the interface."""
-        with self.drive(f"loop-{what}") as watch:
-            self.struck(
-                watch,
-                f"CAN loop {what}",
-                self.bridge,
-                number,
-                torque_s=TORQUE_OF_A_DEAD_BRIDGE_S,
-                ends_in=AsState.EMERGENCY_BRAKE,
-                process=holder_pid(self.interface),
-            )
+    def struck_in_a_drive(self, strike: Strike) -> None:
+        with self.drive(strike.what.replace(" ", "-")) as watch:
+            self.struck(watch, strike)
 
     def after_the_reboot(self) -> None:
         watch = BusWatch(self.interface, Path("/run/rehearsal/after.log"))
-        self.car.type("off", "on")
+        self.type("off", "on")
         up = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
-        self.note("after the reboot the car powers up", None, passed=up)
+        self.check("after the reboot the car powers up", up)
         since_ns = time.time_ns()
         watch.wait(lambda: False, AT_EASE_S * 2)
         still = watch.as_state is AsState.AS_OFF and torque_ends_s(watch.since(since_ns), since_ns) == 0
@@ -231,9 +244,8 @@ class Rehearsal:
         self.await_that(self.all_active, 120.0, _BOOT_POLL_S)
         active_s = max((started_s(service, "ActiveEnterTimestampMonotonic") for service in self.services), default=0.0)
         self.note("boot to ready, from the kernel's start", active_s, BOOT_S, passed=self.all_active())
-        begun_s = started_s(self.bridge, "ExecMainStartTimestampMonotonic")
         ready_s = started_s(self.bridge, "ActiveEnterTimestampMonotonic")
-        self.note("the bridge at boot, from its process to READY", ready_s - begun_s)
+        self.note("the bridge at boot, from its process to READY", ready_s - self.bridge_began_s())
         self.step("fsai.target is reached", lambda: is_active("fsai.target"), 60.0, BOOT_S)
 
     def driven(self) -> None:
@@ -259,15 +271,15 @@ class Rehearsal:
         try:
             findings = json.loads(done.stdout)["findings"]
         except (ValueError, KeyError):
-            self.note(f"doctor failed: {done.stderr.strip()}", None, passed=False)
+            self.check(f"doctor failed: {done.stderr.strip()}", False)
             return
         wrong = [f"{each['topic']}: {each['words']}" for each in findings if each["level"] == "wrong"]
         if silent:
             passed = len(wrong) == 1 and wrong[0].startswith("bus: the VCU is silent")
-            self.note("doctor finds nothing wrong but a silent car", None, passed=passed, words="; ".join(wrong))
+            self.check("doctor finds nothing wrong but a silent car", passed, "; ".join(wrong))
         else:
             received = any(each["topic"] == "bus" and each["level"] == "right" for each in findings)
-            self.note("doctor finds nothing wrong", None, passed=received and not wrong, words="; ".join(wrong))
+            self.check("doctor finds nothing wrong", received and not wrong, "; ".join(wrong))
 
     # ------------------------------------------------------------ who else may do what
 
@@ -288,25 +300,24 @@ class Rehearsal:
         (RESULTS / "sandbox.json").write_text(json.dumps({"outside": freely, "inside": confined}, indent=1))
         if freely is not None:
             refused = [name for name, how in freely.items() if how]
-            passed = bool(freely) and not refused
-            self.note("outside of a sandbox all of it is allowed", None, passed=passed, words=", ".join(refused))
+            self.check("outside of a sandbox all of it is allowed", bool(freely) and not refused, ", ".join(refused))
         allowed = [name for name, how in confined.items() if not how]
         words = f"{len(confined) - len(allowed)} refused; allowed: {', '.join(allowed)}"
-        passed = bool(confined) and allowed == [probe.CAN]
-        self.note("inside of the bridge's, nothing but a CAN socket", None, passed=passed, words=words)
+        self.check("inside of the bridge's, nothing but a CAN socket", allowed == [probe.CAN], words)
         listing = output("ss", "-H", "-lntup")
         found = wifi.listeners_in(listing)
         words = "; ".join(found) or f"{len(listing.splitlines())} sockets, all on the loopback"
-        self.note("nothing on this machine listens on a network", None, passed=bool(listing) and not found, words=words)
+        self.check("nothing on this machine listens on a network", bool(listing) and not found, words)
 
     def in_the_bridges_place(self, command: str) -> str:
         """What a command prints that is run by the bridge's unit, with all that restricts it."""
         units, ours = Path("/usr/lib/systemd/system"), Path("/run/systemd/system")
         printed = Path("/run/rehearsal/probe")
         printed.unlink(missing_ok=True)
-        text = in_its_place((units / "fsai-bridge@.service").read_text(), command, printed)
-        (ours / "fsai-probe@.service").write_text(text)
-        shutil.copytree(units / "fsai-bridge@.service.d", ours / "fsai-probe@.service.d", dirs_exist_ok=True)
+        shutil.copy(units / "fsai-bridge@.service", ours / "fsai-probe@.service")
+        settings = ours / "fsai-probe@.service.d"
+        shutil.copytree(units / "fsai-bridge@.service.d", settings, dirs_exist_ok=True)
+        (settings / "90-probe.conf").write_text(PROBE.format(command=command, printed=printed))
         systemctl("daemon-reload")
         systemctl("start", f"fsai-probe@{self.interface}")
         return printed.read_text() if printed.exists() else ""
@@ -315,12 +326,9 @@ class Rehearsal:
         """Somebody on the team's Wi-Fi looks for the nodes; the same program on this machine finds them."""
         lines = output("fsai-vcu", "config", "environment").split()
         here = wifi.looked([], STRANGER_S * 4, dict(line.split("=", 1) for line in lines))
-        words = json.dumps(here)
-        self.note(
-            "a ROS program on this machine sees the bridge", None, passed=here["sees_the_car"] is True, words=words
-        )
+        self.check("a ROS program on this machine sees the bridge", here["sees_the_car"] is True, json.dumps(here))
         there = wifi.looked(wifi.from_there(), STRANGER_S, wifi.STRANGERS)
-        blind = there == {"nodes": [], "commands_heard_by": 0, "set_mode": False, "sees_the_car": False}
+        blind = there == {"nodes": [], "subscribers": 0, "set_mode": False, "sees_the_car": False}
         words = "" if blind else json.dumps(there)
         self.note("one on the team's network sees nothing", STRANGER_S, passed=blind, words=words)
 
@@ -333,16 +341,16 @@ class Rehearsal:
         self.watched = watch
         fresh, self.fresh_car = self.fresh_car, False
         if not fresh:
-            self.car.type("off", "ami not_selected")
+            self.type("off", "ami not_selected")
         drives = (
             (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
-            and self._typed(watch, ["on"], AsState.AS_OFF)
-            and self._typed(watch, [f"ami {MISSION}"], AsState.AS_READY)
+            and self._typed(watch, "on", AsState.AS_OFF)
+            and self._typed(watch, f"ami {MISSION}", AsState.AS_READY)
             and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
         )
         until = time.monotonic() + POWER_UP_S
         while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
-            self.car.type("go")
+            self.type("go")
             watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
@@ -359,8 +367,16 @@ class Rehearsal:
             if not AGAIN.exists():  # else the machine goes down: it has been kept
                 shutil.copy(watch.path, RESULTS / f"bus-{name}.log")
 
-    def _typed(self, watch: BusWatch, lines: list[str], state: AsState) -> bool:
-        self.car.type(*lines)
+    def start_car(self) -> None:
+        """The simulated car as a service whose switches are typed."""
+        subprocess.run(["systemctl", "start", "fsai-typed-car"], check=True)
+
+    def type(self, *lines: str) -> None:
+        with FIFO.open("w") as fifo:
+            fifo.write("".join(f"{line}\n" for line in lines))
+
+    def _typed(self, watch: BusWatch, line: str, state: AsState) -> bool:
+        self.type(line)
         return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
 
     # ------------------------------------------------------------ what must not matter
@@ -375,7 +391,7 @@ class Rehearsal:
         self.note("the clock stepped by an hour, both ways: drives on", 3.0, passed=passed)
 
     def disk_filled(self, watch: BusWatch) -> None:
-        since = len(self.said_by(self.recorder))
+        since = len(self.journal_of(self.recorder))
         fill = Path("/var/log/fill")
         since_ns = time.time_ns()
         subprocess.run(["nice", "-n", "19", "sh", "-c", f"cat /dev/zero > {fill}"], capture_output=True, check=False)
@@ -383,120 +399,98 @@ class Rehearsal:
         on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
         gap_s = longest_gap_s(watch.since(since_ns))
         fill.unlink()
-        said = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
-        words = f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder reports {said}"
+        reported = [line for line in self.journal_of(self.recorder)[since:] if "cannot write" in line]
+        words = (
+            f"{free_kib} KiB free; longest pause of the bridge {gap_s * 1e3:.0f} ms; the recorder reports {reported}"
+        )
         self.note("the disk full: drives on", FULL_S, passed=on, words=words)
         self.step(
             "with room again the recorder writes again",
-            lambda: any("writing again" in line for line in self.said_by(self.recorder)[since:]),
+            lambda: any("writing again" in line for line in self.journal_of(self.recorder)[since:]),
             30.0,
             RECORDS_AGAIN_S,
         )
-        said = [line for line in self.said_by(self.recorder)[since:] if "cannot write" in line]
-        self.note("it has said so in one line", None, passed=len(said) == 1, words="; ".join(said))
-        self.note("and the car drives on", None, passed=self.undisturbed(watch))
+        reported = [line for line in self.journal_of(self.recorder)[since:] if "cannot write" in line]
+        self.check("it has reported that in one line", len(reported) == 1, "; ".join(reported))
+        self.check("and the car drives on", self.undisturbed(watch))
 
     def recorder_killed(self, watch: BusWatch) -> None:
         before = main_pid(self.recorder)
         os.kill(before, signal.SIGKILL)
         self.step("the recorder killed: back", lambda: self.anew(self.recorder, before), 60.0, SERVICE_BACK_S)
         watch.read()
-        self.note("and the car drives on", None, passed=self.undisturbed(watch))
+        self.check("and the car drives on", self.undisturbed(watch))
 
     def undisturbed(self, watch: BusWatch) -> bool:
         return watch.as_state is AsState.AS_DRIVING and watch.fastest_rpm > DRIVES_RPM / 2
 
     # ------------------------------------------------------------ what ends the drive
 
-    def struck(
-        self,
-        watch: BusWatch,
-        what: str,
-        service: str,
-        number: signal.Signals = signal.SIGKILL,
-        *,
-        torque_s: float,
-        ends_in: AsState = AsState.AS_FINISHED,
-        first: AsState | None = None,
-        process: int | None = None,
-    ) -> None:
-        """A service's main process, or another one of it, is killed or stopped in mid-drive.
-
-        first: the AS state that ends the drive, where it is not the one that the car ends in.
-        """
+    def struck(self, watch: BusWatch, strike: Strike) -> None:
+        service = self.bridge if strike.service == "fsai-bridge" else strike.service
         before = main_pid(service)
         struck_ns = time.time_ns()
         struck_s = time.monotonic()
-        os.kill(process or before, number)
+        os.kill((strike.of_loop and holder_pid(self.interface)) or before, strike.number)
         back_s: float | None = None
 
         def settled() -> bool:
             nonlocal back_s
             if back_s is None and self.anew(service, before):
                 back_s = time.monotonic() - struck_s
-            return back_s is not None and watch.at_rest_in(ends_in)
+            return back_s is not None and watch.at_rest_in(strike.ends_in)
 
         watch.wait(settled, 40.0)
-        within_s = HUNG_BACK_S if number == signal.SIGSTOP else SERVICE_BACK_S
-        if first is not None:
+        within_s = HUNG_BACK_S if strike.number == signal.SIGSTOP else SERVICE_BACK_S
+        if strike.first is not None:
             within_s += AT_REST_S  # the car is brought to rest before anything is started anew
-        self.note(f"{what}: back", back_s, within_s, passed=back_s is not None)
-        self.rested(watch, what, struck_ns, ends_in, torque_s, first)
+        self.note(f"{strike.what}: back", back_s, within_s)
+        self.rested(watch, strike, struck_ns)
         if service == self.bridge:
             self.first_frame(watch)
 
-    def rested(
-        self,
-        watch: BusWatch,
-        what: str,
-        struck_ns: int,
-        ends_in: AsState,
-        torque_s: float | None,
-        first: AsState | None = None,
-    ) -> None:
-        """The run has ended in this state, the car stands, and nothing sets off again."""
+    def rested(self, watch: BusWatch, strike: Strike, struck_ns: int) -> None:
+        """The run has ended as it must, the car stands, and nothing sets off again."""
+        what, ends_in, first = strike.what, strike.ends_in, strike.first or strike.ends_in
         watch.wait(lambda: False, AT_EASE_S)
-        said = watch.since(struck_ns)
-        last_s = torque_ends_s(said, struck_ns)
-        if torque_s is not None:
-            self.note(f"{what}: the last torque", last_s, torque_s)
-        first = first or ends_in
-        over_s = first_s(said, struck_ns, in_state(*(state for state in AsState if state is not AsState.AS_DRIVING)))
-        if first is AsState.EMERGENCY_BRAKE and torque_s is not None:
-            self.note(f"{what}: the car stops itself", over_s, CAR_STOPS_ITSELF_S, passed=over_s is not None)
-        self.note(f"{what}: at rest", _rest_s(said, struck_ns), AT_REST_S, passed=standing_at_the_end(said))
+        seen = watch.since(struck_ns)
+        over_s = first_s(seen, struck_ns, in_state(*(state for state in AsState if state is not AsState.AS_DRIVING)))
+        if strike is not UNPLUGGED:
+            self.note(f"{what}: the last torque", torque_ends_s(seen, struck_ns), strike.torque_s)
+            if first is AsState.EMERGENCY_BRAKE:
+                self.note(f"{what}: the car stops itself", over_s, CAR_STOPS_ITSELF_S)
+        self.note(f"{what}: at rest", rest_s(seen, struck_ns), AT_REST_S)
         elsewhere = in_state(*(state for state in AsState if state not in (first, ends_in, AsState.AS_DRIVING)))
-        came_first = first_s(said, struck_ns, in_state(first))
-        stays = watch.as_state is ends_in and came_first == over_s and not any(elsewhere(each.image) for each in said)
+        came_first = first_s(seen, struck_ns, in_state(first))
+        stays = watch.as_state is ends_in and came_first == over_s and not any(elsewhere(each.image) for each in seen)
         words = "" if watch.as_state is None else watch.as_state.label
-        self.note(f"{what}: ends in {ends_in.label} and does not drive on", None, passed=stays, words=words)
+        self.check(f"{what}: ends in {ends_in.label} and does not drive on", stays, words)
+
+    def bridge_began_s(self) -> float:
+        """When the bridge's newest process was started, by the monotonic clock."""
+        return started_s(self.bridge, "ExecMainStartTimestampMonotonic")
 
     def first_frame(self, watch: BusWatch) -> None:
-        """From the start of the bridge's newest process to the first that it says."""
-        wall_ns = time.time_ns() - time.monotonic_ns()
-        began_ns = int(started_s(self.bridge, "ExecMainStartTimestampMonotonic") * 1e9) + wall_ns
+        """From the start of the bridge's newest process to the first frame that it sends."""
+        began_ns = int(self.bridge_began_s() * 1e9) + time.time_ns() - time.monotonic_ns()
         watch.wait(lambda: any(isinstance(each.image, AiStatus) for each in watch.since(began_ns)), 5.0)
         first = first_s(watch.since(began_ns), began_ns, lambda image: isinstance(image, AiStatus))
-        what = "the bridge, from its process to its first frame"
-        self.note(what, first, START_TO_FIRST_FRAME_S, passed=first is not None)
+        self.note("the bridge, from its process to its first frame", first, START_TO_FIRST_FRAME_S)
 
     def unplugged(self) -> None:
         with self.drive("unplugged"):
-            self.pulled_and_plugged()
-
-    def pulled_and_plugged(self) -> None:
-        before = main_pid(self.bridge)
-        output("ip", "link", "del", self.interface)
-        self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, UNPLUGGED_S)
-        plugged_ns = time.time_ns()
-        output("ip", "link", "add", "dev", self.interface, "type", "vcan")
-        after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
-        self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, SERVICE_BACK_S)
-        self.step("and the recorder", lambda: is_active(self.recorder), 60.0, SERVICE_BACK_S)
-        after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
-        self.rested(after, "plugged in", plugged_ns, AsState.EMERGENCY_BRAKE, None)
-        self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
-        after.close()
+            before = main_pid(self.bridge)
+            output("ip", "link", "del", self.interface)
+            self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, UNPLUGGED_S)
+            plugged_ns = time.time_ns()
+            output("ip", "link", "add", "dev", self.interface, "type", "vcan")
+            after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
+            self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, SERVICE_BACK_S)
+            self.step("and the recorder", lambda: is_active(self.recorder), 60.0, SERVICE_BACK_S)
+            after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
+            self.rested(after, UNPLUGGED, plugged_ns)
+            self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
+            after.close()
 
     def rebooted(self, run: int) -> None:
         """In mid-drive; what is to be done after the next boot is in AGAIN."""
@@ -505,7 +499,7 @@ class Rehearsal:
             with self.drive("rebooted") as watch:
                 self.shut_down(watch)
 
-        again = self.judged("rebooted", play, run) is RunValidity.AGAIN
+        again = self.shows_nothing("rebooted", play, run)
         if AGAIN.exists():
             AGAIN.write_text(f"{run + 1 if again else 1}\n")
         elif again:  # it had not come to driving
@@ -519,21 +513,21 @@ class Rehearsal:
         systemctl("--no-block", "reboot")
         at_rest = watch.wait(lambda: watch.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
         watch.wait(lambda: False, AT_EASE_S)
-        said = watch.since(asked_ns)
+        seen = watch.since(asked_ns)
         shutil.copy(watch.path, RESULTS / "bus-rebooted.log")
         what = "reboot in mid-drive"
-        goodbye = [each.image for each in said if isinstance(each.image, AiStatus) and each.image.estop_request]
+        goodbye = [each.image for each in seen if isinstance(each.image, AiStatus) and each.image.estop_request]
         right = all(
             image.direction is Direction.FORWARD and image.mission_status is MissionStatus.RUNNING for image in goodbye
         )
-        asked_s = first_s(said, asked_ns, wants_emergency)
+        asked_s = first_s(seen, asked_ns, wants_emergency)
         # When the services are stopped is systemd's to say, so this is no time of the bridge's.
-        self.note(f"{what}: ESTOP_REQUEST", asked_s, None, passed=asked_s is not None)
+        self.note(f"{what}: ESTOP_REQUEST", asked_s, passed=asked_s is not None)
         words = f"{len(goodbye)} cycles, {'FORWARD' if right else 'WRONG'}"
-        self.note(f"{what}: the goodbye", None, None, right and len(goodbye) == GOODBYE_CYCLES, words)
+        self.check(f"{what}: the goodbye", right and len(goodbye) == GOODBYE_CYCLES, words)
         if asked_s is not None:
             began_ns = asked_ns + int(asked_s * 1e9)
-            after = [each for each in said if each.t_ns >= began_ns]
+            after = [each for each in seen if each.t_ns >= began_ns]
             # A brake may rise only after a cycle without torque, and by then the car may be braking itself.
             braked_s = first_s(after, began_ns, brakes)
             itself_s = first_s(after, began_ns, in_state(AsState.EMERGENCY_BRAKE))
@@ -542,13 +536,13 @@ class Rehearsal:
             self.note(f"{what}: brake asked for or EMERGENCY_BRAKE, no torque", soonest_s, 0.1, passed=passed)
             ai = [each.t_ns for each in after if isinstance(each.image, AiStatus)]
             self.note(f"{what}: silence begins", (max(ai) - began_ns) / 1e9, 0.2)
-            self.note(f"{what}: at rest", _rest_s(after, began_ns), SHUTDOWN_REST_S, passed=at_rest)
+            self.note(f"{what}: at rest", rest_s(after, began_ns), SHUTDOWN_REST_S, passed=at_rest)
 
     def switched_off(self) -> None:
         """Switched off by hand, nobody sends, not even when an adapter is plugged in; the bus named, all are back."""
         subprocess.run([_SETTLE, "can9"], check=True)
         passed = self.await_that(lambda: not is_active(self.bridge), UNPLUGGED_S)
-        self.note("another bus named: nobody goes on sending on this one", None, passed=passed)
+        self.check("another bus named: nobody goes on sending on this one", passed)
         subprocess.run([_SETTLE, "--off"], check=True)
         output("ip", "link", "del", self.interface)
         device = f"sys-subsystem-net-devices-{self.interface}.device"
@@ -560,7 +554,7 @@ class Rehearsal:
             return set(output("systemctl", "is-active", *self.services).split()) - {"inactive", "failed"}
 
         passed = not self.await_that(lambda: bool(woken()), UNPLUGGED_S, _BOOT_POLL_S)
-        self.note("nobody starts", None, passed=passed)
+        self.check("nobody starts", passed)
         subprocess.run([_SETTLE, self.interface], check=True)
         systemctl("start", "--no-block", "fsai.target")
         self.step("the bus named again: all services are active", self.all_active, 60.0, BOOT_S)
@@ -570,7 +564,7 @@ class Rehearsal:
         scripts = Path("/var/lib/dpkg/info")
         subprocess.run(["sh", scripts / "fsai-vcu.prerm", "upgrade", "9"], check=True)
         active = [service for service in self.services if is_active(service)]
-        self.note("an upgrade: nothing runs while files are replaced", None, passed=not active, words=", ".join(active))
+        self.check("an upgrade: nothing runs while files are replaced", not active, ", ".join(active))
         began = time.monotonic()
         subprocess.run(["sh", scripts / "fsai-vcu.postinst", "configure", "1"], check=True)
         passed = self.await_that(self.all_active, BOOT_S, _BOOT_POLL_S)
@@ -588,9 +582,9 @@ class Rehearsal:
         for pattern in ("usr/lib/systemd/system/fsai*", "etc/systemd/system/*.wants/fsai-bridge*"):
             left += [str(path) for path in Path("/").glob(pattern)]
         left += [service for service in self.services if is_active(service)]
-        self.note("nothing of it is left", None, passed=not left, words=", ".join(left))
+        self.check("nothing of it is left", not left, ", ".join(left))
         logs = list(Path("/var/log/fsai").glob("*"))
-        self.note("but the logs of the drives", None, passed=bool(logs), words=f"{len(logs)}")
+        self.check("but the logs of the drives", bool(logs), f"{len(logs)}")
 
     # ------------------------------------------------------------ conditions
 
@@ -608,10 +602,10 @@ class Rehearsal:
                 return found
         return None
 
-    def said_by(self, service: str) -> list[str]:
+    def journal_of(self, service: str) -> list[str]:
         return output("journalctl", "-b", "-o", "cat", "-u", service).splitlines()
 
-    # ------------------------------------------------------------ telling
+    # ------------------------------------------------------------ the report
 
     def await_that(self, condition: Callable[[], bool], patience_s: float, poll_s: float = _POLL_S) -> bool:
         until = time.monotonic() + patience_s
@@ -635,16 +629,9 @@ class Rehearsal:
         )
         (RESULTS / "report.json").write_text(json.dumps(self.steps, indent=1))
 
-
-def _rest_s(said: list[Said], since_ns: int) -> float | None:
-    """When the car stood for good."""
-    moving = [each.t_ns for each in said if hasattr(each.image, "fl_rpm") and not standing(each.image)]
-    return (max(moving) - since_ns) / 1e9 if moving else 0.0
-
-
-def standing_at_the_end(said: list[Said]) -> bool:
-    wheels = [each.image for each in said if hasattr(each.image, "fl_rpm")]
-    return bool(wheels) and standing(wheels[-1])
+    def check(self, what: str, passed: bool, words: str = "") -> None:
+        """A step that takes no time."""
+        self.note(what, None, None, passed, words)
 
 
 def output(*argv: str) -> str:
@@ -666,24 +653,6 @@ def main_pid(service: str) -> int:
 def started_s(service: str, what: str) -> float:
     """An instant of the monotonic clock that systemd noted."""
     return int(output("systemctl", "show", service, "-p", what, "--value").strip() or 0) / 1e6
-
-
-def in_its_place(unit: str, command: str, printed: Path) -> str:
-    """A service's unit with another command, that ends, in the place of its own; it prints to a file."""
-    dropped = (
-        "Type",
-        "NotifyAccess",
-        "Restart",
-        "RestartSec",
-        "WatchdogSec",
-        "WatchdogSignal",
-        "ExecStart",
-        "WantedBy",
-    )
-    lines = [line for line in unit.splitlines() if line.partition("=")[0] not in dropped]
-    place = lines.index("[Service]") + 1
-    lines[place:place] = ["Type=oneshot", f"ExecStart={command}", f"StandardOutput=file:{printed}"]
-    return "\n".join(lines) + "\n"
 
 
 def main() -> int:

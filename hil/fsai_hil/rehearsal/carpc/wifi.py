@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import json
 import os
 import subprocess
@@ -55,11 +54,12 @@ def talked_to(port: int) -> Iterator[None]:
 
 def listeners_in(listing: str) -> list[str]:
     """Of what `ss -H -lntup` prints: who takes anything from beyond this machine, as 'udp 0.0.0.0:7400 users:…'."""
+    from fsai_vcu.diagnostics.doctor.collect import local_address  # not for the strangers, who are to start soon
+
     found = []
     for line in listing.splitlines():
         protocol, _, _, _, local, _, *process = line.split()
-        address = ipaddress.ip_address(local.rpartition(":")[0].partition("%")[0].strip("[]").replace("*", "::"))
-        if not address.is_loopback:
+        if not local_address(line).is_loopback:
             found.append(" ".join((protocol, local, *process)))
     return found
 
@@ -80,7 +80,7 @@ def nodes_seen(seconds: float) -> dict[str, object]:
             break
         time.sleep(_LOOK_AGAIN_S)
     rclpy.shutdown()
-    return {"nodes": nodes, "commands_heard_by": subscribers, "set_mode": set_mode, "sees_the_car": sees}
+    return {"nodes": nodes, "subscribers": subscribers, "set_mode": set_mode, "sees_the_car": sees}
 
 
 STRANGERS = {

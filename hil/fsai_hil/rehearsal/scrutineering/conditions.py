@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from fsai_vcu.interface.errors import WrongUse
+
 
 class Stance(Enum):
     """How far the car has come."""
@@ -62,10 +64,9 @@ SHORT = ("idle", "idle-loaded")  # what needs no drive
 
 
 def conditions_named(names: Sequence[str]) -> tuple[Condition, ...]:
-    """In the order of the table: the car comes on and never goes back. Raises ValueError for an unknown name."""
-    for name in names:
-        if name not in BY_NAME:
-            raise ValueError(f"no condition '{name}': choose from {', '.join(BY_NAME)}")
-    if not names:
-        raise ValueError(f"no condition to measure: choose from {', '.join(BY_NAME)}")
+    """In the order of the table: the car comes on and never goes back. Raises WrongUse for an unknown name, or none."""
+    unknown = [name for name in names if name not in BY_NAME]
+    if unknown or not names:
+        what = f"'{unknown[0]}'" if unknown else "to measure"
+        raise WrongUse(f"no condition {what}: choose from {', '.join(BY_NAME)}")
     return tuple(condition for condition in CONDITIONS if condition.name in names)

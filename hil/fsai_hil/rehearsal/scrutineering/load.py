@@ -1,6 +1,6 @@
 """What else keeps a machine and a bus busy: as processes of their own, at normal priority.
 
-`python -m fsai_hil.rehearsal.scrutineering.load processor`, `… memory`, `… disk FILE` and `… file FILE` are such
+`python -m fsai_hil.rehearsal.scrutineering.load processor`, `… memory BYTES`, `… disk FILE` and `… file FILE` are such
 processes.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 import os
+import re
 import signal
 import sys
 import time
@@ -78,7 +79,7 @@ def loaded(
             for _ in range(os.cpu_count() or 1):
                 start("processor", *own, "processor")
         if Load.MEMORY in condition.load:
-            start("memory", *own, "memory")
+            start("memory", *own, "memory", str(MEMORY_MOST_BYTES))
         if Load.DISK in condition.load:
             start("disk", *own, "disk" if force_disk else "file", str(disk_file))
         for name in names:
@@ -106,22 +107,17 @@ def keep_processor_busy() -> None:
         number = (number * 1_103_515_245 + 12_345) % 2_147_483_648
 
 
-def keep_memory_busy() -> None:
-    """Take the share, write to each of its pages twice, give it back, over and over."""
+def keep_memory_busy(most_bytes: int) -> None:
+    """Take the share, but no more than so much, write to each of its pages twice, give it back, over and over."""
     # Should memory run out all the same, it is this process that the kernel ends, and the measurement says so.
     Path("/proc/self/oom_score_adj").write_text("1000")
-    pages = int(min(MEMORY_SHARE * _available_bytes(), MEMORY_MOST_BYTES)) // mmap.PAGESIZE
+    (available_kib,) = re.findall(r"^MemAvailable:\s*(\d+)", Path("/proc/meminfo").read_text(), re.MULTILINE)
+    pages = int(min(MEMORY_SHARE * 1024 * int(available_kib), most_bytes)) // mmap.PAGESIZE
     print(BUSY, flush=True)
     while True:
         with mmap.mmap(-1, pages * mmap.PAGESIZE) as memory:
             for value in (b"\1", b"\2"):
                 memory[:: mmap.PAGESIZE] = value * pages
-
-
-def _available_bytes() -> int:
-    lines = Path("/proc/meminfo").read_text().splitlines()
-    (kib,) = (int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-    return kib << 10
 
 
 def keep_disk_busy(path: Path, force: bool) -> None:
@@ -146,7 +142,7 @@ def main(argv: list[str]) -> None:
         if argv[0] == "processor":
             keep_processor_busy()
         elif argv[0] == "memory":
-            keep_memory_busy()
+            keep_memory_busy(int(argv[1]))
         else:
             keep_disk_busy(Path(argv[1]), force=argv[0] == "disk")
 

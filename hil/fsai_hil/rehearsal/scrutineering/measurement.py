@@ -66,21 +66,23 @@ class _Car:
         self._stack = stack
 
     def type(self, line: str) -> None:
-        self._stack.check_alive(self.name)
+        self._process.check_alive()
         self._process.type(line)
 
+    def _asked(self, line: str, answer: str) -> str:
+        """What the car prints up to its answer to a line."""
+        answers = self._process.log().count(answer)
+        self.type(line)
+        await_condition(lambda: self._process.log().count(answer) > answers, END_S, f"the car answers '{line}'")
+        return self._process.log().rpartition(answer)[0]
+
     def state(self) -> str:
-        """The AS state, as the car says it when it is asked."""
-        answers = self._process.log().count(" | ASSI ")
-        self.type("status")
-        await_condition(lambda: self._process.log().count(" | ASSI ") > answers, END_S, "the simulated car answers")
-        return self._process.log().rpartition(" | ASSI ")[0].splitlines()[-1].partition(" ")[0]
+        """The AS state, as the car reports it when it is asked."""
+        return self._asked("status", " | ASSI ").splitlines()[-1].partition(" ")[0]
 
     def measure(self, name: str) -> None:
         """Returns once the car counts under that name."""
-        asked = self._process.log().count("measuring: ")
-        self.type(f"measure {name}")
-        await_condition(lambda: self._process.log().count("measuring: ") > asked, END_S, "the simulated car measures")
+        self._asked(f"measure {name}", "measuring: ")
 
     def end(self) -> list[dict[str, Any]]:
         """Switch the process off; what it has measured."""
@@ -99,31 +101,23 @@ class Measurement:
     Raises StackError when a process does not do what it should.
     """
 
-    def __init__(
-        self,
-        bus: str,
-        folder: Path,
-        *,
-        seconds: float,
-        revision: str = "2026",
-        slow_place: bool = False,
-        say: Callable[[str], None] = print,
-    ) -> None:
+    def __init__(self, bus: str, folder: Path, *, seconds: float, revision: str, slow_place: bool) -> None:
         self._bus = bus
         self._folder = folder
         self._seconds = seconds
         self._revision = revision
-        self._say = say
         self._slow_place = slow_place
-        self._decimation = (20, 10) if slow_place else (1, 1)  # of the PCAN-GPS's frames, of the logging frames
+        self._decimation = {"gps": 20, "log": 10} if slow_place else {"gps": 1, "log": 1}
         self._codec = Codec(revision_named(revision))
         self._cars = 0
         self._car: _Car | None = None
-        self._measured: dict[str, dict[str, Any]] = {}
-        self._noted: dict[str, dict[str, Any]] = {}
+        self._found: dict[str, dict[str, Any]] = {}  # by the condition's name
         self._lost_between = 0
         self._windows: list[tuple[str, int, int]] = []  # name, begin and end by the wall clock, as candump stamps
         self._out_of_reach: dict[Stance, str] = {}
+        self._stack: Stack
+        self._monitor: StallMonitor
+        self._operator: RosOperator
 
     def run(self, conditions: Sequence[Condition]) -> dict[str, Any]:
         """Everything measured, for JSON."""
@@ -133,66 +127,64 @@ class Measurement:
             folder = Path(memory)
             try:
                 with (
-                    Stack(self._bus, folder, slow_place=self._slow_place) as stack,
-                    StallMonitor(folder / "stalls") as monitor,
+                    Stack(self._bus, folder, slow_place=self._slow_place) as self._stack,
+                    StallMonitor(folder / "stalls") as self._monitor,
                 ):
-                    self._measure_peer(conditions, stack, monitor)
-                    return self._measure_all(conditions, stack, monitor)
+                    self._measure_peer(conditions)
+                    return self._measure_all(conditions)
             finally:
-                self._keep(folder)
+                for path in sorted(folder.glob("*.log")):
+                    shutil.copyfile(path, self._folder / path.name)
 
-    def _keep(self, folder: Path) -> None:
-        for path in sorted(folder.glob("*.log")):
-            shutil.copyfile(path, self._folder / path.name)
-
-    def _measure_peer(self, conditions: Sequence[Condition], stack: Stack, monitor: StallMonitor) -> None:
+    def _measure_peer(self, conditions: Sequence[Condition]) -> None:
         """The C loop in AS_OFF, under each load that is asked for: it drives nothing."""
-        build = ["cc", "-O2", "-o", str(stack.folder / _PEER), str(_PEER_SOURCE)]
+        program = str(self._stack.folder / _PEER)
         try:
+            build = ["cc", "-O2", "-o", program, str(_PEER_SOURCE)]
             subprocess.run(build, check=True, capture_output=True, text=True)
         except (OSError, subprocess.CalledProcessError) as error:
-            raise StackError(
-                f"{_PEER_SOURCE.name} cannot be compiled: {getattr(error, 'stderr', '') or error}"
-            ) from error
-        peer = stack.start(_PEER, [str(stack.folder / _PEER), self._bus])
-        car = self._switched_on(stack)
+            reason = getattr(error, "stderr", "") or error
+            raise StackError(f"{_PEER_SOURCE.name} cannot be compiled: {reason}") from error
+        peer = self._stack.start(_PEER, [program, self._bus])
+        car = self._switched_on()
         await_condition(lambda: car.state() == Stance.ALONE.value, POWER_UP_S, "AS_OFF with the C loop")
         loads = list(dict.fromkeys(condition.load for condition in conditions))
         for number, load in enumerate(loads, start=1):
             condition = Condition(_of_peer(load), Stance.ALONE, load)
-            self._say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
-            self._measure(condition, stack, monitor, (_PEER,), lambda: (car.state(), ""))
-        self._end_car(stack)
+            _say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
+            self._measure(condition, (_PEER,), lambda: (car.state(), ""))
+        self._end_car()
         self._lost_between = 0  # what follows is the bridge's
         peer.stop()
-        del stack.processes[_PEER]
+        del self._stack.processes[_PEER]
 
-    def _measure_all(self, conditions: Sequence[Condition], stack: Stack, monitor: StallMonitor) -> dict[str, Any]:
-        self._say("starting the bridge")
-        stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
-        operator = RosOperator(stack, "scrutineer")
+    def _measure_all(self, conditions: Sequence[Condition]) -> dict[str, Any]:
+        _say("starting the bridge")
+        self._stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
+        operator = self._operator = RosOperator(self._stack, "scrutineer")
         try:
             operator.await_bridge(START_S)
             for number, condition in enumerate(conditions, start=1):
-                self._say(f"[{number}/{len(conditions)}] {condition.name}: {condition.words}")
+                _say(f"[{number}/{len(conditions)}] {condition.name}: {condition.words}")
                 if condition.stance not in self._out_of_reach:
                     try:
-                        self._reach(condition.stance, stack, operator)
+                        self._reach(condition.stance)
                     except StackError as error:
                         self._out_of_reach[condition.stance] = str(error).splitlines()[0]
                 if condition.stance in self._out_of_reach:
                     # What has been measured is worth its report all the same.
-                    self._say(f"    not measured: {self._out_of_reach[condition.stance]}")
+                    _say(f"    not measured: {self._out_of_reach[condition.stance]}")
                     continue
-                watched = NODES if set(NODES) <= set(stack.processes) else ("vcu_bridge",)
-                self._measure(condition, stack, monitor, watched, lambda: _state(operator))
-            if not any(condition.name in self._noted for condition in conditions):
+                watched = NODES if set(NODES) <= set(self._stack.processes) else ("vcu_bridge",)
+                self._measure(condition, watched, lambda: _state(operator))
+            measured = [condition for condition in conditions if condition.name in self._found]
+            if not measured:
                 raise StackError(next(iter(self._out_of_reach.values())))
             loop = holder_pid(self._bus)
             scheduling = {} if loop is None else {"CAN loop": scheduling_of(loop)}
             if self._car is not None:
-                scheduling["vcu"] = scheduling_of(stack.processes[self._car.name].popen.pid)
-            self._end_car(stack)
+                scheduling["vcu"] = scheduling_of(self._stack.processes[self._car.name].popen.pid)
+            self._end_car()
         finally:
             operator.close()
         return {
@@ -200,49 +192,50 @@ class Measurement:
             "seconds_per_condition": self._seconds,
             "machine": machine(),
             "scheduling": scheduling,
-            "decimation": {"gps": self._decimation[0], "log": self._decimation[1]},
+            "decimation": self._decimation,
             "comms_losses_between": self._lost_between,
-            "conditions": [self._row(condition) for condition in conditions if condition.name in self._noted],
+            "conditions": [self._row(condition) for condition in measured],
             "not_measured": {
                 condition.name: self._out_of_reach[condition.stance]
                 for condition in conditions
-                if condition.name not in self._noted
+                if condition not in measured
             },
         }
 
     def _row(self, condition: Condition) -> dict[str, Any]:
-        measured, noted = self._measured[condition.name], self._noted[condition.name]
-        complete = noted["wire"]["count"] >= measured["response"]["count"] - _MISSED_AT_THE_EDGES
-        peer = self._measured[_of_peer(condition.load)], self._noted[_of_peer(condition.load)]
+        found, peer = self._found[condition.name], self._found[_of_peer(condition.load)]
         return {
-            "name": condition.name,
+            **found,
             "words": condition.words,
-            **measured,
-            **noted,
-            "log_complete": complete,
-            "peer": {"response": peer[0]["response"], "comms_losses": peer[0]["comms_losses"], "wire": peer[1]["wire"]},
+            "log_complete": found["wire"]["count"] >= found["response"]["count"] - _MISSED_AT_THE_EDGES,
+            "peer": {name: peer[name] for name in ("response", "comms_losses", "wire")},
         }
 
     # ------------------------------------------------------------ how far the car has come
 
-    def _reach(self, stance: Stance, stack: Stack, operator: RosOperator) -> None:
+    def _reach(self, stance: Stance) -> None:
         """Bring the car there; it is powered up anew where it has ended, or ends on the way."""
+        operator = self._operator
         for _ in range(_ATTEMPTS):
             if self._car is None or _over(operator):
-                self._power_up(stack, operator)
-            if self._bring(stance, stack, operator):
+                self._end_car()
+                operator.state = None
+                self._switched_on()
+                operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
+            self._bring(stance)
+            if not _over(operator):
                 return
-            self._say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up anew")
+            _say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up anew")
         raise StackError(f"the car does not come as far as {stance.value}: {operator.describe()}")
 
-    def _bring(self, stance: Stance, stack: Stack, operator: RosOperator) -> bool:
-        """False when the car has ended on the way."""
-        car = self._car
+    def _bring(self, stance: Stance) -> None:
+        """Until it is there, or has ended on the way."""
+        car, operator, stack = self._car, self._operator, self._stack
         assert car is not None
         if operator.state.as_state_label == stance.value or stance is Stance.ALONE:
-            return True
+            return
         if set(NODES) - set(stack.processes):
-            self._say("starting the other nodes")
+            _say("starting the other nodes")
             driving: dict[str, dict[str, object]] = {
                 "path_planner": {"car": self._revision, "laps": LAPS},
                 "vehicle_controller": {"car": self._revision},
@@ -268,25 +261,17 @@ class Measurement:
             operator.await_that(
                 lambda: operator.state.speed_mps > CRUISE_MPS or _over(operator), DRIVE_OFF_S, "the car drives", *NODES
             )
-        return not _over(operator)
 
-    def _power_up(self, stack: Stack, operator: RosOperator) -> None:
-        self._end_car(stack)
-        operator.state = None
-        self._switched_on(stack)
-        operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
-
-    def _switched_on(self, stack: Stack) -> _Car:
+    def _switched_on(self) -> _Car:
         self._cars += 1
-        gps, log = self._decimation
-        arguments = ("--revision", self._revision, "--gps-decimation", str(gps), "--log-decimation", str(log))
-        self._start_log(stack)
-        self._car = _Car(stack, self._cars, arguments)
+        decimation = (f"--{name}-decimation={each}" for name, each in self._decimation.items())
+        self._start_log()
+        self._car = _Car(self._stack, self._cars, ("--revision", self._revision, *decimation))
         self._car.measure(BETWEEN)
         self._car.type("on")
         return self._car
 
-    def _end_car(self, stack: Stack) -> None:
+    def _end_car(self) -> None:
         car, self._car = self._car, None
         if car is None:
             return
@@ -294,31 +279,25 @@ class Measurement:
             if each["name"] == BETWEEN:
                 self._lost_between += each["comms_losses"]
             else:
-                self._measured[each["name"]] = each
-        self._end_log(stack)
+                self._found[each["name"]] |= each
+        self._end_log()
 
     # ------------------------------------------------------------ one condition
 
-    def _measure(
-        self,
-        condition: Condition,
-        stack: Stack,
-        monitor: StallMonitor,
-        watched: Sequence[str],
-        state: Callable[[], tuple[str, str]],
-    ) -> None:
+    def _measure(self, condition: Condition, watched: Sequence[str], state: Callable[[], tuple[str, str]]) -> None:
         """`watched`: processes that must live meanwhile. `state`: what the car shows, and why it stops if it does."""
         car = self._car
         assert car is not None
-        car_bits = car_bits_per_s(self._revision, *self._decimation)
+        car_bits = car_bits_per_s(self._revision, self._decimation["gps"], self._decimation["log"])
         ended = stood = stops = ""
-        with loaded(stack, condition, self._folder / "disk-load", car_bits, force_disk=not self._slow_place):
+        disk_file = self._folder / "disk-load"
+        with loaded(self._stack, condition, disk_file, car_bits, force_disk=not self._slow_place):
             car.measure(condition.name)
             before, began_ns, began_wall_ns = self._traffic(), time.monotonic_ns(), time.time_ns()
             until = time.monotonic() + self._seconds
             while (left_s := until - time.monotonic()) > 0.0:
                 time.sleep(min(_LOOK_S, left_s))
-                stack.check_alive(*watched, car.name)
+                self._stack.check_alive(*watched, car.name)
                 shown, why = state()
                 stops = why or stops
                 if shown == AsState.AS_FINISHED.label and condition.stance is Stance.DRIVING:
@@ -333,43 +312,40 @@ class Measurement:
             car.measure(BETWEEN)
         frames, payload_bytes = after[0] - before[0], after[1] - before[1]
         bits = FRAME_BITS * frames + 8 * payload_bytes
-        stalls = monitor.stalls(began_ns, at_least_ns=_NOTED_STALL_NS)
-        self._noted[condition.name] = {
+        stalls = self._monitor.stalls(began_ns, at_least_ns=_NOTED_STALL_NS)
+        self._found[condition.name] = {
             "frames_per_s": round(frames / took_s),
             "bus_load_pct": round(100.0 * bits / took_s / BUS_BITS_PER_S, 1),
-            "machine_stalls_ms": [round(stall.late_ns / 1e6, 1) for stall in stalls],
+            "machine_stalls_ms": [round(stall.lasted_ns / 1e6, 1) for stall in stalls],
             "ended_early": ended,
             "stood": stood,
         }
         note = f"; {ended or stood}" if ended or stood else ""
-        self._say(f"    {took_s:.0f} s, {self._noted[condition.name]['frames_per_s']} frames/s{note}")
+        _say(f"    {took_s:.0f} s, {frames / took_s:.0f} frames/s{note}")
 
-    def _start_log(self, stack: Stack) -> None:
+    def _start_log(self) -> None:
         """One log for each power-up of the car, from before its first frame: the rules need what was before."""
-        candump = stack.start(f"bus-{self._cars}", ["candump", "-L", f"{stack.bus},{_LOGGED}"])
+        candump = self._stack.start(f"bus-{self._cars}", ["candump", "-L", f"{self._bus},{_LOGGED}"])
         with contextlib.suppress(PermissionError):
             # Below the bridge and the car, but before the load: a log with gaps in it would show nothing.
             os.sched_setscheduler(candump.popen.pid, os.SCHED_FIFO, os.sched_param(_LOG_PRIORITY))
-        await_condition(lambda: candump.log_path.stat().st_size > 0, END_S, "candump hears the bus")
+        await_condition(lambda: candump.log_path.stat().st_size > 0, END_S, "candump receives")
 
-    def _end_log(self, stack: Stack) -> None:
+    def _end_log(self) -> None:
         """What the log of this car shows of each condition."""
-        candump = stack.processes.pop(f"bus-{self._cars}")
+        candump = self._stack.processes.pop(f"bus-{self._cars}")
         candump.stop()
         windows, self._windows = self._windows, []
         checker = checker_for(self._codec, busy_machine=True)
         frames = read_candump(candump.log_path)
         for name, began_ns, ended_ns in windows:
-            for frame in frames:
-                checker.on_frame(frame)
-                if frame.t_ns >= began_ns:
-                    break
-            checker.responses, known = ResponseTimes(), len(checker.violations)
-            for frame in frames:
-                checker.on_frame(frame)
-                if frame.t_ns >= ended_ns:
-                    break
-            self._noted[name] |= {
+            for until_ns in (began_ns, ended_ns):
+                checker.responses, known = ResponseTimes(), len(checker.violations)
+                for frame in frames:
+                    checker.on_frame(frame)
+                    if frame.t_ns >= until_ns:
+                        break
+            self._found[name] |= {
                 "wire": checker.responses.as_dict(),
                 "rules_broken": checker.violations[known:][:_RULES_SHOWN],
             }
@@ -393,3 +369,7 @@ def _state(operator: RosOperator) -> tuple[str, str]:
 
 def _over(operator: RosOperator) -> bool:
     return operator.state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

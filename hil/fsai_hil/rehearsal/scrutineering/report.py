@@ -251,16 +251,13 @@ def _method(measured: Mapping[str, Any]) -> str:
     return "\n".join(f"- {point}" for point in points)
 
 
-def _slower(measured: Mapping[str, Any]) -> str:
-    return "" if measured["pace"] == 1.0 else f", its clock {measured['pace']:g} times slower"
-
-
 def _machine(measured: Mapping[str, Any]) -> str:
     host, inside = measured["host"], measured["machine"]
+    slower = "" if measured["pace"] == 1.0 else f", its clock {measured['pace']:g} times slower"
     place = (
         "this machine's own vcan"
         if measured["place"] == "native"
-        else f"vcan of User-Mode Linux ({inside['kernel']}, one processor{_slower(measured)})"
+        else f"vcan of User-Mode Linux ({inside['kernel']}, one processor{slower})"
     )
     rows = [
         ("date", measured["date"]),
