@@ -47,8 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
         stall_monitor = StallMonitor(Path("/tmp") / f"fsai-stall-monitor-{os.getpid()}")
         config.add_cleanup(stall_monitor.stop)
         config.stash[STALL_MONITOR] = stall_monitor
-        put_off = os.environ.get("FSAI_HIL_PUT_OFF")
-        config.pluginmanager.register(Undisturbed(stall_monitor, put_off=Path(put_off) if put_off else None))
+        config.pluginmanager.register(Undisturbed(stall_monitor))
     config.addinivalue_line("markers", "long: only with `fsai-vcu hil --all`: the suite itself is to stay short")
 
 

@@ -32,13 +32,11 @@ pytest_plugins = ["pytester"]
 STALLED = Disturbance(STALL, 1000 * MS, 1052 * MS)
 
 PLUGIN = """
-import itertools, pathlib, pytest
+import pathlib, pytest
 from fsai_hil.rehearsal.undisturbed import Undisturbed
-from fsai_hil.rehearsal.stall_monitor import BUSY, STALL, Disturbance
+from fsai_hil.rehearsal.stall_monitor import STALL, Disturbance
 
 SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
-PUT_OFF = {put_off!r}
-IS_BUSY = {busy!r}
 
 class Scripted:
     def __init__(self):
@@ -50,12 +48,10 @@ class Scripted:
     def disturbances(self, since_ns):
         assert since_ns == self.time_ns, "it asks about this run"
         return [Disturbance(STALL, since_ns, since_ns + 52_000_000)] if self.left.pop(0) else []
-    def busy_spells(self, since_ns):
-        return [Disturbance(BUSY, since_ns, since_ns + 500_000_000)] if IS_BUSY else []
 
 def pytest_configure(config):
     monitor = Scripted()
-    config.pluginmanager.register(Undisturbed(monitor, monitor.clock, pathlib.Path(PUT_OFF) if PUT_OFF else None))
+    config.pluginmanager.register(Undisturbed(monitor, monitor.clock))
 
 def note(word):
     with pathlib.Path("notes").open("a") as notes:
@@ -69,13 +65,11 @@ def shared():
 """
 
 
-def run(
-    pytester: pytest.Pytester, script: list[bool], tests: str, put_off: str = "", busy: bool = False
-) -> tuple[pytest.RunResult, list[str]]:
+def run(pytester: pytest.Pytester, script: list[bool], tests: str) -> tuple[pytest.RunResult, list[str]]:
     """The result of the tests under a stall monitor that answers by the script, and what the tests noted."""
     pytester.syspathinsert()
     pytester._monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # others' plugins cost a second each time
-    pytester.makepyfile(scripted=PLUGIN.format(script=script, put_off=put_off, busy=busy))
+    pytester.makepyfile(scripted=PLUGIN.format(script=script))
     pytester.makepyfile("from scripted import note\n" + textwrap.dedent(tests))
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "scripted")
     return result, Path(pytester.path / "notes").read_text().split()
@@ -108,35 +102,6 @@ def test_a_test_that_never_ran_undisturbed_fails_and_says_so(pytester: pytest.Py
     result.assert_outcomes(failed=1)
     assert notes == ["run"] * RUNS
     result.stdout.fnmatch_lines(["*never ran undisturbed: in run 3 of 3 too the machine stood still for 52 ms"])
-
-
-def test_a_disturbed_failure_can_be_deferred_to_a_list(pytester: pytest.Pytester) -> None:
-    tests = """
-        import pytest
-
-        @pytest.mark.parametrize("which", ["disturbed", "sound"])
-        def test_it(shared, which):
-            note(which)
-            assert which == "sound"
-    """
-    result, notes = run(pytester, [True], tests, put_off="names")
-    assert result.ret == 0
-    result.stdout.fnmatch_lines(["*1 passed, 1 put off*"])
-    assert notes == ["up", "disturbed", "down", "up", "sound", "down"]
-    (name,) = (pytester.path / "names").read_text().splitlines()
-    assert name.endswith("test_it[disturbed]")
-    result.stdout.fnmatch_lines(["*the machine stood still for 52 ms: put off"])
-    assert "FAILURES" not in result.stdout.str()
-    assert "AssertionError" in (pytester.path / "names.txt").read_text(), "how it failed is kept"
-
-
-@pytest.mark.parametrize(("put_off", "busy"), [("names", True), ("names", False), ("", True)])
-def test_a_failure_on_a_busy_machine_can_only_be_deferred(pytester: pytest.Pytester, put_off: str, busy: bool) -> None:
-    """It may be the very code under test that was busy."""
-    result, notes = run(pytester, [False], "def test_it(): note('run'); assert False", put_off=put_off, busy=busy)
-    assert notes == ["run"]
-    assert result.ret == (0 if put_off and busy else 1)
-    assert (pytester.path / "names").exists() is bool(put_off and busy)
 
 
 def test_disturbed_setups_and_teardowns_are_run_again_too(pytester: pytest.Pytester) -> None:
@@ -189,13 +154,12 @@ def test_disturbances_are_described_by_the_longest_and_the_sum() -> None:
 class Machine:
     """One whose clock only goes on as it is told; the stall monitor on it ends after so many wakes."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, notes: Path, idle_share: float = 1.0) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, notes: Path) -> None:
         self.now_ns, self.wakes = 0, 0
         self._notes = notes
         for name, instead in (("monotonic_ns", lambda: self.now_ns), ("sleep", self._sleep)):
             monkeypatch.setattr(stall_monitor.time, name, instead)
         monkeypatch.setattr(stall_monitor, "sum", self._sum, raising=False)
-        monkeypatch.setattr(stall_monitor, "_idle_ns", lambda _: int(self.now_ns * idle_share))
         monkeypatch.setattr(stall_monitor, "_stand_first", lambda: "ordinary")
         self.counting_ns: Callable[[int], int] = lambda _: 50_000  # at which wake it takes how long
 
@@ -224,31 +188,6 @@ def test_the_monitor_notes_a_machine_that_has_become_slow(tmp_path: Path, monkey
     slow = machine.watched(6).disturbances(0)
     assert [spell.speed for spell in slow] == [0.5, 0.5]
     assert slow[0].until_ns == slow[1].due_ns, "each spell begins where the last one ended"
-
-
-@pytest.mark.parametrize(("idle_share", "spells"), [(0.02, 2), (0.03, 0)])
-def test_the_monitor_notes_that_no_processor_had_time_to_spare(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, idle_share: float, spells: int
-) -> None:
-    monitor = Machine(monkeypatch, tmp_path / "notes", idle_share).watched(2)
-    busy = monitor.busy_spells(0)
-    assert len(busy) == spells
-    assert monitor.disturbances(0) == [], "it may be those that are tested"
-    if spells:
-        assert describe(busy) == "had no time to spare for 1.0 s"
-
-
-def test_idle_time_is_the_kernels_own_figure_for_one_processor() -> None:
-    def idle_s() -> float:
-        stat = os.open("/proc/stat", os.O_RDONLY)
-        try:
-            return stall_monitor._idle_ns(stat) / 1e9
-        finally:
-            os.close(stat)
-
-    before, uptime = idle_s(), Path("/proc/uptime").read_text().split()
-    assert before >= 0.95 * float(uptime[1]) / (os.cpu_count() or 1), "and what it waited for a disk"
-    assert before <= idle_s() <= float(Path("/proc/uptime").read_text().split()[0]) * 1.01
 
 
 def test_the_monitor_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:

@@ -15,20 +15,15 @@ CHECKOUT = Path(__file__).parents[2]
 
 
 class FakePlace:
-    """Notes what it was asked to run; the first time, the tests of `puts_off` are put off."""
+    """Notes what it was asked to run."""
 
     def __init__(self, status: int) -> None:
         self.status = status
-        self.puts_off: list[str] = []
         self.argv: list[str] = []
         self.options: dict[str, Any] = {}
-        self.runs = 0
 
     def run(self, argv: list[str], **options: Any) -> int:
         self.argv, self.options = argv, options
-        self.runs += 1
-        if (names := options["env"].get("FSAI_HIL_PUT_OFF")) and self.puts_off:
-            Path(names).write_text("".join(f"{name}\n" for name in self.puts_off))
         return self.status
 
 
@@ -81,7 +76,6 @@ def test_a_soak_runs_its_own_test_for_so_many_minutes(place: FakePlace, tmp_path
     assert (CHECKOUT / pytest_arguments(place)[0]).exists()
     assert place.options["env"]["FSAI_HIL_SOAK_MINUTES"] == "30"
     assert place.options["timeout_s"] == (1.5 * 30 * 60.0 + 600.0) * place.options["pace"]
-    assert not place.options["env"]["FSAI_HIL_PUT_OFF"], "a soak leaves out what was disturbed by itself"
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
@@ -114,44 +108,12 @@ def test_a_suite_that_fails_or_runs_no_test_fails_the_command(place: FakePlace, 
     assert main(["hil", "--results", str(tmp_path)]) == status
 
 
-def test_what_was_put_off_is_run_again_and_decides(
-    place: FakePlace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "put-off").write_text("tests/hil/of_an_earlier_run.py::test\n")
-    place.puts_off = ["tests/hil/test_vcan.py::test_one", "tests/hil/test_vcan.py::test_two[a b]"]
-    paces = []
-    run = place.run
-
-    def noting(argv: list[str], **options: Any) -> int:
-        paces.append(options["pace"])
-        status = run(argv, **options)
-        return status if len(paces) == 1 else 1
-
-    place.run = noting  # type: ignore[method-assign]
-    assert main(["hil", "--results", str(tmp_path), "-k", "anything"]) == 1
-    assert len(paces) == 2 and 1.0 < paces[0] < paces[1]
-    assert pytest_arguments(place) == place.puts_off
-    assert not place.options["env"]["FSAI_HIL_PUT_OFF"]
-    assert place.options["results_dir"] != tmp_path, "the logs of the first run are kept"
-    assert "put off" in capsys.readouterr().out
-
-
-def test_after_a_failure_or_with_nothing_put_off_no_second_run(place: FakePlace, tmp_path: Path) -> None:
-    (tmp_path / "put-off").write_text("tests/hil/of_an_earlier_run.py::test\n")
-    assert main(["hil", "--results", str(tmp_path)]) == 0
-    assert place.runs == 1
-    place.puts_off, place.status = ["tests/hil/test_vcan.py::test_one"], 1
-    assert main(["hil", "--results", str(tmp_path)]) == 1
-    assert place.runs == 2
-
-
 def test_this_kernels_own_vcan_goes_by_this_machines_clock(
     place: FakePlace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fsai_hil.vcan.choose_place", lambda wanted: VcanHost("native", "", place.run))
-    monkeypatch.setenv("FSAI_HIL_PUT_OFF", "a list that nobody reads")
     assert main(["hil", "--results", str(tmp_path)]) == 0
-    assert "pace" not in place.options and not place.options["env"]["FSAI_HIL_PUT_OFF"]
+    assert "pace" not in place.options
 
 
 def test_secrets_of_the_callers_environment_stay_outside(

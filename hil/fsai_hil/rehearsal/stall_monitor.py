@@ -2,13 +2,11 @@
 
 A rehearsal in real time is judged by milliseconds, and a shared machine may stand still for longer: another guest has
 the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. Or it runs on, at half
-its speed: what the processor's other thread does, or another guest, slows all that is counted here. Or it is too slow
-from the start, and has no time to spare. The bridge must answer each with a stop, for on a car it is a fault; but a
-test then shows nothing about the bridge. The stall monitor tells the two apart. It shares nothing with bridge and
-simulated car and goes before both (a higher real-time priority): when it wakes late, nothing on this machine could have
-run in time; when its counting, always the same, takes far longer than at its best, everything did. When no processor
-was idle for half a second, somebody waited; who was busy it cannot tell, it may be those that are tested: that alone is
-a reason to look again with more time, and excuses nothing there.
+its speed: what the processor's other thread does, or another guest, slows all that is counted here. The bridge must
+answer both with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The stall monitor
+tells the two apart. It shares nothing with bridge and simulated car and goes before both (a higher real-time priority):
+when it wakes late, nothing on this machine could have run in time; when its counting, always the same, takes far longer
+than at its best, everything did.
 
     with StallMonitor(Path("/tmp/stalls")) as monitor:
         since_ns = time.monotonic_ns()
@@ -39,9 +37,8 @@ STOOD_STILL_NS = (
 COUNTED = range(1500)  # some 50 us of work after each sleep
 SPELL = 50  # wakes, half a second: so much is looked at as one
 SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
-NO_TIME = 0.02  # of all processors' time idle, or less: none to spare
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
-STALL, SLOW, BUSY = "stall", "slow", "busy"
+STALL, SLOW = "stall", "slow"
 _START_S = 20.0
 RUNS = 3  # of what failed on a disturbed machine
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
@@ -50,8 +47,7 @@ _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 @dataclass(frozen=True)
 class Disturbance:
     """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine stood still (STALL: the stall monitor should have been
-    woken at the first and was at the second), ran at the fraction `speed` of its best (SLOW), or had all processors
-    busy (BUSY)."""
+    woken at the first and was at the second), or ran at the fraction `speed` of its best (SLOW)."""
 
     kind: str
     due_ns: int
@@ -65,7 +61,7 @@ class Disturbance:
 
 def describe(disturbances: Sequence[Disturbance]) -> str:
     """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
-    stalls, slow, busy = ([one for one in disturbances if one.kind == kind] for kind in (STALL, SLOW, BUSY))
+    stalls, slow = ([one for one in disturbances if one.kind == kind] for kind in (STALL, SLOW))
     words = []
     if stalls:
         more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
@@ -73,8 +69,6 @@ def describe(disturbances: Sequence[Disturbance]) -> str:
     if slow:
         lasted_s = sum(one.lasted_ns for one in slow) / 1e9
         words.append(f"ran at {100 * min(one.speed for one in slow):.0f} % of its speed for {lasted_s:.1f} s")
-    if busy:
-        words.append(f"had no time to spare for {sum(one.lasted_ns for one in busy) / 1e9:.1f} s")
     return " and ".join(words)
 
 
@@ -98,10 +92,6 @@ class StallMonitor:
     def stalls(self, since_ns: int, *, at_least_ns: int = STOOD_STILL_NS) -> list[Disturbance]:
         """When the machine stood still for `at_least_ns` or longer since an instant of CLOCK_MONOTONIC."""
         return [stall for stall in self._noted(STALL, since_ns) if stall.lasted_ns >= at_least_ns]
-
-    def busy_spells(self, since_ns: int) -> list[Disturbance]:
-        """When it had no time to spare, whoever was busy."""
-        return self._noted(BUSY, since_ns)
 
     def disturbances(self, since_ns: int) -> list[Disturbance]:
         """When it stood still, or ran far below its best speed: a rehearsal then shows nothing."""
@@ -137,21 +127,11 @@ def _stand_first() -> str:
     return "real-time"
 
 
-def _idle_ns(stat: int) -> int:
-    """How long each processor has been idle since boot, or only waited for a disk, on average; /proc/stat, open."""
-    lines = os.pread(stat, 65536, 0).splitlines()
-    each = [line.split() for line in lines if line.startswith(b"cpu") and not line.startswith(b"cpu ")]
-    ticks = [int(idle) + int(waiting) for _, _, _, _, idle, waiting, *_ in each]
-    return sum(ticks) * (1_000_000_000 // os.sysconf("SC_CLK_TCK")) // len(ticks)
-
-
 def watch(path: str) -> None:
     """What the process does, until it is killed or its parent is gone."""
     parent = os.getppid()
     standing = _stand_first()
     notes = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    stat = os.open("/proc/stat", os.O_RDONLY)
-    idle_ns = _idle_ns(stat)
     now_ns = time.monotonic_ns()
     spell_ns, counted_ns, counts, best_ns = now_ns, 0, 0, 0
     os.write(notes, f"{standing}\n".encode())
@@ -169,9 +149,6 @@ def watch(path: str) -> None:
             best_ns = min(best_ns or counted_ns, counted_ns)
             if best_ns < SLOWED_TO * counted_ns:
                 os.write(notes, f"{SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
-            before_ns, idle_ns = idle_ns, _idle_ns(stat)
-            if idle_ns - before_ns <= NO_TIME * (now_ns - spell_ns):
-                os.write(notes, f"{BUSY} {spell_ns} {now_ns} 1\n".encode())
             spell_ns, counted_ns, counts = now_ns, 0, 0
 
 
