@@ -20,12 +20,11 @@ import pytest
 from fsai_hil.evidence.campaign import runner
 from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
-from fsai_hil.evidence.campaign.record import read
+from fsai_hil.evidence.campaign.record import digest, read
 from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, batches, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
-from fsai_hil.evidence.campaign.sources import digest
 from fsai_hil.evidence.model import patched
-from fsai_hil.evidence.seeded import SEEDS
+from fsai_hil.evidence.seeded import SEEDS, Patches
 from fsai_vcu.cli.main import main
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.supervision import supervisor
@@ -102,15 +101,12 @@ def _stops_for_anything_else(original: Callable[..., Any]) -> Callable[..., Any]
     return begin_stop
 
 
-Patches = Callable[[], tuple[tuple[Any, str, object], ...]]
-
-
 def _seed(name: str) -> Patches:
     return next(seed.patches for seed in SEEDS if seed.name == name)
 
 
 def _reaction(reason: Reason, *steps: Step) -> Patches:
-    return lambda: ((supervisor, "REACTIONS", {**REACTIONS, reason: steps}),)
+    return ((supervisor, "REACTIONS", {**REACTIONS, reason: steps}),)
 
 
 _LATE_STOP = (Step("command_stale_ns", Consequence.HOLD), Step("implausible_lost_ns", Consequence.STOP_MANUAL))
@@ -135,22 +131,22 @@ SEEDED: dict[str, tuple[str, Patches]] = {
     "a stop too late": ("controller_silent:duration=1500", _reaction(Reason.COMMAND_STALE, *_LATE_STOP)),
     "ESTOP_REQUEST too late": (
         "brakes_failing",
-        lambda: ((supervisor, "_stop_ineffective", _only_the_clock),),
+        ((supervisor, "_stop_ineffective", _only_the_clock),),
     ),
     "a stop that nothing asks for": (
         "status_lost:duration=70",
         _reaction(Reason.VCU_SILENT, Step("vcu_stale_ns", Consequence.STOP)),
     ),
-    "driving on by itself": ("planner_restarted:duration=100", lambda: ((supervisor, "confirm", _old_confirm),)),
+    "driving on by itself": ("planner_restarted:duration=100", ((supervisor, "confirm", _old_confirm),)),
     "the end of the mission is missed": (
         "planner_finishes_early",
-        lambda: ((supervisor, "_begin_stop", _stops_for_anything_else(supervisor._begin_stop)),),
+        ((supervisor, "_begin_stop", _stops_for_anything_else(supervisor._begin_stop)),),
     ),
     "the planner's process ends": (
         "detector_blind:duration=1500",
-        lambda: ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
+        ((Planner, "on_cones", _fails_on_nothing(Planner.on_cones)),),
     ),
-    "the bridge's process ends": ("remote_estop", lambda: ((supervisor, "on_speeds", _fails),)),
+    "the bridge's process ends": ("remote_estop", ((supervisor, "on_speeds", _fails),)),
 }
 
 
@@ -171,7 +167,7 @@ def test_the_campaign_reports_a_defect_put_in_on_purpose(name: str, snapshots: S
     spec, patches = SEEDED[name]
     case = _case(spec)
     with ExitStack() as stack:
-        for owner, attribute, value in patches():
+        for owner, attribute, value in patches:
             stack.enter_context(patched(owner, attribute, value))
         broken = run_case(case, snapshots, 1000)
     assert broken["verdict"] == "worse", f"not noticed: {broken}"

@@ -127,7 +127,7 @@ def sought(name: str, cpu_s: float = SEEDED_S) -> tuple[str, float, Done]:
                 key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
                 for key, setup in fuzz_run.SETUPS.items()
             }
-            for owner, attribute, value in ((fuzz_run, "SETUPS", setups), *seed.patches()):
+            for owner, attribute, value in ((fuzz_run, "SETUPS", setups), *seed.patches):
                 stack.enter_context(patched(owner, attribute, value))
         forget_stations()
         number = 0

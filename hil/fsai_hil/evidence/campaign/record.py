@@ -6,13 +6,24 @@ is left out when the record is read.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final
 
+import fsai_hil
+import fsai_vcu
+from fsai_vcu.interface.revisions import dbc_dir
+
 NAME: Final = "record.jsonl"
+DRIVEN: Final = {
+    fsai_vcu: ("core", "interface", "runtime"),
+    fsai_hil: ("rules", "simulator", "evidence/campaign"),
+}
+"""Where the code is that decides a run; the command line, the nodes and the rest of the evidence change none."""
 
 Run = Mapping[str, Any]
 
@@ -33,6 +44,24 @@ class Header:
     window_ms: int
     catalogue: int  # how many kinds there were
     sources: str = ""  # the digest of the code; empty: a record that does not say
+
+
+def files() -> dict[str, Path]:
+    """What decides a run, by names that are the same wherever it is installed: code and signal databases."""
+    found = {path.name: path for path in dbc_dir().glob("*.dbc")}
+    for package, parts in DRIVEN.items():
+        root = Path(str(package.__file__)).parent
+        found |= {str(path.relative_to(root.parent)): path for part in parts for path in (root / part).rglob("*.py")}
+    return found
+
+
+@cache
+def digest() -> str:
+    """One short word for the code of this installation: runs of different code must not be mixed in one record."""
+    found = hashlib.sha256()
+    for name, path in sorted(files().items()):
+        found.update(f"{name}\0".encode() + path.read_bytes() + b"\0")
+    return found.hexdigest()[:12]
 
 
 def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:

@@ -17,9 +17,8 @@ from importlib import import_module
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import Selection, case_of
-from fsai_hil.evidence.campaign.record import Header, Writer
+from fsai_hil.evidence.campaign.record import Header, Writer, digest
 from fsai_hil.evidence.campaign.scenario import WINDOW_MS, Snapshots, run_case
-from fsai_hil.evidence.campaign.sources import digest
 
 BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended
 AHEAD: Final = 3  # batches waiting per worker
