@@ -21,7 +21,7 @@ from fsai_hil.evidence.campaign import runner
 from fsai_hil.evidence.campaign.cases import Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.record import digest, read
-from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, batches, on_cluster
+from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS, Patches
@@ -277,14 +277,14 @@ def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest
     other = replace(plan.header(), sources="other")
     monkeypatch.setattr(CampaignPlan, "header", lambda plan: other)
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
-        next(on_cluster(plan, batches(plan, plan.tasks()), cluster))
+        next(on_cluster(plan, plan.tasks(), cluster))
 
 
 def test_a_cluster_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "CONNECT_TIMEOUT_S", 0.5)
     plan = CampaignPlan(1, 1)
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        next(on_cluster(plan, batches(plan, plan.tasks()), "tcp://127.0.0.1:9"))
+        next(on_cluster(plan, plan.tasks(), "tcp://127.0.0.1:9"))
 
 
 # ---------------------------------------------------------------- wrong use

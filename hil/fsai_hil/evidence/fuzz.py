@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import multiprocessing
 import os
-import signal
 import sys
 import time
-from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -24,6 +21,7 @@ from fsai_hil.evidence.fuzz_machine import explore
 from fsai_hil.evidence.fuzz_run import Run, forget_stations
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS
+from fsai_hil.evidence.work import Progress, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
 from fsai_vcu.interface.enums import AsState
@@ -31,7 +29,6 @@ from fsai_vcu.interface.enums import AsState
 EXAMPLE: Final = "example: python -m fsai_hil.evidence.fuzz --minutes 5"
 BATCH: Final = 10  # examples of one seed
 SEEDED_S: Final = 120.0  # of processor time for one seeded fault at most
-_PROGRESS_S: Final = 5.0
 _KINDS: Final = {
     "AS state": {state.name for state in AsState},
     "phase": {phase.name for phase in Phase},
@@ -75,31 +72,21 @@ def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     return done
 
 
-def _begin() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its children
-
-
 def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
     """One seed after the other in `jobs` processes, with progress, until the time is over or a rule is broken."""
-    began_s = said_s = time.monotonic()
-    done = Done()
+    began_s = time.monotonic()
+    done, progress = Done(), Progress("examples")
     seeds = itertools.count(first_seed)
-    with multiprocessing.get_context("spawn").Pool(jobs, _begin) as pool:
-        waiting = deque(pool.apply_async(batch, (next(seeds),)) for _ in range(jobs))
-        try:
-            while waiting and not done.failures:
-                done.add(waiting.popleft().get())
-                now_s = time.monotonic()
-                if now_s - began_s < 60.0 * minutes:
-                    waiting.append(pool.apply_async(batch, (next(seeds),)))
-                if now_s - said_s >= _PROGRESS_S:
-                    said_s = now_s
-                    print(
-                        f"  {now_s - began_s:6.0f} s {done.examples:8,} examples {done.cycles:11,} cycles", flush=True
-                    )
-        except KeyboardInterrupt:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough: the processes are being ended
-            print("interrupted: this is what was done until then", flush=True)
+    in_time = itertools.takewhile(
+        lambda seed: seed == first_seed or not (done.failures or time.monotonic() - began_s > 60.0 * minutes), seeds
+    )
+    try:
+        for found in spread(batch, in_time, jobs):
+            done.add(found)
+            progress(done.examples, f"{done.cycles} cycles of the car")
+    except KeyboardInterrupt:
+        print("interrupted: this is what was done until then", flush=True)
+    progress.clear()
     seconds = time.monotonic() - began_s
     print(f"{done.examples:,} examples, {done.cycles:,} cycles of the car in {seconds:.1f} s")
     for kind in _KINDS:
@@ -138,16 +125,20 @@ def sought(name: str, cpu_s: float = SEEDED_S) -> tuple[str, float, Done]:
     return words, time.process_time() - began_s, done
 
 
+def _sought(name: str) -> tuple[str, str, float]:
+    words, seconds, _ = sought(name)
+    return name, words, seconds
+
+
 def seek_all(jobs: int) -> bool:
     """Seek every seeded fault that shows on the wire, and nothing where there is none."""
     names = ["", *(seed.name for seed in SEEDS if seed.shows_in_fuzz)]
     print(f"{len(names) - 1} faults put into the rules on purpose, each sought on the wire:", flush=True)
     right = 0
-    with multiprocessing.get_context("spawn").Pool(jobs, _begin) as pool:
-        for name, (words, seconds, _) in zip(names, pool.imap(sought, names), strict=True):
-            right += bool(words) == bool(name)
-            shown = name or "none: the rules as they are"
-            print(f"  {shown:58} {seconds:6.1f} s  {(words or 'NOT FOUND')[:100]}", flush=True)
+    for name, words, seconds in spread(_sought, names, jobs):
+        right += bool(words) == bool(name)
+        shown = name or "none: the rules as they are"
+        print(f"  {shown:58} {seconds:6.1f} s  {(words or 'NOT FOUND')[:100]}", flush=True)
     print(f"{right} of {len(names)} as they should be")
     return right == len(names)
 

@@ -175,6 +175,11 @@ class Choice:
         return "; ".join(str(part) for part in parts if part)
 
 
+@cache
+def _codec(revision_name: str) -> Codec:
+    return Codec(revision(revision_name))
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
     """What is searched: the configuration of the AI side and the car at the other end."""
@@ -185,6 +190,33 @@ class Setting:
     profile: Profile = SPECIFICATION
     first_state: AsState = AsState.AS_INIT
     limits: OperationalLimits = field(default_factory=lambda: OperationalLimits(8.0, 120.0, 12.0))
+
+    @property
+    def codec(self) -> Codec:
+        return _codec(self.revision)
+
+    def checker(self, **process: Any) -> WireChecker:
+        """The checker of the rules at the sender's own place; `process`: what else it knows of the configuration."""
+        config = self.config
+        return WireChecker(
+            self.codec,
+            in_flight_ns=0,
+            handshake_in_flight_ns=0,
+            clock_slack_ns=0,
+            car=self.car,
+            limits=self.limits,
+            steer_rate_degps=config.steer_rate_degps,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
+            process=Process(
+                listen_only=config.listen_only,
+                autonomous_at_power_up=config.autonomous_at_power_up,
+                service_brake_pct=config.stop_brake_pct,
+                stop_cycles=config.stop_cycles,
+                **process,
+            ),
+        )
 
 
 # ---------------------------------------------------------------- the clocks
@@ -199,11 +231,6 @@ _READY_NS: Final = 5 * S
 
 
 # ---------------------------------------------------------------- what stands in for the rest of the world
-
-
-@cache
-def _codec(revision_name: str) -> Codec:
-    return Codec(revision(revision_name))
 
 
 class SearchedBridge(Bridge):
@@ -307,8 +334,8 @@ class Composition:
             if choice not in self.choices:
                 raise ValueError(f"{scope.name}: the ending {name!r} is none of the scope's choices")
             self.endings[name] = self.choices.index(choice)
-        self._codec = _codec(setting.revision)
-        self._checker = self._new_checker()
+        self._codec = setting.codec
+        self._checker = setting.checker(nothing_hidden=True)
         self._bridge = self._new_bridge()
         assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
         self._sends_fail = any(choice.frames < 5 for choice in scope.choices)
@@ -345,36 +372,13 @@ class Composition:
             now_ns=NOW,
         )
 
-    def _new_checker(self) -> WireChecker:
-        setting = self.scope.setting
-        config = setting.config
-        return WireChecker(
-            self._codec,
-            in_flight_ns=0,
-            handshake_in_flight_ns=0,
-            clock_slack_ns=0,
-            car=setting.car,
-            limits=setting.limits,
-            steer_rate_degps=config.steer_rate_degps,
-            from_start=True,
-            motor_brakes=config.motor_brakes,
-            short_sequence=config.short_sequence_allowed,
-            process=Process(
-                listen_only=config.listen_only,
-                autonomous_at_power_up=config.autonomous_at_power_up,
-                service_brake_pct=config.stop_brake_pct,
-                stop_cycles=config.stop_cycles,
-                nothing_hidden=True,
-            ),
-        )
-
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
         """Nothing has been sent or received: both sides have just been switched on."""
         self._bridge = self._new_bridge()
         self._vcu = _Vcu(self.scope.setting.first_state)
-        self._checker = self._new_checker()
+        self._checker = self.scope.setting.checker(nothing_hidden=True)
         disc, raw = self._save(NOW)
         return disc, self._rounded(raw)
 
@@ -448,7 +452,7 @@ class Composition:
         told_to_stop = estop or status is MissionStatus.FINISHED
         return not self._table_runs and told_to_stop and not (front or rear)
 
-    def moves(self, state: State) -> Iterable[Move[State]]:
+    def moves(self, state: State) -> Iterable[Move]:
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
         listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self._path
         count = len(self.choices) if driving else self._path if listening else self._anywhere
@@ -731,14 +735,14 @@ class Composition:
 
     # ------------------------------------------------------------ words
 
-    def told(self, trace: Sequence[Move[State]]) -> list[str]:
+    def told(self, trace: Sequence[Move]) -> list[str]:
         """A trace in words, one line per move; moves alike are told once, with the time of the last of them."""
         lines: list[str] = []
         before = ""
         time_ns = 0
         for move in trace:
             time_ns += move.duration_ns
-            state = self.bridge_of(move.target).supervisor.as_state
+            state = self.bridge_of(cast(State, move.target)).supervisor.as_state
             seen = "no AS state seen" if state is None else f"{state.label} seen"
             words = (
                 f"{self.choices[move.label].words}\n"

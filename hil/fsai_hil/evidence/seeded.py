@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Final
 
-from fsai_hil.evidence.model import Composition, Scope, State, patched
+from fsai_hil.evidence.model import Composition, Scope, patched
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
@@ -487,7 +487,7 @@ def sown(seed: Seed) -> Iterator[Scope]:
         yield found
 
 
-def search_seed(seed: Seed) -> tuple[Search[State], list[str]]:
+def search_seed(seed: Seed) -> tuple[Search, list[str]]:
     """Search the seed's scope for its rule alone: what was found, and its trace in words."""
     with sown(seed) as searched:
         model = Composition(searched, seed.rule)
