@@ -90,20 +90,18 @@ def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
     seconds = time.monotonic() - began_s
     print(f"{done.examples:,} examples, {done.cycles:,} cycles of the car in {seconds:.1f} s")
     for kind in _KINDS:
-        print(
-            f"  {kind}: "
-            + (f"not reached: {', '.join(sorted(done.missing(kind)))}" if done.missing(kind) else "all reached")
-        )
+        missing = ", ".join(sorted(done.missing(kind)))
+        print(f"  {kind}: {f'not reached: {missing}' if missing else 'all reached'}")
     return done
 
 
 # ---------------------------------------------------------------- faults put in on purpose
 
 
-def sought(name: str, cpu_s: float = SEEDED_S) -> tuple[str, float, Done]:
+def sought(name: str) -> tuple[str, str, float]:
     """Put the seeded fault of that name into the rules and fuzz until it shows on the wire.
 
-    Returns what it broke ("" for nothing in `cpu_s`), the processor time it took, and what was done.
+    Returns the name, what was broken ("" for nothing in `SEEDED_S`), and the processor time that took.
     """
     done = Done()
     began_s = time.process_time()
@@ -118,16 +116,11 @@ def sought(name: str, cpu_s: float = SEEDED_S) -> tuple[str, float, Done]:
                 stack.enter_context(patched(owner, attribute, value))
         forget_stations()
         number = 0
-        while not done.failures and time.process_time() - began_s < cpu_s:
+        while not done.failures and time.process_time() - began_s < SEEDED_S:
             number += 1
             done.add(batch(number, shrink=False))
     words = done.failures[0][1].splitlines()[-1] if done.failures else ""
-    return words, time.process_time() - began_s, done
-
-
-def _sought(name: str) -> tuple[str, str, float]:
-    words, seconds, _ = sought(name)
-    return name, words, seconds
+    return name, words, time.process_time() - began_s
 
 
 def seek_all(jobs: int) -> bool:
@@ -135,7 +128,7 @@ def seek_all(jobs: int) -> bool:
     names = ["", *(seed.name for seed in SEEDS if seed.shows_in_fuzz)]
     print(f"{len(names) - 1} faults put into the rules on purpose, each sought on the wire:", flush=True)
     right = 0
-    for name, words, seconds in spread(_sought, names, jobs):
+    for name, words, seconds in spread(sought, names, jobs):
         right += bool(words) == bool(name)
         shown = name or "none: the rules as they are"
         print(f"  {shown:58} {seconds:6.1f} s  {(words or 'NOT FOUND')[:100]}", flush=True)

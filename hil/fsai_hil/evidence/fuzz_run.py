@@ -88,7 +88,7 @@ class Run:
     """
 
     def __init__(self, setup: Setting) -> None:
-        self._setup, self._codec, self._car = setup, setup.codec, setup.car
+        self._setup, self.codec, self._car = setup, setup.codec, setup.car
         self.now_ns = START_NS
         self.cycles = 0
         self.reached: set[tuple[str, str]] = set()
@@ -132,7 +132,7 @@ class Run:
         self._taken = 0
 
     def _new_process(self) -> None:
-        codec, setup = self._codec, self._setup
+        codec, setup = self.codec, self._setup
         args = (self._car, setup.config, setup.limits, self._first_run_id, self.now_ns)
         self._bridge = Bridge(codec, codec.revision, *args)
         self._engine = Engine(self._bridge, codec, self._send, self.now_ns)
@@ -190,9 +190,9 @@ class Run:
         """For a while these fields of a message carry `bits`, whatever the car does; cut to the field's width."""
         self._raw[message] = (names, bits, cycles)
 
-    def frame(self, frame: Frame) -> None:
-        """One frame of anybody's, now."""
-        self._deliver(replace(frame, t_ns=self.now_ns))
+    def frame(self, frame: Frame, ahead_ns: int = 0) -> None:
+        """One frame of anybody's, now; its stamp is ahead by so much."""
+        self._deliver(replace(frame, t_ns=self.now_ns + ahead_ns))
         self._turn()
 
     # ------------------------------------------------------------ planner, controller, operator
@@ -255,8 +255,9 @@ class Run:
 
     # ------------------------------------------------------------ the car
 
-    def _images(self) -> tuple[Image, ...]:
-        most_deg = self._codec.revision.steer_limit_deg  # that this revision's messages can carry
+    def images(self) -> tuple[Image, ...]:
+        """What the car reports in one of its cycles."""
+        most_deg = self.codec.revision.steer_limit_deg  # that this revision's messages can carry
         angle_deg = self._followed_deg if self.angle_deg is None else max(-most_deg, min(most_deg, self.angle_deg))
         front_pct, rear_pct = self.brake_pct if self.echo_pct is None else (self.echo_pct, self.echo_pct)
         return (
@@ -278,14 +279,14 @@ class Run:
         if self.handshake == "alternate" or (self.handshake == "wild" and self._chance.random() < 0.5):
             self.status = replace(self.status, handshake=not self.status.handshake)
         self._move()
-        images = self._images()
+        images = self.images()
         for image in (*images[1:], images[0]) if self.status_last else images:
             kind = type(image)
             left = self._muted.get(kind, 0)
             if left > 0:
                 self._muted[kind] = left - 1
                 continue
-            frame = self._codec.encode(image)
+            frame = self.codec.encode(image)
             self._deliver(Frame(frame.can_id, self._with_raw(kind, frame.data), self.now_ns))
             if self.answered_first and kind is VcuStatus:
                 self._turn()
@@ -298,7 +299,7 @@ class Run:
             self._raw[kind] = (names, bits, cycles - 1)
         word = int.from_bytes(data, "little")
         for name in names:
-            mask = self._codec.mask(kind, name)
+            mask = self.codec.mask(kind, name)
             word = word & ~mask | bits * (mask & -mask) & mask
         return word.to_bytes(len(data), "little")
 
@@ -367,7 +368,7 @@ class Run:
             if now_ns < self._back_ns:
                 return
             self._back_ns = None
-            self._engine = Engine(self._bridge, self._codec, self._send, now_ns)
+            self._engine = Engine(self._bridge, self.codec, self._send, now_ns)
             self._bridge.bus_back(now_ns)
             self._checker.on_bus_back(now_ns)
         due_ns = self._engine.due_ns()
