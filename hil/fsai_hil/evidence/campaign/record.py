@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -24,8 +25,6 @@ DRIVEN: Final = {
     fsai_hil: ("rules", "simulator", "evidence/campaign"),
 }
 """Where the code is that decides a run; the command line, the nodes and the rest of the evidence change none."""
-
-Run = Mapping[str, Any]
 
 
 class RecordError(ValueError):
@@ -103,7 +102,7 @@ def of_other_sources(path: Path, header: Header) -> bool:
     return path.exists() and path.stat().st_size > 0 and read(path)[0].sources != header.sources
 
 
-class Writer:
+class Writer(AbstractContextManager["Writer"]):
     """Appends to a record. `done` are the (full, index) pairs that it holds already."""
 
     def __init__(self, path: Path, header: Header, *, resume: bool) -> None:
@@ -148,9 +147,6 @@ class Writer:
 
     def close(self) -> None:
         self._file.close()
-
-    def __enter__(self) -> Writer:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
