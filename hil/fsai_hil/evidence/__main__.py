@@ -39,7 +39,7 @@ def searched(name: str) -> dict[str, Any]:
         "seconds": round(time.process_time() - began, 2),
         "holds": found.holds,
         "problems": found.problems,
-        "trace": model.told(found.trace),
+        "trace": model.described(found.trace),
     }
 
 

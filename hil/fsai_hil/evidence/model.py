@@ -146,7 +146,7 @@ class Choice:
         """The choice in words: only what is out of the ordinary, and what matters in every cycle."""
         if self.event == "restart":
             return "the process dies and another one takes its place"
-        said = (
+        shown = (
             (self.says is not None and f"the car says {self.says.label}"),
             "wheels turn with " + "/".join(map(str, self.rpm)) + " rpm" if any(self.rpm) else "wheels stand",
             "Go on" if self.go else "Go off",
@@ -163,7 +163,7 @@ class Choice:
             self.torque_max_nm != 195.0 and f"TRQ_MAX {self.torque_max_nm:g} Nm",
         )
         parts = (
-            *(("the car is switched off",) if self.car_off else said),
+            *(("the car is switched off",) if self.car_off else shown),
             self.steer_odd and "the steering does not follow",
             self.wheel_odd and "one wheel does not fit the others",
             self.event,
@@ -293,7 +293,7 @@ def patched(owner: Any, name: str, value: object) -> Iterator[None]:
 
 # ---------------------------------------------------------------- the composition
 
-# A state: what can be told apart without a clock (of the bridge, the VCU and the witness), and the ages.
+# A state: what can be distinguished without a clock (of the bridge, the VCU and the witness), and the ages.
 Contents = tuple[Content, Content, Content]
 State = tuple[Contents, tuple[int, ...]]
 Outcome = tuple[tuple[Contents, list[int]], tuple[Violation, ...], AiCommand | None]
@@ -393,8 +393,8 @@ class Composition:
 
         table = self._table_runs  # else the VCU is whatever the environment says
 
-        told = self._checker.seen
-        told.handshake = bool(told.handshake) != v.bit
+        seen = self._checker.seen
+        seen.handshake = bool(seen.handshake) != v.bit
         wire, wire_ages = self._checker.saved(now, data_may_be_lost=self._data_may_be_lost)
         content, ages = self._abstraction.apart(bridge, v.bit, now)
         disc = (
@@ -711,8 +711,8 @@ class Composition:
 
     # ------------------------------------------------------------ words
 
-    def told(self, trace: Sequence[Move]) -> list[str]:
-        """A trace in words, one line per move; moves alike are told once, with the time of the last of them."""
+    def described(self, trace: Sequence[Move]) -> list[str]:
+        """A trace in words, one line per move; moves alike are given once, with the time of the last of them."""
         lines: list[str] = []
         before = ""
         time_ns = 0
@@ -722,7 +722,7 @@ class Composition:
             seen = "no AS state seen" if state is None else f"{state.label} seen"
             words = (
                 f"{self.choices[move.label].words}\n"
-                f"            -> {seen}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
+                f"            -> {seen}; sent: {_command_words(cast('AiCommand | None', move.seen))}"
             )
             if words == before:
                 lines.pop()
@@ -731,7 +731,7 @@ class Composition:
         return lines
 
 
-def _told_command(asked: AiCommand | None) -> str:
+def _command_words(asked: AiCommand | None) -> str:
     if asked is None:
         return "nothing"
     parts = [asked.mission_status.label, asked.direction.label]

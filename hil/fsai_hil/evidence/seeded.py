@@ -492,4 +492,4 @@ def search_seed(seed: Seed) -> tuple[Search, list[str]]:
     with sown(seed) as searched:
         model = Composition(searched, seed.rule)
         found = explore(model, bounds_ns=searched.bounds_ns)
-        return found, model.told(found.trace)
+        return found, model.described(found.trace)

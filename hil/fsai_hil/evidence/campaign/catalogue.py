@@ -160,8 +160,8 @@ OLD_DATA = Graded(
 )
 SILENT = ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
 SILENT_OURS = ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
-CAR_HEARS = Graded("under 100 ms nothing; 100 ms the car stops itself", ((100, SILENT),))
-CAR_HEARS_TORQUE = Graded(
+AI_SILENT = Graded("under 100 ms nothing; 100 ms the car stops itself", ((100, SILENT),))
+AI_SILENT_TORQUE = Graded(
     "under 100 ms it drives on, or the car stops itself where torque meets brake there; 100 ms the car stops itself",
     ((0, d.MAY_STOP_ITSELF), (100, SILENT)),
 )
@@ -264,10 +264,14 @@ _limit = partial(
     corrupted=always("torque never above the limit that was read; drives on", ends(End.ON, End.HELD)),
 )
 _needless = partial(_message, lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=UNCHANGED)
-_heard = partial(
-    _message, lost=CAR_HEARS, lost_ms=((10, 65), (130, 2500)), late_ms=((5, 60), (130, 600)), frozen_ms=((150, 2500),)
+_incoming = partial(
+    _message,
+    lost=AI_SILENT,
+    lost_ms=((10, 65), (130, 2500)),
+    late_ms=((5, 60), (130, 600)),
+    frozen_ms=((150, 2500),),
 )
-_heard_torque = partial(_heard, lost=CAR_HEARS_TORQUE)
+_incoming_torque = partial(_incoming, lost=AI_SILENT_TORQUE)
 
 
 ROWS: Final[tuple[FaultKind, ...]] = (
@@ -409,16 +413,16 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     # ---------------------------------------------------------------- what the car hears
-    *_heard(
+    *_incoming(
         "ai_status",
         i.AI_STATUS,
         "our state",
         frozen=always("100 ms the car stops itself, for the echo does not match", SILENT),
     ),
-    *_heard_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
-    *_heard_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
-    *_heard("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
-    *_heard_torque(
+    *_incoming_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
+    *_incoming_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
+    *_incoming("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
+    *_incoming_torque(
         "ai_brake",
         i.AI_BRAKE,
         "our brake request",

@@ -6,7 +6,6 @@ is left out when the record is read.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -17,6 +16,7 @@ from typing import IO, Any, Final
 
 import fsai_hil
 import fsai_vcu
+from fsai_hil.evidence.work import digest_of
 from fsai_vcu.interface.revisions import dbc_dir
 
 NAME: Final = "record.jsonl"
@@ -57,10 +57,7 @@ def files() -> dict[str, Path]:
 @cache
 def digest() -> str:
     """One short word for the code of this installation: runs of different code must not be mixed in one record."""
-    found = hashlib.sha256()
-    for name, path in sorted(files().items()):
-        found.update(f"{name}\0".encode() + path.read_bytes() + b"\0")
-    return found.hexdigest()[:12]
+    return digest_of(files())
 
 
 def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
@@ -69,8 +66,8 @@ def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
     first = next(lines, None)
     if first is None or first.pop("campaign", None) != 1:
         raise RecordError(f"{path} is not the record of a fault campaign")
-    said: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
-    header = Header(**said)
+    fields: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
+    header = Header(**fields)
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
     return header, list(runs.values())

@@ -105,8 +105,8 @@ def on_cluster(plan: CampaignPlan, tasks: Iterable[Task], address: str) -> Lines
     try:
         client = distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ClusterError(f"no Dask scheduler answers at {address}: {said}") from error
+        why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ClusterError(f"no Dask scheduler answers at {address}: {why}") from error
     with client:
         threads = sum(client.nthreads().values())
         if not threads:

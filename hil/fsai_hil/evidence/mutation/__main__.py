@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import os
 import random
@@ -16,7 +15,7 @@ from pathlib import Path
 from fsai_hil import CHECKOUT
 from fsai_hil.evidence.mutation import trial
 from fsai_hil.evidence.mutation.mutants import Key, Mutant
-from fsai_hil.evidence.work import Progress
+from fsai_hil.evidence.work import Progress, digest_of
 
 EXAMPLE = "example: python -m fsai_hil.evidence.mutation --only gate._steering --jobs 1"
 HEADS = ("mutants", "killed", "equivalent", "survived", "score")
@@ -96,10 +95,7 @@ def _digest() -> str:
     vcu, tests = CHECKOUT / "fsai_vcu", CHECKOUT / "tests" / "core"
     sources = [*(vcu / "core").rglob("*.py"), *(vcu / "interface").rglob("*.py"), *Path(__file__).parent.glob("*.py")]
     sources += [tests / name for name in (*trial.KILLERS, "supervision_rig.py")]
-    total = hashlib.sha256()
-    for path in sorted(sources):
-        total.update(path.name.encode() + b"\0" + path.read_bytes())
-    return total.hexdigest()[:12]
+    return digest_of({str(path.relative_to(CHECKOUT)): path for path in sources})
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -108,7 +104,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--only", action="append", default=[], metavar="PLACE", help="a module or function, as printed")
     parser.add_argument("--sample", type=int, metavar="N", help="only N that act in functions, without coverage")
-    parser.add_argument("--seed", help="what the sample is drawn by (default: the digest of sources and tests)")
     parser.add_argument(
         "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (default: %(default)s)"
     )
@@ -116,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Namespace, seed: str) -> list[Mutant]:
+def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Namespace, digest: str) -> list[Mutant]:
     chosen = [m for m in mutants if not options.only or any(f"{m.place}.".startswith(f"{n}.") for n in options.only)]
     if not chosen:
         places = ", ".join(sorted({mutant.place for mutant in mutants}))
@@ -124,8 +119,8 @@ def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Names
     if options.sample is not None:
         # Those that are known to survive cost all tests and tell nothing new; tables cost the tests' collection each.
         chosen = [mutant for mutant in chosen if mutant.key not in listed and not mutant.at_import]
-        chosen = random.Random(seed).sample(chosen, min(options.sample, len(chosen)))
-        print(f"a sample of {len(chosen)}, drawn by --seed {seed}", flush=True)
+        chosen = random.Random(digest).sample(chosen, min(options.sample, len(chosen)))
+        print(f"a sample of {len(chosen)}, drawn by the sources' digest {digest}", flush=True)
     return chosen
 
 
@@ -153,6 +148,7 @@ def _try(
             progress(len(waiting) - left, f"{sum(not one for _, one in results)} survive")
 
         trial.try_all(baseline, sources, waiting, options.jobs, report)
+    progress.clear()
     return results
 
 
@@ -171,7 +167,7 @@ def _run(options: argparse.Namespace) -> int:
     gone = listed - {mutant.key for mutant in mutants}
     for place, minus, plus, nth in gone:
         print(f"{LIST} explains what is no mutant any more: {place} ({nth})\n    - {minus}\n    + {plus}")
-    chosen = _chosen(mutants, listed, options, options.seed or digest)
+    chosen = _chosen(mutants, listed, options, digest)
 
     baseline = trial.Baseline()
     if options.sample is None:
