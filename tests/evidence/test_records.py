@@ -42,18 +42,16 @@ def test_a_line_cut_short_by_a_kill_is_left_out_and_driven_again(tmp_path: Path)
     assert all(json.loads(text) for text in path.read_text().splitlines())
 
 
-def test_a_record_that_is_there_is_not_overwritten_by_accident(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
-    Writer(path, plan().header(), resume=False).close()
-    with pytest.raises(RecordError, match="--resume goes on with it"):
-        Writer(path, plan().header(), resume=False)
-
-
-def test_another_campaigns_record_is_not_continued(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("seed", "resume", "complaint"), [(1, False, "--resume goes on with it"), (2, True, "another campaign")]
+)
+def test_a_record_is_not_overwritten_nor_mixed_by_accident(
+    seed: int, resume: bool, complaint: str, tmp_path: Path
+) -> None:
     path = tmp_path / "record.jsonl"
     Writer(path, plan(1).header(), resume=False).close()
-    with pytest.raises(RecordError, match="another campaign"):
-        Writer(path, plan(2).header(), resume=True)
+    with pytest.raises(RecordError, match=complaint):
+        Writer(path, plan(seed).header(), resume=resume)
 
 
 def test_a_record_that_is_put_aside_keeps_a_name_of_its_own(tmp_path: Path) -> None:

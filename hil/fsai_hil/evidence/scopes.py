@@ -51,11 +51,7 @@ _SILENCE_AND_STANDS: Final = "a silent planner and a car that comes to rest"
 _SILENCE_AND_MOVES: Final = "a silent planner and a car that never brakes"
 _DEAF: Final = "a car that is not received any more"
 
-ENDINGS: Final = {
-    _SILENCE_AND_STANDS: _SILENT_STANDING,
-    _SILENCE_AND_MOVES: _SILENT_MOVING,
-    _DEAF: _CUT_OFF,
-}
+ENDINGS: Final = {_SILENCE_AND_STANDS: _SILENT_STANDING, _SILENCE_AND_MOVES: _SILENT_MOVING, _DEAF: _CUT_OFF}
 BOUNDS_NS: Final = {
     # 3 s of standing still, 300 ms for a lost command, 0.5 s of proven rest, the cycles between, and what the
     # rounding of ages counts twice
@@ -101,17 +97,8 @@ def _scope(
     path = () if from_start else (*PATH, *endings.values())
     first = tuple(dict.fromkeys((*path, *everywhere, *endings.values())))
     rest = tuple(choice for choice in dict.fromkeys(driving) if choice not in first)
-    return Scope(
-        name,
-        covers,
-        (*first, *rest),
-        len(first),
-        len(path),
-        setting or Setting(),
-        endings,
-        bounds_ns,
-        endless,
-    )
+    choices = (*first, *rest)
+    return Scope(name, covers, choices, len(first), len(path), setting or Setting(), endings, bounds_ns, endless)
 
 
 def _each(base: Choice, *changes: dict[str, object]) -> list[Choice]:
