@@ -18,7 +18,7 @@ from typing import Final
 
 from fsai_hil.evidence import fuzz_run
 from fsai_hil.evidence.fuzz_machine import explore
-from fsai_hil.evidence.fuzz_run import Run, forget_stations
+from fsai_hil.evidence.fuzz_run import forget_stations
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS
 from fsai_hil.evidence.work import Progress, spread
@@ -45,11 +45,6 @@ class Done:
     reached: set[tuple[str, str]] = field(default_factory=set)
     failures: list[tuple[int, str]] = field(default_factory=list)  # seeds, and what happened
 
-    def ran(self, run: Run) -> None:
-        self.examples += 1
-        self.cycles += run.cycles
-        self.reached |= run.reached
-
     def add(self, other: Done) -> None:
         self.examples += other.examples
         self.cycles += other.cycles
@@ -65,7 +60,7 @@ def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     """The examples of one seed, as far as the first that breaks a rule."""
     done = Done()
     try:
-        explore(seed, examples, done.ran, shrink=shrink)
+        explore(seed, examples, lambda run: done.add(Done(1, run.cycles, run.reached)), shrink=shrink)
     except Exception as error:
         steps = getattr(error, "__notes__", ())
         done.failures.append((seed, "\n".join([*steps, f"{type(error).__name__}: {error}"])))
@@ -139,7 +134,8 @@ def seek_all(jobs: int) -> bool:
 # ---------------------------------------------------------------- the command
 
 
-def _parser() -> argparse.ArgumentParser:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status: 0 every rule held, 1 one was broken (or a seeded fault not found), 2 wrong use."""
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence.fuzz",
         description="Put strange frames, commands, services and times before the bridge; judge every frame it sends.",
@@ -149,12 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seeded", action="store_true", help="put faults into the rules on purpose and seek each")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="the first seed (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="J", help="processes")
-    return parser
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status: 0 every rule held, 1 one was broken (or a seeded fault not found), 2 wrong use."""
-    options = _parser().parse_args(arguments)
+    options = parser.parse_args(arguments)
     if options.jobs < 1 or options.minutes <= 0:
         print("--jobs and --minutes are more than 0", file=sys.stderr)
         return 2

@@ -98,19 +98,6 @@ def _digest() -> str:
     return digest_of({str(path.relative_to(CHECKOUT)): path for path in sources})
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m fsai_hil.evidence.mutation", description=__doc__, epilog=EXAMPLE, allow_abbrev=False
-    )
-    parser.add_argument("--only", action="append", default=[], metavar="PLACE", help="a module or function, as printed")
-    parser.add_argument("--sample", type=int, metavar="N", help="only N that act in functions, without coverage")
-    parser.add_argument(
-        "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (default: %(default)s)"
-    )
-    parser.add_argument("--document", action="store_true", help=f"write {DOCUMENT} if everything holds")
-    return parser
-
-
 def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Namespace, digest: str) -> list[Mutant]:
     chosen = [m for m in mutants if not options.only or any(f"{m.place}.".startswith(f"{n}.") for n in options.only)]
     if not chosen:
@@ -197,7 +184,16 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = _parser().parse_args(arguments)
+    parser = argparse.ArgumentParser(
+        prog="python -m fsai_hil.evidence.mutation", description=__doc__, epilog=EXAMPLE, allow_abbrev=False
+    )
+    parser.add_argument("--only", action="append", default=[], metavar="PLACE", help="a module or function, as printed")
+    parser.add_argument("--sample", type=int, metavar="N", help="only N that act in functions, without coverage")
+    parser.add_argument(
+        "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (default: %(default)s)"
+    )
+    parser.add_argument("--document", action="store_true", help=f"write {DOCUMENT} if everything holds")
+    options = parser.parse_args(arguments)
     if options.jobs < 1 or (options.sample is not None and options.sample < 1):
         print("--jobs and --sample take 1 or more", file=sys.stderr)
         return 2
