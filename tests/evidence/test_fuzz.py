@@ -7,13 +7,15 @@ from functools import cache
 import pytest
 
 from fsai_hil.evidence import fuzz as command
+from fsai_hil.evidence.fuzz_run import at_station
 from fsai_hil.evidence.model import patched
 from fsai_vcu.core.bridge import Bridge
+from fsai_vcu.interface.units import MS
 
 
 @cache
 def short_form() -> command.Done:
-    return command.batch(2026, examples=15)
+    return command.batch(2026, examples=120)
 
 
 def test_no_rule_is_broken_on_the_wire() -> None:
@@ -22,7 +24,7 @@ def test_no_rule_is_broken_on_the_wire() -> None:
 
 def test_the_short_form_goes_deep() -> None:
     """Else the fuzz could become shallow and nobody would notice; a few examples need not reach all."""
-    most = {"AS state": 1, "phase": 3, "reason": 35}
+    most = {"AS state": 1, "phase": 2, "reason": 28}
     assert {kind: short_form().missing(kind) for kind in most if len(short_form().missing(kind)) > most[kind]} == {}
 
 
@@ -35,8 +37,29 @@ def test_the_same_seed_is_the_same_run() -> None:
     "name", ["torque rises right after the brake", "rest is proven after 400 ms", "a stop by the holding brake"]
 )
 def test_a_fault_put_into_the_rules_is_found_on_the_wire(name: str) -> None:
-    words, _, done = command.sought(name)
-    assert "RuleBroken" in words, f"not found in {done.examples} examples"
+    assert "RuleBroken" in command.sought(name)[1]
+
+
+@pytest.mark.parametrize("ahead_ns", [1 * MS, 50 * MS, 2000 * MS])
+@pytest.mark.parametrize("station", ["ready", "moving"])
+def test_frames_stamped_in_the_future_break_no_rule(station: str, ahead_ns: int) -> None:
+    run = at_station("2026", station)
+    for image in run.images():
+        run.frame(run.codec.encode(image), ahead_ns)
+    run.run(130)
+    run.judge()
+    assert (max(run.torque_nm) > 0.0) is (station == "moving" and ahead_ns < 100 * MS)
+
+
+def test_a_planner_back_after_700_ms_does_not_drive_on() -> None:
+    run = at_station("2026", "moving")
+    run.command(age_ms=700.0)
+    run.run(5)
+    run.command(age_ms=0.0)
+    for _ in range(40):
+        run.run(10)
+        assert run.torque_nm == [0.0, 0.0]
+    run.judge()
 
 
 def test_an_exception_is_shrunk_to_readable_steps() -> None:

@@ -14,8 +14,7 @@ from enum import Enum
 
 import pytest
 
-from fsai_hil.evidence.mutation.__main__ import main
-from fsai_hil.evidence.mutation.explained import load, row
+from fsai_hil.evidence.mutation.__main__ import load, main, row
 from fsai_hil.evidence.mutation.mutants import Mutant, mutants_of, mutated
 from fsai_hil.evidence.mutation.trial import mutants, sources
 

@@ -6,19 +6,18 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fsai_hil.evidence.campaign.runner import CampaignPlan, Pace
+    from fsai_hil.evidence.campaign.runner import CampaignPlan
+    from fsai_hil.evidence.work import Progress
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
 
 RUNS = 10_000
 FULL = 300
-PROGRESS_EVERY_S = 5.0
 MANY_FAILURES = 20
 
 
@@ -80,8 +79,9 @@ def _table(record: Path, output: Path | None) -> int:
 
 def _campaign(args: argparse.Namespace) -> int:
     from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside
-    from fsai_hil.evidence.campaign.runner import campaign, in_processes, on_cluster
+    from fsai_hil.evidence.campaign.runner import in_processes, on_cluster
     from fsai_hil.evidence.campaign.table import failures
+    from fsai_hil.evidence.work import Progress
     from fsai_vcu.cli.main import WrongUse
 
     if args.renew and not args.resume:
@@ -100,27 +100,43 @@ def _campaign(args: argparse.Namespace) -> int:
         kept = len(writer.runs)
         if kept:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
-        progress = CampaignProgress()
+        tasks = [task for task in plan.tasks() if task not in writer.done]
+        progress = Progress("runs", len(tasks))
+        began_s = time.monotonic()
+        worse = 0
         try:
-            spread = partial(on_cluster, address=args.dask) if args.dask else partial(in_processes, jobs=jobs)
-            campaign(plan, writer, spread, progress)
+            for lines in on_cluster(plan, tasks, args.dask) if args.dask else in_processes(plan, tasks, jobs):
+                for line in lines:
+                    writer.add(line)
+                for line in failures(lines):
+                    worse += 1
+                    _failure(line, worse, progress)
+                progress(len(writer.runs) - kept, f"{worse} worse than the rules allow")
         except KeyboardInterrupt:
-            progress.end()
+            progress.clear()
             print(f"{len(writer.runs)} runs are kept in {writer.path}; --resume goes on", file=sys.stderr)
             raise
-        progress.end()
-        worse = failures(writer.runs)
+        progress.clear()
         new = len(writer.runs) - kept
-        if new and progress.pace is not None:
-            rate = progress.pace.runs_per_s
+        if new:
+            rate = new / max(1e-9, time.monotonic() - began_s)
             print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
         print(f"{len(writer.runs)} runs of {len(plan.selection.kinds())} kinds, record in {writer.path}")
         print(f"table: fsai-vcu campaign --table {writer.path}")
-        if worse:
-            print(f"{len(worse)} worse than the rules allow")
+        if failures(writer.runs):
+            print(f"{len(failures(writer.runs))} worse than the rules allow")
             return 1
         print("every run ended as the rules demand")
         return 0
+
+
+def _failure(line: Mapping[str, Any], number: int, progress: Progress) -> None:
+    if number > MANY_FAILURES:
+        return
+    progress.clear()
+    print(f"worse: {line['replay']}\n       {'; '.join(line['reasons'][:3])}")
+    if number == MANY_FAILURES:
+        print("       … further ones are in the record only")
 
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:
@@ -149,38 +165,3 @@ def _plan(args: argparse.Namespace) -> CampaignPlan:
 
 def _names(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-class CampaignProgress:
-    """One line that is written over on a terminal, one every few seconds elsewhere; each failure as it comes."""
-
-    def __init__(self) -> None:
-        self.pace: Pace | None = None
-        self._terminal = sys.stderr.isatty()
-        self._next_s = 0.0
-        self._failures = 0
-
-    def __call__(self, pace: Pace, lines: Sequence[dict[str, Any]]) -> None:
-        self.pace = pace
-        for line in lines:
-            if line["verdict"] != "ok":
-                self._failure(line)
-        now_s = time.monotonic()
-        if now_s < self._next_s and pace.done < pace.total:
-            return
-        self._next_s = now_s + (0.2 if self._terminal else PROGRESS_EVERY_S)
-        end = "" if self._terminal else "\n"
-        print(f"{chr(13) + chr(27) + '[K' if self._terminal else ''}{pace}", end=end, file=sys.stderr, flush=True)
-
-    def _failure(self, line: dict[str, Any]) -> None:
-        self._failures += 1
-        if self._failures > MANY_FAILURES:
-            return
-        self.end()
-        print(f"worse: {line['replay']}\n       {'; '.join(line['reasons'][:3])}")
-        if self._failures == MANY_FAILURES:
-            print("       … further ones are in the record only")
-
-    def end(self) -> None:
-        if self._terminal:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -5,8 +5,8 @@ name ends in `_ns` is a time and becomes an age, any other stays as it is. A new
 a new time also needs its line in `_edges`, at which ages it matters, or nothing runs.
 
 What is not mapped so is written out, each with its reason: `_OF_ITSELF` is left out or follows from the rest, and
-`_supervisor`, `_gate`, `_command` and `_said` forget what nothing looks at any more, because it must not tell states
-apart.
+`_supervisor`, `_gate`, `_command` and `_reported` forget what nothing looks at any more, because it must not separate
+states.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _NO_TIME: Final = cast(int, None)  # for a time whose type knows no None
 _RUN: Final = 2  # every run in hand has this number
 _NO_TIMES: Final[Mapping[str, str]] = {
     "ready_waited_ns": "a duration",
-    "zero_since_ns": "compared with the time of one 0x524 only: `_said` keeps whether that is newer",
+    "zero_since_ns": "compared with the time of one 0x524 only: `_reported` keeps whether that is newer",
 }
 _OF_ITSELF: Final[Mapping[str, str]] = {
     "supervisor": "mapped field by field",
@@ -58,7 +58,7 @@ _OF_ITSELF: Final[Mapping[str, str]] = {
     "asked": "each cycle makes its own",
     "speeds_doubt": "words",
     "belief": "follows from the wheel speeds believed last: counts are not sent",
-    "vehicle": "what the bridge looks at of it: `_said`; the supervisor knows when 0x520 and 0x525 came",
+    "vehicle": "what the bridge looks at of it: `_reported`; the supervisor knows when 0x520 and 0x525 came",
     "steering": "since when it is implausible: the check is the environment's choice",
     "wheels": "since when one is implausible: the check is the environment's choice",
     "command": "what may still be obeyed of it: `_command`",
@@ -169,25 +169,25 @@ class Abstraction:
             _SUPERVISOR.others_of(supervising),
             _GATE.others_of(self._gate(state, driving)),
             (*_BRIDGE.others_of(bridge), vehicle.handshake != bit, content),
-            _said(state),
+            _reported(state),
         )
         return disc, [NEVER if time is None else now - time if time < now else 0 for time in times]
 
     def whole(self, content: Content, ages: Sequence[int]) -> BridgeState:
         """The state as it was taken apart, at `NOW`, where the VCU sends a handshake of 0."""
-        supervising, gating, (*others, handshake, ordered), said = cast(Any, content)
+        supervising, gating, (*others, handshake, ordered), reported = cast(Any, content)
         times = [None if age < 0 else NOW - age for age in ages]
         first, second, third = len(_SUPERVISOR.times), len(_GATE.times), len(_BRIDGE.times)
         s = _SUPERVISOR.values(supervising, times[:first])
         g = _GATE.values(gating, times[first : first + second])
         b = _BRIDGE.values(others, times[first + second : first + second + third])
-        stop_ns, steering_ns, wheels_ns, *said_ns = times[first + second + third :]
+        stop_ns, steering_ns, wheels_ns, *reported_ns = times[first + second + third :]
         if s["stop"] is not None:
             s["stop"] = replace(s["stop"], since_ns=stop_ns)
         if s["still_since_ns"] is not None:
             s["still_since_ns"] += s["speeds_ns"] - NOW
-        said_ns = [s["status_ns"], s["speeds_ns"], *said_ns]
-        vehicle = _vehicle(said, said_ns, handshake, known=not b["status_doubt"])
+        reported_ns = [s["status_ns"], s["speeds_ns"], *reported_ns]
+        vehicle = _vehicle(reported, reported_ns, handshake, known=not b["status_doubt"])
         return BridgeState(
             supervisor=SupervisorState(**s),
             gate=GateState(**g, pulses=NO_PULSES if s["turning_ns"] is None else Pulses(turning_ns=s["turning_ns"])),
@@ -274,7 +274,7 @@ _FITS: Final = (SteeringCheck(), WheelCheck())
 _AT_REST: Final = standing_start(0)
 
 
-def _said(state: BridgeState) -> Content:
+def _reported(state: BridgeState) -> Content:
     """What the bridge looks at of the car's messages."""
     vehicle, gate = state.vehicle, state.gate
     driving = state.supervisor.driving
@@ -295,8 +295,8 @@ def _said(state: BridgeState) -> Content:
     )  # fmt: skip
 
 
-def _vehicle(said: Content, times: Sequence[int | None], handshake: bool, *, known: bool) -> VehicleState:
-    status, rpm, angle_max_deg, torque_max_nm, echo = cast(Any, said)
+def _vehicle(reported: Content, times: Sequence[int | None], handshake: bool, *, known: bool) -> VehicleState:
+    status, rpm, angle_max_deg, torque_max_nm, echo = cast(Any, reported)
     status_ns, speeds_ns, steer_ns, axle_ns = cast(Sequence[int], times)
     images: dict[str, Any] = {}
     if status is not None:

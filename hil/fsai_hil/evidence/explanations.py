@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -18,6 +17,7 @@ from typing import Any, Final
 from fsai_hil.evidence.campaign.cases import Case, Selection, case_of
 from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
+from fsai_hil.evidence.work import Progress, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import IncidentKind, record_for, story_of
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
@@ -156,27 +156,25 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
     args = parser.parse_args(argv)
     count = args.logs or len(Selection().kinds())
-    every = max(1, len(Selection().kinds()) // count) if args.logs else 1
+    every = max(1, len(Selection().kinds()) // count)
     numbers = [index * every for index in range(count)]
     found: list[Explained] = []
-    with ProcessPoolExecutor(args.jobs) as pool:
-        for one in pool.map(partial(_worker, args.seed), numbers):
-            found.append(one)
-            if one.grade != "right" or one.falsely_green:
-                green = ", and check called it OK" if one.falsely_green else ""
-                named = ", ".join(one.named) or "nothing"
-                print(f"{one.grade}: {named}, expected {' or '.join(sorted(one.expected)) or 'nothing'}{green}")
-                print(f"    {one.case.replay}")
-            if sys.stderr.isatty() or len(found) % 10 == 0:
-                end = "\r" if sys.stderr.isatty() else "\n"
-                print(f"{len(found)} of {count} logs", end=end, file=sys.stderr, flush=True)
+    progress = Progress("logs", count)
+    for one in spread(partial(_worker, args.seed), numbers, args.jobs):
+        found.append(one)
+        if one.grade != "right" or one.falsely_green:
+            progress.clear()
+            green = ", and check called it OK" if one.falsely_green else ""
+            named = ", ".join(one.named) or "nothing"
+            print(f"{one.grade}: {named}, expected {' or '.join(sorted(one.expected)) or 'nothing'}{green}")
+            print(f"    {one.case.replay}")
+        progress(len(found), f"{sum(each.grade != 'right' for each in found)} not right")
+    progress.clear()
     grades = {grade: sum(one.grade == grade for one in found) for grade in ("right", "partly", "wrong")}
     green = sum(one.falsely_green for one in found)
     share = grades["right"] / len(found)
-    print(
-        f"{len(found)} logs: {', '.join(f'{n} {grade}' for grade, n in grades.items())} ({share:.1%} right);", end=" "
-    )
-    print(f"{green} called OK that are not")
+    counted = ", ".join(f"{n} {grade}" for grade, n in grades.items())
+    print(f"{len(found)} logs: {counted} ({share:.1%} right); {green} called OK that are not")
     return 0 if share >= RIGHT_SHARE and not green else 1
 
 

@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import multiprocessing
 import os
-import signal
 import sys
 import time
-from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -21,9 +18,10 @@ from typing import Final
 
 from fsai_hil.evidence import fuzz_run
 from fsai_hil.evidence.fuzz_machine import explore
-from fsai_hil.evidence.fuzz_run import Run, forget_stations
+from fsai_hil.evidence.fuzz_run import forget_stations
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS
+from fsai_hil.evidence.work import Progress, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
 from fsai_vcu.interface.enums import AsState
@@ -31,7 +29,6 @@ from fsai_vcu.interface.enums import AsState
 EXAMPLE: Final = "example: python -m fsai_hil.evidence.fuzz --minutes 5"
 BATCH: Final = 10  # examples of one seed
 SEEDED_S: Final = 120.0  # of processor time for one seeded fault at most
-_PROGRESS_S: Final = 5.0
 _KINDS: Final = {
     "AS state": {state.name for state in AsState},
     "phase": {phase.name for phase in Phase},
@@ -48,11 +45,6 @@ class Done:
     reached: set[tuple[str, str]] = field(default_factory=set)
     failures: list[tuple[int, str]] = field(default_factory=list)  # seeds, and what happened
 
-    def ran(self, run: Run) -> None:
-        self.examples += 1
-        self.cycles += run.cycles
-        self.reached |= run.reached
-
     def add(self, other: Done) -> None:
         self.examples += other.examples
         self.cycles += other.cycles
@@ -68,55 +60,43 @@ def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     """The examples of one seed, as far as the first that breaks a rule."""
     done = Done()
     try:
-        explore(seed, examples, done.ran, shrink=shrink)
+        explore(seed, examples, lambda run: done.add(Done(1, run.cycles, run.reached)), shrink=shrink)
     except Exception as error:
         steps = getattr(error, "__notes__", ())
         done.failures.append((seed, "\n".join([*steps, f"{type(error).__name__}: {error}"])))
     return done
 
 
-def _begin() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its children
-
-
 def campaign(first_seed: int, jobs: int, minutes: float) -> Done:
     """One seed after the other in `jobs` processes, with progress, until the time is over or a rule is broken."""
-    began_s = said_s = time.monotonic()
-    done = Done()
+    began_s = time.monotonic()
+    done, progress = Done(), Progress("examples")
     seeds = itertools.count(first_seed)
-    with multiprocessing.get_context("spawn").Pool(jobs, _begin) as pool:
-        waiting = deque(pool.apply_async(batch, (next(seeds),)) for _ in range(jobs))
-        try:
-            while waiting and not done.failures:
-                done.add(waiting.popleft().get())
-                now_s = time.monotonic()
-                if now_s - began_s < 60.0 * minutes:
-                    waiting.append(pool.apply_async(batch, (next(seeds),)))
-                if now_s - said_s >= _PROGRESS_S:
-                    said_s = now_s
-                    print(
-                        f"  {now_s - began_s:6.0f} s {done.examples:8,} examples {done.cycles:11,} cycles", flush=True
-                    )
-        except KeyboardInterrupt:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough: the processes are being ended
-            print("interrupted: this is what was done until then", flush=True)
+    in_time = itertools.takewhile(
+        lambda seed: seed == first_seed or not (done.failures or time.monotonic() - began_s > 60.0 * minutes), seeds
+    )
+    try:
+        for found in spread(batch, in_time, jobs):
+            done.add(found)
+            progress(done.examples, f"{done.cycles} cycles of the car")
+    except KeyboardInterrupt:
+        print("interrupted: this is what was done until then", flush=True)
+    progress.clear()
     seconds = time.monotonic() - began_s
     print(f"{done.examples:,} examples, {done.cycles:,} cycles of the car in {seconds:.1f} s")
     for kind in _KINDS:
-        print(
-            f"  {kind}: "
-            + (f"not reached: {', '.join(sorted(done.missing(kind)))}" if done.missing(kind) else "all reached")
-        )
+        missing = ", ".join(sorted(done.missing(kind)))
+        print(f"  {kind}: {f'not reached: {missing}' if missing else 'all reached'}")
     return done
 
 
 # ---------------------------------------------------------------- faults put in on purpose
 
 
-def sought(name: str, cpu_s: float = SEEDED_S) -> tuple[str, float, Done]:
+def sought(name: str) -> tuple[str, str, float]:
     """Put the seeded fault of that name into the rules and fuzz until it shows on the wire.
 
-    Returns what it broke ("" for nothing in `cpu_s`), the processor time it took, and what was done.
+    Returns the name, what was broken ("" for nothing in `SEEDED_S`), and the processor time that took.
     """
     done = Done()
     began_s = time.process_time()
@@ -127,15 +107,15 @@ def sought(name: str, cpu_s: float = SEEDED_S) -> tuple[str, float, Done]:
                 key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
                 for key, setup in fuzz_run.SETUPS.items()
             }
-            for owner, attribute, value in ((fuzz_run, "SETUPS", setups), *seed.patches()):
+            for owner, attribute, value in ((fuzz_run, "SETUPS", setups), *seed.patches):
                 stack.enter_context(patched(owner, attribute, value))
         forget_stations()
         number = 0
-        while not done.failures and time.process_time() - began_s < cpu_s:
+        while not done.failures and time.process_time() - began_s < SEEDED_S:
             number += 1
             done.add(batch(number, shrink=False))
     words = done.failures[0][1].splitlines()[-1] if done.failures else ""
-    return words, time.process_time() - began_s, done
+    return name, words, time.process_time() - began_s
 
 
 def seek_all(jobs: int) -> bool:
@@ -143,11 +123,10 @@ def seek_all(jobs: int) -> bool:
     names = ["", *(seed.name for seed in SEEDS if seed.shows_in_fuzz)]
     print(f"{len(names) - 1} faults put into the rules on purpose, each sought on the wire:", flush=True)
     right = 0
-    with multiprocessing.get_context("spawn").Pool(jobs, _begin) as pool:
-        for name, (words, seconds, _) in zip(names, pool.imap(sought, names), strict=True):
-            right += bool(words) == bool(name)
-            shown = name or "none: the rules as they are"
-            print(f"  {shown:58} {seconds:6.1f} s  {(words or 'NOT FOUND')[:100]}", flush=True)
+    for name, words, seconds in spread(sought, names, jobs):
+        right += bool(words) == bool(name)
+        shown = name or "none: the rules as they are"
+        print(f"  {shown:58} {seconds:6.1f} s  {(words or 'NOT FOUND')[:100]}", flush=True)
     print(f"{right} of {len(names)} as they should be")
     return right == len(names)
 
@@ -155,7 +134,8 @@ def seek_all(jobs: int) -> bool:
 # ---------------------------------------------------------------- the command
 
 
-def _parser() -> argparse.ArgumentParser:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status: 0 every rule held, 1 one was broken (or a seeded fault not found), 2 wrong use."""
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence.fuzz",
         description="Put strange frames, commands, services and times before the bridge; judge every frame it sends.",
@@ -165,12 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seeded", action="store_true", help="put faults into the rules on purpose and seek each")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="the first seed (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="J", help="processes")
-    return parser
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status: 0 every rule held, 1 one was broken (or a seeded fault not found), 2 wrong use."""
-    options = _parser().parse_args(arguments)
+    options = parser.parse_args(arguments)
     if options.jobs < 1 or options.minutes <= 0:
         print("--jobs and --minutes are more than 0", file=sys.stderr)
         return 2

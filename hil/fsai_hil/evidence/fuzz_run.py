@@ -10,20 +10,19 @@ from __future__ import annotations
 import copy
 import math
 import random
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
+from operator import methodcaller as call
 from types import MappingProxyType
 from typing import Any, Final
 
-from fsai_hil.rules.checker import WireChecker
+from fsai_hil.evidence.model import Setting
 from fsai_hil.rules.numbers import DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
-from fsai_hil.rules.seen import Process
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, BrakeStatus, EbsStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
@@ -40,7 +39,6 @@ from fsai_vcu.interface.messages import (
     WheelCounts,
     WheelSpeeds,
 )
-from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.bus import BusLost
 from fsai_vcu.runtime.engine import Engine
 
@@ -56,26 +54,21 @@ SPOKEN: Final = (VcuStatus, VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, Whe
 Rpm = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """One car, venue and configuration under test."""
-
-    revision: str = "2026"
-    car: str = "2026"
-    config: BridgeConfig = field(default_factory=BridgeConfig)
-    limits: OperationalLimits = UNLIMITED
+def _setup(config: BridgeConfig | None = None, car: str = "2026", **changes: Any) -> Setting:
+    return Setting(**{"config": config or BridgeConfig(), "car": CARS[car], "limits": UNLIMITED, **changes})
 
 
-SETUPS: Mapping[str, Setup] = MappingProxyType(
+SETUPS: Mapping[str, Setting] = MappingProxyType(
     {
-        "2026": Setup(),
-        "2021": Setup("2021", "2021"),
-        "venue": Setup(limits=OperationalLimits(5.0, 60.0, 15.0)),
-        "staging": Setup(config=BridgeConfig(autonomous_at_power_up=True)),
-        "official simulator": Setup(car="official-simulator", config=official_simulator()),
-        "listening": Setup(config=BridgeConfig(listen_only=True)),
+        "2026": _setup(),
+        "2021": _setup(car="2021", revision="2021"),
+        "venue": _setup(limits=OperationalLimits(5.0, 60.0, 15.0)),
+        "staging": _setup(BridgeConfig(autonomous_at_power_up=True)),
+        "official simulator": _setup(official_simulator(), "official-simulator"),
+        "listening": _setup(BridgeConfig(listen_only=True)),
     }
 )
+"""Cars, venues and configurations under test."""
 
 
 class RuleBroken(Exception):
@@ -88,40 +81,21 @@ def _broken(rule: str) -> type[RuleBroken]:
     return type(f"RuleBroken_{rule}", (RuleBroken,), {})
 
 
-@cache
-def _codec(name: str) -> Codec:
-    return Codec(revision(name))
-
-
 class Run:
     """One process under test, the car it talks to and the checker between them, at one instant of virtual time.
 
     Whatever the process raises comes through: it never may.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        self._setup, config = setup, setup.config
-        self._codec, self._car = _codec(setup.revision), CARS[setup.car]
+    def __init__(self, setup: Setting) -> None:
+        self._setup, self.codec, self._car = setup, setup.codec, setup.car
         self.now_ns = START_NS
         self.cycles = 0
         self.reached: set[tuple[str, str]] = set()
-        self._checker = WireChecker(
-            self._codec,
-            in_flight_ns=0,
-            handshake_in_flight_ns=0,
-            clock_slack_ns=0,
-            car=self._car,
-            limits=setup.limits,
-            from_start=True,
-            motor_brakes=config.motor_brakes,
-            short_sequence=config.short_sequence_allowed,
-            process=Process(
-                listen_only=config.listen_only,
-                autonomous_at_power_up=config.autonomous_at_power_up,
-                service_brake_pct=config.stop_brake_pct,
-                # A car that brakes by its motors alone is given longer; the table's 3 s are everybody else's.
-                stop_timeout_ns=config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS,
-            ),
+        # A car that brakes by its motors alone is given longer; the table's 3 s are everybody else's.
+        config = setup.config
+        self._checker = setup.checker(
+            stop_timeout_ns=config.stop_timeout_ns if config.motor_brakes else STOP_TIMEOUT_NS
         )
         self._first_run_id = 1
         self._new_process()
@@ -158,7 +132,7 @@ class Run:
         self._taken = 0
 
     def _new_process(self) -> None:
-        codec, setup = self._codec, self._setup
+        codec, setup = self.codec, self._setup
         args = (self._car, setup.config, setup.limits, self._first_run_id, self.now_ns)
         self._bridge = Bridge(codec, codec.revision, *args)
         self._engine = Engine(self._bridge, codec, self._send, self.now_ns)
@@ -216,9 +190,9 @@ class Run:
         """For a while these fields of a message carry `bits`, whatever the car does; cut to the field's width."""
         self._raw[message] = (names, bits, cycles)
 
-    def frame(self, frame: Frame) -> None:
-        """One frame of anybody's, now."""
-        self._deliver(replace(frame, t_ns=self.now_ns))
+    def frame(self, frame: Frame, ahead_ns: int = 0) -> None:
+        """One frame of anybody's, now; its stamp is ahead by so much."""
+        self._deliver(replace(frame, t_ns=self.now_ns + ahead_ns))
         self._turn()
 
     # ------------------------------------------------------------ planner, controller, operator
@@ -281,8 +255,9 @@ class Run:
 
     # ------------------------------------------------------------ the car
 
-    def _images(self) -> tuple[Image, ...]:
-        most_deg = self._codec.revision.steer_limit_deg  # that this revision's messages can carry
+    def images(self) -> tuple[Image, ...]:
+        """What the car reports in one of its cycles."""
+        most_deg = self.codec.revision.steer_limit_deg  # that this revision's messages can carry
         angle_deg = self._followed_deg if self.angle_deg is None else max(-most_deg, min(most_deg, self.angle_deg))
         front_pct, rear_pct = self.brake_pct if self.echo_pct is None else (self.echo_pct, self.echo_pct)
         return (
@@ -304,14 +279,14 @@ class Run:
         if self.handshake == "alternate" or (self.handshake == "wild" and self._chance.random() < 0.5):
             self.status = replace(self.status, handshake=not self.status.handshake)
         self._move()
-        images = self._images()
+        images = self.images()
         for image in (*images[1:], images[0]) if self.status_last else images:
             kind = type(image)
             left = self._muted.get(kind, 0)
             if left > 0:
                 self._muted[kind] = left - 1
                 continue
-            frame = self._codec.encode(image)
+            frame = self.codec.encode(image)
             self._deliver(Frame(frame.can_id, self._with_raw(kind, frame.data), self.now_ns))
             if self.answered_first and kind is VcuStatus:
                 self._turn()
@@ -324,7 +299,7 @@ class Run:
             self._raw[kind] = (names, bits, cycles - 1)
         word = int.from_bytes(data, "little")
         for name in names:
-            mask = self._codec.mask(kind, name)
+            mask = self.codec.mask(kind, name)
             word = word & ~mask | bits * (mask & -mask) & mask
         return word.to_bytes(len(data), "little")
 
@@ -393,7 +368,7 @@ class Run:
             if now_ns < self._back_ns:
                 return
             self._back_ns = None
-            self._engine = Engine(self._bridge, self._codec, self._send, now_ns)
+            self._engine = Engine(self._bridge, self.codec, self._send, now_ns)
             self._bridge.bus_back(now_ns)
             self._checker.on_bus_back(now_ns)
         due_ns = self._engine.due_ns()
@@ -451,43 +426,34 @@ class Run:
 
 # ---------------------------------------------------------------- stations
 
-# The way of an ordinary car, operator and controller: each station with the one before it.
-STATIONS: Final = {
-    "start": "", "awake": "start", "off": "awake", "ready": "off", "launched": "ready", "driving": "launched",
-    "moving": "driving", "emergency": "moving", "finished": "moving",
-}  # fmt: skip
-
-
-def _go(run: Run, station: str) -> None:
-    """From the station before to this one."""
-    match station:
-        case "awake":
-            run.run(25)
-        case "off":
-            run.mode("autonomous")
-            run.run(55)
-        case "ready":
-            run.car(as_state=AsState.AS_READY)
-            run.run(READY_CYCLES)
-        case "launched":
-            run.car(as_state=AsState.AS_DRIVING, go_signal=True)
-            run.run(2)
-        case "driving":
-            run.command(throttle=0.4, speed_limit_mps=8.0)
-            run.run(303)
-        case "moving":
-            run.command(steering_rad=0.05)
-            run.run(150)
-        case "emergency":
-            run.emergency("on the way")
-            run.run(3)
-            run.car(as_state=AsState.EMERGENCY_BRAKE)
-            run.run(5)
-        case "finished":
-            run.command(throttle=0.0, mission_finished=True)
-            run.run(250)
-            run.car(as_state=AsState.AS_FINISHED)
-            run.run(5)
+STATIONS: Final[Mapping[str, tuple[str, tuple[Callable[[Run], None], ...]]]] = {
+    "start": ("", ()),
+    "awake": ("start", (call("run", 25),)),
+    "off": ("awake", (call("mode", "autonomous"), call("run", 55))),
+    "ready": ("off", (call("car", as_state=AsState.AS_READY), call("run", READY_CYCLES))),
+    "launched": ("ready", (call("car", as_state=AsState.AS_DRIVING, go_signal=True), call("run", 2))),
+    "driving": ("launched", (call("command", throttle=0.4, speed_limit_mps=8.0), call("run", 303))),
+    "moving": ("driving", (call("command", steering_rad=0.05), call("run", 150))),
+    "emergency": (
+        "moving",
+        (
+            call("emergency", "asked"),
+            call("run", 3),
+            call("car", as_state=AsState.EMERGENCY_BRAKE),
+            call("run", 5),
+        ),
+    ),
+    "finished": (
+        "moving",
+        (
+            call("command", throttle=0.0, mission_finished=True),
+            call("run", 250),
+            call("car", as_state=AsState.AS_FINISHED),
+            call("run", 5),
+        ),
+    ),
+}
+"""The way of an ordinary car, operator and controller: the station before each, and what leads on from it."""
 
 
 def at_station(setup: str, station: str) -> Run:
@@ -498,9 +464,10 @@ def at_station(setup: str, station: str) -> Run:
 @cache
 def _kept(setup: str, station: str) -> Run:
     """The way is always the same: kept, and copied."""
-    before = STATIONS[station]
+    before, steps = STATIONS[station]
     run = at_station(setup, before) if before else Run(SETUPS[setup])
-    _go(run, station)
+    for step in steps:
+        step(run)
     run.judge()
     run.cycles, run.reached = 0, set()
     return run

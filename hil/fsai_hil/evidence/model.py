@@ -146,7 +146,7 @@ class Choice:
         """The choice in words: only what is out of the ordinary, and what matters in every cycle."""
         if self.event == "restart":
             return "the process dies and another one takes its place"
-        said = (
+        shown = (
             (self.says is not None and f"the car says {self.says.label}"),
             "wheels turn with " + "/".join(map(str, self.rpm)) + " rpm" if any(self.rpm) else "wheels stand",
             "Go on" if self.go else "Go off",
@@ -163,7 +163,7 @@ class Choice:
             self.torque_max_nm != 195.0 and f"TRQ_MAX {self.torque_max_nm:g} Nm",
         )
         parts = (
-            *(("the car is switched off",) if self.car_off else said),
+            *(("the car is switched off",) if self.car_off else shown),
             self.steer_odd and "the steering does not follow",
             self.wheel_odd and "one wheel does not fit the others",
             self.event,
@@ -173,6 +173,11 @@ class Choice:
             self.frames < 5 and (f"only {self.frames} of 5 frames go out" if self.frames else "no frame goes out"),
         )
         return "; ".join(str(part) for part in parts if part)
+
+
+@cache
+def _codec(revision_name: str) -> Codec:
+    return Codec(revision(revision_name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,6 +190,33 @@ class Setting:
     profile: Profile = SPECIFICATION
     first_state: AsState = AsState.AS_INIT
     limits: OperationalLimits = field(default_factory=lambda: OperationalLimits(8.0, 120.0, 12.0))
+
+    @property
+    def codec(self) -> Codec:
+        return _codec(self.revision)
+
+    def checker(self, **process: Any) -> WireChecker:
+        """The checker of the rules at the sender's own place; `process`: what else it knows of the configuration."""
+        config = self.config
+        return WireChecker(
+            self.codec,
+            in_flight_ns=0,
+            handshake_in_flight_ns=0,
+            clock_slack_ns=0,
+            car=self.car,
+            limits=self.limits,
+            steer_rate_degps=config.steer_rate_degps,
+            from_start=True,
+            motor_brakes=config.motor_brakes,
+            short_sequence=config.short_sequence_allowed,
+            process=Process(
+                listen_only=config.listen_only,
+                autonomous_at_power_up=config.autonomous_at_power_up,
+                service_brake_pct=config.stop_brake_pct,
+                stop_cycles=config.stop_cycles,
+                **process,
+            ),
+        )
 
 
 # ---------------------------------------------------------------- the clocks
@@ -199,11 +231,6 @@ _READY_NS: Final = 5 * S
 
 
 # ---------------------------------------------------------------- what stands in for the rest of the world
-
-
-@cache
-def _codec(revision_name: str) -> Codec:
-    return Codec(revision(revision_name))
 
 
 class SearchedBridge(Bridge):
@@ -266,7 +293,7 @@ def patched(owner: Any, name: str, value: object) -> Iterator[None]:
 
 # ---------------------------------------------------------------- the composition
 
-# A state: what can be told apart without a clock (of the bridge, the VCU and the witness), and the ages.
+# A state: what can be distinguished without a clock (of the bridge, the VCU and the witness), and the ages.
 Contents = tuple[Content, Content, Content]
 State = tuple[Contents, tuple[int, ...]]
 Outcome = tuple[tuple[Contents, list[int]], tuple[Violation, ...], AiCommand | None]
@@ -295,23 +322,14 @@ class Composition:
     """
 
     def __init__(self, scope: Scope, only_rule: str | None = None) -> None:
-        self._only_rule = only_rule
         setting = scope.setting
+        assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
+        self._only_rule = only_rule
         self.scope = scope
         self.config = setting.config
         self.choices = list(scope.choices)
-        self._anywhere = scope.anywhere
-        self._path = scope.path
-        self.endings: dict[str, int] = {}
-        for name, choice in scope.endings.items():
-            if choice not in self.choices:
-                raise ValueError(f"{scope.name}: the ending {name!r} is none of the scope's choices")
-            self.endings[name] = self.choices.index(choice)
-        self._codec = _codec(setting.revision)
-        self._checker = self._new_checker()
-        self._bridge = self._new_bridge()
-        assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
-        self._sends_fail = any(choice.frames < 5 for choice in scope.choices)
+        self.endings = {name: self.choices.index(choice) for name, choice in scope.endings.items()}
+        self._codec = setting.codec
         self._leaves_emergency = any(not choice.asms or choice.car_off for choice in scope.choices)
         # A command whose data alone is that old is lost at once: then it matters how long commands have been awaited.
         self._data_may_be_lost = any(
@@ -321,10 +339,11 @@ class Composition:
         )
         self._table_runs = all(choice.says is None for choice in scope.choices)
         self._table: Table = transition_table(setting.profile)
-        self._vcu = _Vcu(setting.first_state)
         self._situation = Situation()
         self._abstraction = Abstraction(
-            setting.config, sends_fail=self._sends_fail, data_may_be_lost=self._data_may_be_lost
+            setting.config,
+            sends_fail=any(choice.frames < 5 for choice in scope.choices),
+            data_may_be_lost=self._data_may_be_lost,
         )
         self._edges = (*self._abstraction.edges, *_OTHER_EDGES)
         self._ages = tuple(
@@ -332,6 +351,13 @@ class Composition:
         )
         self.checks: Counter[str] = Counter()
         self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
+        self._begin()
+
+    def _begin(self) -> None:
+        """Both sides have just been switched on."""
+        self._bridge = self._new_bridge()
+        self._vcu = _Vcu(self.scope.setting.first_state)
+        self._checker = self.scope.setting.checker(nothing_hidden=True)
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
@@ -345,46 +371,17 @@ class Composition:
             now_ns=NOW,
         )
 
-    def _new_checker(self) -> WireChecker:
-        setting = self.scope.setting
-        config = setting.config
-        return WireChecker(
-            self._codec,
-            in_flight_ns=0,
-            handshake_in_flight_ns=0,
-            clock_slack_ns=0,
-            car=setting.car,
-            limits=setting.limits,
-            steer_rate_degps=config.steer_rate_degps,
-            from_start=True,
-            motor_brakes=config.motor_brakes,
-            short_sequence=config.short_sequence_allowed,
-            process=Process(
-                listen_only=config.listen_only,
-                autonomous_at_power_up=config.autonomous_at_power_up,
-                service_brake_pct=config.stop_brake_pct,
-                stop_cycles=config.stop_cycles,
-                nothing_hidden=True,
-            ),
-        )
-
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
-        """Nothing has been sent or received: both sides have just been switched on."""
-        self._bridge = self._new_bridge()
-        self._vcu = _Vcu(self.scope.setting.first_state)
-        self._checker = self._new_checker()
+        """Nothing has been sent or received."""
+        self._begin()
         disc, raw = self._save(NOW)
         return disc, self._rounded(raw)
 
     def _rounded(self, raw: Sequence[int]) -> tuple[int, ...]:
-        return tuple(
-            [
-                age if age <= 0 else points[bisect_right(points, age) - 1]
-                for age, points in zip(raw, self._ages, strict=True)
-            ]
-        )
+        ages = zip(raw, self._ages, strict=True)
+        return tuple([age if age <= 0 else points[bisect_right(points, age) - 1] for age, points in ages])
 
     def _save(self, now: int) -> tuple[Contents, list[int]]:
         """The whole composition at `now`: what is no time, and the ages, not yet rounded."""
@@ -396,8 +393,8 @@ class Composition:
 
         table = self._table_runs  # else the VCU is whatever the environment says
 
-        told = self._checker.seen
-        told.handshake = bool(told.handshake) != v.bit
+        seen = self._checker.seen
+        seen.handshake = bool(seen.handshake) != v.bit
         wire, wire_ages = self._checker.saved(now, data_may_be_lost=self._data_may_be_lost)
         content, ages = self._abstraction.apart(bridge, v.bit, now)
         disc = (
@@ -412,14 +409,8 @@ class Composition:
             vcu_age = min(age(v.since_ns), _READY_NS)
         elif v.state is AsState.EMERGENCY_BRAKE:
             vcu_age = age(v.since_ns) if self._leaves_emergency else 0
-        raw = [
-            *ages,
-            vcu_age if table else NEVER,
-            age(v.ai_ns) if table else NEVER,
-            age(v.echo_ns) if table else NEVER,
-            *wire_ages,
-        ]
-        return disc, raw
+        vcu_ages = (vcu_age, age(v.ai_ns), age(v.echo_ns)) if table else (NEVER, NEVER, NEVER)
+        return disc, [*ages, *vcu_ages, *wire_ages]
 
     def bridge_of(self, state: State) -> BridgeState:
         """The bridge's half of it, at `NOW`."""
@@ -448,14 +439,14 @@ class Composition:
         told_to_stop = estop or status is MissionStatus.FINISHED
         return not self._table_runs and told_to_stop and not (front or rear)
 
-    def moves(self, state: State) -> Iterable[Move[State]]:
+    def moves(self, state: State) -> Iterable[Move]:
         driving = state[1][_DRIVING_CLOCK] >= self.config.launch_wait_ns - 1
-        listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self._path
-        count = len(self.choices) if driving else self._path if listening else self._anywhere
+        listening = state[1][_LISTENING_CLOCK] < self.config.listen_first_ns and self.scope.path
+        count = len(self.choices) if driving else self.scope.path if listening else self.scope.anywhere
         braked = state[0][1][0] is AsState.EMERGENCY_BRAKE and not self._leaves_emergency
         bridge = self.bridge_of(state)
-        if self._path and (braked or bridge.stop_cycles_left == 0):
-            count = self._path  # the car brakes by itself for good, or the software has stopped for good
+        if self.scope.path and (braked or bridge.stop_cycles_left == 0):
+            count = self.scope.path  # the car brakes by itself for good, or the software has stopped for good
         for label in range(count):
             choice = self.choices[label]
             (disc, raw), problems, asked = self._cycle(state, choice, CYCLE_NS, bridge)
@@ -471,27 +462,22 @@ class Composition:
                 ages = state[1]
                 if wait_ns > step_ns:
                     # An age that grew in the cycle just tried grows for as long as the same choice is kept up.
-                    ages = tuple(
-                        [
-                            old + wait_ns - step_ns if old >= 0 and new == old + CYCLE_NS else old
-                            for old, new in zip(ages, raw, strict=True)
-                        ]
-                    )
+                    grown_ns = wait_ns - step_ns
+                    both = zip(ages, raw, strict=True)
+                    ages = tuple([old + grown_ns if old >= 0 and new == old + CYCLE_NS else old for old, new in both])
                 (disc, later), problems, asked = self._cycle((state[0], ages), choice, step_ns)
                 yield Move(label, wait_ns, (disc, self._rounded(later)), problems, asked)
 
     def _waits(self, ages: tuple[int, ...], raw: Sequence[int]) -> tuple[int, ...]:
         """How long until the next timer has run for T - 1 ns and for T; none if no timer runs that has not run out."""
-        nearest: int | None = None
-        for age, new, edges in zip(ages, raw, self._edges, strict=True):
-            if age < 0 or new != age + CYCLE_NS:
-                continue
-            for edge in edges:
-                if edge > age:
-                    if nearest is None or edge - age < nearest:
-                        nearest = edge - age
-                    break
-        return () if nearest is None else (nearest - 1, nearest)
+        left = [
+            edge - age
+            for age, new, edges in zip(ages, raw, self._edges, strict=True)
+            if age >= 0 and new == age + CYCLE_NS
+            for edge in edges
+            if edge > age
+        ]
+        return (min(left) - 1, min(left)) if left else ()
 
     def _cycle(self, state: State, choice: Choice, step_ns: int, bridge: BridgeState | None = None) -> Outcome:
         """One cycle of the whole composition, `step_ns` after the state was saved."""
@@ -538,27 +524,21 @@ class Composition:
 
     def _count(self, asked: AiCommand, choice: Choice) -> None:
         """Each rule is counted in the cycles in which it has something to say."""
-        w, checks = self._checker.seen, self.checks
-        driving = w.as_state is AsState.AS_DRIVING
-        for rule in ("8", "9", "output table", "modes"):
-            checks[rule] += 1
-        if asked.torque_requested or asked.brake_requested:
-            checks["1"] += 1
-        if asked.torque_requested:
-            checks["2"] += 1
-        if driving:
-            checks["4"] += 1
-            checks["reactions"] += 1
-            if asked.direction is not Direction.FORWARD or asked.mission_status is MissionStatus.FINISHED:
-                checks["3"] += 1
-        elif w.as_state not in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED):
-            checks["5"] += 1
-        if w.latched:
-            checks["6"] += 1
-        if choice.command != _NO_COMMAND and not COMMANDS[choice.command].valid:
-            checks["7"] += 1
-        if w.restarted:
-            checks["10"] += 1
+        seen = self._checker.seen
+        driving = seen.as_state is AsState.AS_DRIVING
+        ends = asked.direction is not Direction.FORWARD or asked.mission_status is MissionStatus.FINISHED
+        speaks = {
+            "1": asked.torque_requested or asked.brake_requested,
+            "2": asked.torque_requested,
+            "3": driving and ends,
+            "4": driving,
+            "5": not driving and seen.as_state not in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED),
+            "6": seen.latched,
+            "7": choice.command != _NO_COMMAND and not COMMANDS[choice.command].valid,
+            "10": seen.restarted,
+            "reactions": driving,
+        }
+        self.checks.update(("8", "9", "output table", "modes", *(rule for rule, so in speaks.items() if so)))
 
     # ------------------------------------------------------------ the car
 
@@ -731,18 +711,18 @@ class Composition:
 
     # ------------------------------------------------------------ words
 
-    def told(self, trace: Sequence[Move[State]]) -> list[str]:
-        """A trace in words, one line per move; moves alike are told once, with the time of the last of them."""
+    def described(self, trace: Sequence[Move]) -> list[str]:
+        """A trace in words, one line per move; moves alike are given once, with the time of the last of them."""
         lines: list[str] = []
         before = ""
         time_ns = 0
         for move in trace:
             time_ns += move.duration_ns
-            state = self.bridge_of(move.target).supervisor.as_state
+            state = self.bridge_of(cast(State, move.target)).supervisor.as_state
             seen = "no AS state seen" if state is None else f"{state.label} seen"
             words = (
                 f"{self.choices[move.label].words}\n"
-                f"            -> {seen}; sent: {_told_command(cast('AiCommand | None', move.seen))}"
+                f"            -> {seen}; sent: {_command_words(cast('AiCommand | None', move.seen))}"
             )
             if words == before:
                 lines.pop()
@@ -751,7 +731,7 @@ class Composition:
         return lines
 
 
-def _told_command(asked: AiCommand | None) -> str:
+def _command_words(asked: AiCommand | None) -> str:
     if asked is None:
         return "nothing"
     parts = [asked.mission_status.label, asked.direction.label]

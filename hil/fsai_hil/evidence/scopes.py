@@ -51,11 +51,7 @@ _SILENCE_AND_STANDS: Final = "a silent planner and a car that comes to rest"
 _SILENCE_AND_MOVES: Final = "a silent planner and a car that never brakes"
 _DEAF: Final = "a car that is not received any more"
 
-ENDINGS: Final = {
-    _SILENCE_AND_STANDS: _SILENT_STANDING,
-    _SILENCE_AND_MOVES: _SILENT_MOVING,
-    _DEAF: _CUT_OFF,
-}
+ENDINGS: Final = {_SILENCE_AND_STANDS: _SILENT_STANDING, _SILENCE_AND_MOVES: _SILENT_MOVING, _DEAF: _CUT_OFF}
 BOUNDS_NS: Final = {
     # 3 s of standing still, 300 ms for a lost command, 0.5 s of proven rest, the cycles between, and what the
     # rounding of ages counts twice
@@ -101,17 +97,8 @@ def _scope(
     path = () if from_start else (*PATH, *endings.values())
     first = tuple(dict.fromkeys((*path, *everywhere, *endings.values())))
     rest = tuple(choice for choice in dict.fromkeys(driving) if choice not in first)
-    return Scope(
-        name,
-        covers,
-        (*first, *rest),
-        len(first),
-        len(path),
-        setting or Setting(),
-        endings,
-        bounds_ns,
-        endless,
-    )
+    choices = (*first, *rest)
+    return Scope(name, covers, choices, len(first), len(path), setting or Setting(), endings, bounds_ns, endless)
 
 
 def _each(base: Choice, *changes: dict[str, object]) -> list[Choice]:
@@ -163,10 +150,10 @@ _SAYS_DRIVING: Final = replace(_DRIVES, says=AsState.AS_DRIVING)
 _OFF, _READY, _DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 
 
-def _said(state: AsState, **changes: object) -> Choice:
+def _says(state: AsState, **changes: object) -> Choice:
     """A VCU that says this AS state whatever came before; Go is on in AS_DRIVING, off before it."""
-    said = replace(_WELL, says=state, go=state not in (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY))
-    return replace(said, **changes)  # type: ignore[arg-type]
+    choice = replace(_WELL, says=state, go=state not in (AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY))
+    return replace(choice, **changes)  # type: ignore[arg-type]
 
 
 def _run(name: str = "run", setting: Setting | None = None, *, bounds_ns: Mapping[str, int] = BOUNDS_NS) -> Scope:
@@ -251,12 +238,12 @@ def all_scopes() -> tuple[Scope, ...]:
             "any car",
             "a VCU that says any AS state at any time, whatever came before: reboots, jumps, faults; people's requests",
             [
-                *(_said(state) for state in AsState),
-                *(_said(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)),
-                _said(_DRIVING, go=False, rpm=MOVING),
+                *(_says(state) for state in AsState),
+                *(_says(state, rpm=MOVING) for state in AsState if state not in (AsState.AS_INIT, AsState.AS_FINISHED)),
+                _says(_DRIVING, go=False, rpm=MOVING),
                 *_each(_SAYS_DRIVING, {"fault": True}, {"request": "manual"}, {"lost": frozenset((STATUS,))}),
                 *_each(replace(_SAYS_DRIVING, says=_OFF), {"request": "the emergency brake"}, {"request": "reset"}),
-                _said(_READY, request="autonomous"),
+                _says(_READY, request="autonomous"),
             ],
             **_ANY_CAR,
         ),
@@ -265,9 +252,9 @@ def all_scopes() -> tuple[Scope, ...]:
             "a VCU that comes to AS_DRIVING after any time, with Go on or off before it, with no mission on the AMI, "
             "and with SELECTED that never went out whole",
             [
-                *_each(_said(_OFF), {"request": "autonomous"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
-                *_each(_said(_READY), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
-                *_each(_said(_DRIVING), {}, {"rpm": MOVING}),
+                *_each(_says(_OFF), {"request": "autonomous"}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+                *_each(_says(_READY), {}, {"go": True}, {"frames": 3}, {"ami": Ami.NOT_SELECTED}),
+                *_each(_says(_DRIVING), {}, {"rpm": MOVING}),
             ],
             **_ANY_CAR,
         ),
@@ -303,10 +290,10 @@ def all_scopes() -> tuple[Scope, ...]:
             "restarts, any car",
             "the process dies and comes back beside a VCU that goes on as if nothing had happened",
             [
-                *(_said(state) for state in (_OFF, _READY, _DRIVING)),
-                _said(_DRIVING, rpm=MOVING),
-                *(_said(state, event=_RESTART) for state in (_OFF, _READY, _DRIVING)),
-                *(_said(state, request="autonomous") for state in (_OFF, _READY)),
+                *(_says(state) for state in (_OFF, _READY, _DRIVING)),
+                _says(_DRIVING, rpm=MOVING),
+                *(_says(state, event=_RESTART) for state in (_OFF, _READY, _DRIVING)),
+                *(_says(state, request="autonomous") for state in (_OFF, _READY)),
             ],
             **_ANY_CAR,
         ),
@@ -355,7 +342,7 @@ def all_scopes() -> tuple[Scope, ...]:
         _scope(
             "power-up, any car",
             "the same beside a VCU that says any of its states from the start, wheels standing and turning",
-            [_said(state, rpm=rpm) for state, rpm in product((_OFF, _READY, _DRIVING), (STANDING, MOVING))],
+            [_says(state, rpm=rpm) for state, rpm in product((_OFF, _READY, _DRIVING), (STANDING, MOVING))],
             setting=_AT_POWER_UP,
             **_ANY_CAR,
         ),
@@ -375,7 +362,7 @@ def all_scopes() -> tuple[Scope, ...]:
             "listen only",
             "a process that only listens: nothing that happens makes it send",
             [
-                *(_said(state) for state in (_OFF, _READY, _DRIVING)),
+                *(_says(state) for state in (_OFF, _READY, _DRIVING)),
                 *_each(
                     _SAYS_DRIVING,
                     {"event": "an intruder sends 0x511"},
@@ -383,7 +370,7 @@ def all_scopes() -> tuple[Scope, ...]:
                     {"event": "the software is stopped"},
                     {"request": "the emergency brake"},
                 ),
-                _said(_OFF, request="autonomous"),
+                _says(_OFF, request="autonomous"),
             ],
             setting=Setting(config=replace(_CONFIG, listen_only=True)),
             endings={},

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Final
 
-from fsai_hil.evidence.model import Composition, Scope, State, patched
+from fsai_hil.evidence.model import Composition, Scope, patched
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
@@ -36,6 +36,9 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
 
+Patches = tuple[tuple[Any, str, object], ...]
+"""What another value stands for while a seed is in force: its owner, its name, and the value."""
+
 
 @dataclass(frozen=True, slots=True)
 class Seed:
@@ -47,59 +50,48 @@ class Seed:
     name: str
     rule: str
     scope: str
-    patches: Callable[[], tuple[tuple[Any, str, object], ...]] = tuple
+    patches: Patches = ()
     config: Mapping[str, object] = field(default_factory=dict)
     shows_in_fuzz: bool = True
 
 
-def _reaction(reason: Reason, *steps: Step) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    return lambda: ((supervisor, "REACTIONS", {**REACTIONS, reason: steps}),)
+def _reactions(changed: Mapping[Reason, tuple[Step, ...]]) -> Patches:
+    return ((supervisor, "REACTIONS", {**REACTIONS, **changed}),)
 
 
-def _reactions(changed: Mapping[Reason, tuple[Step, ...]]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    """Several changes that make one mistake only together: one guard stands behind the other."""
-    return lambda: ((supervisor, "REACTIONS", {**REACTIONS, **changed}),)
+def _reported(*reasons: Reason) -> Patches:
+    """These are only reported. Several make one mistake only together: one guard stands behind the other."""
+    return _reactions(dict.fromkeys(reasons, (Step(None, Consequence.REPORT),)))
 
 
-def _output(phase: Phase, **changes: object) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+def _first_step(reason: Reason) -> Patches:
+    """Of a graded reaction only the first step is left."""
+    return _reactions({reason: REACTIONS[reason][:1]})
+
+
+def _output(phase: Phase, **changes: object) -> Patches:
     row = replace(OUTPUT[phase], **changes)  # type: ignore[arg-type]
-    return lambda: ((supervisor, "OUTPUT", {**OUTPUT, phase: row}),)
+    return ((supervisor, "OUTPUT", {**OUTPUT, phase: row}),)
 
 
-def _follows(before: Sequence, now: AsState, then: Sequence) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    return lambda: ((supervisor, "NEXT", {**supervisor.NEXT, (before, now): then}),)
-
-
-def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
+def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Patches:
     """`owner.name` is called through `change(original, *arguments)`."""
-    return lambda: ((owner, name, partial(change, getattr(owner, name))),)
+    original = getattr(owner, name)
+    # A function and no partial: what takes a method's place is bound to the instance as it was.
+    return ((owner, name, lambda *arguments, **named: change(original, *arguments, **named)),)
 
 
-def _method(owner: Any, name: str, change: Callable[..., Any]) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    """The same for a method: what takes its place is bound to the instance as it was."""
-
-    def patches() -> tuple[tuple[Any, str, object], ...]:
-        original = getattr(owner, name)
-
-        def changed(instance: Any, *arguments: Any, **named: Any) -> Any:
-            return change(original, instance, *arguments, **named)
-
-        return ((owner, name, changed),)
-
-    return patches
+def _always(owner: Any, name: str, value: object) -> Patches:
+    return ((owner, name, lambda *arguments: value),)
 
 
-def _always(owner: Any, name: str, value: object) -> Callable[[], tuple[tuple[Any, str, object], ...]]:
-    return _wrapped(owner, name, lambda original, *arguments: value)
+def _unknown_mode_is_autonomous(original: Callable[..., Any], config: Any, state: Any, mode: str, now_ns: int) -> Any:
+    return original(config, state, "autonomous" if mode == "sideways" else mode, now_ns)
 
 
-def _clears_latch(original: Callable[..., Any], config: Any, state: Any, status: Any) -> Any:
-    after = original(config, state, status)
+def _clears_latch(original: Callable[..., Any], *arguments: Any) -> Any:
+    after = original(*arguments)
     return replace(after, emergency=None) if after.as_state is AsState.AS_OFF else after
-
-
-def _any_reset(original: Callable[..., Any], config: Any, state: Any, now_ns: int) -> Any:
-    return replace(state, emergency=None), True, "cleared"
 
 
 def _only_fast(config: Any, state: Any, now_ns: int) -> bool:
@@ -131,8 +123,8 @@ def _gate_acknowledged(original: Callable[..., Any], config: Any, state: Any, de
     return original(config, replace(state, acknowledged_run_id=decision.run_id), decision, *rest)
 
 
-def _levels_for_edges(original: Callable[..., Any], before: Any, now: Any) -> Any:
-    return original(_NOTHING_SHOWN, now)
+def _gate_may_move(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
+    return original(config, state, replace(decision, may_move=True), *rest)
 
 
 def _one_bit_hides_others(original: Callable[..., Any], before: Any, now: Any) -> Any:
@@ -156,26 +148,22 @@ def _believes_old_limits(original: Callable[..., Any], config: Any, axle: Any, l
     return original(config, axle, left_rpm, right_rpm, now_ns if axle is None else axle.t_rx_ns)
 
 
-def _gate_may_move(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
-    return original(config, state, replace(decision, may_move=True), *rest)
+def _powers_up_in(where: frozenset[AsState], *, moving: bool) -> Patches:
+    """Autonomous at power-up in these AS states, also while wheels turn."""
 
+    def supervise(original: Callable[..., Any], config: Any, state: Any, inputs: Any) -> Any:
+        stands = moving or supervisor.standing(config, state, inputs.now_ns)
+        may = config.autonomous_at_power_up and not config.listen_only
+        if may and state.power_up and state.as_state in where and stands:
+            state = replace(state, mode=supervisor.Mode.AUTONOMOUS, power_up=False)
+        return original(config, state, inputs)
 
-def _powers_up_in(where: frozenset[AsState], moving: bool, original: Callable[..., Any], config: Any, state: Any,
-                  inputs: Any) -> Any:  # fmt: skip
-    stands = moving or supervisor.standing(config, state, inputs.now_ns)
-    may = config.autonomous_at_power_up and not config.listen_only
-    if may and state.power_up and state.as_state in where and stands:
-        state = replace(state, mode=supervisor.Mode.AUTONOMOUS, power_up=False)
-    return original(config, state, inputs)
+    return _wrapped(supervisor, "supervise", supervise)
 
 
 def _sends_all_the_same(original: Callable[..., Any], instance: Any, now_ns: int) -> Any:
-    config = instance._config
-    instance._config = replace(config, listen_only=False)
-    try:
+    with patched(instance, "_config", replace(instance._config, listen_only=False)):
         return original(instance, now_ns)
-    finally:
-        instance._config = config
 
 
 def _loses_nothing(original: Callable[..., Any], instance: Any, why: str, now_ns: int) -> None:
@@ -189,7 +177,9 @@ def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, com
 
 
 _NOTHING_SHOWN: Final = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
-_REPORTED: Final = (Step(None, Consequence.REPORT),)
+_ACKNOWLEDGED: Final = _wrapped(bridge, "gate", _gate_acknowledged)
+_LATE_STOP: Final = (REACTIONS[Reason.COMMAND_STALE][0], Step("command_lost_ns", Consequence.STOP))
+_AT_ONCE: Final = (Step("command_stale_ns", Consequence.ESTOP), REACTIONS[Reason.COMMAND_STALE][1])
 
 SEEDS: Final[tuple[Seed, ...]] = (
     # ---- torque and brake
@@ -204,11 +194,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "torque is forgotten as soon as a cycle with it is over",
         "1",
         "commands",
-        _wrapped(
-            bridge,
-            "sent",
-            lambda original, *arguments: replace(original(*arguments), torque_there=False),
-        ),
+        _wrapped(bridge, "sent", lambda original, *rest: replace(original(*rest), torque_there=False)),
     ),
     # ---- what torque needs
     Seed("the 3 s of standing still last 2.9 s", "2", "run", config={"launch_wait_ns": 2900 * MS}),
@@ -219,10 +205,8 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "the driving row is taken from the start",
         "2",
         "run",
-        lambda: (
-            *_output(Phase.LAUNCH_WAIT, torque=True, steer=Steer.COMMAND, brake=Brake.COMMAND)(),
-            (bridge, "gate", partial(_gate_may_move, gating.gate)),
-        ),
+        _output(Phase.LAUNCH_WAIT, torque=True, steer=Steer.COMMAND, brake=Brake.COMMAND)
+        + _wrapped(bridge, "gate", _gate_may_move),
     ),
     Seed("a command lasts 150 ms", "2", "commands", config={"command_stale_ns": 150 * MS}),
     Seed("a command lasts 1 ns too long", "2", "commands", config={"command_stale_ns": 100 * MS + 1}),
@@ -232,32 +216,11 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "a VCU that skips AS_READY is trusted",
         "2",
         "any car",
-        _follows(Sequence.OFF_SEEN, AsState.AS_DRIVING, Sequence.COMPLETE),
+        ((supervisor, "NEXT", {**supervisor.NEXT, (Sequence.OFF_SEEN, AsState.AS_DRIVING): Sequence.COMPLETE}),),
         config={"short_sequence_allowed": True},  # else the 5 s in AS_READY are missed as well
     ),
     Seed(
-        "autonomous is accepted in every state",
-        "modes",
-        "run",
-        lambda: ((supervisor, "IDLE_STATES", frozenset(AsState)),),
-    ),
-    Seed(
-        "an unknown mode counts as autonomous",
-        "modes",
-        "power-up",
-        _wrapped(
-            supervisor,
-            "set_mode",
-            lambda original, config, state, mode, now_ns: original(
-                config, state, "autonomous" if mode == "sideways" else mode, now_ns
-            ),
-        ),
-    ),
-    Seed(
-        "Go that was on all along counts as given",
-        "2",
-        "beginnings",
-        _wrapped(supervisor, "on_status", _go_on_counts),
+        "Go that was on all along counts as given", "2", "beginnings", _wrapped(supervisor, "on_status", _go_on_counts)
     ),
     Seed("AS_READY for 4.8 s is enough", "2", "beginnings", config={"ready_wait_ns": 4800 * MS}),
     Seed(
@@ -267,50 +230,39 @@ SEEDS: Final[tuple[Seed, ...]] = (
         config={"ready_wait_ns": 4900 * MS - 1},
         shows_in_fuzz=False,  # its AS_READY lasts whole cycles
     ),
-    Seed("a short sequence is only reported", "2", "beginnings", _reaction(Reason.SEQUENCE_SHORT, *_REPORTED)),
-    Seed(
-        "torque without a mission",
-        "2",
-        "beginnings",
-        lambda: (
-            *_reaction(Reason.NO_MISSION, *_REPORTED)(),
-            (bridge, "gate", partial(_gate_acknowledged, gating.gate)),
-        ),
-    ),
+    Seed("a short sequence is only reported", "2", "beginnings", _reported(Reason.SEQUENCE_SHORT)),
+    Seed("torque without a mission", "2", "beginnings", _reported(Reason.NO_MISSION) + _ACKNOWLEDGED),
     Seed(
         "SELECTED counts though its cycle was cut short",
         "2",
         "beginnings",
-        _method(bridge.Bridge, "on_sent", _cut_short_counts),
+        _wrapped(bridge.Bridge, "on_sent", _cut_short_counts),
         shows_in_fuzz=False,  # SELECTED goes out again and again: that no cycle was whole for 5 s is too rare
     ),
     Seed(
         "an AS_STATE that nobody knows is only reported",
         "2",
         "messages",
-        lambda: (
-            *_reaction(Reason.AS_STATE_UNKNOWN, *_REPORTED)(),
-            (bridge, "gate", partial(_gate_knows, gating.gate)),
-        ),
+        _reported(Reason.AS_STATE_UNKNOWN) + _wrapped(bridge, "gate", _gate_knows),
+    ),
+    Seed(
+        "a lost bus does not break the sequence",
+        "2",
+        "trouble",
+        _wrapped(supervisor, "bus_lost", lambda original, config, state, *rest: state),
     ),
     # ---- rest
-    Seed("one look at the wheels proves rest", "3", "run", lambda: ((supervisor, "standing", _only_fast),)),
+    Seed("one look at the wheels proves rest", "3", "run", ((supervisor, "standing", _only_fast),)),
     Seed("rest is proven after 400 ms", "3", "run", config={"standstill_ns": 400 * MS}),
     Seed("a wheel under 301 rpm stands", "3", "limits", config={"standstill_rpm": 301}),
     Seed(
         "pulse counts are not asked whether the wheels stand",
         "3",
         "wheel speeds",
-        lambda: ((supervisor, "turning", lambda *_: False), (gating, "turning", lambda *_: False)),
+        _always(supervisor, "turning", False) + _always(gating, "turning", False),
     ),
     # ---- limits
-    Seed(
-        "a jump that no tyre can follow is believed",
-        "4",
-        "limits",
-        config={"wheel_change_max_rpm": 65535},
-    ),
-    Seed("a jump that stays is believed at once", "reactions", "wheel speeds", config={"wheel_jump_ns": 20 * MS}),
+    Seed("a jump that no tyre can follow is believed", "4", "limits", config={"wheel_change_max_rpm": 65535}),
     Seed("ANGLE_MAX is not looked at", "4", "limits", _always(gating, "_live_limit_deg", 30.0)),
     Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
     Seed("TRQ_MAX is believed for ever", "4", "messages", _wrapped(gating, "_axle_limit_nm", _believes_old_limits)),
@@ -332,30 +284,34 @@ SEEDS: Final[tuple[Seed, ...]] = (
     ),
     # ---- the latch
     Seed("AS_OFF clears the emergency", "6", "run", _wrapped(supervisor, "on_status", _clears_latch)),
-    Seed("reset works everywhere", "6", "run", _wrapped(supervisor, "reset", _any_reset)),
+    Seed(
+        "reset works everywhere",
+        "6",
+        "run",
+        _wrapped(
+            supervisor, "reset", lambda _, config, state, now_ns: (replace(state, emergency=None), True, "cleared")
+        ),
+    ),
     Seed("half a second of silence is a power cycle", "6", "power cycle", config={"power_cycle_ns": 500 * MS}),
     # ---- commands
     Seed("no command is out of order", "7", "commands", _always(VehicleCommand, "problems", ())),
     Seed("data from the future is taken", "7", "commands", config={"sensor_future_ns": 50 * MS}),
     # ---- the wire
     Seed(
-        "a process that only listens sends",
-        "8",
-        "listen only",
-        _method(bridge.Bridge, "cycle", _sends_all_the_same),
+        "a process that only listens sends", "8", "listen only", _wrapped(bridge.Bridge, "cycle", _sends_all_the_same)
     ),
     Seed(
         "the fifth frame has an id that is not ours",
         "8",
         "run",
-        _method(Codec, "encode_command", _last_frame_by_another_name),
+        _wrapped(Codec, "encode_command", _last_frame_by_another_name),
     ),
     Seed("a process listens for 190 ms only", "8", "run", config={"listen_first_ns": 190 * MS}),
     Seed(
         "what is lost is sent to all the same",
         "8",
         "trouble",
-        _method(bridge.Bridge, "bus_lost", _loses_nothing),
+        _wrapped(bridge.Bridge, "bus_lost", _loses_nothing),
         shows_in_fuzz=False,  # its loop sends nothing to a bus that is lost, whatever the bridge says
     ),
     Seed("the echo follows believed frames only", "9", "messages", _wrapped(bridge, "gate", _believed_bit)),
@@ -364,68 +320,40 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "a new process believes that it saw AS_OFF and AS_READY",
         "10",
         "restarts, any car",
-        lambda: (
-            (
-                bridge,
-                "SupervisorState",
-                partial(SupervisorState, sequence=Sequence.READY_SEEN),
-            ),
-        ),
-    ),
-    Seed(
-        "a lost bus does not break the sequence",
-        "2",
-        "trouble",
-        _wrapped(supervisor, "bus_lost", lambda original, config, state, *rest: state),
+        ((bridge, "SupervisorState", partial(SupervisorState, sequence=Sequence.READY_SEEN)),),
     ),
     # ---- reactions
-    Seed(
-        "a lost 0x520 is only held",
-        "reactions",
-        "messages",
-        _reaction(Reason.VCU_SILENT, REACTIONS[Reason.VCU_SILENT][0]),
-    ),
+    Seed("a lost 0x520 is only held", "reactions", "messages", _first_step(Reason.VCU_SILENT)),
     Seed(
         "lost wheel speeds are only reported",
         "reactions",
         "messages",
-        _reaction(Reason.WHEELS_STALE, Step("feedback_stale_ns", Consequence.REPORT)),
+        _reactions({Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.REPORT),)}),
     ),
     Seed(
         "lost steering feedback never asks for the emergency",
         "reactions",
         "messages",
-        _reaction(Reason.STEERING_STALE, REACTIONS[Reason.STEERING_STALE][0]),
+        _first_step(Reason.STEERING_STALE),
     ),
-    Seed(
-        "both pedals are only reported",
-        "reactions",
-        "commands",
-        _reaction(Reason.BOTH_PEDALS, Step(None, Consequence.REPORT)),
-    ),
-    Seed(
-        "an intruder is only reported",
-        "reactions",
-        "trouble",
-        _reaction(Reason.INTRUDER, Step(None, Consequence.REPORT)),
-    ),
+    Seed("both pedals are only reported", "reactions", "commands", _reported(Reason.BOTH_PEDALS)),
+    Seed("an intruder is only reported", "reactions", "trouble", _reported(Reason.INTRUDER)),
     Seed(
         "a fault of the loop only stops",
         "reactions",
         "trouble",
-        _reaction(Reason.LOOP_FAULT, Step(None, Consequence.STOP)),
+        _reactions({Reason.LOOP_FAULT: (Step(None, Consequence.STOP),)}),
     ),
     Seed(
         "a stale command asks for the emergency at once",
         "reactions",
         "commands",
-        _reaction(
-            Reason.COMMAND_STALE, Step("command_stale_ns", Consequence.ESTOP), REACTIONS[Reason.COMMAND_STALE][1]
-        ),
+        _reactions({Reason.COMMAND_STALE: _AT_ONCE}),
         shows_in_fuzz=False,  # who looks at frames alone takes any ESTOP_REQUEST
     ),
+    Seed("a lost command is only held", "reactions", "commands", _first_step(Reason.COMMAND_STALE)),
     *(
-        Seed(f"{words} is only reported", "reactions", "marks", _reaction(reason, *_REPORTED))
+        Seed(f"{words} is only reported", "reactions", "marks", _reported(reason))
         for reason, words in (
             (Reason.AS_SWITCH_OFF, "an AS switch that falls"),
             (Reason.TS_SWITCH_OFF, "a TS switch that falls"),
@@ -441,77 +369,79 @@ SEEDS: Final[tuple[Seed, ...]] = (
         _wrapped(bridge, "changes", _one_bit_hides_others),
         shows_in_fuzz=False,  # two bits one after the other, and no other stop before, are too rare
     ),
-    Seed(
-        "what has been shown since before the run stops it",
-        "output table",
-        "marks",
-        _wrapped(bridge, "changes", _levels_for_edges),
-        shows_in_fuzz=False,  # who looks at frames alone takes any stop
-    ),
+    Seed("a jump that stays is believed at once", "reactions", "wheel speeds", config={"wheel_jump_ns": 20 * MS}),
     Seed("65535 rpm is believed", "reactions", "wheel speeds", config={"wheel_max_rpm": 65535}),
-    Seed(
-        "a pulse count contradicts no wheel speed",
-        "reactions",
-        "",
-        _always(wheel_speeds, "_contradicted", ""),
-    ),
-    Seed("Go off is only reported", "reactions", "any car", _reaction(Reason.GO_OFF, Step(None, Consequence.REPORT))),
+    Seed("a pulse count contradicts no wheel speed", "reactions", "", _always(wheel_speeds, "_contradicted", "")),
+    Seed("Go off is only reported", "reactions", "any car", _reported(Reason.GO_OFF)),
     Seed(
         "odd wheels never ask for the emergency",
         "reactions",
         "plausibility",
-        _reaction(Reason.WHEEL_IMPLAUSIBLE, REACTIONS[Reason.WHEEL_IMPLAUSIBLE][0]),
+        _first_step(Reason.WHEEL_IMPLAUSIBLE),
         shows_in_fuzz=False,  # a wheel that is odd beyond all doubt for 600 ms is too rare for its chance
     ),
     Seed(
         "a lost bus and a broken sequence are only reported",
         "reactions",
         "trouble",
-        _reactions({Reason.BUS_LOST: _REPORTED, Reason.NOT_SEEN: _REPORTED}),
+        _reported(Reason.BUS_LOST, Reason.NOT_SEEN),
     ),
     Seed(
         "resets that nobody confirmed are no matter",
         "reactions",
-        "confirmations",
-        lambda: (  # SELECTED waits for them: two more guards miss it
-            *_reactions({Reason.NOT_CONFIRMED: (), Reason.NO_MISSION: _REPORTED})(),
-            (bridge, "gate", partial(_gate_acknowledged, gating.gate)),
-        ),
+        "confirmations",  # SELECTED waits for them: two more guards miss it
+        _reactions({Reason.NOT_CONFIRMED: (), Reason.NO_MISSION: (Step(None, Consequence.REPORT),)}) + _ACKNOWLEDGED,
     ),
     # ---- the output table
-    Seed("a stop without the brake", "output table", "run", _output(Phase.STOPPING, brake=Brake.ZERO)),
     Seed(
-        "a stop by the motors without the motors",
+        "what has been shown since before the run stops it",
         "output table",
-        "official simulator",
-        _output(Phase.STOPPING, brake=Brake.ZERO),
+        "marks",
+        _wrapped(bridge, "changes", lambda original, before, now: original(_NOTHING_SHOWN, now)),
+        shows_in_fuzz=False,  # who looks at frames alone takes any stop
     ),
-    Seed("a stop by the holding brake", "output table", "run", _output(Phase.STOPPING, brake=Brake.HOLDING)),
-    Seed("ESTOP_REQUEST without the brake", "output table", "run", _output(Phase.ESTOP_ASKED, brake=Brake.ZERO)),
-    Seed("AS_READY without the holding brake", "output table", "run", _output(Phase.READY, brake=Brake.ZERO)),
-    Seed("the first 3 s without the brake", "output table", "run", _output(Phase.LAUNCH_WAIT, brake=Brake.ZERO)),
-    Seed("a stop that is over lets the brake go", "output table", "run", _output(Phase.STOPPED, brake=Brake.ZERO)),
-    Seed("AS_FINISHED lets the brake go", "output table", "run", _output(Phase.FINISHED, brake=Brake.ZERO)),
-    Seed(
-        "NEUTRAL in EMERGENCY_BRAKE while wheels turn",
-        "output table",
-        "run",
-        _output(Phase.EMERGENCY_MOVING, direction=Direction.NEUTRAL),
+    *(
+        Seed(name, "output table", where, _output(phase, **changes))
+        for name, where, phase, changes in (
+            ("a stop without the brake", "run", Phase.STOPPING, {"brake": Brake.ZERO}),
+            (
+                "a stop by the motors without the motors",
+                "official simulator",
+                Phase.STOPPING,
+                {"brake": Brake.ZERO},
+            ),
+            ("a stop by the holding brake", "run", Phase.STOPPING, {"brake": Brake.HOLDING}),
+            ("ESTOP_REQUEST without the brake", "run", Phase.ESTOP_ASKED, {"brake": Brake.ZERO}),
+            ("AS_READY without the holding brake", "run", Phase.READY, {"brake": Brake.ZERO}),
+            ("the first 3 s without the brake", "run", Phase.LAUNCH_WAIT, {"brake": Brake.ZERO}),
+            ("a stop that is over lets the brake go", "run", Phase.STOPPED, {"brake": Brake.ZERO}),
+            ("AS_FINISHED lets the brake go", "run", Phase.FINISHED, {"brake": Brake.ZERO}),
+            (
+                "NEUTRAL in EMERGENCY_BRAKE while wheels turn",
+                "run",
+                Phase.EMERGENCY_MOVING,
+                {"direction": Direction.NEUTRAL},
+            ),
+            (
+                "FORWARD in EMERGENCY_BRAKE for ever",
+                "run",
+                Phase.EMERGENCY_STANDING,
+                {"direction": Direction.FORWARD},
+            ),
+            ("a brake in EMERGENCY_BRAKE", "run", Phase.EMERGENCY_MOVING, {"brake": Brake.SERVICE}),
+            ("a stale command turns the steering to zero", "commands", Phase.HOLDING, {"steer": Steer.ZERO}),
+            ("a stale command lets the brake go", "commands", Phase.HOLDING, {"brake": Brake.ZERO}),
+            ("ESTOP_REQUEST and not RUNNING", "run", Phase.ESTOP_ASKED, {"mission_status": MissionStatus.SELECTED}),
+            ("steering in the first 3 s", "run", Phase.LAUNCH_WAIT, {"steer": Steer.COMMAND}),
+            ("manual, and the planner still steers", "run", Phase.STOPPING, {"steer": Steer.COMMAND}),
+            (
+                "a stop that is over is never FINISHED",
+                "run",
+                Phase.STOPPED,
+                {"mission_status": MissionStatus.RUNNING, "direction": Direction.FORWARD},
+            ),
+        )
     ),
-    Seed(
-        "FORWARD in EMERGENCY_BRAKE for ever",
-        "output table",
-        "run",
-        _output(Phase.EMERGENCY_STANDING, direction=Direction.FORWARD),
-    ),
-    Seed("a brake in EMERGENCY_BRAKE", "output table", "run", _output(Phase.EMERGENCY_MOVING, brake=Brake.SERVICE)),
-    Seed(
-        "a stale command turns the steering to zero",
-        "output table",
-        "commands",
-        _output(Phase.HOLDING, steer=Steer.ZERO),
-    ),
-    Seed("a stale command lets the brake go", "output table", "commands", _output(Phase.HOLDING, brake=Brake.ZERO)),
     Seed(
         "the command does not steer",
         "output table",
@@ -519,52 +449,28 @@ SEEDS: Final[tuple[Seed, ...]] = (
         _output(Phase.DRIVING, steer=Steer.HELD),
         shows_in_fuzz=False,  # who looks at frames alone does not ask that steering moves
     ),
-    Seed(
-        "ESTOP_REQUEST and not RUNNING",
-        "output table",
-        "run",
-        _output(Phase.ESTOP_ASKED, mission_status=MissionStatus.SELECTED),
-    ),
-    Seed("steering in the first 3 s", "output table", "run", _output(Phase.LAUNCH_WAIT, steer=Steer.COMMAND)),
-    Seed(
-        "manual, and the planner still steers",
-        "output table",
-        "run",
-        _output(Phase.STOPPING, steer=Steer.COMMAND),
-    ),
-    Seed(
-        "a stop that is over is never FINISHED",
-        "output table",
-        "run",
-        _output(Phase.STOPPED, mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD),
-    ),
     # ---- modes
+    Seed("autonomous is accepted in every state", "modes", "run", ((supervisor, "IDLE_STATES", frozenset(AsState)),)),
     Seed(
-        "a lost command leaves the mode autonomous",
+        "an unknown mode counts as autonomous",
         "modes",
-        "commands",
-        _reaction(Reason.COMMAND_STALE, REACTIONS[Reason.COMMAND_STALE][0], Step("command_lost_ns", Consequence.STOP)),
+        "power-up",
+        _wrapped(supervisor, "set_mode", _unknown_mode_is_autonomous),
+    ),
+    Seed(
+        "a lost command leaves the mode autonomous", "modes", "commands", _reactions({Reason.COMMAND_STALE: _LATE_STOP})
     ),
     Seed(
         "autonomous at power-up in every AS state",
         "modes",
         "power-up, any car",
-        _wrapped(supervisor, "supervise", partial(_powers_up_in, frozenset(AsState), False)),
+        _powers_up_in(frozenset(AsState), moving=False),
     ),
     Seed(
-        "autonomous at power-up while wheels turn",
-        "modes",
-        "power-up",
-        _wrapped(supervisor, "supervise", partial(_powers_up_in, supervisor.OFF_LIKE, True)),
+        "autonomous at power-up while wheels turn", "modes", "power-up", _powers_up_in(supervisor.OFF_LIKE, moving=True)
     ),
     # ---- the safe end
-    Seed(
-        "a lost command is only held",
-        "reactions",
-        "commands",
-        _reaction(Reason.COMMAND_STALE, REACTIONS[Reason.COMMAND_STALE][0]),
-    ),
-    Seed("a stop without effect goes unnoticed", "safe end", "limits", _reaction(Reason.STOP_INEFFECTIVE)),
+    Seed("a stop without effect goes unnoticed", "safe end", "limits", _reactions({Reason.STOP_INEFFECTIVE: ()})),
 )
 
 
@@ -576,14 +482,14 @@ def sown(seed: Seed) -> Iterator[Scope]:
         setting = replace(found.setting, config=replace(found.setting.config, **seed.config))  # type: ignore[arg-type]
         found = replace(found, setting=setting)
     with ExitStack() as stack:
-        for owner, name, value in seed.patches():
+        for owner, name, value in seed.patches:
             stack.enter_context(patched(owner, name, value))
         yield found
 
 
-def search_seed(seed: Seed) -> tuple[Search[State], list[str]]:
+def search_seed(seed: Seed) -> tuple[Search, list[str]]:
     """Search the seed's scope for its rule alone: what was found, and its trace in words."""
     with sown(seed) as searched:
         model = Composition(searched, seed.rule)
         found = explore(model, bounds_ns=searched.bounds_ns)
-        return found, model.told(found.trace)
+        return found, model.described(found.trace)

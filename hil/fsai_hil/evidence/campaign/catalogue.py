@@ -160,8 +160,8 @@ OLD_DATA = Graded(
 )
 SILENT = ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
 SILENT_OURS = ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
-CAR_HEARS = Graded("under 100 ms nothing; 100 ms the car stops itself", ((100, SILENT),))
-CAR_HEARS_TORQUE = Graded(
+AI_SILENT = Graded("under 100 ms nothing; 100 ms the car stops itself", ((100, SILENT),))
+AI_SILENT_TORQUE = Graded(
     "under 100 ms it drives on, or the car stops itself where torque meets brake there; 100 ms the car stops itself",
     ((0, d.MAY_STOP_ITSELF), (100, SILENT)),
 )
@@ -264,10 +264,14 @@ _limit = partial(
     corrupted=always("torque never above the limit that was read; drives on", ends(End.ON, End.HELD)),
 )
 _needless = partial(_message, lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=UNCHANGED)
-_heard = partial(
-    _message, lost=CAR_HEARS, lost_ms=((10, 65), (130, 2500)), late_ms=((5, 60), (130, 600)), frozen_ms=((150, 2500),)
+_incoming = partial(
+    _message,
+    lost=AI_SILENT,
+    lost_ms=((10, 65), (130, 2500)),
+    late_ms=((5, 60), (130, 600)),
+    frozen_ms=((150, 2500),),
 )
-_heard_torque = partial(_heard, lost=CAR_HEARS_TORQUE)
+_incoming_torque = partial(_incoming, lost=AI_SILENT_TORQUE)
 
 
 ROWS: Final[tuple[FaultKind, ...]] = (
@@ -409,16 +413,16 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     # ---------------------------------------------------------------- what the car hears
-    *_heard(
+    *_incoming(
         "ai_status",
         i.AI_STATUS,
         "our state",
         frozen=always("100 ms the car stops itself, for the echo does not match", SILENT),
     ),
-    *_heard_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
-    *_heard_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
-    *_heard("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
-    *_heard_torque(
+    *_incoming_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
+    *_incoming_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
+    *_incoming("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
+    *_incoming_torque(
         "ai_brake",
         i.AI_BRAKE,
         "our brake request",
@@ -450,13 +454,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             i.reading(change, "wheel_rpm"), must, EACH_WHEEL, *draws, missions=ROAD_MISSIONS
         )
         for name, what, change, draws, must in (
-            ("dead", "reads 0", i.dead, (), WHEEL_OFF),
-            ("stuck", "stands still", i.stuck, (), WHEEL_OFF),
-            ("drifting", "drifts, in rpm/s", i.drifting, (between("rate", (-300, -60), (60, 300)),), WHEEL_OFF),
-            ("very_noisy", "is noisy, sigma in rpm", i.noisy, (between("size", (80, 300)),), WHEEL_NOISE),
-            ("offset", "is too high by so many rpm", i.offset, (between("size", (150, 600)),), WHEEL_OFF),
-            ("scaled", "reads a multiple", i.scaled, (between("factor", (0.2, 0.6), (1.6, 3.0)),), WHEEL_OFF),
-            ("noisy", "is a little noisy, sigma in rpm", i.noisy, (between("size", (1, 8)),), UNCHANGED),
+            ("dead", "reads 0", "dead", (), WHEEL_OFF),
+            ("stuck", "stands still", "stuck", (), WHEEL_OFF),
+            ("drifting", "drifts, in rpm/s", "drifting", (between("rate", (-300, -60), (60, 300)),), WHEEL_OFF),
+            ("very_noisy", "is noisy, sigma in rpm", "noisy", (between("size", (80, 300)),), WHEEL_NOISE),
+            ("offset", "is too high by so many rpm", "offset", (between("size", (150, 600)),), WHEEL_OFF),
+            ("scaled", "reads a multiple", "scaled", (between("factor", (0.2, 0.6), (1.6, 3.0)),), WHEEL_OFF),
+            ("noisy", "is a little noisy, sigma in rpm", "noisy", (between("size", (1, 8)),), UNCHANGED),
         )
     ),
     Fault("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
@@ -475,12 +479,12 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault(
         "wheels_jumping", "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there"
     ).by(
-        i.reading(i.offset, "wheel_rpm"),
+        i.reading("offset", "wheel_rpm"),
         always("as if none came: 100 ms service-brake stop, 300 ms ESTOP_REQUEST", LOST_FEEDBACK.at(300)),
         between("size", (400, 800)),
     ),
-    Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading(i.stuck, "wheel_rpm"), ANY, lasts((100, 4000))),
-    Fault("wheels_dead", "all wheel speeds read 0").by(i.reading(i.dead, "wheel_rpm"), COUNTS_OFF, lasts((100, 4000))),
+    Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading("stuck", "wheel_rpm"), ANY, lasts((100, 4000))),
+    Fault("wheels_dead", "all wheel speeds read 0").by(i.reading("dead", "wheel_rpm"), COUNTS_OFF, lasts((100, 4000))),
     Fault("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
         i.swapped_wheels,
         always(
@@ -490,7 +494,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         missions=ROAD_MISSIONS,
     ),
     Fault("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
-        i.reading(i.wrong_pulses, "pulses"),
+        i.reading("wrong pulses", "pulses"),
         Must(f"{UNCHANGED.words}; {COUNTS_OFF.words}", lambda p: CONTRADICTED if p["way"] == "stuck" else d.NOTHING),
         one_of("way", "stuck", "double", "random"),
     ),
@@ -498,7 +502,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         "pulses_running_on",
         "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
     ).by(
-        i.together(i.reading(i.wrong_pulses, "pulses"), ASK_MANUAL),
+        i.together(i.reading("wrong pulses", "pulses"), ASK_MANUAL),
         always(
             "it stops, and never says FINISHED; " + COUNTS_OFF.words,
             replace(CONTRADICTED, ends=frozenset((End.ESTOP,))),
@@ -511,23 +515,23 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             i.reading(change, "steer_deg"), must, *draws
         )
         for name, what, change, draws, must in (
-            ("stuck", "stands still", i.stuck, (), STEERING_OFF),
-            ("offset", "is off by so many deg", i.offset, (between("size", (-15.0, -4.0), (4.0, 15.0)),), STEERING_OFF),
-            ("drifting", "drifts, in deg/s", i.drifting, (between("rate", (-6.0, -1.0), (1.0, 6.0)),), STEERING_OFF),
-            ("noisy", "is noisy, sigma in deg", i.noisy, (between("size", (0.1, 5.0)),), STEERING_NOISE),
-            ("slightly_off", "is off by up to 1 deg", i.offset, (between("size", (-1.0, 1.0)),), UNCHANGED),
+            ("stuck", "stands still", "stuck", (), STEERING_OFF),
+            ("offset", "is off by so many deg", "offset", (between("size", (-15.0, -4.0), (4.0, 15.0)),), STEERING_OFF),
+            ("drifting", "drifts, in deg/s", "drifting", (between("rate", (-6.0, -1.0), (1.0, 6.0)),), STEERING_OFF),
+            ("noisy", "is noisy, sigma in deg", "noisy", (between("size", (0.1, 5.0)),), STEERING_NOISE),
+            ("slightly_off", "is off by up to 1 deg", "offset", (between("size", (-1.0, 1.0)),), UNCHANGED),
         )
     ),
     Fault("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
-        i.reading(i.stuck_or_noise, *i.BRAKES), UNCHANGED, one_of("way", "stuck", "noise")
+        i.reading("stuck or noise", *i.BRAKES), UNCHANGED, one_of("way", "stuck", "noise")
     ),
     *(
         Fault(f"gyro_{name}", f"the yaw rate of the PCAN-GPS {what}").by(
             i.reading(change, "yaw_rate_radps"), UNCHANGED, draw, missions=ROAD_MISSIONS, gps=True
         )
         for name, what, change, draw in (
-            ("drifting", "drifts, in rad/s2", i.drifting, between("rate", (-0.5, 0.5))),
-            ("noisy", "is noisy, sigma in rad/s", i.noisy, between("size", (0.05, 1.0))),
+            ("drifting", "drifts, in rad/s2", "drifting", between("rate", (-0.5, 0.5))),
+            ("noisy", "is noisy, sigma in rad/s", "noisy", between("size", (0.05, 1.0))),
         )
     ),
     # ---------------------------------------------------------------- actuators
@@ -666,8 +670,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *(
         Fault(name, what).by(begin, OLD_DATA.by("duration"), lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
         for name, what, begin in (
-            ("planner_silent", "the planner hangs for a while", i.paused_planner),
-            ("detector_silent", "the detector stops for a while", i.silent_detector),
+            ("planner_silent", "the planner hangs for a while", i.without(lambda rig: rig.computer, "planner_running")),
+            ("detector_silent", "the detector stops for a while", i.without(lambda rig: rig, "detects")),
         )
     ),
     Fault("planner_restarted", "the planner ends and is started again in mid-drive").by(

@@ -1,4 +1,4 @@
-"""One run told to a person: what was injected when, what the bridge saw and did when, what the rules demand."""
+"""One run, reported to a person: what was injected when, what the bridge saw and did when, what the rules demand."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ScenarioNarrator:
         vcu = rig.world.vcu
         if scenario.fault_ns is not None:
             speed = scenario.seen.speed_mps
-            said = f"FAULT {self.case.spec}, at {speed:.1f} m/s: {self.case.kind.what}"
-            self._change(scenario.fault_ns, "fault", said)
+            text = f"FAULT {self.case.spec}, at {speed:.1f} m/s: {self.case.kind.what}"
+            self._change(scenario.fault_ns, "fault", text)
         if scenario.fault_over_ns is not None:
             self._change(scenario.fault_over_ns, "over", "the fault is over")
         for t_ns, state in vcu.history[self._states :]:
@@ -80,7 +80,7 @@ class ScenarioNarrator:
     def lines(self, scenario: Scenario, verdict: CaseVerdict, *, everything: bool = False) -> list[str]:
         """What happened from shortly before the fault on, and the verdict."""
         fault_ns = scenario.fault_ns
-        told = []
+        lines = []
         pedals = 0
         for t_ns, text in sorted(self._events, key=lambda event: event[0]):
             if fault_ns is not None and t_ns < fault_ns - 1000 * MS and not everything:
@@ -90,14 +90,14 @@ class ScenarioNarrator:
                 if pedals > 20 and not everything:
                     continue  # a driver changes pedals all the time: the first few tell what the reaction was
             zero_ns = 0 if fault_ns is None else fault_ns
-            told.append(f"{(t_ns - zero_ns) / MS:+9.0f} ms  {text}")
-        told.append(f"demanded: {self.case.kind.demanded}")
+            lines.append(f"{(t_ns - zero_ns) / MS:+9.0f} ms  {text}")
+        lines.append(f"demanded: {self.case.kind.demanded}")
         if not verdict.applies:
-            told.append(
+            lines.append(
                 "(here no reaction is demanded: not in AS_DRIVING after its first 3 s, or the mission was over)"
             )
         reaction = "" if verdict.reaction_ms is None else f", reaction after {verdict.reaction_ms:.0f} ms"
         safe = "" if verdict.safe_ms is None else f", safe after {verdict.safe_ms:.0f} ms"
-        told.append(f"seen: {verdict.reaction}{reaction}{safe}")
-        told += [f"worse than allowed: {fault}" for fault in verdict.faults]
-        return told
+        lines.append(f"seen: {verdict.reaction}{reaction}{safe}")
+        lines += [f"worse than allowed: {fault}" for fault in verdict.faults]
+        return lines

@@ -26,7 +26,7 @@ SLIP_NS: Final = 1050 * MS  # torque or brake so long ago still explains a slipp
 Streak = tuple[int, int]
 
 
-def steering_streaks(seen: Observation, from_ns: int) -> list[Streak]:
+def steering_streaks(seen: Observation, car: VehicleParameters, from_ns: int) -> list[Streak]:
     """When, in AS_DRIVING, the measured angle was surely not where the requests can have brought it."""
     streaks: list[Streak] = []
     slow = fast = None

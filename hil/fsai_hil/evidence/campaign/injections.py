@@ -265,35 +265,19 @@ def stranger(rig: Lockstep, p: Params, now_ns: int) -> Injected:
 Change = Callable[[Any, Any, At], Any]
 
 
-def stuck(value: Any, before: Any, at: At) -> Any:
-    return before
+CHANGES: Final[Mapping[str, Change]] = {
+    "stuck": lambda value, before, at: before,
+    "dead": lambda value, before, at: 0.0,
+    "drifting": lambda value, before, at: value + float(at.p["rate"]) * (at.since_ns / 1e9),
+    "noisy": lambda value, before, at: value + at.rng.gauss(0.0, at.p["size"]),
+    "offset": lambda value, before, at: value + float(at.p["size"]),
+    "scaled": lambda value, before, at: value * float(at.p["factor"]),
+    "stuck or noise": lambda value, before, at: before if at.p["way"] == "stuck" else at.rng.uniform(0.0, 100.0),
+    "wrong pulses": lambda value, before, at: _wrong_pulses(value, before, at),
+}
 
 
-def dead(value: float, before: float, at: At) -> float:
-    return 0.0
-
-
-def drifting(value: float, before: float, at: At) -> float:
-    return value + float(at.p["rate"]) * (at.since_ns / 1e9)
-
-
-def noisy(value: float, before: float, at: At) -> float:
-    return value + at.rng.gauss(0.0, at.p["size"])
-
-
-def offset(value: float, before: float, at: At) -> float:
-    return value + float(at.p["size"])
-
-
-def scaled(value: float, before: float, at: At) -> float:
-    return value * float(at.p["factor"])
-
-
-def stuck_or_noise(value: float, before: float, at: At) -> float:
-    return before if at.p["way"] == "stuck" else at.rng.uniform(0.0, 100.0)
-
-
-def wrong_pulses(count: int, before: int, at: At) -> int:
+def _wrong_pulses(count: int, before: int, at: At) -> int:
     """A pulse counter stands still, runs double, is chance, or runs on by itself at `rate` pulses/s."""
     match at.p["way"]:
         case "stuck":
@@ -306,8 +290,9 @@ def wrong_pulses(count: int, before: int, at: At) -> int:
             return at.rng.randrange(0x10000)
 
 
-def reading(change: Change, *names: str) -> Injection:
+def reading(fault: str, *names: str) -> Injection:
     """What the car's sensors read, by their fields; of four wheels the one that a parameter `wheel` names, or all."""
+    change = CHANGES[fault]
 
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         rng = random.Random(p["chance"])
@@ -416,6 +401,11 @@ def switched(name: str, value: object = True) -> Injection:
     return lambda rig, p, now_ns: _put(rig.world.vcu.switches, name, value)
 
 
+def without(owner: Callable[[Lockstep], object], name: str) -> Injection:
+    """Something of the run stands still, and goes on at the end as if nothing had been."""
+    return lambda rig, p, now_ns: _put(owner(rig), name, False)
+
+
 def derated(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """The car lowers a limit of its own while it drives."""
     return _put(rig.world.vcu.switches, p["limit"], p["value"])
@@ -503,11 +493,6 @@ def pumping(command: VehicleCommand, at: At) -> Mapping[str, Any]:
     return {"throttle": float(drives), "brake": float(not drives)}
 
 
-def paused_planner(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """The planner hangs, and goes on at the end as if nothing had been."""
-    return _put(rig.computer, "planner_running", False)
-
-
 def restarted(*processes: str) -> Injection:
     """Processes end and are started again after the duration."""
 
@@ -580,11 +565,6 @@ def swinging_plan(plan: Plan, at: At) -> Plan:
     side = 1.0 if _by_turns(at) else -1.0
     x = np.linspace(0.0, 12.0, 25)
     return replace(plan, path_m=np.column_stack([x, side * 0.05 * x * x]))
-
-
-def silent_detector(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """No observation comes at all."""
-    return _put(rig, "detects", False)
 
 
 def cones(change: Callable[[ConeObservation, At], ConeObservation]) -> Injection:

@@ -8,13 +8,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final
 
-NAME: Final = "record.jsonl"
+import fsai_hil
+import fsai_vcu
+from fsai_hil.evidence.work import digest_of
+from fsai_vcu.interface.revisions import dbc_dir
 
-Run = Mapping[str, Any]
+NAME: Final = "record.jsonl"
+DRIVEN: Final = {
+    fsai_vcu: ("core", "interface", "runtime"),
+    fsai_hil: ("rules", "simulator", "evidence/campaign"),
+}
+"""Where the code is that decides a run; the command line, the nodes and the rest of the evidence change none."""
 
 
 class RecordError(ValueError):
@@ -35,14 +45,29 @@ class Header:
     sources: str = ""  # the digest of the code; empty: a record that does not say
 
 
+def files() -> dict[str, Path]:
+    """What decides a run, by names that are the same wherever it is installed: code and signal databases."""
+    found = {path.name: path for path in dbc_dir().glob("*.dbc")}
+    for package, parts in DRIVEN.items():
+        root = Path(str(package.__file__)).parent
+        found |= {str(path.relative_to(root.parent)): path for part in parts for path in (root / part).rglob("*.py")}
+    return found
+
+
+@cache
+def digest() -> str:
+    """One short word for the code of this installation: runs of different code must not be mixed in one record."""
+    return digest_of(files())
+
+
 def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
     """Header and runs of a record. Raises RecordError, OSError."""
     lines = _lines(path)
     first = next(lines, None)
     if first is None or first.pop("campaign", None) != 1:
         raise RecordError(f"{path} is not the record of a fault campaign")
-    said: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
-    header = Header(**said)
+    fields: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
+    header = Header(**fields)
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
     return header, list(runs.values())
@@ -74,7 +99,7 @@ def of_other_sources(path: Path, header: Header) -> bool:
     return path.exists() and path.stat().st_size > 0 and read(path)[0].sources != header.sources
 
 
-class Writer:
+class Writer(AbstractContextManager["Writer"]):
     """Appends to a record. `done` are the (full, index) pairs that it holds already."""
 
     def __init__(self, path: Path, header: Header, *, resume: bool) -> None:
@@ -119,9 +144,6 @@ class Writer:
 
     def close(self) -> None:
         self._file.close()
-
-    def __enter__(self) -> Writer:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -17,6 +17,7 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
 
 SUPERVISED_MS: Final = LAUNCH_NS // MS  # safety rules: supervision starts 3 s into AS_DRIVING
+STREAKS: Final = {Onset.STEERING: steering_streaks, Onset.COUNTS: count_streaks, Onset.WHEEL: wheel_streaks}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,7 @@ def judge(
     reaction = end.value
     if demand.no_torque_ms is not None and end is End.ON:
         reaction = "torque 0, then drives on"
-        reaction_ns = _torque_gap_ns(seen, fault_ns)
+        reaction_ns = next((cycle.t_ns for cycle in seen.cycles_after(fault_ns) if cycle.torque_nm <= 0.0), None)
         safe_ns = reaction_ns
     if applies:
         if end not in allowed:
@@ -104,22 +105,14 @@ def judge(
         elif demand.onset is Onset.FAULT:
             wrong += _too_late(case, seen, found, demand, end, fault_ns, safe_ns)
         else:
-            streaks = _streaks(case, seen, demand.onset, fault_ns)
+            streaks = STREAKS[demand.onset](seen, CARS[case.revision], fault_ns)
             onset_ns = _onset_ns(streaks, reaction_ns)
             wrong += _implausible_too_long(seen, found, demand, streaks)
     elif end is End.UNSAFE:
         wrong.append(end.value)
     if applies and demand is NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
-    return CaseVerdict(
-        end,
-        reaction,
-        _ms(reaction_ns, onset_ns),
-        _ms(safe_ns, onset_ns),
-        demand,
-        applies,
-        tuple(wrong),
-    )
+    return CaseVerdict(end, reaction, _ms(reaction_ns, onset_ns), _ms(safe_ns, onset_ns), demand, applies, tuple(wrong))
 
 
 def _onset_ns(streaks: Sequence[Streak], reaction_ns: int | None) -> int | None:
@@ -216,11 +209,6 @@ def _reaction_ns(end: End, found: _Seen) -> int | None:
     }.get(end)
 
 
-def _torque_gap_ns(seen: Observation, fault_ns: int) -> int | None:
-    """The first cycle without torque after the fault."""
-    return next((cycle.t_ns for cycle in seen.cycles_after(fault_ns) if cycle.torque_nm <= 0.0), None)
-
-
 def _over(over_ns: int | None, demand: Demand, fault_ns: int) -> bool:
     """The mission ended by itself before a reaction could be demanded."""
     if over_ns is None:
@@ -262,28 +250,20 @@ def _too_late(
     return wrong
 
 
-def _streaks(case: Case, seen: Observation, onset: Onset, fault_ns: int) -> list[Streak]:
-    if onset is Onset.STEERING:
-        return steering_streaks(seen, fault_ns)
-    if onset is Onset.COUNTS:
-        return count_streaks(seen, CARS[case.revision], fault_ns)
-    return wheel_streaks(seen, CARS[case.revision], fault_ns)
-
-
 def _implausible_too_long(seen: Observation, found: _Seen, demand: Demand, streaks: Sequence[Streak]) -> list[str]:
     """What is surely implausible for so long stops the car, and for longer brings ESTOP_REQUEST."""
     wrong = []
     assert demand.brake_ms is not None and demand.estop_ms is not None  # rows of this kind have both
-    reacted = [t_ns for t_ns in (found.braking_ns, found.estop_ns, found.emergency_ns) if t_ns is not None]
+    emergencies = (found.estop_ns, found.emergency_ns)
     for start_ns, end_ns in streaks:
-        lasted_ms = (end_ns - start_ns) / MS
-        stop_ns = start_ns + round(demand.brake_ms * MS)
-        if end_ns >= stop_ns and not any(t_ns <= stop_ns for t_ns in reacted):
-            wrong.append(f"implausible for {lasted_ms:.0f} ms, and no stop after {demand.brake_ms:.0f} ms")
-        estop_ns = start_ns + round(demand.estop_ms * MS)
-        emergencies = [t_ns for t_ns in (found.estop_ns, found.emergency_ns) if t_ns is not None]
-        if end_ns >= estop_ns and not any(t_ns <= estop_ns for t_ns in emergencies):
-            wrong.append(f"implausible for {lasted_ms:.0f} ms, and no ESTOP_REQUEST after {demand.estop_ms:.0f} ms")
+        for what, within_ms, reacted in (
+            ("stop", demand.brake_ms, (found.braking_ns, *emergencies)),
+            ("ESTOP_REQUEST", demand.estop_ms, emergencies),
+        ):
+            due_ns = start_ns + round(within_ms * MS)
+            if end_ns >= due_ns and not any(t_ns is not None and t_ns <= due_ns for t_ns in reacted):
+                lasted_ms = (end_ns - start_ns) / MS
+                wrong.append(f"implausible for {lasted_ms:.0f} ms, and no {what} after {within_ms:.0f} ms")
     return wrong[:2]
 
 

@@ -4,6 +4,5 @@ A mutant is the source with one small mistake in it. It is killed when a test fa
 test, dead code, or a change that nobody can tell from outside. The last kind is listed with its reason in
 `tests/evidence/survivors.toml`; anything else that survives fails the command.
 
-`mutants` makes the mistakes, `trial` runs the tests against each in a forked process, `explained` reads the list and
-writes the page, `__main__` is the command.
+`mutants` makes the mistakes, `trial` runs the tests against each in a forked process, `__main__` is the command.
 """

@@ -222,12 +222,12 @@ def _measure(files: Sequence[str]) -> Baseline:
 
 
 def mutants(texts: Mapping[str, str]) -> list[Mutant]:
-    """All mutants, found in a child: the modules are imported there."""
-
-    def find(module: str) -> list[Mutant]:
-        return mutants_of(module, texts[module], vars(importlib.import_module(module)))
-
-    found = [mutant for part in in_children(find, list(texts), 2) for mutant in part]
+    """All mutants, in the order of the sources."""
+    found = [
+        mutant
+        for module, text in texts.items()
+        for mutant in mutants_of(module, text, vars(importlib.import_module(module)))
+    ]
     return sorted(found, key=lambda mutant: ([*texts].index(mutant.module), mutant.start, mutant.end, mutant.text))
 
 
