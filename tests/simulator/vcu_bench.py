@@ -8,7 +8,6 @@ from functools import cache
 from typing import Any, TypeVar
 
 from fsai_hil.simulator.car_signals import CarFeedback
-from fsai_hil.simulator.indicators import Siren, Tsal
 from fsai_hil.simulator.operator import Operator
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.switches import Switches
@@ -115,12 +114,6 @@ class Bench:
         del self.sent[:]
         self.run_until(lambda: bool(self.images(VcuStatus)), 20 * MS + S)
         return self.images(VcuStatus)[-1]
-
-    def siren(self) -> Siren:
-        return self.vcu.indicators.siren
-
-    def tsal(self) -> Tsal:
-        return self.vcu.indicators.tsal
 
     # ------------------------------------------------------------ ways into the states
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
@@ -63,7 +63,7 @@ class Situation:
     emergency_timer_over: bool = False
 
 
-Condition = Callable[[Situation], bool]
+Condition = Callable[[Any], bool]  # of a Situation, or of the Switches where it looks at these only
 INIT, OFF, READY, DRIVING = AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 FINISHED, EMERGENCY = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE
 

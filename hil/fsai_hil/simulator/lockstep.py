@@ -75,7 +75,6 @@ class Lockstep:
         *,
         limits: OperationalLimits | None = None,
         controller: ControllerSettings | None = None,
-        config: BridgeConfig | None = None,
         on_frame: Callable[[Frame], None] | None = None,
     ) -> None:
         """`on_frame` sees every frame of the bus, in order (a log).
@@ -85,7 +84,7 @@ class Lockstep:
         self.world = World(setup)
         chosen = revision(setup.revision)
         car = CARS[setup.revision]
-        config = config or BridgeConfig()
+        config = BridgeConfig()
         if setup.profile == "official-simulator":
             car = CARS["official-simulator"].with_steer_limit(chosen.steer_limit_deg)
             config = official_simulator(config)

@@ -14,6 +14,7 @@ import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -112,6 +113,10 @@ class Track(Immutable):
     right_border_m: Floats | None = None
     lane: tuple[Rings, ...] = ()
     source: str = field(default="", compare=False)  # the file or the name from which load_track makes it again
+
+    @cached_property
+    def cone_radii_m(self) -> Floats:
+        return np.array([CONE_RADIUS_M[ConeColor(int(color))] for color in self.cone_colors], dtype=np.float64)
 
     @property
     def length_m(self) -> float:
