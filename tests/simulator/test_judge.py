@@ -39,9 +39,7 @@ class Puppet:
             self.t_ns += LOOK_NS
             rpm = self.rpm if self.air else self.speed_mps / (2.0 * math.pi * CAR.rolling_radius_m) * 60.0
             wheels = (0.0, 0.0, rpm, rpm) if self.air else (rpm, rpm, rpm, rpm)
-            truth = CarTruth(
-                self.t_ns, self.pose, self.speed_mps, 0.0, self.steer_deg, wheels, (0.0, 0.0), self.distance_m
-            )
+            truth = CarTruth(self.t_ns, self.pose, self.speed_mps, 0.0, self.steer_deg, wheels, self.distance_m)
             self.judge.observe(truth, self.state, self.cause)
 
     def start(self, wait_s: float = 3.1) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from vcu_bench import Bench, codec
 
-from fsai_hil.simulator.assi import Assi
 from fsai_hil.simulator.power import SystemState
+from fsai_hil.simulator.switches import Assi
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import (
     AsState,

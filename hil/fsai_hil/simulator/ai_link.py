@@ -9,6 +9,7 @@ from typing import Final
 
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 
 # The five messages, and the attribute of the link that holds the last of each
 AI_MESSAGES: Final = {
@@ -75,7 +76,7 @@ class AiLink:
 
     def missing(self, message: type, now_ns: int) -> bool:
         """That message has failed to come ten times in a row."""
-        return self.received and now_ns - self._received_ns[message] >= self._profile.message_timeout_ns
+        return self.received and now_ns - self._received_ns[message] >= COMMS_LOST_NS
 
     def echo_missing(self, now_ns: int) -> bool:
         """The echo has not matched for the time the VCU grants."""
@@ -86,7 +87,7 @@ class AiLink:
         if not self.received:
             return False
         silent_ns = now_ns - min(self._received_ns.values())
-        return silent_ns >= self._profile.message_timeout_ns or self.echo_missing(now_ns)
+        return silent_ns >= COMMS_LOST_NS or self.echo_missing(now_ns)
 
     def valid(self, now_ns: int) -> bool:
         """All five messages have arrived and go on arriving, and the echo matches."""

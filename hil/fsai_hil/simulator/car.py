@@ -14,11 +14,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, TypeVar
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import CARS, GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.immutable import Immutable
+
+Coordinate = TypeVar("Coordinate", float, Floats)
 
 SUBSTEP_NS: Final = 2_000_000
 RPM_PER_RADPS: Final = 60.0 / (2.0 * math.pi)
@@ -29,6 +32,28 @@ BLEND_FROM_MPS: Final = 1.0
 BLEND_TO_MPS: Final = 3.0
 STANDSTILL_MPS: Final = 0.01
 AT_REST: Final = (0.0, 0.0, 0.0, 0.0)
+
+# What was never published, chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out. It may differ from what the AI
+# side believes: that is what testing is for.
+DRIVELINE_EFFICIENCY: Final = 0.89
+ROTATING_MASS_KG: Final = 27.0  # wheels and motor as the road feels them
+ROLLING_RESISTANCE: Final = 0.016
+DRAG_AREA_M2: Final = 0.22
+FRICTION: Final = 1.05
+TYRE_B: Final = 9.0  # Magic Formula's B and C for the lateral force by slip angle
+TYRE_C: Final = 1.45
+SLIP_STIFFNESS: Final = 22.0  # longitudinal force by slip and load
+AXLE_INERTIA_KGM2: Final = 1.4  # an axle's two wheels and its motor, at the wheel
+AIR_DRAG_NM: Final = 6.0  # what slows an axle whose wheels hang in the air
+BRAKE_RATE_PCTPS: Final = 1000.0
+BRAKE_FRONT_SHARE: Final = 0.58
+MOTOR_LIMIT_BAND_RPM: Final = 60.0  # torque fades within so much below MOTOR_SPEED_MAX and brakes above it
+RPM_REST: Final = 9.0  # what a wheel-speed reading may rest at after the car has stopped
+RPM_REST_NS: Final = 1_000_000_000
+
+# Where on the earth the world's origin lies: an airfield in England; any place would do
+ORIGIN_LATITUDE_DEG: Final = 52.0706
+ORIGIN_LONGITUDE_DEG: Final = -1.0174
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,43 +69,17 @@ class Pose(Immutable):
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return self.x_m + distance_m * c - left_m * s, self.y_m + distance_m * s + left_m * c
 
-
-@dataclass(frozen=True, slots=True)
-class CarModel(Immutable):
-    """The truth about the simulated car: its published facts, and what was never published.
-
-    The latter is chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out. It may differ from what the AI side
-    believes: that is what testing is for.
-    """
-
-    facts: VehicleParameters
-    driveline_efficiency: float = 0.89
-    rotating_mass_kg: float = 27.0  # wheels and motor as the road feels them
-    rolling_resistance: float = 0.016
-    drag_area_m2: float = 0.22
-    friction: float = 1.05
-    tyre_b: float = 9.0  # Magic Formula's B and C for the lateral force by slip angle
-    tyre_c: float = 1.45
-    slip_stiffness: float = 22.0  # longitudinal force by slip and load
-    axle_inertia_kgm2: float = 1.4  # an axle's two wheels and its motor, at the wheel
-    air_drag_nm: float = 6.0  # what slows an axle whose wheels hang in the air
-    brake_rate_pctps: float = 1000.0
-    brake_front_share: float = 0.58
-    motor_limit_band_rpm: float = 60.0  # torque fades within so much below MOTOR_SPEED_MAX and brakes above it
-    rpm_rest: int = 9  # what a wheel-speed reading may rest at after the car has stopped
-    rpm_rest_ns: int = 1_000_000_000
-
-    # where on the earth the world's origin lies: an airfield in England; any place would do
-    origin_latitude_deg: float = 52.0706
-    origin_longitude_deg: float = -1.0174
+    def seen(self, x_m: Coordinate, y_m: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """How far ahead of it (negative: behind) and to its left world points lie."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        dx, dy = x_m - self.x_m, y_m - self.y_m
+        return dx * c + dy * s, dy * c - dx * s
 
 
-def car_model(revision: str, official_simulator: bool = False) -> CarModel:
-    """The simulated car of an interface revision; facts that car and AI side share come from one place."""
+def car_facts(revision: str, official_simulator: bool = False) -> VehicleParameters:
+    """The published facts of the simulated car, which car and AI side share."""
     facts = CARS[revision]
-    if official_simulator:
-        facts = replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad)
-    return CarModel(facts)
+    return replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad) if official_simulator else facts
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,6 @@ class CarTruth(Immutable):
     yaw_rate_radps: float
     steer_deg: float
     wheel_rpm: tuple[float, float, float, float]
-    accel_mps2: tuple[float, float]
     distance_m: float  # driven since the car was last placed
 
 
@@ -136,13 +134,12 @@ class Car:
     """One car. `advance` moves it on; `feedback` is what its sensors read, `truth` what really happened."""
 
     def __init__(
-        self, model: CarModel | None = None, pose: Pose | None = None, now_ns: int = 0, wheels_in_air: bool = False
+        self, facts: VehicleParameters, pose: Pose | None = None, now_ns: int = 0, wheels_in_air: bool = False
     ) -> None:
-        self.model = model if model is not None else car_model("2026")
         self.t_ns = now_ns
-        self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(self.model.origin_latitude_deg))
+        self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
         self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
-        self._facts = f = self.model.facts
+        self.facts = f = facts
         # what a substep needs of the model and need not work out 500 times a second
         self._cog_to_front_m = f.wheelbase_m - f.cog_ahead_of_rear_axle_m
         self._weight_n = f.mass_kg * GRAVITY_MPS2
@@ -153,7 +150,7 @@ class Car:
 
     def place(self, pose: Pose, wheels_in_air: bool = False) -> None:
         """Put the car somewhere, at rest with straight wheels (people push it; its pulse counters do not notice)."""
-        f = self._facts
+        f = self.facts
         self.wheels_in_air = wheels_in_air
         self._yaw = pose.yaw_rad
         self._x, self._y = pose.ahead(f.cog_ahead_of_rear_axle_m)  # the centre of gravity
@@ -164,7 +161,7 @@ class Car:
         self._steer_request = _DeadTime(round(f.steer_dead_time_s * 1e9))
         front_n = self._weight_n * f.cog_ahead_of_rear_axle_m / f.wheelbase_m
         rear_n = self._weight_n * self._cog_to_front_m / f.wheelbase_m
-        share, dead_ns = self.model.brake_front_share, round(f.brake_dead_time_s * 1e9)
+        share, dead_ns = BRAKE_FRONT_SHARE, round(f.brake_dead_time_s * 1e9)
         self._front = _Axle(f.driven_front, front_n, share, _DeadTime(dead_ns))
         self._rear = _Axle(f.driven_rear, rear_n, 1.0 - share, _DeadTime(dead_ns))
         self._rpm = AT_REST
@@ -174,7 +171,7 @@ class Car:
 
     @property
     def pose(self) -> Pose:
-        back = self._facts.cog_ahead_of_rear_axle_m
+        back = self.facts.cog_ahead_of_rear_axle_m
         return Pose(self._x - back * math.cos(self._yaw), self._y - back * math.sin(self._yaw), self._yaw)
 
     @property
@@ -194,17 +191,15 @@ class Car:
             self._yaw_rate,
             self._road_deg,
             self._rpm,
-            (self._ax, self._ay),
             self._distance,
         )
 
     def feedback(self) -> CarFeedback:
-        m, per_rev = self.model, self._facts.wheel_pulses_per_rev
+        per_rev = self.facts.wheel_pulses_per_rev
         rpm = self._rpm
-        if self._stopped_ns is not None and self.t_ns - self._stopped_ns < m.rpm_rest_ns:
+        if self._stopped_ns is not None and self.t_ns - self._stopped_ns < RPM_REST_NS:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
-            rest = float(m.rpm_rest)
-            rpm = (max(rpm[0], rest), max(rpm[1], rest), max(rpm[2], rest), max(rpm[3], rest))
+            rpm = (max(rpm[0], RPM_REST), max(rpm[1], RPM_REST), max(rpm[2], RPM_REST), max(rpm[3], RPM_REST))
         fl, fr, rl, rr = self._pulse_revs
         return CarFeedback(
             rpm,
@@ -222,8 +217,8 @@ class Car:
             self._vx,
             (self._ax, self._ay, GRAVITY_MPS2),
             self._yaw_rate,
-            m.origin_latitude_deg + self._y / EARTH_METRES_PER_DEGREE,
-            m.origin_longitude_deg + self._x / self._metres_per_degree_east,
+            ORIGIN_LATITUDE_DEG + self._y / EARTH_METRES_PER_DEGREE,
+            ORIGIN_LONGITUDE_DEG + self._x / self._metres_per_degree_east,
             (90.0 - math.degrees(self._yaw)) % 360.0,
         )
 
@@ -243,24 +238,24 @@ class Car:
             self._substep(step_ns * 1e-9, order)
 
     def _pressure(self, request_pct: float) -> float:
-        f = self._facts
+        f = self.facts
         if request_pct <= 0.0:
             return 0.0
         return min(100.0, max(100.0 * f.brake_minimum, f.brake_excess * request_pct))
 
     def available_torque_nm(self, motor_rpm: float) -> float:
         """The most that a motor can give to its axle at a speed."""
-        table = self._facts.torque_curve_rpm_nm
+        table = self.facts.torque_curve_rpm_nm
         low_rpm, low_nm = table[0]
         for high_rpm, high_nm in table[1:]:
             if motor_rpm < high_rpm:
                 return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
             low_rpm, low_nm = high_rpm, high_nm
-        return low_nm if motor_rpm < self._facts.motor_speed_max_rpm else 0.0
+        return low_nm if motor_rpm < self.facts.motor_speed_max_rpm else 0.0
 
     def _motor_torque(self, magnitude_nm: float, motor_rpm: float, limit_rpm: float) -> float:
         """Signed axle torque: a request is absolute; it drives below MOTOR_SPEED_MAX and brakes above it."""
-        share = (limit_rpm - motor_rpm) / self.model.motor_limit_band_rpm
+        share = (limit_rpm - motor_rpm) / MOTOR_LIMIT_BAND_RPM
         if share >= 1.0:
             available = self.available_torque_nm(motor_rpm)
             return magnitude_nm if magnitude_nm < available else available
@@ -268,7 +263,7 @@ class Car:
         return limited * max(-1.0, share)
 
     def _substep(self, dt: float, order: Actuation) -> None:
-        m, f = self.model, self._facts
+        f = self.facts
         now = self.t_ns
 
         # steering: dead time, then a rate, then the play between rack and road wheels
@@ -284,7 +279,7 @@ class Car:
             (self._front, order.front_torque_nm, order.front_motor_speed_max_rpm, rpm[0] + rpm[1]),
             (self._rear, order.rear_torque_nm, order.rear_motor_speed_max_rpm, rpm[2] + rpm[3]),
         ):
-            axle.brake_pct = _toward(axle.brake_pct, axle.brake.at(now), m.brake_rate_pctps * dt)
+            axle.brake_pct = _toward(axle.brake_pct, axle.brake.at(now), BRAKE_RATE_PCTPS * dt)
             axle.torque_nm = 0.0
             if order.tractive_system_live and axle.driven:
                 axle.magnitude_nm = _toward(axle.magnitude_nm, asked_nm, f.torque_rate_nmps * dt)
@@ -310,12 +305,12 @@ class Car:
 
     def _spin(self, dt: float) -> None:
         """Wheels in the air: only the axles turn."""
-        m, f = self.model, self._facts
+        f = self.facts
         full_nm = f.brake_full_mps2 * f.mass_kg * f.rolling_radius_m
-        gain = dt / m.axle_inertia_kgm2
+        gain = dt / AXLE_INERTIA_KGM2
         moved = self._front.air_radps > 0.0 or self._rear.air_radps > 0.0
         for axle in (self._front, self._rear):
-            hold_nm = m.air_drag_nm + full_nm * axle.brake_share * axle.brake_pct / 100.0
+            hold_nm = AIR_DRAG_NM + full_nm * axle.brake_share * axle.brake_pct / 100.0
             axle.air_radps = _slowed(axle.air_radps, axle.torque_nm, hold_nm, gain)
         front, rear = self._front.air_radps * RPM_PER_RADPS, self._rear.air_radps * RPM_PER_RADPS
         self._rpm = (front, front, rear, rear)
@@ -326,14 +321,14 @@ class Car:
 
     def _roll(self, dt: float) -> None:
         """Wheels on the ground."""
-        m, f, front, rear = self.model, self._facts, self._front, self._rear
+        f, front, rear = self.facts, self._front, self._rear
         vx, vy, yaw_rate = self._vx, self._vy, self._yaw_rate
         radius = f.rolling_radius_m
         front_drive, front_brake = self._drive_and_brake_n(front)
         rear_drive, rear_brake = self._drive_and_brake_n(rear)
 
         if vx <= 0.0:
-            rest = m.rolling_resistance * f.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
+            rest = ROLLING_RESISTANCE * f.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
             if front_drive + rear_drive <= rest:
                 self._ax = self._ay = 0.0
                 return
@@ -344,8 +339,8 @@ class Car:
         rear_force, rear_grip = self._grip(rear, rear.weight_n + transfer, rear_drive - rear_brake, vx, dt)
 
         steer = math.radians(self._road_deg)
-        resistance = m.rolling_resistance * self._weight_n + 0.6 * m.drag_area_m2 * vx * vx  # half of 1.2 kg/m3 of air
-        inertia = f.mass_kg + m.rotating_mass_kg
+        resistance = ROLLING_RESISTANCE * self._weight_n + 0.6 * DRAG_AREA_M2 * vx * vx  # half of 1.2 kg/m3 of air
+        inertia = f.mass_kg + ROTATING_MASS_KG
 
         blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
         to_front, to_rear = self._cog_to_front_m, f.cog_ahead_of_rear_axle_m
@@ -402,30 +397,29 @@ class Car:
         )
 
     def _drive_and_brake_n(self, axle: _Axle) -> tuple[float, float]:
-        m, f = self.model, self._facts
+        f = self.facts
         brake_n = f.brake_full_mps2 * f.mass_kg * axle.brake_share * axle.brake_pct / 100.0
-        return axle.torque_nm * m.driveline_efficiency / f.rolling_radius_m, brake_n
+        return axle.torque_nm * DRIVELINE_EFFICIENCY / f.rolling_radius_m, brake_n
 
     def _grip(self, axle: _Axle, load_n: float, asked_n: float, vx: float, dt: float) -> tuple[float, float]:
         """What the tyres carry along, and what they could at most; what is left over spins or locks the wheels."""
-        grip_n = self.model.friction * load_n
+        grip_n = FRICTION * load_n
         force_n = _between(-grip_n, asked_n, grip_n)
         axle.slip_mps = self._slip(axle.slip_mps, asked_n - force_n, force_n / load_n, vx, dt)
         return force_n, grip_n
 
     def _side_n(self, force_n: float, grip_n: float, angle_rad: float) -> float:
         """An axle's lateral force by its slip angle, of what the longitudinal one leaves of the grip."""
-        m = self.model
         left_n = math.sqrt(_positive(1.0 - (force_n / grip_n) ** 2)) * grip_n
-        return left_n * math.sin(m.tyre_c * math.atan(m.tyre_b * angle_rad))
+        return left_n * math.sin(TYRE_C * math.atan(TYRE_B * angle_rad))
 
     def _slip(self, slip_mps: float, excess_n: float, used: float, vx: float, dt: float) -> float:
         """How fast a driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip."""
-        m, f = self.model, self._facts
+        f = self.facts
         if excess_n != 0.0:
-            slip_mps += excess_n * f.rolling_radius_m**2 / m.axle_inertia_kgm2 * dt
+            slip_mps += excess_n * f.rolling_radius_m**2 / AXLE_INERTIA_KGM2 * dt
             return max(-vx, slip_mps)
-        creep = used / m.slip_stiffness * vx
+        creep = used / SLIP_STIFFNESS * vx
         share = dt / 0.02
         return slip_mps + (creep - slip_mps) * (share if share < 1.0 else 1.0)
 

@@ -27,7 +27,6 @@ from fsai_vcu.interface.messages import (
     GpsStatus,
     LogDynamics2,
     MagneticField,
-    RotationA,
     RotationB,
 )
 from fsai_vcu.interface.units import KMH_PER_MPS, MS, STANDARD_GRAVITY_MPS2, S
@@ -82,28 +81,18 @@ class PcanGps:
         """Everything that changes ten times a second at most."""
         heading = math.radians(car.course_deg)
         utc = UTC_AT_0 + timedelta(microseconds=now_ns // 1000)
-        always: tuple[GpsImage, ...] = (
-            RotationA(),  # a flat track and a stiff car: neither rolls nor pitches
+        solved: list[GpsImage] = [
             MagneticField(FIELD_NORTH_UT * math.cos(heading), FIELD_NORTH_UT * math.sin(heading), -FIELD_DOWN_UT),
             GpsDateTime(utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
             DeviceIo(gps_power=True),
             DeviceClock(utc.second, utc.minute, utc.hour, utc.weekday(), utc.day, utc.month, utc.year),
-        )
-        located: tuple[GpsImage, ...]
+        ]
         if now_ns - self._powered_ns < FIRST_FIX_NS:
-            located = (
-                GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE),
-                GpsCourseSpeed(),
-                GpsLongitude(),
-                GpsLatitude(),
-                GpsAltitude(),
-                GpsDilutionA(99.9, 99.9),
-                GpsDilutionB(99.9),
-            )
+            solved += [GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE), GpsDilutionA(99.9, 99.9), GpsDilutionB(99.9)]
         else:
             east_deg, east_min, east = degrees_and_minutes(car.longitude_deg, "E", "W")
             north_deg, north_min, north = degrees_and_minutes(car.latitude_deg, "N", "S")
-            located = (
+            solved += [
                 GpsStatus(ANTENNA_OK, 11, NAVIGATION_3D),
                 GpsCourseSpeed(car.course_deg % 360.0, car.speed_mps * KMH_PER_MPS),
                 GpsLongitude(east_min, east_deg, east),
@@ -111,8 +100,9 @@ class PcanGps:
                 GpsAltitude(ALTITUDE_M),
                 GpsDilutionA(1.4, 0.8),
                 GpsDilutionB(1.1),
-            )
-        return {type(image): image for image in (*always, *located)}
+            ]
+        # Without a fix there is no position; and a flat track and a stiff car neither roll nor pitch.
+        return {kind: kind() for kind in GPS_IMAGES} | {type(image): image for image in solved}
 
 
 def _acceleration(now_ns: int, car: CarFeedback) -> GpsImage:

@@ -22,7 +22,6 @@ from fsai_hil.simulator.tracks import (
     CIRCUIT_STOP_M,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
-    TimingLine,
     Track,
     TrackKind,
 )
@@ -99,7 +98,7 @@ class JudgeVerdict(Immutable):
 class _Crossing:
     """Notices when a point crosses a line forward, and when exactly."""
 
-    def __init__(self, line: TimingLine | None) -> None:
+    def __init__(self, line: Pose | None) -> None:
         assert line is not None  # check_track has looked
         self.line = line
         self._ahead_m: float | None = None
@@ -107,10 +106,10 @@ class _Crossing:
 
     def watch(self, t_ns: int, x_m: float, y_m: float) -> float | None:
         """The time of the crossing in ns, between the last look and this one."""
-        ahead, before = self.line.ahead_of(x_m, y_m), self._ahead_m
+        (ahead, left), before = self.line.seen(x_m, y_m), self._ahead_m
         earlier = self._t_ns
         self._ahead_m, self._t_ns = ahead, t_ns
-        if before is None or before >= 0.0 or ahead < 0.0 or abs(self.line.beside(x_m, y_m)) > LINE_HALF_WIDTH_M:
+        if before is None or before >= 0.0 or ahead < 0.0 or abs(left) > LINE_HALF_WIDTH_M:
             return None
         return earlier + (t_ns - earlier) * before / (before - ahead)
 
@@ -177,11 +176,9 @@ class _Surroundings:
 
     def _cones(self, pose: Pose) -> None:
         track, car = self._track, self._car
-        x, y = pose.ahead(car.nose_ahead_of_rear_axle_m - car.length_m / 2.0)
-        dx, dy = track.cones_xy_m[:, 0] - x, track.cones_xy_m[:, 1] - y
-        forward, left = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        along = np.abs(dx * forward + dy * left) - car.length_m / 2.0
-        across = np.abs(dy * forward - dx * left) - car.width_m / 2.0
+        middle = Pose(*pose.ahead(car.nose_ahead_of_rear_axle_m - car.length_m / 2.0), pose.yaw_rad)
+        ahead, left = middle.seen(*track.cones_xy_m.T)
+        along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
         apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
         self.hit.update(np.flatnonzero(apart_m < track.cone_radii_m).tolist())
 
@@ -254,7 +251,7 @@ class _AccelerationReferee(_TimedReferee):
         if finished is not None and self._crossed_ns is not None and not self.laps:
             self.lap_times_s.append((finished - self._crossed_ns) / S)
         if self.laps:
-            self.stop_distance_m = self._finish.line.ahead_of(*nose)
+            self.stop_distance_m = self._finish.line.seen(*nose)[0]
 
     def complaints(self) -> list[str]:
         if self._crossed_ns is None:
@@ -271,10 +268,8 @@ class _SkidpadReferee(_TimedReferee):
 
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
         super().__init__(track, car, laps)
-        line = self._start.line
-        across = Pose(line.x_m, line.y_m, line.heading_rad)
-        half = SKIDPAD_CENTRES_APART_M / 2.0
-        self._centres = {"left": across.ahead(0.0, half), "right": across.ahead(0.0, -half)}
+        line, half = self._start.line, SKIDPAD_CENTRES_APART_M / 2.0
+        self._centres = {"left": line.ahead(0.0, half), "right": line.ahead(0.0, -half)}
         self._turned = {"left": 0.0, "right": 0.0}  # rad, counter-clockwise, since the last crossing
         self._angles: dict[str, float] = {}
         self.sequence: list[str] = []
@@ -292,7 +287,7 @@ class _SkidpadReferee(_TimedReferee):
             self._cross(crossed, truth.distance_m)
             self._turned = {"left": 0.0, "right": 0.0}
         if len(self.sequence) >= len(self.ORDER):
-            self.stop_distance_m = self._start.line.ahead_of(*nose)
+            self.stop_distance_m = self._start.line.seen(*nose)[0]
 
     def _side(self) -> str:
         nearly = 0.9 * 2.0 * math.pi

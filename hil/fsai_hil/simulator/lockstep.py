@@ -153,7 +153,7 @@ class Lockstep:
         self.computer.start_controller(Controller(self._car, self._settings, self._missions))
 
     def intrude(self, frame: Frame) -> None:
-        """Somebody else's frame is on the bus: everybody hears it."""
+        """Somebody else's frame is on the bus: everybody receives it."""
         if self.on_frame is not None:
             self.on_frame(frame)
         self.computer.on_frame(frame)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
-from fsai_hil.simulator.assi import Assi
 from fsai_hil.simulator.power import POWER_UP, PowerUp
-from fsai_hil.simulator.switches import Switches
+from fsai_hil.simulator.switches import Assi, Switches
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import Immutable

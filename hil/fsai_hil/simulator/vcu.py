@@ -17,7 +17,6 @@ from typing import Final, cast
 
 from fsai_hil.simulator.ai_link import AiLink
 from fsai_hil.simulator.as_machine import AI_COMMS_LOST, CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
-from fsai_hil.simulator.assi import ASSI, READY_BLUE_NS, Assi
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback, limited
 from fsai_hil.simulator.faults import FaultyWire
 from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
@@ -32,7 +31,7 @@ from fsai_hil.simulator.power import (
     TractiveSystem,
 )
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
-from fsai_hil.simulator.switches import SWITCH_NAMES, Switches
+from fsai_hil.simulator.switches import ASSI, READY_BLUE_NS, SWITCH_NAMES, Assi, Switches
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (
@@ -133,7 +132,7 @@ class SimulatedVcu:
         self._table = transition_table(profile)
         self._ai_faults = ai_faults(profile)
         self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
-        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS said last
+        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS sent last
         self._powered = False
         self._ebs_closed_itself = False
         self._begin(now_ns)
@@ -271,15 +270,15 @@ class SimulatedVcu:
             self.shutdown_cause = row.fault.cause
         if row.target is AsState.EMERGENCY_BRAKE:
             self._power_cycle_needed = True
-        if row.source is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
+        if self._state is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
             self._power_cycle_needed = True
         if row.reset:
             self._latched.clear()
             self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
             self._power_cycle_needed = False
-        if row.source is AsState.AS_DRIVING:
+        if self._state is AsState.AS_DRIVING:
             self._held_steer_deg = self._steer_target_deg()
-        elif row.source is AsState.AS_READY:
+        elif self._state is AsState.AS_READY:
             self._held_steer_deg = 0.0
         self._change(now_ns, row.target, row.why)
         self._follow_power(now_ns, self.sdc_open)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.simulator.car import Car, car_model
+from fsai_hil.simulator.car import Car, car_facts
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.ground_truth import Truth
 from fsai_hil.simulator.judge import Judge, JudgeVerdict, check_track
@@ -100,7 +100,7 @@ class World:
         self.vcu = SimulatedVcu(
             self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
         )
-        self.car = Car(car_model(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
+        self.car = Car(car_facts(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
         self.operator = Operator.auto(setup.revision, setup.missions) if setup.auto else Operator()
         self._sensor_settings = SensorSettings(noise_level=setup.noise_level)
         self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
@@ -123,7 +123,7 @@ class World:
         self._spoken_to = True
 
     def advance(self, to_ns: int) -> list[Frame]:
-        """Live on until `to_ns`; what the car has said meanwhile, each frame with its time, in order.
+        """Live on until `to_ns`; what the car has sent meanwhile, each frame with its time, in order.
 
         The world moves in steps of a fixed grid, so it does not matter in what portions time is handed over.
         """
@@ -184,7 +184,7 @@ class World:
         again = bool(self.runs)
         if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
             track = load_track(MISSION_TRACK[mission])
-        facts = self.car.model.facts
+        facts = self.car.facts
         patience_s = self.setup.start_timeout_s if self.setup.auto else None
         judge = Judge(track, mission, facts, self.setup.laps, patience_s, self._now_ns, self.setup.start_ns)
         sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
