@@ -33,7 +33,7 @@ def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
         assert lockstep.now_ns < 60 * S, "the car never drove"
 
 
-@pytest.mark.parametrize(("mission", "revision"), zip(MISSIONS, itertools.cycle(("2026", "2021"))))
+@pytest.mark.parametrize(("mission", "revision"), list(zip(MISSIONS, itertools.cycle(("2026", "2021")))))
 def test_every_mission_passes_by_the_rules_with_no_guard_acting(mission: Ami, revision: str) -> None:
     """In one revision each, the inspections with a PCAN-GPS; the campaign's full-length runs drive all in both."""
     laps = 2 if mission is Ami.TRACKDRIVE else None

@@ -162,6 +162,8 @@ class FaultyWire:
     def through(self, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
         """What arrives up to `now_ns`, in the order of time, when `frames` are sent."""
         under_way = list(frames)
+        if not self._faults and not self._waiting:
+            return under_way
         for fault in self._faults:
             under_way = [out for frame in under_way for out in fault.frames(frame)]
         under_way = self._waiting + under_way

@@ -12,6 +12,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Final, cast
 
@@ -345,7 +346,7 @@ class SimulatedVcu:
     @property
     def _broken(self) -> bool:
         """A critical fault of the VCU or the battery."""
-        return any(fault.when(self.switches) for fault in CAR_FAULTS)
+        return any(_critical_faults(self.switches))
 
     @property
     def comms_lost(self) -> bool:
@@ -662,6 +663,9 @@ BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = Ma
     }
 )
 
+_critical_faults: Final = attrgetter(
+    "hvil_open", "hvil_short", "ebs_fault", "offboard_charger_fault", "charge_procedure_fault", "bms_fault"
+)
 SEEN_OF_THE_SWITCHES: Final = tuple(
     field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
 )
