@@ -9,7 +9,7 @@ import pytest
 from story_runs import Act, Run, branch, driving, off, parked, ready
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
-from fsai_hil.simulator.faults import Drop, Freeze, Window, WrongLength, WrongValues
+from fsai_hil.simulator.faults import Drop, Freeze, WrongLength, WrongValues
 from fsai_vcu.diagnostics.explain import IncidentKind, tell
 from fsai_vcu.interface.enums import Ami, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
@@ -36,19 +36,26 @@ def switch(**values: object) -> Act:
 
 
 def drop(*ids: int) -> Act:
-    return lambda run: run.spoil(Drop(Window(frozenset(ids))))
+    return lambda run: run.spoil(Drop(frozenset(ids)))
 
 
 def say(can_id: int, **values: object) -> Act:
-    return lambda run: run.spoil(WrongValues(run.lockstep.world.codec, Window(frozenset({can_id})), values))
+    return lambda run: run.spoil(WrongValues(frozenset({can_id}), run.lockstep.world.codec, values))
 
 
 def car_drops(*ids: int) -> Act:
-    return lambda run: run.lockstep.world.vcu.outgoing.add(Drop(Window(frozenset(ids))))
+    return lambda run: run.lockstep.world.vcu.outgoing.add(Drop(frozenset(ids)))
+
+
+def car_is_silent_for_300_ms(run: Run) -> None:
+    wire, silence = run.lockstep.world.vcu.outgoing, Drop(frozenset({0x520}))
+    wire.add(silence)
+    run.go_on(0.3)
+    wire.remove(silence)
 
 
 def vcu_misses(*ids: int) -> Act:
-    return lambda run: run.lockstep.world.vcu.incoming.add(Drop(Window(frozenset(ids))))
+    return lambda run: run.lockstep.world.vcu.incoming.add(Drop(frozenset(ids)))
 
 
 def sense(change: Callable[[CarFeedback], CarFeedback]) -> Act:
@@ -192,7 +199,7 @@ ENDS = [
     End(
         "0x512 has a wrong length",
         driving,
-        lambda run: run.spoil(WrongLength(Window(frozenset({0x512})), 3)),
+        lambda run: run.spoil(WrongLength(frozenset({0x512}), 3)),
         0.2,
         E,
         "ai_message_length",
@@ -205,7 +212,7 @@ ENDS = [
     End(
         "the echo is frozen",
         driving,
-        lambda run: run.spoil(Freeze(Window(frozenset({0x510})))),
+        lambda run: run.spoil(Freeze(frozenset({0x510}))),
         0.2,
         E,
         "handshake_lost",
@@ -216,14 +223,7 @@ ENDS = [
     # ---- what the AI side supervises
     End("an intruder", driving, intrude, 0.1, E, "intruder"),
     End("0x520 is missing", driving, car_drops(0x520), 1.0, A, "vcu_silent"),
-    End(
-        "0x520 is missing for 0.3 s",
-        driving,
-        lambda run: run.lockstep.world.vcu.outgoing.add(Drop(Window(frozenset({0x520}), 0, run.now_ns + 300 * MS))),
-        1.0,
-        E,
-        "vcu_silent",
-    ),
+    End("0x520 is missing for 0.3 s", driving, car_is_silent_for_300_ms, 0.7, E, "vcu_silent"),
     End("wheel speeds are missing", driving, car_drops(0x525), 1.0, E, "wheels_stale"),
     End("steering feedback is missing", driving, car_drops(0x523), 1.0, E, "steering_stale"),
     End("the steering is where it should not be", driving, sense(turned), 1.2, E, "steering_implausible", 0, 60 * MS),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from story_runs import Run, after, branch, cut, driving, hand_made, log_of, ready, setup
 
-from fsai_hil.simulator.faults import Drop, Window, WrongValues
+from fsai_hil.simulator.faults import Drop, WrongValues
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.revision import guess_revision
@@ -61,7 +61,7 @@ def faulty() -> Frames:
 
     def finished(run: Run) -> None:
         values = {"mission_status": MissionStatus.FINISHED}
-        run.spoil(WrongValues(run.lockstep.world.codec, Window(frozenset({0x510})), values))
+        run.spoil(WrongValues(frozenset({0x510}), run.lockstep.world.codec, values))
 
     return branch(driving(), finished, 1.0).frames
 
@@ -171,7 +171,7 @@ def test_a_log_of_the_cars_frames_only_says_so_without_a_guess(stopped: Frames) 
 
 
 def test_a_lost_link_without_logged_ai_frames_blames_no_message() -> None:
-    run = branch(driving(), lambda run: run.spoil(Drop(Window(frozenset({0x513})))), 0.3).frames
+    run = branch(driving(), lambda run: run.spoil(Drop(frozenset({0x513}))), 0.3).frames
     story = tell(run.only((run.can_id < 0x510) | (run.can_id > 0x514)))
     first = next(i for i in story.incidents if i.kind is IncidentKind.EMERGENCY).candidates[0]
     assert first.slug == "ai_comms_lost"

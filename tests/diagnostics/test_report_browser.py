@@ -58,11 +58,11 @@ COLOURED = """
 @pytest.fixture(scope="module")
 def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of a run that ended in an emergency brake: it has everything on it."""
-    from fsai_hil.simulator.faults import Window, WrongValues
+    from fsai_hil.simulator.faults import WrongValues
 
     def spoil(run: Any) -> None:
         values = {"mission_status": MissionStatus.FINISHED}
-        run.spoil(WrongValues(run.lockstep.world.codec, Window(frozenset({0x510})), values))
+        run.spoil(WrongValues(frozenset({0x510}), run.lockstep.world.codec, values))
 
     log = branch(driving(), spoil, 1.0)
     path = tmp_path_factory.mktemp("report") / "report.html"

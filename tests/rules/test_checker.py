@@ -82,15 +82,15 @@ class Sender:
         self.frames.append(frame)
         self.checker.on_frame(frame)
 
-    def hears(self, *images: Image) -> None:
+    def receives(self, *images: Image) -> None:
         for image in images:
             if not isinstance(image, self.mute):
                 self.puts(CODEC.encode(replace(image, t_rx_ns=self.now_ns)))
 
-    def hears_the_car(self) -> None:
+    def receives_the_car(self) -> None:
         if VcuStatus not in self.mute:
             self.status = replace(self.status, handshake=not self.status.handshake)
-        self.hears(
+        self.receives(
             self.status,
             VcuDriveFront(torque_max_nm=self.torque_max_nm),
             VcuDriveRear(torque_max_nm=self.torque_max_nm),
@@ -99,7 +99,7 @@ class Sender:
             WheelSpeeds(self.rpm, self.rpm, self.rpm, self.rpm),
         )
         if self.counts is not None:
-            self.hears(WheelCounts(self.counts, self.counts, self.counts, self.counts))
+            self.receives(WheelCounts(self.counts, self.counts, self.counts, self.counts))
 
     def cycle(self, command: AiCommand, cycles: int = 1, *, car: bool = True, frames: int = 5) -> Any:
         step = 1
@@ -107,7 +107,7 @@ class Sender:
             cycles -= step
             self.now_ns += step * 10 * MS
             if car:
-                self.hears_the_car()
+                self.receives_the_car()
             self.says(command, frames)
             step = 8 if cycles > self.dense else 1
         return self
@@ -150,8 +150,8 @@ class Sender:
         return [violation.rule for _, violation in self.checker.found]
 
 
-class Told(Sender):
-    """The same, whose checker is told what the process is told: a planner"s command in each cycle, modes, resets."""
+class Fed(Sender):
+    """The same, whose checker is given what the process is given: a planner's command in each cycle, modes, resets."""
 
     def __init__(self, **process: Any) -> None:
         super().__init__(process=Process(**process))
@@ -197,11 +197,11 @@ class Told(Sender):
         return self.cycle(drive(), 20).has(rpm=100)
 
 
-def exact(**process: Any) -> Told:
+def exact(**process: Any) -> Fed:
     """Nothing that can stop it is hidden from the checker."""
-    told = Told(nothing_hidden=True, **process)
-    told.command = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
-    return told
+    fed = Fed(nothing_hidden=True, **process)
+    fed.command = VehicleCommand(0, 1, throttle=0.5, speed_limit_mps=10.0)
+    return fed
 
 
 def stood(sender: Any) -> Any:
@@ -249,7 +249,7 @@ def marked(**shown: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 
 
 def stale(kind: type, cycles: int) -> Callable[[], Any]:
-    return lambda: deaf(Told(), kind, cycles - 1, drive())
+    return lambda: deaf(Fed(), kind, cycles - 1, drive())
 
 
 def lost_at(cycles: int) -> Callable[[Any], Any]:
@@ -258,7 +258,7 @@ def lost_at(cycles: int) -> Callable[[Any], Any]:
     return lambda s: s.cycle(drive()).cycle(RUNNING).cycle(STOPPING, 19).cycle(last)
 
 
-def ended(sender: Told, last: AiCommand, cycles: int) -> Any:
+def ended(sender: Fed, last: AiCommand, cycles: int) -> Any:
     sender.driving().cycle(drive(), 3).checker.on_end()
     return sender.cycle(ASKING).cycle(last, cycles - 1)
 
@@ -269,13 +269,13 @@ def lost(sender: Any, torque: bool) -> Any:
     return sender.cycle(drive() if torque else RUNNING)
 
 
-def silent(sender: Told, cycles: int, then: AiCommand = RUNNING, mode: str = "autonomous") -> Any:
+def silent(sender: Fed, cycles: int, then: AiCommand = RUNNING, mode: str = "autonomous") -> Any:
     """The planner falls silent."""
     sender.driving().cycle(drive()).has(command=None).cycle(drive(), 9)
     return sender.cycle(RUNNING, cycles - 9).has(mode=mode).cycle(then)
 
 
-def plan(sender: Told, cycles: int, then: AiCommand, **fields: Any) -> Any:
+def plan(sender: Fed, cycles: int, then: AiCommand, **fields: Any) -> Any:
     """The planner asks for something else than driving."""
     assert sender.command is not None
     sender.driving().cycle(drive(), 3).command = replace(sender.command, **fields)
@@ -283,7 +283,7 @@ def plan(sender: Told, cycles: int, then: AiCommand, **fields: Any) -> Any:
 
 
 def resets(as_state: AsState) -> Any:
-    sender = Told().cycle(SELECTED)
+    sender = Fed().cycle(SELECTED)
     sender.checker.on_emergency(True)
     said = IDLE if as_state is OFF else braked(SELECTED)
     sender.state(as_state).cycle(replace(said, estop_request=True))
@@ -299,13 +299,13 @@ def restarts(*, seen_anew: bool) -> Any:
     return sender.cycle(RUNNING, 301).cycle(drive())
 
 
-def stopped(sender: Told) -> Any:
+def stopped(sender: Fed) -> Any:
     """Manual was asked for, and the car has come to rest."""
     sender.driving().asks("manual").cycle(RUNNING)
     return sender.cycle(braked(RUNNING, 80.0)).has(rpm=0).cycle(braked(RUNNING, 80.0), 50)
 
 
-def odd(sender: Told, cycles: int) -> Any:
+def odd(sender: Fed, cycles: int) -> Any:
     sender.driving().checker.on_implausible(None, sender.now_ns + 10 * MS)
     return sender.cycle(drive(), cycles + 1)
 
@@ -322,8 +322,8 @@ def driving() -> Any:
     return Sender().driving()
 
 
-def told() -> Any:
-    return Told().driving()
+def fed() -> Any:
+    return Fed().driving()
 
 
 def idle() -> Any:
@@ -509,102 +509,102 @@ CASES: list[tuple[str, str, Make, End, End]] = [
     Case("output table", "no hydraulic brake where motors brake").of(
         lambda: Sender(motor_brakes=True).ready(), None, braked(SELECTED)
     ),
-    Case("2", "autonomous").of(Told, then.driving().cycle(drive()), then.asks("manual").driving()),
-    Case("2", "a command younger than 100 ms").of(Told, lambda s: silent(s, 10), lambda s: silent(s, 9, drive())),
+    Case("2", "autonomous").of(Fed, then.driving().cycle(drive()), then.asks("manual").driving()),
+    Case("2", "a command younger than 100 ms").of(Fed, lambda s: silent(s, 10), lambda s: silent(s, 9, drive())),
     Case("2", "a command that pushes").of(
-        Told, then.driving().cycle(drive()), lambda s: plan(s, 1, drive(), throttle=0.0)
+        Fed, then.driving().cycle(drive()), lambda s: plan(s, 1, drive(), throttle=0.0)
     ),
-    Case("4", "the share of the command").of(told, drive(97.5), drive(97.6)),
+    Case("4", "the share of the command").of(fed, drive(97.5), drive(97.6)),
     Case("4", "the speed of the command").of(
-        Told,
+        Fed,
         lambda s: plan(s, 1, drive(50.0, 0.0, 130), speed_limit_mps=1.0),
         lambda s: plan(s, 1, drive(50.0, 0.0, 140), speed_limit_mps=1.0),
     ),
-    Case("5", "SELECTED by who is autonomous").of(Told, SELECTED, then.asks("manual").cycle(SELECTED)),
-    Case("5", "SELECTED for a mission").of(Told, SELECTED, then.car(ami=Ami.NOT_SELECTED).cycle(SELECTED)),
-    Case("5", "SELECTED after both resets").of(Told, SELECTED, then.car(ami=Ami.SKIDPAD).cycle(SELECTED)),
+    Case("5", "SELECTED by who is autonomous").of(Fed, SELECTED, then.asks("manual").cycle(SELECTED)),
+    Case("5", "SELECTED for a mission").of(Fed, SELECTED, then.car(ami=Ami.NOT_SELECTED).cycle(SELECTED)),
+    Case("5", "SELECTED after both resets").of(Fed, SELECTED, then.car(ami=Ami.SKIDPAD).cycle(SELECTED)),
     Case("6", "a granted emergency is asked for").of(
-        lambda: Told().cycle(SELECTED).happens("on_emergency", True), ESTOP, IDLE
+        lambda: Fed().cycle(SELECTED).happens("on_emergency", True), ESTOP, IDLE
     ),
     Case("6", "a reset in AS_OFF").of(Sender, lambda _: resets(OFF), lambda _: resets(READY)),
-    Case("7", "an invalid command").of(Told, then.plans(throttle=1.5, refused=True), then.plans(throttle=1.5)),
-    Case("7", "a valid command").of(Told, then.plans(), then.plans(refused=True)),
-    Case("7", "data of the future").of(Told, then.plans(age_ms=-20), then.plans(age_ms=-21)),
-    Case("7", "a command of another run").of(Told, then.plans(current=False, refused=True), then.plans(current=False)),
-    Case("8", "200 ms of listening").of(Told, SELECTED, then.happens("restarted").cycle(SELECTED)),
+    Case("7", "an invalid command").of(Fed, then.plans(throttle=1.5, refused=True), then.plans(throttle=1.5)),
+    Case("7", "a valid command").of(Fed, then.plans(), then.plans(refused=True)),
+    Case("7", "data of the future").of(Fed, then.plans(age_ms=-20), then.plans(age_ms=-21)),
+    Case("7", "a command of another run").of(Fed, then.plans(current=False, refused=True), then.plans(current=False)),
+    Case("8", "200 ms of listening").of(Fed, SELECTED, then.happens("restarted").cycle(SELECTED)),
     Case("8", "who only listens").of(
-        Sender, lambda _: Told(listen_only=False).cycle(SELECTED), lambda _: Told(listen_only=True).cycle(IDLE)
+        Sender, lambda _: Fed(listen_only=False).cycle(SELECTED), lambda _: Fed(listen_only=True).cycle(IDLE)
     ),
-    Case("8", "a lost bus").of(Told, lambda s: lost(s, torque=False), then.loses_the_bus().cycle(SELECTED)),
-    Case("8", "five cycles at the end").of(Told, lambda s: ended(s, BRAKING, 5), lambda s: ended(s, BRAKING, 6)),
-    Case("modes", "manual is granted").of(Told, then.asks("manual"), then.asks("manual", done=False)),
+    Case("8", "a lost bus").of(Fed, lambda s: lost(s, torque=False), then.loses_the_bus().cycle(SELECTED)),
+    Case("8", "five cycles at the end").of(Fed, lambda s: ended(s, BRAKING, 5), lambda s: ended(s, BRAKING, 6)),
+    Case("modes", "manual is granted").of(Fed, then.asks("manual"), then.asks("manual", done=False)),
     Case("modes", "autonomous where the car may not launch").of(
-        Told, then.asks("autonomous"), then.driving().asks("autonomous")
+        Fed, then.asks("autonomous"), then.driving().asks("autonomous")
     ),
-    Case("modes", "an unknown mode").of(Told, then.asks("sideways", done=False), then.asks("sideways")),
+    Case("modes", "an unknown mode").of(Fed, then.asks("sideways", done=False), then.asks("sideways")),
     Case("modes", "autonomous as it was chosen").of(
-        Told, SELECTED, then.asks("manual").has(mode="autonomous").cycle(IDLE)
+        Fed, SELECTED, then.asks("manual").has(mode="autonomous").cycle(IDLE)
     ),
     Case("modes", "manual after a lost command").of(
-        Told, lambda s: silent(s, 29, STOPPING, "manual"), lambda s: silent(s, 29, STOPPING)
+        Fed, lambda s: silent(s, 29, STOPPING, "manual"), lambda s: silent(s, 29, STOPPING)
     ),
     Case("reactions", "a stop for manual").of(
-        lambda: Told().driving().asks("manual"), then.cycle(RUNNING).cycle(STOPPING), drive()
+        lambda: Fed().driving().asks("manual"), then.cycle(RUNNING).cycle(STOPPING), drive()
     ),
-    Case("reactions", "a stop for a lost bus").of(
-        Told, lambda s: lost(s, torque=False), lambda s: lost(s, torque=True)
-    ),
-    Case("reactions", "a stop for FAULT_STATUS").of(lambda: Told().driving().car(fault=True), RUNNING, drive()),
+    Case("reactions", "a stop for a lost bus").of(Fed, lambda s: lost(s, torque=False), lambda s: lost(s, torque=True)),
+    Case("reactions", "a stop for FAULT_STATUS").of(lambda: Fed().driving().car(fault=True), RUNNING, drive()),
     Case("reactions", "a stop for a planner that was restarted").of(
-        told,
+        fed,
         then.happens("on_confirmed", "other").cycle(drive()),
         then.happens("on_confirmed", "planner").cycle(drive()),
     ),
     Case("reactions", "a stop for a finished mission").of(
-        Told, lambda s: plan(s, 1, RUNNING, mission_finished=True), lambda s: plan(s, 1, drive(), mission_finished=True)
+        Fed,
+        lambda s: plan(s, 1, RUNNING, mission_finished=True),
+        lambda s: plan(s, 1, drive(), mission_finished=True),
     ),
     Case("reactions", "ESTOP_REQUEST for a lost 0x520").of(
-        lambda: deaf(Told(), VcuStatus, 4, drive()), then.cycle(RUNNING, 5).cycle(BRAKING), then.cycle(RUNNING, 6)
+        lambda: deaf(Fed(), VcuStatus, 4, drive()), then.cycle(RUNNING, 5).cycle(BRAKING), then.cycle(RUNNING, 6)
     ),
     Case("reactions", "ESTOP_REQUEST for an intruder").of(
-        lambda: Told().driving().happens("on_intruder", "a frame"), ASKING, RUNNING
+        lambda: Fed().driving().happens("on_intruder", "a frame"), ASKING, RUNNING
     ),
     Case("reactions", "ESTOP_REQUEST for a fault of the loop").of(
-        lambda: Told().driving().happens("on_loop_fault"), ASKING, RUNNING
+        lambda: Fed().driving().happens("on_loop_fault"), ASKING, RUNNING
     ),
     Case("reactions", "ESTOP_REQUEST for both pedals").of(
-        Told, lambda s: plan(s, 10, RUNNING, brake=0.4).cycle(BRAKING), lambda s: plan(s, 11, RUNNING, brake=0.4)
+        Fed, lambda s: plan(s, 10, RUNNING, brake=0.4).cycle(BRAKING), lambda s: plan(s, 11, RUNNING, brake=0.4)
     ),
     Case("reactions", "ESTOP_REQUEST of the mission").of(
-        Told, lambda s: plan(s, 1, ASKING, estop_request=True), lambda s: plan(s, 1, RUNNING, estop_request=True)
+        Fed, lambda s: plan(s, 1, ASKING, estop_request=True), lambda s: plan(s, 1, RUNNING, estop_request=True)
     ),
     Case("reactions", "ESTOP_REQUEST at the end of a car that moves").of(
-        Told, lambda s: ended(s, BRAKING, 2), then.driving().happens("on_end").cycle(RUNNING)
+        Fed, lambda s: ended(s, BRAKING, 2), then.driving().happens("on_end").cycle(RUNNING)
     ),
     Case("reactions", "ESTOP_REQUEST for a stop without effect").of(
-        lambda: Told().driving().asks("manual").cycle(RUNNING), then.cycle(STOPPING, 300), then.cycle(STOPPING, 311)
+        lambda: Fed().driving().asks("manual").cycle(RUNNING), then.cycle(STOPPING, 300), then.cycle(STOPPING, 311)
     ),
     Case("output table", "the first 3 s do not steer").of(
-        lambda: Told().ready().state(DRIVING), braked(RUNNING), braked(replace(RUNNING, steer_deg=0.1))
+        lambda: Fed().ready().state(DRIVING), braked(RUNNING), braked(replace(RUNNING, steer_deg=0.1))
     ),
     Case("output table", "steering towards the command").of(
-        Told,
+        Fed,
         lambda s: plan(s, 1, drive(50.0, 0.4), steering_rad=0.1),
         lambda s: plan(s, 1, drive(50.0, -0.4), steering_rad=0.1),
     ),
     Case("output table", "steering is held without a command").of(
-        Told, lambda s: silent(s, 12), lambda s: silent(s, 12, replace(RUNNING, steer_deg=0.3))
+        Fed, lambda s: silent(s, 12), lambda s: silent(s, 12, replace(RUNNING, steer_deg=0.3))
     ),
-    Case("output table", "a holding brake in AS_READY").of(lambda: Told().ready(3), None, SELECTED),
+    Case("output table", "a holding brake in AS_READY").of(lambda: Fed().ready(3), None, SELECTED),
     Case("output table", "a holding brake in the first 3 s").of(
-        lambda: Told().ready().state(DRIVING), then.cycle(braked(RUNNING), 2), then.cycle(RUNNING, 2)
+        lambda: Fed().ready().state(DRIVING), then.cycle(braked(RUNNING), 2), then.cycle(RUNNING, 2)
     ),
     Case("output table", "the service brake in a stop").of(
-        lambda: Told().driving().asks("manual").cycle(RUNNING), STOPPING, braked(RUNNING, 30.0)
+        lambda: Fed().driving().asks("manual").cycle(RUNNING), STOPPING, braked(RUNNING, 30.0)
     ),
     Case("output table", "the brake is not let go without a command").of(
         lambda: (
-            plan(Told(), 1, RUNNING, brake=0.4, throttle=0.0)
+            plan(Fed(), 1, RUNNING, brake=0.4, throttle=0.0)
             .cycle(braked(RUNNING, 40.0))
             .has(command=None)
             .cycle(braked(RUNNING, 40.0), 11)
@@ -730,7 +730,7 @@ def test_a_restart_in_a_log_is_seen_by_its_pause() -> None:
     sender = logged().cycle(replace(RUNNING, estop_request=True))
     for _ in range(30):
         sender.now_ns += 10 * MS
-        sender.hears_the_car()
+        sender.receives_the_car()
     assert judged(sender.cycle(RUNNING, 5)) == [], "a new process knows nothing of the old one's emergency"
     assert "10" in judged(sender.cycle(drive()))
 

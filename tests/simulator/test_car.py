@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from fsai_hil.simulator.car import Car, CarModel, Pose, car_model
+from fsai_hil.simulator import car as car_module
+from fsai_hil.simulator.car import Car, Pose
 from fsai_hil.simulator.vcu import Actuation
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.interface.units import MS
 
 FULL = Actuation(rear_torque_nm=195.0, rear_motor_speed_max_rpm=4000, tractive_system_live=True)
@@ -23,8 +24,8 @@ def drive(car: Car, order: Actuation, seconds: float) -> None:
         car.advance(min(end, car.t_ns + 10 * MS), order)
 
 
-def at_speed(speed_mps: float, **changes: object) -> Car:
-    car = Car(replace(car_model("2026"), **changes))  # type: ignore[arg-type]
+def at_speed(speed_mps: float) -> Car:
+    car = Car(CARS["2026"])
     while car.speed_mps < speed_mps:
         drive(car, FULL, 0.01)
     return car
@@ -43,23 +44,23 @@ def stopping(car: Car, order: Actuation) -> tuple[float, float]:
 
 
 def test_full_throttle_is_1_9_mps2_and_75_m_in_9_8_s() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     drive(car, FULL, 0.3)
-    assert car.truth().accel_mps2[0] == pytest.approx(1.9, abs=0.1)
+    assert car.feedback().accel_xyz_mps2[0] == pytest.approx(1.9, abs=0.1)
     while car.truth().distance_m < 75.3:
         drive(car, FULL, 0.01)
     assert car.t_ns / 1e9 == pytest.approx(9.8, abs=0.3)
 
 
 def test_the_car_reaches_about_21_mps_and_no_more() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     drive(car, FULL, 60.0)
     assert car.speed_mps == pytest.approx(21.0, abs=0.7)
 
 
 def test_both_axles_drive_in_2021_and_only_the_rear_one_in_2026() -> None:
     order = replace(FULL, front_torque_nm=195.0, front_motor_speed_max_rpm=4000)
-    both, rear = Car(car_model("2021")), Car(car_model("2026"))
+    both, rear = Car(CARS["2021"]), Car(CARS["2026"])
     drive(both, order, 1.0)
     drive(rear, order, 1.0)
     assert both.speed_mps > 1.8 * rear.speed_mps
@@ -67,7 +68,7 @@ def test_both_axles_drive_in_2021_and_only_the_rear_one_in_2026() -> None:
 
 
 def test_torque_slews_by_50_nm_in_10_ms() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     car.advance(10 * MS, FULL)
     assert car.feedback().rear_torque_nm == pytest.approx(50.0, abs=0.1)
     car.advance(20 * MS, COAST)
@@ -78,11 +79,11 @@ def test_torque_slews_by_50_nm_in_10_ms() -> None:
     ("rpm", "torque_nm"), [(0, 195), (525, 172.5), (1050, 150), (1400, 120), (1750, 100), (2450, 50), (3150, 10)]
 )
 def test_available_torque_falls_with_motor_speed(rpm: float, torque_nm: float) -> None:
-    assert Car(car_model("2026")).available_torque_nm(rpm) == pytest.approx(torque_nm)
+    assert Car(CARS["2026"]).available_torque_nm(rpm) == pytest.approx(torque_nm)
 
 
 def test_no_torque_comes_without_a_live_tractive_system() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     drive(car, replace(FULL, tractive_system_live=False), 1.0)
     assert car.speed_mps == 0.0
 
@@ -99,7 +100,7 @@ def test_a_motor_above_its_speed_limit_brakes_and_never_reverses() -> None:
 
 
 def test_the_motor_speed_limit_holds_the_speed() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     limit_rpm = 1000
     drive(car, replace(FULL, rear_motor_speed_max_rpm=limit_rpm), 15.0)
     assert max(car.truth().wheel_rpm) * 3.5 == pytest.approx(limit_rpm, rel=0.05)
@@ -121,7 +122,7 @@ def test_brakes_wait_80_ms_and_then_act() -> None:
     ("asked", "comes"), [(0.0, 0.0), (0.5, 13.0), (10.0, 13.0), (20.0, 21.2), (50.0, 53.0), (100.0, 100.0)]
 )
 def test_brake_pressure_is_6_percent_over_the_request_or_13(asked: float, comes: float) -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     drive(car, replace(COAST, front_brake_pct=asked, rear_brake_pct=asked), 1.0)
     assert car.feedback().rear_brake_pct == pytest.approx(comes)
 
@@ -148,7 +149,7 @@ def test_the_least_brake_request_is_a_step_of_1_2_mps2() -> None:
 
 
 def test_a_braked_car_does_not_pull_away_against_its_brakes() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     drive(car, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0), 0.5)
     drive(car, replace(FULL, front_brake_pct=100.0, rear_brake_pct=100.0), 2.0)
     assert car.speed_mps == 0.0
@@ -158,7 +159,7 @@ def test_a_braked_car_does_not_pull_away_against_its_brakes() -> None:
 
 
 def test_steering_turns_after_50_ms_with_40_degps_less_its_play() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     order = replace(COAST, steer_deg=20.0)
     drive(car, order, 0.05)
     assert car.feedback().steer_deg == 0.0
@@ -169,7 +170,7 @@ def test_steering_turns_after_50_ms_with_40_degps_less_its_play() -> None:
 
 
 def test_requests_keep_their_order_through_the_dead_time() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     car.advance(10 * MS, replace(COAST, steer_deg=10.0))
     car.advance(20 * MS, replace(COAST, steer_deg=-10.0))
     drive(car, replace(COAST, steer_deg=-10.0), 1.0)
@@ -178,14 +179,14 @@ def test_requests_keep_their_order_through_the_dead_time() -> None:
 
 @pytest.mark.parametrize("revision", ["2021", "2026"])
 def test_the_road_wheels_stop_at_the_cars_own_limit(revision: str) -> None:
-    car = Car(car_model(revision))
-    facts = car.model.facts
+    car = Car(CARS[revision])
+    facts = car.facts
     drive(car, replace(COAST, steer_deg=60.0), 3.0)
     assert car.truth().steer_deg == pytest.approx(math.degrees(facts.steer_max_rad - facts.steer_backlash_rad))
 
 
 def test_a_slow_circle_has_the_radius_of_the_steering_geometry() -> None:
-    car = Car(car_model("2026"))
+    car = Car(CARS["2026"])
     order = replace(FULL, rear_torque_nm=60.0, rear_motor_speed_max_rpm=250, steer_deg=21.9)
     drive(car, order, 6.0)
     points = []
@@ -202,8 +203,8 @@ def test_tyres_limit_the_lateral_acceleration() -> None:
     peak = 0.0
     for _ in range(50):
         drive(car, replace(COAST, steer_deg=25.0), 0.01)
-        peak = max(peak, abs(car.truth().accel_mps2[1]))
-    assert 6.0 < peak < 1.1 * car.model.friction * 9.81
+        peak = max(peak, abs(car.feedback().accel_xyz_mps2[1]))
+    assert 6.0 < peak < 1.1 * car_module.FRICTION * 9.81
 
 
 def test_positive_steering_turns_left_right_wheels_run_faster() -> None:
@@ -232,7 +233,7 @@ def test_the_yaw_rate_is_steady_down_to_walking_pace() -> None:
 
 
 def test_a_car_that_nobody_moves_stands_exactly_still() -> None:
-    car = Car(car_model("2026"), Pose(3.0, -4.0, 1.0))
+    car = Car(CARS["2026"], Pose(3.0, -4.0, 1.0))
     drive(car, replace(COAST, steer_deg=20.0), 5.0)
     assert (car.pose.x_m, car.pose.y_m, car.pose.yaw_rad) == pytest.approx((3.0, -4.0, 1.0), abs=1e-12)
     assert car.feedback().wheel_rpm == (0.0, 0.0, 0.0, 0.0)
@@ -241,27 +242,28 @@ def test_a_car_that_nobody_moves_stands_exactly_still() -> None:
 def test_wheel_speeds_are_those_of_the_rolling_radius() -> None:
     car = at_speed(8.0)
     drive(car, COAST, 0.5)
-    expected = car.speed_mps / (2.0 * math.pi * car.model.facts.rolling_radius_m) * 60.0
+    expected = car.speed_mps / (2.0 * math.pi * car.facts.rolling_radius_m) * 60.0
     assert car.feedback().wheel_rpm == pytest.approx([expected] * 4, rel=0.01)
 
 
-def test_wheelspin_turns_the_driven_wheels_faster_than_the_road() -> None:
-    car = Car(replace(car_model("2026"), friction=0.2))
+def test_wheelspin_turns_the_driven_wheels_faster_than_the_road(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(car_module, "FRICTION", 0.2)
+    car = Car(CARS["2026"])
     drive(car, FULL, 1.0)
     fl, _, rl, _ = car.truth().wheel_rpm
     assert rl > 1.5 * fl
 
 
-def test_locked_wheels_on_a_slippery_track_read_too_slow() -> None:
+def test_locked_wheels_on_a_slippery_track_read_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
     car = at_speed(8.0)
-    car.model = replace(car.model, friction=0.2)
+    monkeypatch.setattr(car_module, "FRICTION", 0.2)
     drive(car, replace(COAST, front_brake_pct=100.0, rear_brake_pct=100.0), 0.4)
-    rolling = car.speed_mps / (2.0 * math.pi * car.model.facts.rolling_radius_m) * 60.0
+    rolling = car.speed_mps / (2.0 * math.pi * car.facts.rolling_radius_m) * 60.0
     assert car.truth().wheel_rpm[0] < 0.5 * rolling
 
 
 def test_pulse_counters_wrap_at_16_bits_and_lose_no_pulse() -> None:
-    car = Car(CarModel(replace(ADS_DV_2026, wheel_pulses_per_rev=6000)))
+    car = Car(replace(ADS_DV_2026, wheel_pulses_per_rev=6000))
     total, last = 0, car.feedback().pulses[2]
     seen_wrap = False
     revolutions = 0.0
@@ -289,12 +291,12 @@ def test_wheel_speeds_rest_at_9_rpm_for_a_second_after_the_stop() -> None:
 
 
 def test_the_compass_course_is_clockwise_from_north() -> None:
-    assert Car(pose=Pose(yaw_rad=0.0)).feedback().course_deg == pytest.approx(90.0)  # east
-    assert Car(pose=Pose(yaw_rad=math.pi / 2)).feedback().course_deg == pytest.approx(0.0)  # north
+    assert Car(ADS_DV_2026, Pose(yaw_rad=0.0)).feedback().course_deg == pytest.approx(90.0)  # east
+    assert Car(ADS_DV_2026, Pose(yaw_rad=math.pi / 2)).feedback().course_deg == pytest.approx(0.0)  # north
 
 
 def test_100_m_north_and_east_are_seen_by_the_gps() -> None:
-    origin, moved = Car().feedback(), Car(pose=Pose(100.0, 100.0)).feedback()
+    origin, moved = Car(ADS_DV_2026).feedback(), Car(ADS_DV_2026, Pose(100.0, 100.0)).feedback()
     north_m = (moved.latitude_deg - origin.latitude_deg) * 111_320.0
     east_m = (moved.longitude_deg - origin.longitude_deg) * 111_320.0 * math.cos(math.radians(origin.latitude_deg))
     assert (east_m, north_m) == pytest.approx((100.0, 100.0), abs=0.1)
@@ -304,7 +306,7 @@ def test_100_m_north_and_east_are_seen_by_the_gps() -> None:
 
 
 def test_wheels_in_the_air_turn_and_the_car_stays() -> None:
-    car = Car(car_model("2026"), wheels_in_air=True)
+    car = Car(CARS["2026"], wheels_in_air=True)
     rpm = 200
     order = replace(FULL, rear_torque_nm=30.0, rear_motor_speed_max_rpm=round(rpm * 3.5))
     drive(car, order, 8.0)
@@ -317,17 +319,12 @@ def test_wheels_in_the_air_turn_and_the_car_stays() -> None:
 
 
 def test_the_same_orders_give_the_same_run_in_whatever_portions() -> None:
-    one, two = Car(car_model("2026")), Car(car_model("2026"))
+    one, two = Car(CARS["2026"]), Car(CARS["2026"])
     order = replace(FULL, steer_deg=5.0)
     one.advance(3_000 * MS, order)
     for t in range(2, 3_001, 2):
         two.advance(t * MS, order)
     assert one.truth() == two.truth()
-
-
-def test_the_official_simulators_car_differs_in_mass_and_wheels() -> None:
-    facts = car_model("2026", official_simulator=True).facts
-    assert (facts.mass_kg, facts.rolling_radius_m, facts.wheel_pulses_per_rev) == (325.0, 0.15, 36)
 
 
 def test_placing_the_car_stops_it_and_keeps_its_pulse_counters() -> None:

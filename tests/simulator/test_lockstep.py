@@ -33,12 +33,13 @@ def drive_until(lockstep: Lockstep, speed_mps: float) -> None:
         assert lockstep.now_ns < 60 * S, "the car never drove"
 
 
-@pytest.mark.parametrize(("mission", "revision"), zip(MISSIONS, itertools.cycle(("2026", "2021"))))
+@pytest.mark.parametrize(("mission", "revision"), list(zip(MISSIONS, itertools.cycle(("2026", "2021")))))
 def test_every_mission_passes_by_the_rules_with_no_guard_acting(mission: Ami, revision: str) -> None:
-    """In one revision each; the campaign's full-length runs drive all of them in both."""
+    """In one revision each, the inspections with a PCAN-GPS; the campaign's full-length runs drive all in both."""
     laps = 2 if mission is Ami.TRACKDRIVE else None
     track = load_track("small_oval") if mission in (Ami.TRACKDRIVE, Ami.AUTOCROSS) else None
-    result = Lockstep(WorldSetup(missions=[mission], revision=revision, laps=laps, track=track)).run()
+    gps = mission in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+    result = Lockstep(WorldSetup(missions=[mission], revision=revision, laps=laps, track=track, gps=gps)).run()
     assert result.verdict.result == "pass", result.verdict.reasons
     assert result.wire.ok, result.wire
     assert result.report.reason_counts == {}, "a guard acted in a nominal run"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.operator import At, Await, Do, Moment, Operator, Script
+from fsai_hil.simulator.operator import Await, Operator, Script
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_hil.simulator.switches import Switches
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
@@ -117,44 +117,14 @@ def test_the_operator_copes_with_the_official_simulator() -> None:
     assert states(bench).count(AsState.AS_FINISHED) == 2
 
 
-# ---------------------------------------------------------------- events
-
-
-def test_a_switch_acts_at_its_time_and_the_operator_ends_the_run() -> None:
-    bench = Bench()
-    event = At(1500 * MS, "remote_radio_ok", False, since=Moment.DRIVING)
-    bench.operator = Operator.auto("2021", [Ami.TRACKDRIVE], at=[event])
-    driver = Driver(bench)
-    drive(bench, driver, lambda: bench.state is AsState.EMERGENCY_BRAKE)
-    driving_ns = next(t_ns for t_ns, state in bench.vcu.history if state is AsState.AS_DRIVING)
-    assert bench.now_ns - driving_ns == pytest.approx(1500 * MS, abs=2 * MS)
-    drive(bench, driver, lambda: bench.operator.done)
-    assert not bench.switches.lvms
-
-
 def test_the_operator_gives_no_go_after_an_emergency() -> None:
     bench = Bench()
-    event = At(2 * S, "car_estop", since=Moment.READY)
-    bench.operator = Operator.auto("2021", [Ami.TRACKDRIVE], at=[event])
+    bench.operator = Operator.auto("2021", [Ami.TRACKDRIVE])
     driver = Driver(bench)
+    drive(bench, driver, lambda: bench.state is AsState.AS_READY)
+    bench.switches.car_estop = True
     drive(bench, driver, lambda: bench.operator.done or bench.switches.go)
     assert bench.operator.done
-
-
-def test_events_need_no_script_and_happen_in_order_of_time() -> None:
-    bench = Bench()
-    bench.operator = Operator(at=[At(20 * MS, "tsms"), At(10 * MS, "asms"), At(10 * MS, "ami", Ami.SKIDPAD)])
-    bench.run(S)
-    assert [(t_ns // MS, what) for t_ns, what in bench.operator.log] == [
-        (11, "asms is True"),
-        (11, "ami is SKIDPAD"),
-        (21, "tsms is True"),
-    ]
-
-
-def test_an_event_on_an_unknown_switch_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"no switch 'turbo'.*asms"):
-        At(0, "turbo")
 
 
 def test_a_custom_script_waits_acts_and_times_out() -> None:
@@ -170,9 +140,9 @@ def test_a_custom_script_waits_acts_and_times_out() -> None:
     bench.operator = Operator(
         [
             Await("turning LVMS on", delay_ns=100 * MS),
-            Do(turn_on),
+            turn_on,
             Await("waiting for a mission that cannot come", lambda car: car.mission_selectable, 0, S),
-            Do(crash_unless),
+            crash_unless,
         ]
     )
     bench.run(100 * MS)

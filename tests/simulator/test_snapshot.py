@@ -62,7 +62,6 @@ def outcome(lockstep: Lockstep) -> tuple[object, ...]:
         world.verdict(),
         tuple(world.samples),
         world.operator.doing,
-        tuple(world.operator.log),
         world.vcu.switches,
         tuple(world.vcu.transitions),
         lockstep.wire.report(),
@@ -111,7 +110,6 @@ def test_a_copy_taken_between_operator_actions_ends_as_the_run() -> None:
         again = kept.run()
         assert again.verdict == result.verdict
         assert again.wire == result.wire
-        assert kept.world.operator.log == run.world.operator.log
 
 
 def test_a_copy_shares_what_never_changes_and_nothing_else() -> None:

@@ -57,7 +57,7 @@ def test_acceleration_is_75_m_long_with_100_m_to_stop_in() -> None:
     track = acceleration_track()
     assert track.start_line is not None
     assert track.finish_line is not None
-    assert track.start_line.ahead_of(track.finish_line.x_m, track.finish_line.y_m) == 75.0
+    assert track.start_line.seen(track.finish_line.x_m, track.finish_line.y_m) == (75.0, 0.0)
     assert max(x for x, _ in cones(track, ConeColor.ORANGE)) >= 175.0
     assert min(abs(y) for _, y in cones(track, ConeColor.BLUE)) >= 1.5
     assert len(cones(track, ConeColor.BIG_ORANGE)) == 8
@@ -94,7 +94,7 @@ def test_the_car_is_staged_with_its_nose_so_far_before_the_line(mission: Ami, tr
     nose_m = ADS_DV_2026.nose_ahead_of_rear_axle_m
     pose = loaded.staging(mission, nose_m)
     assert loaded.start_line is not None
-    assert loaded.start_line.ahead_of(*pose.ahead(nose_m)) == pytest.approx(-before_m)
+    assert loaded.start_line.seen(*pose.ahead(nose_m))[0] == pytest.approx(-before_m)
     assert loaded.on_lane(*pose.ahead(0.0))
 
 
@@ -184,7 +184,7 @@ def test_acceleration_and_skidpad_from_a_file_are_recognised() -> None:
     eight = parse_track(as_csv(skidpad_track(), Pose(-17.0, 0.0, 0.02)), "eight.csv")
     assert eight.kind is TrackKind.SKIDPAD
     assert eight.start_line is not None
-    assert eight.start_line.heading_rad == pytest.approx(0.0, abs=1e-6)
+    assert eight.start_line.yaw_rad == pytest.approx(0.0, abs=1e-6)
 
 
 def test_extra_columns_blank_lines_and_a_bom_are_ignored(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from vcu_bench import Bench, codec
 
-from fsai_hil.simulator.indicators import Assi, Siren, Tsal
 from fsai_hil.simulator.power import SystemState
+from fsai_hil.simulator.switches import Assi
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import (
     AsState,
@@ -36,7 +36,6 @@ def test_a_car_without_low_voltage_sends_and_shows_nothing() -> None:
     bench.switches.aims = bench.switches.asms = bench.switches.tsms = True
     assert bench.run(S) == []
     assert not bench.vcu.powered
-    assert bench.tsal() is Tsal.OFF
     assert not bench.vcu.actuation.ebs_engaged
 
 
@@ -47,7 +46,6 @@ def test_2021_the_vcu_stays_in_aux_until_ai_data_arrives() -> None:
         setattr(bench.switches, name, True)
     bench.run(20 * S)
     assert bench.vcu.system_state is SystemState.AUX
-    assert bench.tsal() is Tsal.GREEN
     bench.talks = True
     bench.run(5 * S)
     said = bench.images(VcuSystemStatus)
@@ -108,7 +106,7 @@ def test_2026_incomplete_can_data_brings_nothing_up() -> None:
     bench.switches.lvms = bench.switches.asms = bench.switches.tsms = True
     bench.run(10 * S)
     assert bench.state is AsState.AS_INIT
-    assert bench.tsal() is Tsal.GREEN
+    assert not bench.vcu.actuation.tractive_system_live
 
 
 @pytest.mark.parametrize("missing", ["asms", "tsms"])
@@ -171,7 +169,7 @@ def test_tsms_off_shuts_down_and_lvms_may_follow_2_s_later() -> None:
     bench.run(2 * S)
     assert bench.vcu.shut_down
     assert bench.vcu.system_state is SystemState.SHUTDOWN_OFF
-    assert bench.tsal() is Tsal.GREEN
+    assert not bench.vcu.actuation.tractive_system_live
     bench.switches.tsms = True
     bench.run(5 * S)
     assert bench.status().shutdown_request, "a shutdown that has begun ends with LVMS off"
@@ -225,22 +223,21 @@ def test_an_unknown_revision_is_refused_by_name() -> None:
         SimulatedVcu(codec("2021"), Revision("2031", (), 21.0))
 
 
-# ---------------------------------------------------------------- indicators
+# ---------------------------------------------------------------- what people see and hear
 
 
 @pytest.mark.parametrize(
-    ("way", "assi", "siren"),
+    ("way", "assi"),
     [
-        ("power_up", Assi.OFF, Siren.OFF),
-        ("to_ready", Assi.YELLOW, Siren.OFF),
-        ("to_driving", Assi.YELLOW_FLASHING, Siren.ON),
-        ("to_finished", Assi.BLUE, Siren.OFF),
-        ("to_emergency", Assi.BLUE_FLASHING, Siren.ON),
+        ("power_up", Assi.OFF),
+        ("to_ready", Assi.YELLOW),
+        ("to_driving", Assi.YELLOW_FLASHING),
+        ("to_finished", Assi.BLUE),
+        ("to_emergency", Assi.BLUE_FLASHING),
     ],
 )
-def test_assi_and_siren_tell_the_run(way: str, assi: Assi, siren: Siren) -> None:
-    shown = getattr(Bench(), way)().vcu.indicators
-    assert (shown.assi, shown.siren) == (assi, siren)
+def test_the_assi_shows_the_as_state(way: str, assi: Assi) -> None:
+    assert getattr(Bench(), way)().vcu.assi is assi
 
 
 def test_blue_joins_yellow_for_one_second_after_the_five_seconds() -> None:
@@ -249,40 +246,14 @@ def test_blue_joins_yellow_for_one_second_after_the_five_seconds() -> None:
     shown = []
     for offset_ns in (5 * S - 1, 5 * S, 6 * S - 1, 6 * S):
         bench.run(ready_ns + offset_ns - bench.now_ns)
-        shown.append(bench.vcu.indicators.assi)
+        shown.append(bench.vcu.assi)
     assert shown == [Assi.YELLOW, Assi.YELLOW_AND_BLUE, Assi.YELLOW_AND_BLUE, Assi.YELLOW]
-
-
-def test_the_siren_sounds_3_s_then_intermittently_until_motion() -> None:
-    bench = Bench().to_driving()
-    driving_ns = bench.vcu.history[-1][0]
-    bench.run(driving_ns + 3 * S - 1 - bench.now_ns)
-    assert bench.siren() is Siren.ON
-    bench.tick(1)
-    assert bench.siren() is Siren.INTERMITTENT
-    bench.wheels(9.0)
-    bench.run(S)
-    assert bench.siren() is Siren.INTERMITTENT
-    bench.wheels(12.0)
-    bench.tick()
-    assert bench.siren() is Siren.OFF
-    bench.wheels(0.0)
-    bench.tick()
-    assert bench.siren() is Siren.OFF
 
 
 def test_the_siren_sounds_fifteen_seconds_in_an_emergency() -> None:
     bench = Bench().to_emergency()
     begun_ns = bench.vcu.history[-1][0]
     bench.run(begun_ns + 15 * S - 1 - bench.now_ns)
-    assert bench.siren() is Siren.ON
+    assert bench.vcu.siren
     bench.tick(1)
-    assert bench.siren() is Siren.OFF
-
-
-def test_tsal_is_red_with_a_live_ts_and_green_after_an_emergency() -> None:
-    bench = Bench().to_driving()
-    assert bench.tsal() is Tsal.RED_FLASHING
-    bench.switches.car_estop = True
-    bench.tick()
-    assert bench.tsal() is Tsal.GREEN
+    assert not bench.vcu.siren

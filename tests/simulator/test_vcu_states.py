@@ -379,11 +379,3 @@ def test_an_emergency_brakes_cuts_torque_and_holds_the_steering() -> None:
     assert order.ebs_engaged
     assert not order.tractive_system_live
     assert (order.rear_torque_nm, order.steer_deg, order.front_brake_pct) == (0.0, 7.0, 100.0)
-
-
-def test_an_armed_ebs_brakes_the_car_whose_low_voltage_fails() -> None:
-    bench = Bench().to_driving()
-    bench.switches.lvms = False
-    bench.tick()
-    assert not bench.vcu.powered
-    assert bench.vcu.actuation.ebs_engaged

@@ -60,13 +60,14 @@ def test_another_mission_chosen_moves_the_car_to_its_start() -> None:
     world.advance(2 * SECOND_NS)
     assert world.mission is Ami.SKIDPAD
     assert world.track.name == "skidpad"
-    assert world.car.pose.x_m == pytest.approx(-15.0 - world.car.model.facts.nose_ahead_of_rear_axle_m)
+    assert world.car.pose.x_m == pytest.approx(-15.0 - world.car.facts.nose_ahead_of_rear_axle_m)
     assert len(world.runs) == 1
 
 
 def test_the_official_simulator_profile_brings_its_own_car() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], profile="official-simulator"))
-    assert world.car.model.facts.rolling_radius_m == 0.15
+    facts = world.car.facts
+    assert (facts.mass_kg, facts.rolling_radius_m, facts.wheel_pulses_per_rev) == (325.0, 0.15, 36)
 
 
 @pytest.mark.parametrize(

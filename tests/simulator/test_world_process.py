@@ -200,7 +200,7 @@ def test_the_process_sends_frames_and_truth_and_ends_cleanly(tmp_path: Path) -> 
                 if frame is not None:
                     heard.add(frame.can_id)
             assert {0x520, 0x525} <= heard
-            truth = receiver.wait(5.0)
+            truth = receiver.latest()
             assert truth is not None
             assert truth.track == "skidpad"
         finally:

@@ -34,19 +34,14 @@ def test_anything_else_is_refused_in_one_line(datagram: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_the_newest_truth_wins_malformed_ones_are_counted() -> None:
+def test_the_newest_truth_wins_malformed_ones_are_skipped() -> None:
     with TruthReceiver(0) as receiver, TruthSender(receiver.port) as sender:
         assert receiver.latest() is None
         sender.send(TRUTH)
         sender.send(replace(TRUTH, t_ns=124))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             stranger.sendto(b"hello", ("127.0.0.1", receiver.port))
-        first = receiver.wait(5.0)
-        assert first == TRUTH
-        newest = receiver.latest()
-        assert newest is not None
-        assert newest.t_ns == 124
-        assert receiver.malformed == 1
+        assert receiver.latest() == replace(TRUTH, t_ns=124)
 
 
 def test_a_sender_without_a_receiver_loses_only_the_datagram() -> None:
@@ -60,8 +55,3 @@ def test_a_sender_without_a_receiver_loses_only_the_datagram() -> None:
 def test_a_taken_port_is_an_error_at_once() -> None:
     with TruthReceiver(0) as receiver, pytest.raises(OSError, match="in use"):
         TruthReceiver(receiver.port)
-
-
-def test_a_receiver_waits_no_longer_than_told() -> None:
-    with TruthReceiver(0) as receiver:
-        assert receiver.wait(0.01) is None

@@ -1,7 +1,7 @@
 """What one beside the bus knows of the car and the AI computer, and what is due by it.
 
-A `BusView` is told, in the order of time, what the car says and what happens to the process that answers it. The rules
-in `frame_rules.py` look at it, `checker.py` feeds it.
+A `BusView` is given, in the order of time, what the car sends and what happens to the process that answers it.
+The rules in `frame_rules.py` look at it, `checker.py` feeds it.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class BusView:
         self.violation_count = 0
         self.codec = codec
         self.process = process
-        self.all_told = process is not None and process.nothing_hidden
+        self.nothing_hidden = process is not None and process.nothing_hidden
         self.slack_ns = clock_slack_ns
         self.handshake_in_flight_ns = handshake_in_flight_ns
         self.in_flight_ns = in_flight_ns
@@ -113,7 +113,6 @@ class BusView:
         self._broken: dict[str, set[str]] = {}
         self._strange_ids: set[int] = set()
         self._well_formed: set[tuple[int, bytes]] = set()
-        self._shortest_ns: int | None = None
         self._know_nothing()
 
     def _know_nothing(self) -> None:
@@ -132,7 +131,7 @@ class BusView:
         self._zero_echo_ns: int | None = None
         self.states: tuple[AsState, ...] = ()
         # of the cycle in hand
-        self.told: Order | None = None  # the command that may be obeyed
+        self.order: Order | None = None  # the command that may be obeyed
         self.over = False  # the stop was latched in an earlier cycle
         self._may_turn_manual = self._must_turn_manual = False
         # only where stops may be hidden
@@ -149,7 +148,7 @@ class BusView:
     def saved(self, now_ns: int, *, data_may_be_lost: bool) -> Saved:
         """What has been seen without the times, and the ages of the times in ns, below 0: never.
 
-        What no rule looks at any more is forgotten. For who tells everything, between two cycles.
+        What no rule looks at any more is forgotten. Where nothing is hidden, between two cycles.
         `data_may_be_lost`: a command may come that is lost as it comes, for its data is too old.
         """
         self._forget(now_ns, data_may_be_lost)
@@ -506,7 +505,7 @@ class BusView:
         assert process is not None
         self.now_ns = now_ns
         self._may_turn_manual = self._must_turn_manual = False
-        self.told = None
+        self.order = None
         waits = s.reopening and s.back_ns is not None and now_ns - s.back_ns < n.STATUS_LOST_NS
         if s.bus_gone or waits or (s.ended is not None and s.ended >= process.stop_cycles):
             return
@@ -514,7 +513,7 @@ class BusView:
             s.began_ns = now_ns
         self.over = s.stopped is not None
         age_ns = None if s.command_ns is None else now_ns - s.command_ns
-        self.told = s.order if age_ns is not None and age_ns < n.COMMAND_FRESH_NS else None
+        self.order = s.order if age_ns is not None and age_ns < n.COMMAND_FRESH_NS else None
         if s.as_state is AsState.AS_DRIVING and s.driving_ns is not None:
             self._look_at_the_run(age_ns, now_ns)
         elif (
@@ -551,7 +550,7 @@ class BusView:
             lost = s.autonomous and min(supervised_ns, supervised_ns if age_ns is None else age_ns) >= n.COMMAND_LOST_NS
             self._look_at_feedback(now_ns)
             runs = not self.over and not s.latched
-            if not self.all_told:  # no stop or emergency has begun for another reason: there would be a brake
+            if not self.nothing_hidden:  # no stop or emergency has begun for another reason: there would be a brake
                 unbraked = self.whole_in_a_row > 2 and s.braked_pct == 0.0 and not self.motor_brakes
                 runs = unbraked and s.stopped is None and not s.latched and s.alarm is None
             self._must_turn_manual = lost and runs
@@ -561,7 +560,7 @@ class BusView:
         self._may_turn_manual = lost or s.latched  # once an emergency is latched nobody asks what becomes of commands
         if not s.autonomous:
             self._stop("the mode is manual")
-        if not self.all_told and s.stopped is not None:
+        if not self.nothing_hidden and s.stopped is not None:
             wheels = self.wheels
             slow = (
                 wheels.rpm is not None
@@ -587,7 +586,7 @@ class BusView:
                 self._stop(f"{name} missing for 100 ms")
             if self._missing_ns(t_ns) >= n.FEEDBACK_LOST_NS:
                 self._alarm(f"{name} missing for 300 ms")
-        if not self.all_told:
+        if not self.nothing_hidden:
             s.steer_odd_ns = (s.steer_odd_ns or now_ns) if self._steering_is_odd(now_ns) else None
             s.wheel_odd_ns = (s.wheel_odd_ns or now_ns) if self._wheel_is_odd(now_ns) else None
         for name, t_ns in (("the steering", s.steer_odd_ns), ("a wheel", s.wheel_odd_ns)):
@@ -616,23 +615,23 @@ class BusView:
 
     def _look_at_wishes(self, launched_ns: int, now_ns: int) -> None:
         """What the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
-        s, told = self.seen, self.told
-        both = told is not None and told.throttle > 0.0 and told.brake > 0.0
-        if both and told is not None and not self.all_told:
+        s, order = self.seen, self.order
+        both = order is not None and order.throttle > 0.0 and order.brake > 0.0
+        if both and order is not None and not self.nothing_hidden:
             # The planner still brakes, not a stop for a reason that cannot be seen here.
-            said = s.braked_pct == 0.0 or abs(s.braked_pct - 100.0 * told.brake) <= BRAKE_STEP_PCT / 2
-            both = said and s.stopped is None and not self.motor_brakes
+            follows = s.braked_pct == 0.0 or abs(s.braked_pct - 100.0 * order.brake) <= BRAKE_STEP_PCT / 2
+            both = follows and s.stopped is None and not self.motor_brakes
         if not both or s.command_ns is None:
             s.pedals_ns = None  # for as long as no command counts, none asks for both
         elif s.pedals_ns is None:
-            s.pedals_ns = max(s.command_ns, launched_ns) if self.all_told else now_ns
-        listens = not self.over if self.all_told else s.stopped is None
-        if told is not None and s.autonomous and listens and not s.latched:
+            s.pedals_ns = max(s.command_ns, launched_ns) if self.nothing_hidden else now_ns
+        listens = not self.over if self.nothing_hidden else s.stopped is None
+        if order is not None and s.autonomous and listens and not s.latched:
             if s.pedals_ns is not None and now_ns - s.pedals_ns >= n.PEDALS_NS:
                 self._alarm("throttle and brake together for 100 ms")
-            if told.estop:
+            if order.estop:
                 self._alarm("the mission asks for the emergency brake")
-            if told.finished:
+            if order.finished:
                 self._stop("the mission is done")
 
     def on_mode_shown(self, mode: str) -> None:
@@ -643,9 +642,9 @@ class BusView:
                 self.wrong("modes", "the mode is autonomous after 300 ms without a command")
             elif not s.autonomous:
                 self.wrong("modes", f"the mode is autonomous in {self.where}, and nobody chose that")
-        elif s.autonomous and not self._may_turn_manual and self.all_told:
+        elif s.autonomous and not self._may_turn_manual and self.nothing_hidden:
             self.wrong("modes", "the mode has become manual, and nothing asked for that")
-        if self._must_turn_manual or (mode != "autonomous" and (self._may_turn_manual or not self.all_told)):
+        if self._must_turn_manual or (mode != "autonomous" and (self._may_turn_manual or not self.nothing_hidden)):
             s.autonomous = False
             self._stop("the mode is manual")
 

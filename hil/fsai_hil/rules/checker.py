@@ -1,9 +1,9 @@
 """The rules on the wire, judged by one who stands beside the bus and knows nothing of supervisor and gate.
 
 `WireChecker` is fed with what was on the bus, of the car and of the AI computer, in the order of time: as frames, or as
-their decoded images. That is enough for a log. Who drives the process itself also tells what the process is told
+their decoded images. That is enough for a log. Who drives the process itself also passes on what the process is given
 (commands, modes, confirmations, lost buses) by a `Process`; what can be known only so is checked only then. And where
-everything is told that can stop a drive (`nothing_hidden`), each output has exactly one right value, and is held to it.
+nothing is hidden that can stop a drive (`nothing_hidden`), each output has exactly one right value, and is held to it.
 
 `bus_view.py` is what is known and what is due, `frame_rules.py` the rules, `numbers.py` their numbers.
 """
@@ -43,7 +43,6 @@ class WireReport:
     duration_s: float
     cycles: int
     incomplete_cycles: int
-    shortest_cycle_ms: float | None
     responses: int
     response_p50_ms: float | None
     response_p99_ms: float | None
@@ -85,11 +84,11 @@ class WireChecker(BusView):
     between a sender's clock reading and the time stamp on the bus. All three at 0 is the view of the sender itself.
 
     `car` and `limits` add what rule 4 says of steering rate, driven axles and the venue. `from_start`: the first frame
-    is the first that the sending process could hear, and `restarted` says when another takes its place; without it
+    is the first that the sending process could receive, and `restarted` says when another takes its place; without it
     what was before the log is not judged. `motor_brakes`: the car on which torque against a motor speed limit of zero
     is the brake, which rule 2 does not mean. `short_sequence`: the car whose VCU does not keep to the 5 s in AS_READY.
 
-    With a `process` the caller tells what the process is told, by the methods `on_…` and round each cycle by
+    With a `process` the caller passes on what the process is given, by the methods `on_…` and round each cycle by
     `before_cycle`, `on_mode_shown` and `cycle_over`. An intruder on the AI computer's own ids cannot be told apart on
     a log; who knows it keeps its frames from `on_frame`, or uses `received` and `sent`.
     """
@@ -113,7 +112,6 @@ class WireChecker(BusView):
             duration_s=(self.now_ns - start) / S,
             cycles=self.cycles,
             incomplete_cycles=self.incomplete,
-            shortest_cycle_ms=None if self._shortest_ns is None else self._shortest_ns / MS,
             responses=len(self.responses),
             response_p50_ms=self.responses.quantile_ms(0.5),
             response_p99_ms=self.responses.quantile_ms(0.99),
@@ -133,7 +131,7 @@ class WireChecker(BusView):
         return found
 
     def _judge(self, kind: str, image: Any, frame: str) -> None:
-        """Hold a frame against its rules: said is the moment at which something turns wrong, not how long it stays."""
+        """Hold a frame against its rules: what turns wrong is reported once, not for as long as it stays."""
         wrong: set[str] = set()
         before = self._broken.get(frame, ())
         for rule, check in CHECKS[kind]:
@@ -235,11 +233,8 @@ class WireChecker(BusView):
         if self.cycle.ids:
             self.cycle_over(t_ns)
         self.interval_ns = None if self.cycle_ns is None else t_ns - self.cycle_ns
-        if self.interval_ns is not None:
-            shortest = self.interval_ns if self._shortest_ns is None else self._shortest_ns
-            self._shortest_ns = min(self.interval_ns, shortest)
-            if self.interval_ns >= RESTART_GAP_NS and not self.from_start:
-                self.seen.latched = False  # another process
+        if self.interval_ns is not None and self.interval_ns >= RESTART_GAP_NS and not self.from_start:
+            self.seen.latched = False  # another process
         self.cycle_ns = t_ns
         self.cycles += 1
         self.cycle.ids.append(AI_IDS[0])

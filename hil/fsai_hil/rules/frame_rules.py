@@ -159,8 +159,8 @@ def _says(v: BusView, ai: AiStatus) -> Iterator[str]:
 
 @rule("output table", "0x510")
 def _says_exactly(v: BusView, ai: AiStatus) -> Iterator[str]:
-    """MISSION_STATUS and direction as what is due has them, where every reason for a stop is told."""
-    if not v.all_told:
+    """MISSION_STATUS and direction as what is due has them, where no reason for a stop is hidden."""
+    if not v.nothing_hidden:
         return
     s = v.seen
     if ai.mission_status is MissionStatus.NOT_SELECTED and v.idle:
@@ -184,7 +184,7 @@ def _says_exactly(v: BusView, ai: AiStatus) -> Iterator[str]:
 
 @rule("reactions", "0x510")
 def _asks_for_the_emergency(v: BusView, ai: AiStatus) -> Iterator[str]:
-    """Graded reactions: ESTOP_REQUEST when it is due; and not otherwise, where every reason for it is told."""
+    """Graded reactions: ESTOP_REQUEST when it is due; and not otherwise, where no reason for it is hidden."""
     s = v.seen
     if v.process is None:
         return
@@ -195,8 +195,8 @@ def _asks_for_the_emergency(v: BusView, ai: AiStatus) -> Iterator[str]:
             yield "the software ends in AS_DRIVING, neither at rest nor with ESTOP_REQUEST"
     # A stop that goes on may turn out to be without effect, which is not judged here, nor what did not go out.
     asked = s.latched or s.alarm is not None or v.over or not s.whole
-    asked = asked or (v.told is not None and v.told.estop)
-    if v.all_told and ai.estop_request and not asked:
+    asked = asked or (v.order is not None and v.order.estop)
+    if v.nothing_hidden and ai.estop_request and not asked:
         yield "ESTOP_REQUEST, and nothing that happened asks for it"
 
 
@@ -246,7 +246,7 @@ def _may_drive(v: BusView, axle: Axle) -> Iterator[str]:
 
 def _may_move(v: BusView, name: str, t_ns: int) -> Iterator[str]:
     """Go, the sequence and the mission behind it, 3 s in AS_DRIVING, the mode, and a command that asks for it."""
-    s, told = v.seen, v.told
+    s, order = v.seen, v.order
     if not any(v.possible("go", s.go)):
         yield f"{name} torque without the Go signal"
     if s.as_state is AsState.AS_DRIVING:
@@ -262,9 +262,9 @@ def _may_move(v: BusView, name: str, t_ns: int) -> Iterator[str]:
         return
     if not s.autonomous:
         yield f"{name} torque though the mode is not autonomous"
-    if told is None:
+    if order is None:
         yield f"{name} torque without a command younger than 100 ms, on data younger than 500 ms"
-    elif told.throttle <= 0.0 or told.brake > 0.0:
+    elif order.throttle <= 0.0 or order.brake > 0.0:
         yield f"{name} torque though the command does not ask for it"
 
 
@@ -296,15 +296,15 @@ def _within_torque(v: BusView, axle: Axle) -> Iterator[str]:
     if newest is not None:
         most_nm = min(most_nm, max(v.possible("front" if front else "rear", newest)))
     elif v.from_start:
-        most_nm = 0.0  # the car has not said yet what it takes
+        most_nm = 0.0  # the car has not sent yet what it takes
     speeds = v.possible("rpm", v.wheels.rpm)
     if speeds and not v.wheels.open:
         fastest = min(max(rpm[:2] if front else rpm[2:]) for rpm in speeds)
         most_nm = min(most_nm, n.constant_power_nm(fastest))
     elif v.from_start and not speeds:
         most_nm = 0.0
-    if v.told is not None and not _brakes_by(v, axle):
-        most_nm *= v.told.throttle
+    if v.order is not None and not _brakes_by(v, axle):
+        most_nm *= v.order.throttle
     if axle.torque_nm > most_nm + TINY:
         yield f"{_name(axle)} torque {axle.torque_nm:.1f} Nm above its limit {most_nm:.1f}"
     age_ns = 0 if max_ns is None else v.now_ns - max_ns
@@ -316,8 +316,8 @@ def _within_torque(v: BusView, axle: Axle) -> Iterator[str]:
 def _within_speed(v: BusView, axle: Axle) -> Iterator[str]:
     """Motor speed limit at most the operational speed limit, and what the command allows."""
     most_rpm = v.motor_limit_rpm
-    if axle.torque_nm > 0.0 and v.told is not None:
-        most_rpm = min(most_rpm, v.told.speed_limit_mps * v.rpm_per_mps)
+    if axle.torque_nm > 0.0 and v.order is not None:
+        most_rpm = min(most_rpm, v.order.speed_limit_mps * v.rpm_per_mps)
     if axle.motor_speed_max_rpm > most_rpm + TINY:
         yield f"{_name(axle)} motor speed limit {axle.motor_speed_max_rpm} rpm above {most_rpm:.0f} rpm"
 
@@ -385,7 +385,7 @@ def _within_rate(v: BusView, steer: AiSteer) -> Iterator[str]:
 @rule("output table", "0x513")
 def _steers(v: BusView, steer: AiSteer) -> Iterator[str]:
     """In AS_DRIVING steering follows the command, or is held; it is zero in the first 3 s and at the end."""
-    s, deg, told = v.seen, steer.steer_deg, v.told
+    s, deg, order = v.seen, steer.steer_deg, v.order
     if v.process is None or s.as_state is not AsState.AS_DRIVING or s.driving_ns is None:
         return
     if s.ended is not None and v.ai.direction is Direction.NEUTRAL:
@@ -403,22 +403,22 @@ def _steers(v: BusView, steer: AiSteer) -> Iterator[str]:
     _, most_deg = _angles(v)
     held_deg = max(-most_deg, min(most_deg, s.steer_deg))  # a limit that was lowered is obeyed at once
     held = abs(deg - held_deg) <= STEER_STEP_DEG / 2
-    if told is None or not s.autonomous:
-        if abs(deg - held_deg) > (STEER_STEP_DEG / 2 if v.all_told else STEER_STEP_DEG + TINY):
+    if order is None or not s.autonomous:
+        if abs(deg - held_deg) > (STEER_STEP_DEG / 2 if v.nothing_hidden else STEER_STEP_DEG + TINY):
             yield f"steering from {s.steer_deg} to {deg} deg, and no command counts"
         return
-    if not v.all_told:  # it may be held for a reason that cannot be seen: it never turns elsewhere
-        target_deg = max(-most_deg, min(most_deg, told.steer_deg))
+    if not v.nothing_hidden:  # it may be held for a reason that cannot be seen: it never turns elsewhere
+        target_deg = max(-most_deg, min(most_deg, order.steer_deg))
         low, high = min(held_deg, target_deg) - STEER_STEP_DEG, max(held_deg, target_deg) + STEER_STEP_DEG
         if not low - TINY <= deg <= high + TINY:
             yield f"steering from {s.steer_deg} to {deg} deg, and the command asks for {target_deg:.2f}"
         return
     step_ns = 0 if s.steered_ns is None else min(v.now_ns - s.steered_ns, LONGEST_TURN_NS)
     most_turn_deg = v.steer_rate_degps * step_ns / S
-    turn_deg = max(-most_turn_deg, min(most_turn_deg, told.steer_deg - s.steer_deg))
+    turn_deg = max(-most_turn_deg, min(most_turn_deg, order.steer_deg - s.steer_deg))
     wanted_deg = max(-most_deg, min(most_deg, s.steer_deg + turn_deg))
     if abs(deg - wanted_deg) > STEER_STEP_DEG + TINY and not (held and (stopping or not v.status_counts)):
-        yield f"steering {deg} deg, and the command asks for {told.steer_deg:.2f}"
+        yield f"steering {deg} deg, and the command asks for {order.steer_deg:.2f}"
 
 
 # ---------------------------------------------------------------- 0x514
@@ -446,7 +446,7 @@ def _brakes_where_the_car_does(v: BusView, brake: AiBrake) -> Iterator[str]:
 @rule("output table", "0x514")
 def _brakes(v: BusView, brake: AiBrake) -> Iterator[str]:
     """The brake that the output table and the reactions ask for, as soon as rule 1 lets it rise."""
-    s, process, told, pct = v.seen, v.process, v.told, brake.front_pct
+    s, process, order, pct = v.seen, v.process, v.order, brake.front_pct
     if process is None or v.motor_brakes or s.as_state is None or s.as_state in UNBRAKED:
         return
     if s.ended is not None and v.ai.direction is Direction.NEUTRAL:
@@ -466,19 +466,19 @@ def _brakes(v: BusView, brake: AiBrake) -> Iterator[str]:
     elif s.stopped is not None or (s.driving_ns is not None and v.now_ns - s.driving_ns < n.LAUNCH_NS):
         if pct <= 0.0:
             yield f"no holding brake: {s.stopped or 'the first 3 s of AS_DRIVING'}"
-    elif told is None:
+    elif order is None:
         falls = pct < s.braked_pct
-        if falls and (v.all_told or (pct == 0.0 and v.whole_in_a_row > 0)):
+        if falls and (v.nothing_hidden or (pct == 0.0 and v.whole_in_a_row > 0)):
             yield f"the brake falls from {s.braked_pct} % to {pct} %, and no command counts"
-    elif v.all_told and v.status_counts and abs(pct - 100.0 * told.brake) > BRAKE_STEP_PCT / 2:
-        yield f"brake {pct} %, and the command asks for {100.0 * told.brake:g} %"
+    elif v.nothing_hidden and v.status_counts and abs(pct - 100.0 * order.brake) > BRAKE_STEP_PCT / 2:
+        yield f"brake {pct} %, and the command asks for {100.0 * order.brake:g} %"
 
 
 @rule("output table", "0x514")
 def _brakes_by_motors(v: BusView, brake: AiBrake) -> Iterator[str]:
     """A car that must never be asked for a hydraulic brake stops by torque against a speed limit of zero."""
     s, now_ns, wheels = v.seen, v.now_ns, v.wheels
-    if not (v.all_told and v.motor_brakes) or s.as_state is not AsState.AS_DRIVING:
+    if not (v.nothing_hidden and v.motor_brakes) or s.as_state is not AsState.AS_DRIVING:
         return
     times = wheels.believed_ns, s.front_ns, s.rear_ns
     known = v.status_counts and all(t is not None and now_ns - t < n.FEEDBACK_STALE_NS for t in times)

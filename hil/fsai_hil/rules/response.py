@@ -38,12 +38,9 @@ class ResponseTimes:
             self._in_order = True
         return self._times_ns
 
-    def quantile_ns(self, share: float) -> int | None:
-        """The smallest time that at least `share` (0 to 1) of all do not exceed; None while there is none."""
-        return quantile(self._ordered(), share)
-
     def quantile_ms(self, share: float) -> float | None:
-        time_ns = self.quantile_ns(share)
+        """The smallest time that at least `share` (0 to 1) of all do not exceed; None while there is none."""
+        time_ns = quantile(self._ordered(), share)
         return None if time_ns is None else time_ns / NS_PER_MS
 
     def count_above(self, limit_ns: int) -> int:

@@ -28,9 +28,9 @@ class Order(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """The process behind the frames, of which it is told what it is told: what the rules name of its configuration.
+    """The process behind the frames, whose inputs are known: what the rules name of its configuration.
 
-    `nothing_hidden`: what a plausibility check finds is told as well, so that every stop has its reason.
+    `nothing_hidden`: what a plausibility check finds is known as well, so that every stop has its reason.
     """
 
     listen_only: bool = False
@@ -48,7 +48,7 @@ class Seen:
     Times are ns; None: never. What the wheels say is in `Wheels`.
     """
 
-    # what the car said
+    # what the car sent
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
@@ -71,7 +71,7 @@ class Seen:
     front_ns: int | None = None
     rear_max_nm: float | None = None
     rear_ns: int | None = None
-    # what people and the planner said
+    # what people and the planner asked for
     autonomous: bool = False
     power_up: bool = True  # autonomous has not been entered by itself, nor chosen, since the car was switched on
     confirmed: frozenset[str] = NOBODY  # who has reset himself for this mission
@@ -90,7 +90,7 @@ class Seen:
     bus_gone: bool = False
     reopening: bool = False  # the bus is back, and the car has not been received on it
     back_ns: int | None = None  # what could not be received before then is not missing
-    ended: int | None = None  # cycles sent since the software was told to stop
+    ended: int | None = None  # cycles sent since the software was asked to stop
     # what went out
     began_ns: int | None = None  # the first cycle, sent or not
     complete_ns: int | None = None  # the last cycle that went out whole, or the first that was tried

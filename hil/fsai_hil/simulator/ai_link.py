@@ -8,32 +8,32 @@ from __future__ import annotations
 from typing import Final
 
 from fsai_hil.simulator.profiles import Profile
-from fsai_vcu.interface.enums import Direction, MissionStatus
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 
-FAR_AWAY_NS: Final = 1 << 62
-AI_MESSAGES: Final = (AiStatus, AiDriveFront, AiDriveRear, AiSteer, AiBrake)
-
-
-# ESTOP_REQUEST, MISSION_STATUS, direction, and whether any torque, brake and steering is requested
-Requests = tuple[bool, MissionStatus, Direction, bool, bool, bool]
+# The five messages, and the attribute of the link that holds the last of each
+AI_MESSAGES: Final = {
+    AiStatus: "status",
+    AiDriveFront: "drive_front",
+    AiDriveRear: "drive_rear",
+    AiSteer: "steer",
+    AiBrake: "brake",
+}
 
 
 class AiLink:
-    """What the AI computer said last, and whether it is still there.
+    """The last messages of the AI computer, and whether it is still there.
 
     `bit` is the HANDSHAKE that the VCU sends; `response_times_ns` has one entry per toggle that was answered.
-    `requests` is what the state machine looks at.
     """
 
     def __init__(self, profile: Profile) -> None:
         self._profile = profile
         self.bit = False
-        self._toggled_ns: int | None = None  # when the present bit first went out
+        self._toggled_ns = 0  # when the present bit first went out
         self._echoed = True  # the first 0x520 says 1
         self._echo_since_ns = 0  # the echo has been missing since (only meaningful while it is awaited)
-        self._first_ns: int | None = None
-        self._received_ns: dict[type, int] = {}
+        self._received_ns: dict[type, int] = {}  # empty before the first AI data
         self._never_received: set[type] = set(AI_MESSAGES)
         self.response_times_ns: list[int] = []
         self.status = AiStatus()
@@ -41,7 +41,6 @@ class AiLink:
         self.drive_rear = AiDriveRear()
         self.steer = AiSteer()
         self.brake = AiBrake()
-        self.requests = self._requests()
 
     # ------------------------------------------------------------ what happens
 
@@ -57,49 +56,27 @@ class AiLink:
 
     def on_image(self, image: AiImage, t_ns: int) -> None:
         """One message of the AI computer has arrived."""
-        if self._first_ns is None:
-            self._first_ns = t_ns
+        if not self.received:
             self._received_ns = dict.fromkeys(AI_MESSAGES, t_ns)  # none is overdue before the others began
             if not self._echoed:
                 self._echo_since_ns = t_ns
         self._received_ns[type(image)] = t_ns
         self._never_received.discard(type(image))
-        if isinstance(image, AiStatus):
-            self.status = image
-            if not self._echoed and image.handshake == self.bit and self._toggled_ns is not None:
-                self._echoed = True
-                self.response_times_ns.append(t_ns - self._toggled_ns)
-        elif isinstance(image, AiDriveFront):
-            self.drive_front = image
-        elif isinstance(image, AiDriveRear):
-            self.drive_rear = image
-        elif isinstance(image, AiSteer):
-            self.steer = image
-        else:
-            self.brake = image
-        self.requests = self._requests()
-
-    def _requests(self) -> Requests:
-        status, brake = self.status, self.brake
-        return (
-            status.estop_request,
-            status.mission_status,
-            status.direction,
-            self.drive_front.torque_nm > 0.0 or self.drive_rear.torque_nm > 0.0,
-            brake.front_pct > 0.0 or brake.rear_pct > 0.0,
-            self.steer.steer_deg != 0.0,
-        )
+        setattr(self, AI_MESSAGES[type(image)], image)
+        if isinstance(image, AiStatus) and not self._echoed and image.handshake == self.bit:
+            self._echoed = True
+            self.response_times_ns.append(t_ns - self._toggled_ns)
 
     # ------------------------------------------------------------ what follows from it
 
     @property
     def received(self) -> bool:
         """AI data has arrived since the VCU was switched on."""
-        return self._first_ns is not None
+        return bool(self._received_ns)
 
     def missing(self, message: type, now_ns: int) -> bool:
         """That message has failed to come ten times in a row."""
-        return self.received and now_ns - self._received_ns[message] >= self._profile.message_timeout_ns
+        return self.received and now_ns - self._received_ns[message] >= COMMS_LOST_NS
 
     def echo_missing(self, now_ns: int) -> bool:
         """The echo has not matched for the time the VCU grants."""
@@ -107,16 +84,10 @@ class AiLink:
 
     def lost(self, now_ns: int) -> bool:
         """AI_COMMS_LOST: the echo, or any one of the five messages, is missing. Never before the first AI data."""
-        return now_ns >= self.deadline_ns()
-
-    def deadline_ns(self) -> int:
-        """When the link will be lost if nothing more arrives; far away while no AI data has been received."""
-        if self._first_ns is None:
-            return FAR_AWAY_NS
-        deadline = min(self._received_ns.values()) + self._profile.message_timeout_ns
-        if not self._echoed:
-            deadline = min(deadline, self._echo_since_ns + self._profile.echo_timeout_ns)
-        return deadline
+        if not self.received:
+            return False
+        silent_ns = now_ns - min(self._received_ns.values())
+        return silent_ns >= COMMS_LOST_NS or self.echo_missing(now_ns)
 
     def valid(self, now_ns: int) -> bool:
         """All five messages have arrived and go on arriving, and the echo matches."""

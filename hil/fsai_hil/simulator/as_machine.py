@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from fsai_hil.simulator.profiles import Profile
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
@@ -63,7 +63,7 @@ class Situation:
     emergency_timer_over: bool = False
 
 
-Condition = Callable[[Situation], bool]
+Condition = Callable[[Any], bool]  # of a Situation, or of the Switches where it looks at these only
 INIT, OFF, READY, DRIVING = AsState.AS_INIT, AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 FINISHED, EMERGENCY = AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE
 
@@ -146,7 +146,7 @@ _EBS_UNAVAILABLE: Final = Fault(
 class Row(Immutable):
     """One transition. `fault` is set where it raises a fault bit; `reset` clears everything latched."""
 
-    source: AsState
+    sources: tuple[AsState, ...]
     target: AsState
     why: str
     when: Condition
@@ -175,84 +175,65 @@ def _may_start(s: Situation) -> bool:
     )
 
 
-def _by_fault(source: AsState, faults: Iterable[Fault]) -> tuple[Row, ...]:
-    return tuple(Row(source, EMERGENCY, f.why, f.when, fault=f, only=f.only, unless=f.unless) for f in faults)
+def _by_fault(faults: Iterable[Fault], *sources: AsState) -> tuple[Row, ...]:
+    return tuple(Row(sources, EMERGENCY, f.why, f.when, fault=f, only=f.only, unless=f.unless) for f in faults)
 
 
-def _resets(*sources: AsState) -> tuple[Row, ...]:
-    return tuple(
-        Row(source, OFF, "ASMS off", lambda s: not s.asms, reset=True, only="asms_off_resets") for source in sources
-    )
+def _asms_off(s: Situation) -> bool:
+    return not s.asms
 
 
-def _deselected(*sources: AsState) -> tuple[Row, ...]:
-    return tuple(
-        Row(
-            source,
-            OFF,
-            "mission status NOT_SELECTED",
-            lambda s: s.mission_status is MissionStatus.NOT_SELECTED and not s.comms_lost,
-            only="not_selected_is_as_off",
-        )
-        for source in sources
-    )
-
-
-def _sdc_open(s: Situation) -> bool:
-    return s.sdc_open
-
-
-def _brake_is_emergency(source: AsState) -> Row:
+def _deselected(*sources: AsState) -> Row:
     return Row(
-        source, EMERGENCY, "hydraulic brake requested", lambda s: s.brake_requested, only="brake_request_is_emergency"
+        sources,
+        OFF,
+        "mission status NOT_SELECTED",
+        lambda s: s.mission_status is MissionStatus.NOT_SELECTED and not s.comms_lost,
+        only="not_selected_is_as_off",
     )
 
 
+UNDER_WAY: Final = (READY, DRIVING, FINISHED)
 ROWS: Final[tuple[Row, ...]] = (
-    # ---- AS_INIT (2026)
-    Row(INIT, OFF, "tractive system and EBS are up", lambda s: s.tractive_system_running and s.ebs_armed),
-    # ---- AS_OFF
-    Row(OFF, EMERGENCY, AI_FAULTS[0].why, AI_FAULTS[0].when, fault=AI_FAULTS[0], only="estop_request_in_as_off"),
-    Row(OFF, READY, "mission chosen and acknowledged, EBS armed", _acknowledged_and_may_get_ready),
-    Row(OFF, READY, "mission chosen, EBS armed", _may_get_ready, only="ready_without_acknowledgement"),
-    # ---- AS_READY
-    *_resets(READY, DRIVING, FINISHED, EMERGENCY),
-    *_by_fault(READY, CAR_FAULTS),
-    Row(READY, EMERGENCY, "shutdown circuit open", _sdc_open),
-    *_by_fault(READY, (AI_COMMS_LOST,)),
-    _brake_is_emergency(READY),
-    *_deselected(READY, DRIVING, FINISHED),
-    Row(READY, OFF, "ASMS off", lambda s: not s.asms),
-    Row(READY, DRIVING, "Go", _may_start, unless="start_needs_selected"),
+    Row((INIT,), OFF, "tractive system and EBS are up", lambda s: s.tractive_system_running and s.ebs_armed),  # 2026
+    Row((OFF,), EMERGENCY, AI_FAULTS[0].why, AI_FAULTS[0].when, fault=AI_FAULTS[0], only="estop_request_in_as_off"),
+    Row((OFF,), READY, "mission chosen and acknowledged, EBS armed", _acknowledged_and_may_get_ready),
+    Row((OFF,), READY, "mission chosen, EBS armed", _may_get_ready, only="ready_without_acknowledgement"),
+    Row((*UNDER_WAY, EMERGENCY), OFF, "ASMS off", _asms_off, reset=True, only="asms_off_resets"),
+    _deselected(DRIVING, FINISHED),
+    *_by_fault(CAR_FAULTS, *UNDER_WAY),
+    Row(UNDER_WAY, EMERGENCY, "shutdown circuit open", lambda s: s.sdc_open),
+    Row((DRIVING,), EMERGENCY, "ASMS off", _asms_off),
+    Row((DRIVING,), EMERGENCY, "Go off", lambda s: not s.go, unless="go_off_ignored_in_driving"),
+    *_by_fault(AI_FAULTS, DRIVING),
+    *_by_fault((AI_COMMS_LOST,), READY, FINISHED),
+    *_by_fault((_EBS_UNAVAILABLE,), DRIVING),
     Row(
-        READY,
+        UNDER_WAY,
+        EMERGENCY,
+        "hydraulic brake requested",
+        lambda s: s.brake_requested,
+        only="brake_request_is_emergency",
+    ),
+    _deselected(READY),
+    Row((READY, FINISHED), OFF, "ASMS off", _asms_off),
+    Row((READY,), DRIVING, "Go", _may_start, unless="start_needs_selected"),
+    Row(
+        (READY,),
         DRIVING,
         "Go",
         lambda s: _may_start(s) and s.mission_status is MissionStatus.SELECTED,
         only="start_needs_selected",
     ),
-    # ---- AS_DRIVING
-    *_by_fault(DRIVING, CAR_FAULTS),
-    Row(DRIVING, EMERGENCY, "shutdown circuit open", _sdc_open),
-    Row(DRIVING, EMERGENCY, "ASMS off", lambda s: not s.asms),
-    Row(DRIVING, EMERGENCY, "Go off", lambda s: not s.go, unless="go_off_ignored_in_driving"),
-    *_by_fault(DRIVING, AI_FAULTS),
-    *_by_fault(DRIVING, (_EBS_UNAVAILABLE,)),
-    _brake_is_emergency(DRIVING),
     Row(
-        DRIVING,
+        (DRIVING,),
         FINISHED,
         "mission FINISHED at rest",
         lambda s: s.mission_status is MissionStatus.FINISHED and s.fastest_wheel_rpm < STANDING_RPM,
     ),
-    # ---- AS_FINISHED
-    *_by_fault(FINISHED, CAR_FAULTS),
-    Row(FINISHED, EMERGENCY, "shutdown circuit open", _sdc_open),
-    *_by_fault(FINISHED, (AI_COMMS_LOST,)),
-    _brake_is_emergency(FINISHED),
-    Row(FINISHED, OFF, "ASMS off", lambda s: not s.asms),
-    # ---- EMERGENCY_BRAKE
-    Row(EMERGENCY, OFF, "emergency-brake timer over, then ASMS off", lambda s: s.emergency_timer_over and not s.asms),
+    Row(
+        (EMERGENCY,), OFF, "emergency-brake timer over, then ASMS off", lambda s: s.emergency_timer_over and not s.asms
+    ),
 )
 
 Table = dict[AsState, tuple[Row, ...]]
@@ -266,7 +247,7 @@ def _in_force(item: Row | Fault, profile: Profile) -> bool:
 
 def transition_table(profile: Profile) -> Table:
     """The rows in force under a profile, by the state they leave. Every state has an entry."""
-    return {state: tuple(row for row in ROWS if row.source is state and _in_force(row, profile)) for state in AsState}
+    return {state: tuple(row for row in ROWS if state in row.sources and _in_force(row, profile)) for state in AsState}
 
 
 def ai_faults(profile: Profile) -> tuple[Fault, ...]:

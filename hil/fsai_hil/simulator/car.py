@@ -14,11 +14,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, TypeVar
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import CARS, GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.immutable import Immutable
+
+Coordinate = TypeVar("Coordinate", float, Floats)
 
 SUBSTEP_NS: Final = 2_000_000
 RPM_PER_RADPS: Final = 60.0 / (2.0 * math.pi)
@@ -29,6 +32,28 @@ BLEND_FROM_MPS: Final = 1.0
 BLEND_TO_MPS: Final = 3.0
 STANDSTILL_MPS: Final = 0.01
 AT_REST: Final = (0.0, 0.0, 0.0, 0.0)
+
+# What was never published, chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out. It may differ from what the AI
+# side believes: that is what testing is for.
+DRIVELINE_EFFICIENCY: Final = 0.89
+ROTATING_MASS_KG: Final = 27.0  # wheels and motor as the road feels them
+ROLLING_RESISTANCE: Final = 0.016
+DRAG_AREA_M2: Final = 0.22
+FRICTION: Final = 1.05
+TYRE_B: Final = 9.0  # Magic Formula's B and C for the lateral force by slip angle
+TYRE_C: Final = 1.45
+SLIP_STIFFNESS: Final = 22.0  # longitudinal force by slip and load
+AXLE_INERTIA_KGM2: Final = 1.4  # an axle's two wheels and its motor, at the wheel
+AIR_DRAG_NM: Final = 6.0  # what slows an axle whose wheels hang in the air
+BRAKE_RATE_PCTPS: Final = 1000.0
+BRAKE_FRONT_SHARE: Final = 0.58
+MOTOR_LIMIT_BAND_RPM: Final = 60.0  # torque fades within so much below MOTOR_SPEED_MAX and brakes above it
+RPM_REST: Final = 9.0  # what a wheel-speed reading may rest at after the car has stopped
+RPM_REST_NS: Final = 1_000_000_000
+
+# Where on the earth the world's origin lies: an airfield in England; any place would do
+ORIGIN_LATITUDE_DEG: Final = 52.0706
+ORIGIN_LONGITUDE_DEG: Final = -1.0174
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,43 +69,17 @@ class Pose(Immutable):
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return self.x_m + distance_m * c - left_m * s, self.y_m + distance_m * s + left_m * c
 
-
-@dataclass(frozen=True, slots=True)
-class CarModel(Immutable):
-    """The truth about the simulated car: its published facts, and what was never published.
-
-    The latter is chosen so that 1.9 m/s2, 75 m in 9.8 s and 21 m/s come out. It may differ from what the AI side
-    believes: that is what testing is for.
-    """
-
-    facts: VehicleParameters
-    driveline_efficiency: float = 0.89
-    rotating_mass_kg: float = 27.0  # wheels and motor as the road feels them
-    rolling_resistance: float = 0.016
-    drag_area_m2: float = 0.22
-    friction: float = 1.05
-    tyre_b: float = 9.0  # Magic Formula's B and C for the lateral force by slip angle
-    tyre_c: float = 1.45
-    slip_stiffness: float = 22.0  # longitudinal force by slip and load
-    axle_inertia_kgm2: float = 1.4  # an axle's two wheels and its motor, at the wheel
-    air_drag_nm: float = 6.0  # what slows an axle whose wheels hang in the air
-    brake_rate_pctps: float = 1000.0
-    brake_front_share: float = 0.58
-    motor_limit_band_rpm: float = 60.0  # torque fades within so much below MOTOR_SPEED_MAX and brakes above it
-    rpm_rest: int = 9  # what a wheel-speed reading may rest at after the car has stopped
-    rpm_rest_ns: int = 1_000_000_000
-
-    # where on the earth the world's origin lies: an airfield in England; any place would do
-    origin_latitude_deg: float = 52.0706
-    origin_longitude_deg: float = -1.0174
+    def seen(self, x_m: Coordinate, y_m: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """How far ahead of it (negative: behind) and to its left world points lie."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        dx, dy = x_m - self.x_m, y_m - self.y_m
+        return dx * c + dy * s, dy * c - dx * s
 
 
-def car_model(revision: str, official_simulator: bool = False) -> CarModel:
-    """The simulated car of an interface revision; facts that car and AI side share come from one place."""
+def car_facts(revision: str, official_simulator: bool = False) -> VehicleParameters:
+    """The published facts of the simulated car, which car and AI side share."""
     facts = CARS[revision]
-    if official_simulator:
-        facts = replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad)
-    return CarModel(facts)
+    return replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad) if official_simulator else facts
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,6 @@ class CarTruth(Immutable):
     yaw_rate_radps: float
     steer_deg: float
     wheel_rpm: tuple[float, float, float, float]
-    accel_mps2: tuple[float, float]
     distance_m: float  # driven since the car was last placed
 
 
@@ -117,41 +115,42 @@ class _DeadTime:
         return self.value
 
 
-class _Constants(Immutable):
-    """What a substep needs of the model and need not work out 500 times a second."""
+@dataclass(slots=True)
+class _Axle:
+    """What an axle has of its own."""
 
-    def __init__(self, m: CarModel) -> None:
-        f = m.facts
-        full_n = f.brake_full_mps2 * f.mass_kg
-        self.front_braking_n = full_n * m.brake_front_share
-        self.rear_braking_n = full_n * (1.0 - m.brake_front_share)
-        self.weight_n = f.mass_kg * GRAVITY_MPS2
-        self.cog_to_front_m = f.wheelbase_m - f.cog_ahead_of_rear_axle_m
-        self.front_weight_n = self.weight_n * f.cog_ahead_of_rear_axle_m / f.wheelbase_m
-        self.rear_weight_n = self.weight_n * self.cog_to_front_m / f.wheelbase_m
-        self.resistance_n = m.rolling_resistance * self.weight_n
-        self.steer_limit_deg = math.degrees(f.steer_max_rad)
-        self.steer_rate_degps = math.degrees(f.steer_rate_radps)
-        self.steer_backlash_deg = math.degrees(f.steer_backlash_rad)
+    driven: bool
+    weight_n: float
+    brake_share: float  # of the whole car's braking
+    brake: _DeadTime
+    brake_pct: float = 0.0
+    magnitude_nm: float = 0.0  # of the torque that is asked for, slewed
+    torque_nm: float = 0.0
+    slip_mps: float = 0.0  # tyre surface against road; positive spins, negative locks
+    air_radps: float = 0.0  # with the wheels in the air
 
 
 class Car:
     """One car. `advance` moves it on; `feedback` is what its sensors read, `truth` what really happened."""
 
     def __init__(
-        self, model: CarModel | None = None, pose: Pose | None = None, now_ns: int = 0, wheels_in_air: bool = False
+        self, facts: VehicleParameters, pose: Pose | None = None, now_ns: int = 0, wheels_in_air: bool = False
     ) -> None:
-        self.model = model if model is not None else car_model("2026")
         self.t_ns = now_ns
-        self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(self.model.origin_latitude_deg))
+        self._metres_per_degree_east = EARTH_METRES_PER_DEGREE * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
         self._pulse_revs = [0.0, 0.0, 0.0, 0.0]
-        self._facts = self.model.facts
-        self._constants = _Constants(self.model)
+        self.facts = f = facts
+        # what a substep needs of the model and need not work out 500 times a second
+        self._cog_to_front_m = f.wheelbase_m - f.cog_ahead_of_rear_axle_m
+        self._weight_n = f.mass_kg * GRAVITY_MPS2
+        self._steer_limit_deg = math.degrees(f.steer_max_rad)
+        self._steer_rate_degps = math.degrees(f.steer_rate_radps)
+        self._steer_backlash_deg = math.degrees(f.steer_backlash_rad)
         self.place(pose if pose is not None else Pose(), wheels_in_air)
 
     def place(self, pose: Pose, wheels_in_air: bool = False) -> None:
         """Put the car somewhere, at rest with straight wheels (people push it; its pulse counters do not notice)."""
-        f = self._facts
+        f = self.facts
         self.wheels_in_air = wheels_in_air
         self._yaw = pose.yaw_rad
         self._x, self._y = pose.ahead(f.cog_ahead_of_rear_axle_m)  # the centre of gravity
@@ -160,13 +159,11 @@ class Car:
         self._distance = 0.0
         self._rack_deg = self._road_deg = 0.0
         self._steer_request = _DeadTime(round(f.steer_dead_time_s * 1e9))
-        self._front_brake = _DeadTime(round(f.brake_dead_time_s * 1e9))
-        self._rear_brake = _DeadTime(round(f.brake_dead_time_s * 1e9))
-        self._front_pct = self._rear_pct = 0.0
-        self._front_magnitude = self._rear_magnitude = 0.0
-        self._front_torque = self._rear_torque = 0.0
-        self._front_slip = self._rear_slip = 0.0  # tyre surface against road, m/s; positive spins, negative locks
-        self._front_air = self._rear_air = 0.0  # axle speed with the wheels in the air, rad/s
+        front_n = self._weight_n * f.cog_ahead_of_rear_axle_m / f.wheelbase_m
+        rear_n = self._weight_n * self._cog_to_front_m / f.wheelbase_m
+        share, dead_ns = BRAKE_FRONT_SHARE, round(f.brake_dead_time_s * 1e9)
+        self._front = _Axle(f.driven_front, front_n, share, _DeadTime(dead_ns))
+        self._rear = _Axle(f.driven_rear, rear_n, 1.0 - share, _DeadTime(dead_ns))
         self._rpm = AT_REST
         self._stopped_ns: int | None = None
 
@@ -174,7 +171,7 @@ class Car:
 
     @property
     def pose(self) -> Pose:
-        back = self._facts.cog_ahead_of_rear_axle_m
+        back = self.facts.cog_ahead_of_rear_axle_m
         return Pose(self._x - back * math.cos(self._yaw), self._y - back * math.sin(self._yaw), self._yaw)
 
     @property
@@ -194,17 +191,15 @@ class Car:
             self._yaw_rate,
             self._road_deg,
             self._rpm,
-            (self._ax, self._ay),
             self._distance,
         )
 
     def feedback(self) -> CarFeedback:
-        m, per_rev = self.model, self._facts.wheel_pulses_per_rev
+        per_rev = self.facts.wheel_pulses_per_rev
         rpm = self._rpm
-        if self._stopped_ns is not None and self.t_ns - self._stopped_ns < m.rpm_rest_ns:
+        if self._stopped_ns is not None and self.t_ns - self._stopped_ns < RPM_REST_NS:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
-            rest = float(m.rpm_rest)
-            rpm = (max(rpm[0], rest), max(rpm[1], rest), max(rpm[2], rest), max(rpm[3], rest))
+            rpm = (max(rpm[0], RPM_REST), max(rpm[1], RPM_REST), max(rpm[2], RPM_REST), max(rpm[3], RPM_REST))
         fl, fr, rl, rr = self._pulse_revs
         return CarFeedback(
             rpm,
@@ -215,15 +210,15 @@ class Car:
                 int(rr * per_rev) & 0xFFFF,
             ),
             self._road_deg,
-            self._front_torque,
-            self._rear_torque,
-            self._front_pct,
-            self._rear_pct,
+            self._front.torque_nm,
+            self._rear.torque_nm,
+            self._front.brake_pct,
+            self._rear.brake_pct,
             self._vx,
             (self._ax, self._ay, GRAVITY_MPS2),
             self._yaw_rate,
-            m.origin_latitude_deg + self._y / EARTH_METRES_PER_DEGREE,
-            m.origin_longitude_deg + self._x / self._metres_per_degree_east,
+            ORIGIN_LATITUDE_DEG + self._y / EARTH_METRES_PER_DEGREE,
+            ORIGIN_LONGITUDE_DEG + self._x / self._metres_per_degree_east,
             (90.0 - math.degrees(self._yaw)) % 360.0,
         )
 
@@ -233,9 +228,9 @@ class Car:
         """Live on until `to_ns` under one order."""
         now = self.t_ns
         self._steer_request.request(now, order.steer_deg)
-        full = order.ebs_engaged  # the EBS is a full braking of both axles, whatever is asked
-        self._front_brake.request(now, 100.0 if full else self._pressure(order.front_brake_pct))
-        self._rear_brake.request(now, 100.0 if full else self._pressure(order.rear_brake_pct))
+        for axle, asked_pct in ((self._front, order.front_brake_pct), (self._rear, order.rear_brake_pct)):
+            # the EBS is a full braking of both axles, whatever is asked
+            axle.brake.request(now, 100.0 if order.ebs_engaged else self._pressure(asked_pct))
         while now < to_ns:
             step_ns = min(SUBSTEP_NS, to_ns - now)
             now += step_ns
@@ -243,24 +238,24 @@ class Car:
             self._substep(step_ns * 1e-9, order)
 
     def _pressure(self, request_pct: float) -> float:
-        f = self._facts
+        f = self.facts
         if request_pct <= 0.0:
             return 0.0
         return min(100.0, max(100.0 * f.brake_minimum, f.brake_excess * request_pct))
 
     def available_torque_nm(self, motor_rpm: float) -> float:
         """The most that a motor can give to its axle at a speed."""
-        table = self._facts.torque_curve_rpm_nm
+        table = self.facts.torque_curve_rpm_nm
         low_rpm, low_nm = table[0]
         for high_rpm, high_nm in table[1:]:
             if motor_rpm < high_rpm:
                 return low_nm + (high_nm - low_nm) * (motor_rpm - low_rpm) / (high_rpm - low_rpm)
             low_rpm, low_nm = high_rpm, high_nm
-        return low_nm if motor_rpm < self._facts.motor_speed_max_rpm else 0.0
+        return low_nm if motor_rpm < self.facts.motor_speed_max_rpm else 0.0
 
     def _motor_torque(self, magnitude_nm: float, motor_rpm: float, limit_rpm: float) -> float:
         """Signed axle torque: a request is absolute; it drives below MOTOR_SPEED_MAX and brakes above it."""
-        share = (limit_rpm - motor_rpm) / self.model.motor_limit_band_rpm
+        share = (limit_rpm - motor_rpm) / MOTOR_LIMIT_BAND_RPM
         if share >= 1.0:
             available = self.available_torque_nm(motor_rpm)
             return magnitude_nm if magnitude_nm < available else available
@@ -268,46 +263,30 @@ class Car:
         return limited * max(-1.0, share)
 
     def _substep(self, dt: float, order: Actuation) -> None:
-        m, f, const = self.model, self._facts, self._constants
+        f = self.facts
         now = self.t_ns
 
         # steering: dead time, then a rate, then the play between rack and road wheels
-        limit = const.steer_limit_deg
-        target = self._steer_request.at(now)
-        target = limit if target > limit else -limit if target < -limit else target
+        target = _between(-self._steer_limit_deg, self._steer_request.at(now), self._steer_limit_deg)
         if self._rack_deg != target:
-            self._rack_deg = _toward(self._rack_deg, target, const.steer_rate_degps * dt)
-            play = self._rack_deg - self._road_deg
-            if play > const.steer_backlash_deg:
-                self._road_deg = self._rack_deg - const.steer_backlash_deg
-            elif play < -const.steer_backlash_deg:
-                self._road_deg = self._rack_deg + const.steer_backlash_deg
+            self._rack_deg = _toward(self._rack_deg, target, self._steer_rate_degps * dt)
+            backlash_deg = self._steer_backlash_deg
+            self._road_deg = _between(self._rack_deg - backlash_deg, self._road_deg, self._rack_deg + backlash_deg)
 
-        # brake pressure
-        front_target, rear_target = self._front_brake.at(now), self._rear_brake.at(now)
-        if self._front_pct != front_target:
-            self._front_pct = _toward(self._front_pct, front_target, m.brake_rate_pctps * dt)
-        if self._rear_pct != rear_target:
-            self._rear_pct = _toward(self._rear_pct, rear_target, m.brake_rate_pctps * dt)
-
-        # torque
-        front_target = order.front_torque_nm if f.driven_front else 0.0
-        rear_target = order.rear_torque_nm if f.driven_rear else 0.0
-        if not order.tractive_system_live:
-            self._front_magnitude = self._rear_magnitude = front_target = rear_target = 0.0
-        if self._front_magnitude != front_target:
-            self._front_magnitude = _toward(self._front_magnitude, front_target, f.torque_rate_nmps * dt)
-        if self._rear_magnitude != rear_target:
-            self._rear_magnitude = _toward(self._rear_magnitude, rear_target, f.torque_rate_nmps * dt)
         rpm = self._rpm
         ratio = 0.5 * f.gear_ratio
-        self._front_torque = self._rear_torque = 0.0
-        if self._front_magnitude > 0.0:
-            motor_rpm = (rpm[0] + rpm[1]) * ratio
-            self._front_torque = self._motor_torque(self._front_magnitude, motor_rpm, order.front_motor_speed_max_rpm)
-        if self._rear_magnitude > 0.0:
-            motor_rpm = (rpm[2] + rpm[3]) * ratio
-            self._rear_torque = self._motor_torque(self._rear_magnitude, motor_rpm, order.rear_motor_speed_max_rpm)
+        for axle, asked_nm, limit_rpm, wheels_rpm in (
+            (self._front, order.front_torque_nm, order.front_motor_speed_max_rpm, rpm[0] + rpm[1]),
+            (self._rear, order.rear_torque_nm, order.rear_motor_speed_max_rpm, rpm[2] + rpm[3]),
+        ):
+            axle.brake_pct = _toward(axle.brake_pct, axle.brake.at(now), BRAKE_RATE_PCTPS * dt)
+            axle.torque_nm = 0.0
+            if order.tractive_system_live and axle.driven:
+                axle.magnitude_nm = _toward(axle.magnitude_nm, asked_nm, f.torque_rate_nmps * dt)
+                if axle.magnitude_nm > 0.0:
+                    axle.torque_nm = self._motor_torque(axle.magnitude_nm, wheels_rpm * ratio, limit_rpm)
+            else:
+                axle.magnitude_nm = 0.0
 
         if self.wheels_in_air:
             self._spin(dt)
@@ -326,15 +305,14 @@ class Car:
 
     def _spin(self, dt: float) -> None:
         """Wheels in the air: only the axles turn."""
-        m, f = self.model, self._facts
+        f = self.facts
         full_nm = f.brake_full_mps2 * f.mass_kg * f.rolling_radius_m
-        gain = dt / m.axle_inertia_kgm2
-        front_hold = m.air_drag_nm + full_nm * m.brake_front_share * self._front_pct / 100.0
-        rear_hold = m.air_drag_nm + full_nm * (1.0 - m.brake_front_share) * self._rear_pct / 100.0
-        moved = self._front_air > 0.0 or self._rear_air > 0.0
-        self._front_air = _slowed(self._front_air, self._front_torque, front_hold, gain)
-        self._rear_air = _slowed(self._rear_air, self._rear_torque, rear_hold, gain)
-        front, rear = self._front_air * RPM_PER_RADPS, self._rear_air * RPM_PER_RADPS
+        gain = dt / AXLE_INERTIA_KGM2
+        moved = self._front.air_radps > 0.0 or self._rear.air_radps > 0.0
+        for axle in (self._front, self._rear):
+            hold_nm = AIR_DRAG_NM + full_nm * axle.brake_share * axle.brake_pct / 100.0
+            axle.air_radps = _slowed(axle.air_radps, axle.torque_nm, hold_nm, gain)
+        front, rear = self._front.air_radps * RPM_PER_RADPS, self._rear.air_radps * RPM_PER_RADPS
         self._rpm = (front, front, rear, rear)
         if moved and front == 0.0 and rear == 0.0:
             self._stopped_ns = self.t_ns
@@ -343,49 +321,35 @@ class Car:
 
     def _roll(self, dt: float) -> None:
         """Wheels on the ground."""
-        m, f, const = self.model, self._facts, self._constants
+        f, front, rear = self.facts, self._front, self._rear
         vx, vy, yaw_rate = self._vx, self._vy, self._yaw_rate
         radius = f.rolling_radius_m
-        front_drive = self._front_torque * m.driveline_efficiency / radius
-        rear_drive = self._rear_torque * m.driveline_efficiency / radius
-        front_brake = const.front_braking_n * self._front_pct / 100.0
-        rear_brake = const.rear_braking_n * self._rear_pct / 100.0
+        front_drive, front_brake = self._drive_and_brake_n(front)
+        rear_drive, rear_brake = self._drive_and_brake_n(rear)
 
         if vx <= 0.0:
-            rest = m.rolling_resistance * f.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
+            rest = ROLLING_RESISTANCE * f.mass_kg * GRAVITY_MPS2 + front_brake + rear_brake
             if front_drive + rear_drive <= rest:
                 self._ax = self._ay = 0.0
                 return
 
         # loads on the axles, with the transfer of the last substep
         transfer = f.mass_kg * self._ax * f.cog_height_m / f.wheelbase_m
-        front_load = const.front_weight_n - transfer
-        rear_load = const.rear_weight_n + transfer
-        front_grip = m.friction * front_load
-        rear_grip = m.friction * rear_load
-
-        # what the tyres carry along, and what is left over to spin or lock the wheels
-        front_asked = front_drive - front_brake
-        rear_asked = rear_drive - rear_brake
-        front_force = _between(-front_grip, front_asked, front_grip)
-        rear_force = _between(-rear_grip, rear_asked, rear_grip)
-        self._front_slip = self._slip(self._front_slip, front_asked - front_force, front_force / front_load, vx, dt)
-        self._rear_slip = self._slip(self._rear_slip, rear_asked - rear_force, rear_force / rear_load, vx, dt)
+        front_force, front_grip = self._grip(front, front.weight_n - transfer, front_drive - front_brake, vx, dt)
+        rear_force, rear_grip = self._grip(rear, rear.weight_n + transfer, rear_drive - rear_brake, vx, dt)
 
         steer = math.radians(self._road_deg)
-        resistance = const.resistance_n + 0.6 * m.drag_area_m2 * vx * vx  # half of 1.2 kg/m3 of air
-        inertia = f.mass_kg + m.rotating_mass_kg
+        resistance = ROLLING_RESISTANCE * self._weight_n + 0.6 * DRAG_AREA_M2 * vx * vx  # half of 1.2 kg/m3 of air
+        inertia = f.mass_kg + ROTATING_MASS_KG
 
         blend = (vx - BLEND_FROM_MPS) / (BLEND_TO_MPS - BLEND_FROM_MPS)
-        to_front, to_rear = const.cog_to_front_m, f.cog_ahead_of_rear_axle_m
+        to_front, to_rear = self._cog_to_front_m, f.cog_ahead_of_rear_axle_m
         if blend > 0.0:
             cos_steer, sin_steer = math.cos(steer), math.sin(steer)
             front_angle = steer - math.atan2(vy + to_front * yaw_rate, vx)
             rear_angle = -math.atan2(vy - to_rear * yaw_rate, vx)
-            front_left = math.sqrt(_positive(1.0 - (front_force / front_grip) ** 2)) * front_grip
-            rear_left = math.sqrt(_positive(1.0 - (rear_force / rear_grip) ** 2)) * rear_grip
-            front_side = front_left * math.sin(m.tyre_c * math.atan(m.tyre_b * front_angle))
-            rear_side = rear_left * math.sin(m.tyre_c * math.atan(m.tyre_b * rear_angle))
+            front_side = self._side_n(front_force, front_grip, front_angle)
+            rear_side = self._side_n(rear_force, rear_grip, rear_angle)
             along = front_force * cos_steer - front_side * sin_steer + rear_force - resistance
             across = front_force * sin_steer + front_side * cos_steer + rear_side
             vx_rate = along / inertia + yaw_rate * vy
@@ -415,7 +379,7 @@ class Car:
         self._vx, self._vy, self._yaw_rate = vx_next, vy_next, yaw_rate_next
 
         if vx_next == 0.0:
-            self._vy = self._yaw_rate = self._front_slip = self._rear_slip = 0.0
+            self._vy = self._yaw_rate = front.slip_mps = rear.slip_mps = 0.0
             self._rpm = AT_REST
             if vx > 0.0:
                 self._stopped_ns = self.t_ns
@@ -425,21 +389,37 @@ class Car:
         cos_steer, sin_steer = math.cos(steer), math.sin(steer)
         sideways = (vy_next + to_front * yaw_rate_next) * sin_steer
         per_mps = RPM_PER_RADPS / radius
-        front_slip, rear_slip = self._front_slip, self._rear_slip
         self._rpm = (
-            _positive((vx_next - half) * cos_steer + sideways + front_slip) * per_mps,
-            _positive((vx_next + half) * cos_steer + sideways + front_slip) * per_mps,
-            _positive(vx_next - half + rear_slip) * per_mps,
-            _positive(vx_next + half + rear_slip) * per_mps,
+            _positive((vx_next - half) * cos_steer + sideways + front.slip_mps) * per_mps,
+            _positive((vx_next + half) * cos_steer + sideways + front.slip_mps) * per_mps,
+            _positive(vx_next - half + rear.slip_mps) * per_mps,
+            _positive(vx_next + half + rear.slip_mps) * per_mps,
         )
+
+    def _drive_and_brake_n(self, axle: _Axle) -> tuple[float, float]:
+        f = self.facts
+        brake_n = f.brake_full_mps2 * f.mass_kg * axle.brake_share * axle.brake_pct / 100.0
+        return axle.torque_nm * DRIVELINE_EFFICIENCY / f.rolling_radius_m, brake_n
+
+    def _grip(self, axle: _Axle, load_n: float, asked_n: float, vx: float, dt: float) -> tuple[float, float]:
+        """What the tyres carry along, and what they could at most; what is left over spins or locks the wheels."""
+        grip_n = FRICTION * load_n
+        force_n = _between(-grip_n, asked_n, grip_n)
+        axle.slip_mps = self._slip(axle.slip_mps, asked_n - force_n, force_n / load_n, vx, dt)
+        return force_n, grip_n
+
+    def _side_n(self, force_n: float, grip_n: float, angle_rad: float) -> float:
+        """An axle's lateral force by its slip angle, of what the longitudinal one leaves of the grip."""
+        left_n = math.sqrt(_positive(1.0 - (force_n / grip_n) ** 2)) * grip_n
+        return left_n * math.sin(TYRE_C * math.atan(TYRE_B * angle_rad))
 
     def _slip(self, slip_mps: float, excess_n: float, used: float, vx: float, dt: float) -> float:
         """How fast a driven or braked tyre's surface creeps over the road: a little always, a lot beyond its grip."""
-        m, f = self.model, self._facts
+        f = self.facts
         if excess_n != 0.0:
-            slip_mps += excess_n * f.rolling_radius_m**2 / m.axle_inertia_kgm2 * dt
+            slip_mps += excess_n * f.rolling_radius_m**2 / AXLE_INERTIA_KGM2 * dt
             return max(-vx, slip_mps)
-        creep = used / m.slip_stiffness * vx
+        creep = used / SLIP_STIFFNESS * vx
         share = dt / 0.02
         return slip_mps + (creep - slip_mps) * (share if share < 1.0 else 1.0)
 

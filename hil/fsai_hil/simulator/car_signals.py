@@ -20,11 +20,8 @@ class CarFeedback(Immutable):
     front_brake_pct: float = 0.0
     rear_brake_pct: float = 0.0
     speed_mps: float = 0.0
-    accel_xyz_mps2: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        GRAVITY_MPS2,
-    )  # as an accelerometer reads it: z holds gravity
+    # as an accelerometer reads it: z holds gravity
+    accel_xyz_mps2: tuple[float, float, float] = (0.0, 0.0, GRAVITY_MPS2)
     yaw_rate_radps: float = 0.0
     latitude_deg: float = 0.0
     longitude_deg: float = 0.0

@@ -1,7 +1,7 @@
 """Faults between the simulated car and the AI computer: frames that vanish, freeze, lie or come late.
 
 A fault looks at one frame and says what becomes of it: nothing, itself, something else, several, some of them later.
-New kinds are one class each, in force while their `Window` is open and for the frames they choose. Faults of switches,
+New kinds are one class each, in force while they are on a wire. Faults of switches,
 sensors and people are elsewhere (`switches.py`): these are the wire's.
 
 Pure: time is the frames' own, chance comes from a seed.
@@ -10,78 +10,51 @@ Pure: time is the frames' own, chance comes from a seed.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 
-FOREVER_NS: Final = 1 << 62
-EVERY_ID: Final[frozenset[int]] = frozenset()
 
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """When a fault is in force (from `from_ns`, before `until_ns`) and for which ids (none named: for all)."""
-
-    ids: frozenset[int] = EVERY_ID
-    from_ns: int = 0
-    until_ns: int = FOREVER_NS
-
-    def meets(self, frame: Frame) -> bool:
-        return self.from_ns <= frame.t_ns < self.until_ns and (not self.ids or frame.can_id in self.ids)
-
-
+@dataclass
 class FrameFault:
-    """One thing that goes wrong on the wire while its window is open."""
+    """One thing that goes wrong on the wire, for frames of these ids (none named: for all)."""
 
-    window: Window
+    ids: frozenset[int]
 
     def frames(self, frame: Frame) -> Iterable[Frame]:
         """What arrives instead of `frame`; frames with a later `t_ns` arrive then."""
-        return self.met(frame) if self.window.meets(frame) else (frame,)
+        return self.met(frame) if not self.ids or frame.can_id in self.ids else (frame,)
 
     def met(self, frame: Frame) -> Iterable[Frame]:
-        """The same, of a frame that the window meets."""
-        return (frame,)
+        """The same, of a frame that the fault is about."""
+        raise NotImplementedError
 
 
 @dataclass
 class Drop(FrameFault):
-    """Frames vanish: all of them, the first `count`, or each by chance."""
+    """Frames vanish: all of them, or each by chance."""
 
-    window: Window = field(default_factory=Window)
     probability: float = 1.0
-    count: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         self._chance = random.Random(self.seed)
-        self.dropped = 0
 
     def met(self, frame: Frame) -> Iterable[Frame]:
-        if self.count is not None and self.dropped >= self.count:
-            return (frame,)
-        if self.probability < 1.0 and self._chance.random() >= self.probability:
-            return (frame,)
-        self.dropped += 1
-        return ()
+        return () if self.probability >= 1.0 or self._chance.random() < self.probability else (frame,)
 
 
 @dataclass
 class Freeze(FrameFault):
-    """Frames go on, but with the payload that each id had when the window opened."""
-
-    window: Window = field(default_factory=Window)
+    """Frames go on, but with the payload that each id had first."""
 
     def __post_init__(self) -> None:
         self._frozen: dict[int, bytes] = {}
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        if not self.window.meets(frame):
-            self._frozen.pop(frame.can_id, None)
-            return (frame,)
+    def met(self, frame: Frame) -> Iterable[Frame]:
         return (replace(frame, data=self._frozen.setdefault(frame.can_id, frame.data)),)
 
 
@@ -89,34 +62,35 @@ class Freeze(FrameFault):
 class Delay(FrameFault):
     """Frames come later, by `delay_ns` and at most `jitter_ns` more; those of one id keep their order."""
 
-    window: Window = field(default_factory=Window)
     delay_ns: int = 0
     jitter_ns: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.delay_ns < 0 or self.jitter_ns < 0:
-            raise ValueError("a frame cannot come before it was sent")
         self._chance = random.Random(self.seed)
         self._latest_ns: dict[int, int] = {}
 
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        latest_ns = self._latest_ns.get(frame.can_id, 0)
-        arrival_ns = frame.t_ns
-        if self.window.meets(frame):
-            arrival_ns += self.delay_ns + (self._chance.randint(0, self.jitter_ns) if self.jitter_ns else 0)
-        elif arrival_ns >= latest_ns:
-            return (frame,)
-        arrival_ns = max(arrival_ns, latest_ns)
+    def met(self, frame: Frame) -> Iterable[Frame]:
+        late_ns = self.delay_ns + (self._chance.randint(0, self.jitter_ns) if self.jitter_ns else 0)
+        arrival_ns = max(frame.t_ns + late_ns, self._latest_ns.get(frame.can_id, 0))
         self._latest_ns[frame.can_id] = arrival_ns
         return (replace(frame, t_ns=arrival_ns),)
+
+
+@dataclass
+class Changed(FrameFault):
+    """Frames are what `change` makes of them."""
+
+    change: Callable[[Frame], Frame]
+
+    def met(self, frame: Frame) -> Iterable[Frame]:
+        return (self.change(frame),)
 
 
 @dataclass
 class FlipBits(FrameFault):
     """Bits of the payload are flipped; a mask shorter than the payload leaves the rest alone."""
 
-    window: Window = field(default_factory=Window)
     mask: bytes = b"\x01"
 
     def met(self, frame: Frame) -> Iterable[Frame]:
@@ -128,7 +102,6 @@ class FlipBits(FrameFault):
 class WrongLength(FrameFault):
     """The payload is cut or padded with zeros to `length` bytes."""
 
-    window: Window = field(default_factory=Window)
     length: int = 0
 
     def met(self, frame: Frame) -> Iterable[Frame]:
@@ -139,7 +112,6 @@ class WrongLength(FrameFault):
 class Overwrite(FrameFault):
     """Bytes of the payload from `at` on are replaced by `data`; what lies beyond the payload's end is left out."""
 
-    window: Window = field(default_factory=Window)
     at: int = 0
     data: bytes = b""
 
@@ -153,8 +125,7 @@ class WrongValues(FrameFault):
     """Fields of a message say something else: `values` by the field names of its image."""
 
     codec: Codec
-    window: Window = field(default_factory=Window)
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any]
 
     def met(self, frame: Frame) -> Iterable[Frame]:
         image = self.codec.decode(frame).image
@@ -168,7 +139,6 @@ class WrongValues(FrameFault):
 class Repeat(FrameFault):
     """Each frame arrives `times` times in all."""
 
-    window: Window = field(default_factory=Window)
     times: int = 2
 
     def met(self, frame: Frame) -> Iterable[Frame]:
@@ -189,14 +159,11 @@ class FaultyWire:
         """Take a fault away; what it has delayed still arrives."""
         self._faults.remove(fault)
 
-    @property
-    def sound(self) -> bool:
-        """Nothing is wrong and nothing is under way: frames may pass by unchanged."""
-        return not self._faults and not self._waiting
-
     def through(self, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
         """What arrives up to `now_ns`, in the order of time, when `frames` are sent."""
         under_way = list(frames)
+        if not self._faults and not self._waiting:
+            return under_way
         for fault in self._faults:
             under_way = [out for frame in under_way for out in fault.frames(frame)]
         under_way = self._waiting + under_way

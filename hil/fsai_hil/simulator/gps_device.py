@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from typing import Final
+from typing import Final, get_args
 
 from fsai_hil.simulator.car_signals import CarFeedback, limited
+from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.messages import (
     Acceleration,
     DeviceClock,
@@ -26,7 +27,6 @@ from fsai_vcu.interface.messages import (
     GpsStatus,
     LogDynamics2,
     MagneticField,
-    RotationA,
     RotationB,
 )
 from fsai_vcu.interface.units import KMH_PER_MPS, MS, STANDARD_GRAVITY_MPS2, S
@@ -46,7 +46,7 @@ ALTITUDE_M: Final = 143.0
 # Earth's field in the middle of England, north and down
 FIELD_NORTH_UT: Final = 19.2
 FIELD_DOWN_UT: Final = 44.8
-DEFAULT_UTC: Final = datetime(2026, 7, 15, 9, 0, 0, tzinfo=UTC)
+UTC_AT_0: Final = datetime(2026, 7, 15, 9, 0, 0, tzinfo=UTC)
 
 
 def degrees_and_minutes(angle_deg: float, positive: str, negative: str) -> tuple[int, float, int]:
@@ -63,9 +63,8 @@ class PcanGps:
     same object until they have something new; the inertial messages are new each time and carry `now_ns`.
     """
 
-    def __init__(self, now_ns: int, utc: datetime = DEFAULT_UTC) -> None:
+    def __init__(self, now_ns: int) -> None:
         self._powered_ns = now_ns
-        self._utc = utc  # at time 0
         self._solved_ns: int | None = None
         self._slow: dict[type[GpsImage], GpsImage] = {}
 
@@ -81,29 +80,19 @@ class PcanGps:
     def _solve(self, now_ns: int, car: CarFeedback) -> dict[type[GpsImage], GpsImage]:
         """Everything that changes ten times a second at most."""
         heading = math.radians(car.course_deg)
-        utc = self._utc + timedelta(microseconds=now_ns // 1000)
-        always: tuple[GpsImage, ...] = (
-            RotationA(),  # a flat track and a stiff car: neither rolls nor pitches
+        utc = UTC_AT_0 + timedelta(microseconds=now_ns // 1000)
+        solved: list[GpsImage] = [
             MagneticField(FIELD_NORTH_UT * math.cos(heading), FIELD_NORTH_UT * math.sin(heading), -FIELD_DOWN_UT),
             GpsDateTime(utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
             DeviceIo(gps_power=True),
             DeviceClock(utc.second, utc.minute, utc.hour, utc.weekday(), utc.day, utc.month, utc.year),
-        )
-        located: tuple[GpsImage, ...]
+        ]
         if now_ns - self._powered_ns < FIRST_FIX_NS:
-            located = (
-                GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE),
-                GpsCourseSpeed(),
-                GpsLongitude(),
-                GpsLatitude(),
-                GpsAltitude(),
-                GpsDilutionA(99.9, 99.9),
-                GpsDilutionB(99.9),
-            )
+            solved += [GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE), GpsDilutionA(99.9, 99.9), GpsDilutionB(99.9)]
         else:
             east_deg, east_min, east = degrees_and_minutes(car.longitude_deg, "E", "W")
             north_deg, north_min, north = degrees_and_minutes(car.latitude_deg, "N", "S")
-            located = (
+            solved += [
                 GpsStatus(ANTENNA_OK, 11, NAVIGATION_3D),
                 GpsCourseSpeed(car.course_deg % 360.0, car.speed_mps * KMH_PER_MPS),
                 GpsLongitude(east_min, east_deg, east),
@@ -111,8 +100,9 @@ class PcanGps:
                 GpsAltitude(ALTITUDE_M),
                 GpsDilutionA(1.4, 0.8),
                 GpsDilutionB(1.1),
-            )
-        return {type(image): image for image in (*always, *located)}
+            ]
+        # Without a fix there is no position; and a flat track and a stiff car neither roll nor pitch.
+        return {kind: kind() for kind in GPS_IMAGES} | {type(image): image for image in solved}
 
 
 def _acceleration(now_ns: int, car: CarFeedback) -> GpsImage:
@@ -149,20 +139,6 @@ _INERTIAL: Final[dict[type[GpsImage], Callable[[int, CarFeedback], GpsImage]]] =
     LogDynamics2: _dynamics,
 }
 
-GPS_IMAGES: Final[tuple[type[GpsImage], ...]] = (
-    LogDynamics2,
-    Acceleration,
-    RotationA,
-    RotationB,
-    GpsStatus,
-    GpsCourseSpeed,
-    GpsLongitude,
-    GpsLatitude,
-    GpsAltitude,
-    GpsDilutionA,
-    GpsDilutionB,
-    GpsDateTime,
-    MagneticField,
-    DeviceIo,
-    DeviceClock,
+GPS_IMAGES: Final[tuple[type[GpsImage], ...]] = tuple(
+    sorted(get_args(GpsImage), key=lambda kind: BY_NAME[kind.dbc_name].can_id)
 )

@@ -68,10 +68,11 @@ def unpack(datagram: bytes) -> Truth:
 
 
 class _Socket:
-    """A datagram socket at this machine's loopback address. Raises OSError if the port is taken."""
+    """A datagram socket at this machine's loopback address that never blocks. Raises OSError if the port is taken."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
         try:
             self._socket.bind((HOST, port))
         except OSError:
@@ -93,7 +94,6 @@ class TruthSender(_Socket):
 
     def __init__(self, port: int = DEFAULT_PORT) -> None:
         super().__init__(0)  # bound: else an answer would be taken from any network
-        self._socket.setblocking(False)
         self._address = (HOST, port)
 
     def send(self, truth: Truth) -> None:
@@ -103,38 +103,18 @@ class TruthSender(_Socket):
 
 
 class TruthReceiver(_Socket):
-    """Receives the truth. `latest` never blocks; `wait` does, for a while. Raises OSError if the port is taken."""
+    """Receives the truth."""
 
     def __init__(self, port: int = DEFAULT_PORT) -> None:
         super().__init__(port)
         self.port: int = self._socket.getsockname()[1]
-        self.malformed = 0
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
 
     def latest(self) -> Truth | None:
-        """The newest truth that has arrived since the last call; older ones are skipped."""
-        self._socket.setblocking(False)
+        """The newest truth that has arrived since the last call; older and malformed ones are skipped."""
         newest: Truth | None = None
-        while True:
-            try:
+        with contextlib.suppress(BlockingIOError):
+            while True:
                 datagram = self._socket.recv(MOST_BYTES)
-            except BlockingIOError:
-                return newest
-            newest = self._unpacked(datagram) or newest
-
-    def wait(self, timeout_s: float) -> Truth | None:
-        """The next truth, or None after `timeout_s` or a malformed datagram."""
-        self._socket.settimeout(timeout_s)
-        try:
-            return self._unpacked(self._socket.recv(MOST_BYTES))
-        except TimeoutError:
-            return None
-
-    def _unpacked(self, datagram: bytes) -> Truth | None:
-        try:
-            return unpack(datagram)
-        except ValueError:
-            self.malformed += 1
-            return None
+                with contextlib.suppress(ValueError):
+                    newest = unpack(datagram)
+        return newest

@@ -14,18 +14,17 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
+import numpy as np
+
 from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.tracks import (
     ACCELERATION_STOP_M,
     CIRCUIT_STOP_M,
-    CONE_RADIUS_M,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
-    TimingLine,
     Track,
     TrackKind,
 )
-from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.immutable import Immutable
@@ -47,15 +46,6 @@ DEMO_ACCELERATE_M: Final = 10.0
 DEMO_STOP_M: Final = 10.0
 DEMO_SWEEP_DEG: Final = 10.0
 LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is not racing
-
-
-@dataclass(frozen=True, slots=True)
-class JudgeSettings(Immutable):
-    """What may be asked of a judge beside the rules."""
-
-    laps: int | None = None  # of a trackdrive; None: ten
-    start_timeout_s: float | None = 120.0  # until AS_DRIVING; None waits for ever
-    drive_timeout_s: float | None = None  # in AS_DRIVING; None: the mission's own
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +98,7 @@ class JudgeVerdict(Immutable):
 class _Crossing:
     """Notices when a point crosses a line forward, and when exactly."""
 
-    def __init__(self, line: TimingLine | None) -> None:
+    def __init__(self, line: Pose | None) -> None:
         assert line is not None  # check_track has looked
         self.line = line
         self._ahead_m: float | None = None
@@ -116,10 +106,10 @@ class _Crossing:
 
     def watch(self, t_ns: int, x_m: float, y_m: float) -> float | None:
         """The time of the crossing in ns, between the last look and this one."""
-        ahead, before = self.line.ahead_of(x_m, y_m), self._ahead_m
+        (ahead, left), before = self.line.seen(x_m, y_m), self._ahead_m
         earlier = self._t_ns
         self._ahead_m, self._t_ns = ahead, t_ns
-        if before is None or before >= 0.0 or ahead < 0.0 or abs(self.line.beside(x_m, y_m)) > LINE_HALF_WIDTH_M:
+        if before is None or before >= 0.0 or ahead < 0.0 or abs(left) > LINE_HALF_WIDTH_M:
             return None
         return earlier + (t_ns - earlier) * before / (before - ahead)
 
@@ -148,51 +138,34 @@ class _Route:
     def follow(self, x: float, y: float) -> None:
         points = self._line.points
         count = len(points)
+
+        def apart2(index: int) -> float:
+            px, py = points[index % count]
+            return (px - x) * (px - x) + (py - y) * (py - y)
+
         if self._index is None or (self._closed and abs(self.lateral_m) > self.LOST_M):
             # found anew: no progress is credited for the way here. An open route is entered at its first pass
-            self._index = min(range(count), key=lambda i: (points[i][0] - x) ** 2 + (points[i][1] - y) ** 2)
+            self._index = min(range(count), key=apart2)
         first = self._index
-        best, best_d2 = first, math.inf
-        for offset in range(-self.BACK, self.ON + 1):
-            i = first + offset
-            if self._closed:
-                i %= count
-            elif not 0 <= i < count:
-                continue
-            px, py = points[i]
-            d2 = (px - x) * (px - x) + (py - y) * (py - y)
-            if d2 < best_d2:
-                best, best_d2, moved = i, d2, offset
-        self._index = best
-        self.progress_m += moved * self.step_m
+        low, high = first - self.BACK, first + self.ON
+        if not self._closed:
+            low, high = max(0, low), min(count - 1, high)
+        nearest = min(range(low, high + 1), key=apart2)
+        self.progress_m += (nearest - first) * self.step_m
+        self._index = best = nearest % count
         ax, ay = points[(best - 1) % count if self._closed else max(0, best - 1)]
         bx, by = points[(best + 1) % count if self._closed else min(count - 1, best + 1)]
         length = math.hypot(bx - ax, by - ay)
         px, py = points[best]
-        self.lateral_m = ((bx - ax) * (y - py) - (by - ay) * (x - px)) / length if length else math.sqrt(best_d2)
-
-
-@dataclass(frozen=True, slots=True)
-class _ConeGrid(Immutable):
-    """Cones by the square in which they stand: number, x, y and radius of each."""
-
-    cells: Mapping[tuple[int, int], tuple[tuple[int, float, float, float], ...]]
+        self.lateral_m = ((bx - ax) * (y - py) - (by - ay) * (x - px)) / length if length else math.sqrt(apart2(best))
 
 
 class _Surroundings:
     """Cones and borders around the car."""
 
-    CELL_M = 2.5
-
     def __init__(self, track: Track, car: VehicleParameters) -> None:
         self._track = track
         self._car = car
-        cells: dict[tuple[int, int], list[tuple[int, float, float, float]]] = {}
-        for i, ((x, y), color) in enumerate(zip(track.cones_xy_m, track.cone_colors, strict=True)):
-            cell = (math.floor(x / self.CELL_M), math.floor(y / self.CELL_M))
-            radius = CONE_RADIUS_M[ConeColor(int(color))]
-            cells.setdefault(cell, []).append((i, float(x), float(y), radius))
-        self._grid = _ConeGrid({cell: tuple(cones) for cell, cones in cells.items()})
         self.hit: set[int] = set()
         self.off_course = 0
         self._off = False
@@ -202,18 +175,12 @@ class _Surroundings:
         self._borders(pose, lateral_m)
 
     def _cones(self, pose: Pose) -> None:
-        car = self._car
-        middle = car.nose_ahead_of_rear_axle_m - car.length_m / 2.0
-        x, y = pose.ahead(middle)
-        column, row = math.floor(x / self.CELL_M), math.floor(y / self.CELL_M)
-        forward, left = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        for i in (column - 1, column, column + 1):
-            for j in (row - 1, row, row + 1):
-                for cone, cx, cy, radius in self._grid.cells.get((i, j), ()):
-                    along = abs((cx - x) * forward + (cy - y) * left) - car.length_m / 2.0
-                    across = abs((cy - y) * forward - (cx - x) * left) - car.width_m / 2.0
-                    if math.hypot(max(0.0, along), max(0.0, across)) < radius:
-                        self.hit.add(cone)
+        track, car = self._track, self._car
+        middle = Pose(*pose.ahead(car.nose_ahead_of_rear_axle_m - car.length_m / 2.0), pose.yaw_rad)
+        ahead, left = middle.seen(*track.cones_xy_m.T)
+        along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
+        apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
+        self.hit.update(np.flatnonzero(apart_m < track.cone_radii_m).tolist())
 
     def _borders(self, pose: Pose, lateral_m: float | None) -> None:
         track, car = self._track, self._car
@@ -238,8 +205,7 @@ class _Referee:
     """Watches what one mission asks for: in AS_DRIVING, and after it until the car stands."""
 
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
-        self.car = car
-        self.wanted = laps
+        self.track, self.car, self.wanted = track, car, laps
         self.lap_times_s: list[float] = []
         self.stop_distance_m: float | None = None  # beyond the finish line, once it has been crossed
 
@@ -260,47 +226,52 @@ class _Referee:
         return [f"stopped {distance_m:.1f} m after the finish line, allowed are {most_m:g} m"]
 
 
-class _AccelerationReferee(_Referee):
+class _TimedReferee(_Referee):
+    """Of a mission that is timed from a line on."""
+
+    _crossed_ns: float | None = None  # the start line, for the lap in hand
+    _crossed_at_m = 0.0
+
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
         super().__init__(track, car, laps)
-        self._start = _Crossing(track.start_line)
-        self._finish = _Crossing(track.finish_line)
-        self._started_ns: float | None = None
+        self._start, self._finish = _Crossing(track.start_line), _Crossing(track.finish_line)
 
+    def _cross(self, crossed_ns: float, at_m: float) -> None:
+        """A lap ends, if one was in hand, and the next begins."""
+        if self._crossed_ns is not None:
+            self.lap_times_s.append((crossed_ns - self._crossed_ns) / S)
+        self._crossed_ns, self._crossed_at_m = crossed_ns, at_m
+
+
+class _AccelerationReferee(_TimedReferee):
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
-        started = self._start.watch(truth.t_ns, *nose)
-        if started is not None and self._started_ns is None:
-            self._started_ns = started
-        finished = self._finish.watch(truth.t_ns, *nose)
-        if finished is not None and self._started_ns is not None and not self.laps:
-            self.lap_times_s.append((finished - self._started_ns) / S)
+        started, finished = self._start.watch(truth.t_ns, *nose), self._finish.watch(truth.t_ns, *nose)
+        if self._crossed_ns is None:
+            self._crossed_ns = started
+        if finished is not None and self._crossed_ns is not None and not self.laps:
+            self.lap_times_s.append((finished - self._crossed_ns) / S)
         if self.laps:
-            self.stop_distance_m = self._finish.line.ahead_of(*nose)
+            self.stop_distance_m = self._finish.line.seen(*nose)[0]
 
     def complaints(self) -> list[str]:
-        if self._started_ns is None:
+        if self._crossed_ns is None:
             return ["the start line was never crossed"]
         if self.stop_distance_m is None:
             return ["the finish line was never crossed"]
         return self._stopped_late(ACCELERATION_STOP_M)
 
 
-class _SkidpadReferee(_Referee):
+class _SkidpadReferee(_TimedReferee):
     """Counts the turns round both centres between one crossing of the timing line and the next."""
 
     ORDER = ("right", "right", "left", "left")
 
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
         super().__init__(track, car, laps)
-        self._crossing = _Crossing(track.start_line)
-        line = self._crossing.line
-        across = Pose(line.x_m, line.y_m, line.heading_rad)
-        half = SKIDPAD_CENTRES_APART_M / 2.0
-        self._centres = {"left": across.ahead(0.0, half), "right": across.ahead(0.0, -half)}
+        line, half = self._start.line, SKIDPAD_CENTRES_APART_M / 2.0
+        self._centres = {"left": line.ahead(0.0, half), "right": line.ahead(0.0, -half)}
         self._turned = {"left": 0.0, "right": 0.0}  # rad, counter-clockwise, since the last crossing
         self._angles: dict[str, float] = {}
-        self._crossed_ns: float | None = None
-        self._crossed_at_m = 0.0
         self.sequence: list[str] = []
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
@@ -309,16 +280,14 @@ class _SkidpadReferee(_Referee):
             before = self._angles.get(side, angle)
             self._turned[side] += math.remainder(angle - before, 2.0 * math.pi)
             self._angles[side] = angle
-        crossed = self._crossing.watch(truth.t_ns, *nose)
+        crossed = self._start.watch(truth.t_ns, *nose)
         if crossed is not None and (self._crossed_ns is None or truth.distance_m - self._crossed_at_m > 20.0):
             if self._crossed_ns is not None:
                 self.sequence.append(self._side())
-                self.lap_times_s.append((crossed - self._crossed_ns) / S)
-            self._crossed_ns = crossed
-            self._crossed_at_m = truth.distance_m
+            self._cross(crossed, truth.distance_m)
             self._turned = {"left": 0.0, "right": 0.0}
         if len(self.sequence) >= len(self.ORDER):
-            self.stop_distance_m = self._crossing.line.ahead_of(*nose)
+            self.stop_distance_m = self._start.line.seen(*nose)[0]
 
     def _side(self) -> str:
         nearly = 0.9 * 2.0 * math.pi
@@ -336,28 +305,22 @@ class _SkidpadReferee(_Referee):
         return self._stopped_late(SKIDPAD_STOP_M)
 
 
-class _CircuitReferee(_Referee):
+class _CircuitReferee(_TimedReferee):
     """Laps: a crossing of the line counts when the track before it was really driven."""
 
     SHARE_OF_LAP = 0.85
     LEAST_LAP_M = 30.0  # where no centreline is known
 
-    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
-        super().__init__(track, car, laps)
-        self._crossing = _Crossing(track.start_line)
-        self._lap_m = track.length_m * self.SHARE_OF_LAP if track.closed else self.LEAST_LAP_M
-        self._crossed_ns: float | None = None
-        self._crossed_at_m = 0.0
-        self._finished_at_m = 0.0
+    _finished_at_m = 0.0
+
+    def _is_lap(self, driven_m: float) -> bool:
+        return driven_m > (self.track.length_m * self.SHARE_OF_LAP if self.track.closed else self.LEAST_LAP_M)
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         at_m = route.progress_m if route is not None else truth.distance_m
-        crossed = self._crossing.watch(truth.t_ns, *nose)
-        if crossed is not None and self._crossed_ns is None:
-            self._crossed_ns, self._crossed_at_m = crossed, at_m
-        elif crossed is not None and self._crossed_ns is not None and at_m - self._crossed_at_m > self._lap_m:
-            self.lap_times_s.append((crossed - self._crossed_ns) / S)
-            self._crossed_ns, self._crossed_at_m = crossed, at_m
+        crossed = self._start.watch(truth.t_ns, *nose)
+        if crossed is not None and (self._crossed_ns is None or self._is_lap(at_m - self._crossed_at_m)):
+            self._cross(crossed, at_m)
             if self.laps == self.wanted:
                 self._finished_at_m = truth.distance_m
         if self.laps >= self.wanted:
@@ -536,23 +499,25 @@ class Judge:
         track: Track,
         mission: Ami,
         car: VehicleParameters,
-        settings: JudgeSettings | None = None,
+        laps: int | None = None,
+        start_timeout_s: float | None = 120.0,
         now_ns: int = 0,
         epoch_ns: int = 0,
     ) -> None:
-        """`epoch_ns` is the instant from which the verdict counts its times."""
+        """`laps`: of a trackdrive, ten where None. `start_timeout_s`: until AS_DRIVING, None waits for ever.
+
+        `epoch_ns` is the instant from which the verdict counts its times.
+        """
         problem = check_track(track, mission)
         if problem is not None:
             raise ValueError(problem)
         self.mission = mission
-        self._settings = settings if settings is not None else JudgeSettings()
+        self._start_timeout_s = start_timeout_s
         self._car = car
         self._epoch_ns = epoch_ns
         self._begin_ns = now_ns
         self._criteria = _CRITERIA[mission]
-        self.laps_wanted = self._criteria.laps
-        if mission is Ami.TRACKDRIVE and self._settings.laps is not None:
-            self.laps_wanted = self._settings.laps
+        self.laps_wanted = laps if mission is Ami.TRACKDRIVE and laps is not None else self._criteria.laps
         self._referee = self._criteria.referee(track, car, self.laps_wanted)
         self._route = _Route(track) if track.centreline_m is not None else None
         self._surroundings = _Surroundings(track, car)
@@ -636,15 +601,14 @@ class Judge:
 
     def _watch_end(self, truth: CarTruth, state: AsState) -> None:
         now = truth.t_ns
-        s = self._settings
         if self._driving_ns is None:
             if state is AsState.EMERGENCY_BRAKE:
                 self._end("EMERGENCY_BRAKE before the run began")
-            elif s.start_timeout_s is not None and now - self._begin_ns > s.start_timeout_s * S:
-                self._end(f"did not start: no AS_DRIVING within {s.start_timeout_s:g} s")
+            elif self._start_timeout_s is not None and now - self._begin_ns > self._start_timeout_s * S:
+                self._end(f"did not start: no AS_DRIVING within {self._start_timeout_s:g} s")
             return
         if state is AsState.AS_DRIVING:
-            most_s = s.drive_timeout_s or self._criteria.timeout_s or LAP_TIMEOUT_S * self.laps_wanted
+            most_s = self._criteria.timeout_s or LAP_TIMEOUT_S * self.laps_wanted
             if now - self._driving_ns > most_s * S:
                 self._end(f"did not finish: still in AS_DRIVING after {most_s:g} s")
             return

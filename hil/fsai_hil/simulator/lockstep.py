@@ -75,7 +75,6 @@ class Lockstep:
         *,
         limits: OperationalLimits | None = None,
         controller: ControllerSettings | None = None,
-        config: BridgeConfig | None = None,
         on_frame: Callable[[Frame], None] | None = None,
     ) -> None:
         """`on_frame` sees every frame of the bus, in order (a log).
@@ -85,7 +84,7 @@ class Lockstep:
         self.world = World(setup)
         chosen = revision(setup.revision)
         car = CARS[setup.revision]
-        config = config or BridgeConfig()
+        config = BridgeConfig()
         if setup.profile == "official-simulator":
             car = CARS["official-simulator"].with_steer_limit(chosen.steer_limit_deg)
             config = official_simulator(config)
@@ -154,7 +153,7 @@ class Lockstep:
         self.computer.start_controller(Controller(self._car, self._settings, self._missions))
 
     def intrude(self, frame: Frame) -> None:
-        """Somebody else's frame is on the bus: everybody hears it."""
+        """Somebody else's frame is on the bus: everybody receives it."""
         if self.on_frame is not None:
             self.on_frame(frame)
         self.computer.on_frame(frame)

@@ -1,4 +1,4 @@
-"""The person beside the car: walks the switches, chooses missions, gives Go, and presses what a scenario asks for.
+"""The person beside the car: walks the switches, chooses missions, gives Go.
 
 Pure: driven by the time and by what the car shows (ASSI, siren, display), like a person; it never looks at the state
 machine behind them. A person's work is a script: what to wait for, one thing after another, and what to do when it has
@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
-from fsai_hil.simulator.indicators import Assi, Indicators, Siren
 from fsai_hil.simulator.power import POWER_UP, PowerUp
-from fsai_hil.simulator.switches import SWITCH_NAMES, Switches
+from fsai_hil.simulator.switches import Assi, Switches
+from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.units import MS, S
@@ -31,87 +30,37 @@ READY_FOR_GO: Final = frozenset({Assi.YELLOW_AND_BLUE, Assi.BLUE_FLASHING})
 ENDED: Final = frozenset({Assi.BLUE, Assi.BLUE_FLASHING, Assi.OFF})
 
 
-class CarShows(Protocol):
-    """What a person beside the car sees, and what a person's hands reach."""
-
-    switches: Switches
-
-    @property
-    def indicators(self) -> Indicators: ...
-
-    @property
-    def mission_selectable(self) -> bool: ...
-
-    @property
-    def shut_down(self) -> bool: ...
-
-
 @dataclass(frozen=True, slots=True)
 class Await(Immutable):
     """What a script waits for: until `seen`, then `delay_ns` more. Out of patience it goes on unseen instead."""
 
     what: str
-    seen: Callable[[CarShows], bool] = lambda car: True
+    seen: Callable[[SimulatedVcu], bool] = lambda car: True
     delay_ns: int = HAND_NS
     patience_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Do(Immutable):
-    """What the hands do, and what that adds to the script right here. Told whether the last thing awaited was seen."""
-
-    act: Callable[[Switches, bool], Script]
-
-
+# What the hands do, given whether the last thing awaited was seen, and what that adds to the script right here
+Do = Callable[[Switches, bool], "Script"]
 Script = Sequence[Await | Do]
 
 
-class Moment(Enum):
-    """From when an event counts its time: the first look, or the first time that the ASSI shows a state."""
-
-    START = frozenset(Assi)
-    READY = READY
-    DRIVING = frozenset({Assi.YELLOW_FLASHING})
-    EMERGENCY = frozenset({Assi.BLUE_FLASHING})
-    FINISHED = frozenset({Assi.BLUE})
-
-
-@dataclass(frozen=True, slots=True)
-class At(Immutable):
-    """Something that happens whatever the script is about: `after_ns` after a moment, `switch` becomes `value`.
-
-    Raises ValueError for a switch that the car does not have.
-    """
-
-    after_ns: int
-    switch: str
-    value: Any = True
-    since: Moment = Moment.START
-
-    def __post_init__(self) -> None:
-        if self.switch not in SWITCH_NAMES:
-            raise ValueError(f"the car has no switch {self.switch!r}: choose one of {', '.join(SWITCH_NAMES)}")
-
-
 class Operator:
-    """Follows a script, and does beside it what is due `at` a moment.
+    """Follows a script.
 
     Call `act` about once a millisecond of virtual time; it moves `car.switches`. `doing` says in words what is being
-    waited for, `done` that the script has ended, `log` what was done and when.
+    waited for, `done` that the script has ended.
     """
 
-    def __init__(self, script: Script = (), at: Iterable[At] = ()) -> None:
+    def __init__(self, script: Script = ()) -> None:
         self._ahead = tuple(script)  # of the script
         self._await_since_ns: int | None = None  # None: it has not begun
         self._seen_ns: int | None = None
-        self._at = list(at)
-        self._moments_ns: dict[Moment, int] = {}
-        self.log: list[tuple[int, str]] = []
 
     @classmethod
-    def auto(cls, revision: str, missions: Sequence[Ami], at: Iterable[At] = ()) -> Operator:
+    def auto(cls, revision: str, missions: Sequence[Ami]) -> Operator:
         """One who has these missions driven one after another, from a car that is off to a car that is off."""
-        return cls(drive_missions(POWER_UP[revision], missions), at)
+        return cls(drive_missions(POWER_UP[revision], missions))
 
     @property
     def done(self) -> bool:
@@ -124,10 +73,8 @@ class Operator:
                 return step.what
         return "nothing left to do"
 
-    def act(self, now_ns: int, car: CarShows) -> None:
+    def act(self, now_ns: int, car: SimulatedVcu) -> None:
         """Look at the car at `now_ns` and move what is to be moved."""
-        if self._at:
-            self._events(now_ns, car)
         if self._await_since_ns is None:
             self._go_on(now_ns, car.switches, True)
         if not self._ahead:
@@ -137,44 +84,26 @@ class Operator:
         if self._seen_ns is None and awaited.seen(car):
             self._seen_ns = now_ns
         if self._seen_ns is not None:
-            if now_ns - self._seen_ns >= awaited.delay_ns:
-                self.log.append((now_ns, awaited.what))
-                self._ahead = self._ahead[1:]
-                self._go_on(now_ns, car.switches, True)
-        elif awaited.patience_ns is not None and now_ns - self._await_since_ns >= awaited.patience_ns:
-            self.log.append((now_ns, f"no longer waiting: {awaited.what}"))
-            self._ahead = self._ahead[1:]
-            self._go_on(now_ns, car.switches, False)
+            if now_ns - self._seen_ns < awaited.delay_ns:
+                return
+        elif awaited.patience_ns is None or now_ns - self._await_since_ns < awaited.patience_ns:
+            return
+        self._ahead = self._ahead[1:]
+        self._go_on(now_ns, car.switches, self._seen_ns is not None)
 
     def _go_on(self, now_ns: int, switches: Switches, seen: bool) -> None:
         """Do what is to be done before the next thing to wait for."""
-        while self._ahead and isinstance(step := self._ahead[0], Do):
-            self._ahead = (*step.act(switches, seen), *self._ahead[1:])
+        while self._ahead and not isinstance(step := self._ahead[0], Await):
+            self._ahead = (*step(switches, seen), *self._ahead[1:])
         self._await_since_ns = now_ns
         self._seen_ns = None
-
-    def _events(self, now_ns: int, car: CarShows) -> None:
-        assi = car.indicators.assi
-        for moment in Moment:
-            if assi in moment.value:
-                self._moments_ns.setdefault(moment, now_ns)
-        waiting = []
-        for event in self._at:
-            since_ns = self._moments_ns.get(event.since)
-            if since_ns is None or now_ns - since_ns < event.after_ns:
-                waiting.append(event)
-                continue
-            setattr(car.switches, event.switch, event.value)
-            value = event.value.name if isinstance(event.value, Enum) else event.value
-            self.log.append((now_ns, f"{event.switch} is {value}"))
-        self._at = waiting
 
 
 # ---------------------------------------------------------------- scripts
 
 
-def _emergency(car: CarShows) -> bool:
-    return car.indicators.assi is Assi.BLUE_FLASHING
+def _emergency(car: SimulatedVcu) -> bool:
+    return car.assi is Assi.BLUE_FLASHING
 
 
 def drive_missions(power_up: PowerUp, missions: Sequence[Ami]) -> Script:
@@ -183,21 +112,21 @@ def drive_missions(power_up: PowerUp, missions: Sequence[Ami]) -> Script:
     for number, mission in enumerate(missions, start=1):
         last = number == len(missions)
         if number > 1:
-            script.append(Do(partial(_power_on_again, power_up)))
+            script.append(partial(_power_on_again, power_up))
         script += (
             Await("waiting until the display offers the missions", lambda car: car.mission_selectable, REACTION_NS),
             _put("ami", mission),
-            Do(_asms_on_again),  # the mission before may have ended with it
+            _asms_on_again,  # the mission before may have ended with it
             Await(
                 "waiting for yellow and blue: 5 s in AS_READY",
-                lambda car: car.indicators.assi in READY_FOR_GO,
+                lambda car: car.assi in READY_FOR_GO,
                 REACTION_NS,
             ),
             Await("looking whether the car is still ready", _emergency, 0, patience_ns=0),
-            Do(_go_unless_emergency),
-            Await("waiting for the end of the mission", lambda car: car.indicators.assi in ENDED, 0),
+            _go_unless_emergency,
+            Await("waiting for the end of the mission", lambda car: car.assi in ENDED, 0),
             Await("looking how it ended", _emergency, 0, patience_ns=0),
-            Do(partial(_let_it_end, power_up, last)),
+            partial(_let_it_end, power_up, last),
         )
     return script
 
@@ -231,8 +160,8 @@ def give_go() -> Script:
     """Go; off and on again as long as the car stays ready and does not start."""
     return (
         _put("go", True),
-        Await("giving Go", lambda car: car.indicators.assi not in READY, delay_ns=0, patience_ns=GO_PATIENCE_NS),
-        Do(_again_unless_started),
+        Await("giving Go", lambda car: car.assi not in READY, delay_ns=0, patience_ns=GO_PATIENCE_NS),
+        _again_unless_started,
     )
 
 
@@ -240,7 +169,7 @@ def give_go() -> Script:
 
 
 def _put(switch: str, value: Any) -> Do:
-    return Do(partial(_put_now, switch, value))
+    return partial(_put_now, switch, value)
 
 
 def _turn(switch: str, on: bool) -> Script:
@@ -274,7 +203,7 @@ def _let_it_end(power_up: PowerUp, last: bool, switches: Switches, emergency: bo
     everything = emergency or last  # after an emergency only a power cycle leads on
     off = power_down(("asms", "tsms", "lvms") if everything else power_up.switches_off)
     return (
-        Await("waiting until the siren falls silent", lambda car: car.indicators.siren is Siren.OFF)
+        Await("waiting until the siren falls silent", lambda car: not car.siren)
         if emergency
         else Await("letting the car stand", delay_ns=FINISHED_NS),
         _put("go", False),

@@ -11,33 +11,28 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Final
 
-from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, OpState, TsState
+from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, TsState
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.units import MS
 
 
 class SystemState(IntEnum):
-    """SM_SYS of 0x120 (2021)."""
+    """SM_SYS of 0x120 (2021), as far as this car goes through it."""
 
     INITIAL_ACTIONS = 0
     POWER_ON_SELF_TEST = 1
     AUX = 2
     POWERTRAIN_ENABLE = 3
     DRIVE_AUTONOMOUS = 4
-    DRIVE_MANUAL = 5
-    CHARGE = 6
     SHUTDOWN = 7
     SHUTDOWN_OFF = 8
-    PUSHBAR_MODE = 9
 
 
 class SystemAction(IntEnum):
-    """SYS_ACTION_STATE of 0x120 (2021)."""
+    """SYS_ACTION_STATE of 0x120 (2021), as far as this car needs it."""
 
     INITIALISE = 0
-    CHARGE = 1
     DRIVE_AUTO = 2
-    DRIVE_MAN = 3
     SHUTDOWN = 4
 
 
@@ -179,10 +174,3 @@ class EmergencyBrakeSystem:
 _EBS_STATUS: Final[Mapping[EbsState, EbsStatus]] = MappingProxyType(
     {EbsState.EBS_ARMED: EbsStatus.ARMED, EbsState.EBS_TRIGGERED: EbsStatus.TRIGGERED}
 )
-
-
-def op_state(booting: bool, critical_fault: bool) -> OpState:
-    """OP_STATE of 0x520 (2026): this car only ever drives autonomously."""
-    if booting:
-        return OpState.OP_INIT
-    return OpState.OP_FAULT if critical_fault else OpState.OP_AUTO

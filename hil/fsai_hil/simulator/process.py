@@ -285,12 +285,12 @@ class VcuProcess:
     def describe(self) -> str:
         """The car in one line."""
         world = self.world
-        vcu, lights = world.vcu, world.vcu.indicators
+        vcu = world.vcu
         words = [
             f"{vcu.state.label:<15}",
             f"{world.car.speed_mps:5.1f} m/s",
             f"lap {world.judge.laps}/{world.judge.laps_wanted}",
-            f"ASSI {lights.assi}",
+            f"ASSI {vcu.assi}",
         ]
         if not vcu.powered:
             words.append("low voltage off")

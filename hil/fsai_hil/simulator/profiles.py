@@ -24,7 +24,6 @@ class Profile(Immutable):
     # the link to the AI computer (interface specification v4.0: handshake and loss of communication)
     handshake_waits_for_echo: bool = True  # else it alternates with every 0x520, whatever comes back
     echo_timeout_ns: int = COMMS_LOST_NS
-    message_timeout_ns: int = COMMS_LOST_NS
 
     # the autonomous-system state machine
     ready_wait_ns: int = READY_WAIT_NS

@@ -59,10 +59,8 @@ class ConeSensor:
         """The detections at an instant, in the vehicle frame."""
         s = self.settings
         level = s.noise_level
-        forward, left = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        dx, dy = self._xy[:, 0] - pose.x_m, self._xy[:, 1] - pose.y_m
-        x = dx * forward + dy * left - s.ahead_of_rear_axle_m
-        y = dy * forward - dx * left
+        x, y = pose.seen(*self._xy.T)
+        x = x - s.ahead_of_rear_axle_m
         distance = np.hypot(x, y)
         seen = (distance >= s.blind_m) & (distance <= s.range_m)
         seen &= np.abs(np.arctan2(y, x)) <= math.radians(s.field_of_view_deg / 2.0)

@@ -1,11 +1,16 @@
-"""What people and faults do to the car's electrics: switches, buttons, and parts that fail."""
+"""What people and faults do to the car's electrics: switches, buttons, parts that fail; and the ASSI.
+
+Source: the vehicle's interface specification v4.0.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from enum import StrEnum
 from typing import Final
 
-from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.units import S
 
 
 @dataclass(slots=True)
@@ -50,3 +55,23 @@ class Switches:
 
 
 SWITCH_NAMES: Final = tuple(field.name for field in fields(Switches))
+
+
+class Assi(StrEnum):
+    OFF = "off"
+    YELLOW = "yellow"
+    YELLOW_AND_BLUE = "yellow+blue"
+    YELLOW_FLASHING = "yellow flashing"
+    BLUE_FLASHING = "blue flashing"
+    BLUE = "blue"
+
+
+READY_BLUE_NS: Final = 1 * S  # so long blue joins yellow, once Go may be given
+ASSI: Final = {
+    AsState.AS_INIT: Assi.OFF,
+    AsState.AS_OFF: Assi.OFF,
+    AsState.AS_READY: Assi.YELLOW,
+    AsState.AS_DRIVING: Assi.YELLOW_FLASHING,
+    AsState.EMERGENCY_BRAKE: Assi.BLUE_FLASHING,
+    AsState.AS_FINISHED: Assi.BLUE,
+}

@@ -14,6 +14,7 @@ import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -65,28 +66,6 @@ class TrackKind(Enum):
     CIRCUIT = "circuit"
 
 
-@dataclass(frozen=True, slots=True)
-class TimingLine(Immutable):
-    """A timing line across the lane: a point on it and the direction in which cars cross it."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-
-    def ahead_of(self, x_m: float, y_m: float) -> float:
-        """How far beyond the line a point lies (negative: still before it)."""
-        return (x_m - self.x_m) * math.cos(self.heading_rad) + (y_m - self.y_m) * math.sin(self.heading_rad)
-
-    def beside(self, x_m: float, y_m: float) -> float:
-        """How far to the left of the line's middle a point lies."""
-        return (y_m - self.y_m) * math.cos(self.heading_rad) - (x_m - self.x_m) * math.sin(self.heading_rad)
-
-    def before(self, distance_m: float) -> Pose:
-        """The pose so far before the line, pointing at it."""
-        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return Pose(self.x_m - distance_m * c, self.y_m - distance_m * s, self.heading_rad)
-
-
 Rings = tuple[tuple[Point, ...], ...]
 
 
@@ -105,13 +84,17 @@ class Track(Immutable):
     cone_colors: Ints
     car_start: Pose | None = None
     closed: bool = False
-    start_line: TimingLine | None = None
-    finish_line: TimingLine | None = None
+    start_line: Pose | None = None  # its middle, and the direction in which cars cross it
+    finish_line: Pose | None = None
     centreline_m: Floats | None = None
     left_border_m: Floats | None = None
     right_border_m: Floats | None = None
     lane: tuple[Rings, ...] = ()
     source: str = field(default="", compare=False)  # the file or the name from which load_track makes it again
+
+    @cached_property
+    def cone_radii_m(self) -> Floats:
+        return np.array([CONE_RADIUS_M[ConeColor(int(color))] for color in self.cone_colors], dtype=np.float64)
 
     @property
     def length_m(self) -> float:
@@ -136,7 +119,7 @@ class Track(Immutable):
         before_m = STAGED_BEFORE_LINE_M.get(mission)
         if self.start_line is None or before_m is None:
             return Pose()
-        return self.start_line.before(before_m + nose_m)
+        return Pose(*self.start_line.ahead(-before_m - nose_m), self.start_line.yaw_rad)
 
 
 def _inside(rings: Rings, x: float, y: float) -> bool:
@@ -205,8 +188,8 @@ def _with_straight(track: Track, start: Point, finish: Point, half_m: float) -> 
     ring = ((begin, -half_m), (end + 10.0, -half_m), (end + 10.0, half_m), (begin, half_m))
     return replace(
         track,
-        start_line=TimingLine(*start, line.yaw_rad),
-        finish_line=TimingLine(*finish, line.yaw_rad),
+        start_line=line,
+        finish_line=Pose(*finish, line.yaw_rad),
         centreline_m=_array([line.ahead(begin + 0.5 * i) for i in range(int((end - begin) * 2) + 1)]),
         left_border_m=_array([line.ahead(begin, half_m), line.ahead(end, half_m)]),
         right_border_m=_array([line.ahead(begin, -half_m), line.ahead(end, -half_m)]),
@@ -269,8 +252,7 @@ def skidpad_track() -> Track:
 
 def _with_line(track: Track, line: Pose) -> Track:
     """The track with one line for start and finish."""
-    timing = TimingLine(line.x_m, line.y_m, line.yaw_rad)
-    return replace(track, start_line=timing, finish_line=timing)
+    return replace(track, start_line=line, finish_line=line)
 
 
 def _spacing_m(radius_m: float) -> float:
@@ -515,12 +497,11 @@ def _number(row: Sequence[str], column: int, name: str, at: str) -> float:
 
 def _measured(track: Track, points: Sequence[tuple[ConeColor, Point]], start: Pose) -> Track:
     """Find out what kind of track the cones make, its lines and its borders."""
-    ahead = TimingLine(start.x_m, start.y_m, start.yaw_rad)
-    gates = _gates([p for color, p in points if color is ConeColor.BIG_ORANGE], ahead)
-    if gates and _skidpad_like(points, _middle(gates[0]), ahead.heading_rad):
+    gates = _gates([p for color, p in points if color is ConeColor.BIG_ORANGE], start)
+    if gates and _skidpad_like(points, _middle(gates[0]), start.yaw_rad):
         return _with_skidpad(track, start, gates[0])
     line = Pose(*_middle(gates[0]), start.yaw_rad) if gates else start
-    if (walked := _walk(points, ahead)) is not None:
+    if (walked := _walk(points, start)) is not None:
         left, right, middle = walked
         middle = _smoothed(_resampled(middle, 0.25), 2.0)
         nearest = int(np.argmin(np.hypot(middle[:, 0] - line.x_m, middle[:, 1] - line.y_m)))
@@ -530,25 +511,29 @@ def _measured(track: Track, points: Sequence[tuple[ConeColor, Point]], start: Po
         return _with_circuit(track, line, middle, left, right)
     if len(gates) >= 2:
         first, finish = _middle(gates[0]), _middle(gates[-1])
-        along = TimingLine(*first, start.yaw_rad)
+        along = Pose(*first, start.yaw_rad)
         run = math.dist(first, finish)
-        width = [abs(along.beside(x, y)) for _, (x, y) in points if 0 < along.ahead_of(x, y) < run]
+        seen = [along.seen(x, y) for _, (x, y) in points]
+        width = [abs(left_m) for ahead_m, left_m in seen if 0 < ahead_m < run]
         half = float(np.median(width)) if width else LANE_M / 2.0
         return _with_straight(replace(track, kind=TrackKind.ACCELERATION), first, finish, half)
     # cones that make no circuit which can be walked: it can be driven and timed, but nothing is off course
     return _with_line(track, line)
 
 
-def _gates(big: Sequence[Point], ahead: TimingLine) -> list[tuple[Point, ...]]:
+def _gates(big: Sequence[Point], start: Pose) -> list[tuple[Point, ...]]:
     """Big orange cones in groups no more than 8 m apart along the starting direction: those in front of the car."""
-    cones = sorted(big, key=lambda p: ahead.ahead_of(*p))
+
+    def ahead_m(cone: Point) -> float:
+        return start.seen(*cone)[0]
+
     groups: list[list[Point]] = []
-    for cone in cones:
-        if groups and ahead.ahead_of(*cone) - ahead.ahead_of(*groups[-1][-1]) < 8.0:
+    for cone in sorted(big, key=ahead_m):
+        if groups and ahead_m(cone) - ahead_m(groups[-1][-1]) < 8.0:
             groups[-1].append(cone)
         else:
             groups.append([cone])
-    return [tuple(group) for group in groups if ahead.ahead_of(*group[-1]) > 0.0]
+    return [tuple(group) for group in groups if ahead_m(group[-1]) > 0.0]
 
 
 def _middle(gate: Sequence[Point]) -> Point:
@@ -571,9 +556,9 @@ def _with_skidpad(track: Track, start: Pose, gate: Sequence[Point]) -> Track:
     ideal = skidpad_track()
     # the gate's own direction: across is from its rightmost to its leftmost cone, so that a start askew does no harm
     middle, heading = _middle(gate), start.yaw_rad
-    line = TimingLine(*middle, heading)
-    left = [p for p in gate if line.beside(*p) > 0.0]
-    right = [p for p in gate if line.beside(*p) <= 0.0]
+    line = Pose(*middle, heading)
+    left = [p for p in gate if line.seen(*p)[1] > 0.0]
+    right = [p for p in gate if line.seen(*p)[1] <= 0.0]
     if left and right:
         (x_left, y_left), (x_right, y_right) = _middle(left), _middle(right)
         heading = math.atan2(y_left - y_right, x_left - x_right) - math.pi / 2.0
@@ -584,7 +569,7 @@ def _with_skidpad(track: Track, start: Pose, gate: Sequence[Point]) -> Track:
     return _with_line(replace(track, kind=TrackKind.SKIDPAD, centreline_m=route, lane=lane), origin)
 
 
-def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> tuple[Floats, Floats, Floats] | None:
+def _walk(points: Sequence[tuple[ConeColor, Point]], start: Pose) -> tuple[Floats, Floats, Floats] | None:
     """Walk the lane from triangle to triangle through the edges that join a left cone to a right one.
 
     In a triangulation of all cones each triangle inside the lane has exactly two such edges, so the way on is always
@@ -595,8 +580,9 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> tuple
     xy: list[Point] = []
     for color, point in points:
         side = {ConeColor.BLUE: 1, ConeColor.YELLOW: -1}.get(color, 0)
-        if color is ConeColor.BIG_ORANGE and ahead.ahead_of(*point) > -15.0:
-            side = 1 if ahead.beside(*point) > 0.0 else -1
+        ahead_m, left_m = start.seen(*point)
+        if color is ConeColor.BIG_ORANGE and ahead_m > -15.0:
+            side = 1 if left_m > 0.0 else -1
         if side:
             sides.append(side)
             xy.append(point)
@@ -616,12 +602,12 @@ def _walk(points: Sequence[tuple[ConeColor, Point]], ahead: TimingLine) -> tuple
             a, b = int(triangle[(corner + 1) % 3]), int(triangle[(corner + 2) % 3])
             if sides[a] == sides[b]:
                 continue
-            beside_a, beside_b = ahead.beside(*xy[a]), ahead.beside(*xy[b])
+            (ahead_a, beside_a), (ahead_b, beside_b) = start.seen(*xy[a]), start.seen(*xy[b])
             if beside_a * beside_b > 0.0 or abs(beside_a) + abs(beside_b) > 8.0:
                 continue
             share = beside_a / (beside_a - beside_b) if beside_a != beside_b else 0.5
-            crossing = (1.0 - share) * ahead.ahead_of(*xy[a]) + share * ahead.ahead_of(*xy[b])
-            opposite = ahead.ahead_of(*xy[int(triangle[corner])])
+            crossing = (1.0 - share) * ahead_a + share * ahead_b
+            opposite, _ = start.seen(*xy[int(triangle[corner])])
             forward = opposite > crossing  # this triangle lies behind the edge as the car sees it
             if crossing > 0.0 and forward and (best is None or crossing < best[0]):
                 best = (crossing, index, corner)

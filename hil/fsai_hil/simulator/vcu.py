@@ -17,11 +17,10 @@ from types import MappingProxyType
 from typing import Final, cast
 
 from fsai_hil.simulator.ai_link import AiLink
-from fsai_hil.simulator.as_machine import CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
+from fsai_hil.simulator.as_machine import AI_COMMS_LOST, CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback, limited
 from fsai_hil.simulator.faults import FaultyWire
 from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
-from fsai_hil.simulator.indicators import DARK, Indicators, indicators
 from fsai_hil.simulator.power import (
     INITIAL_ACTIONS_NS,
     POWER_UP,
@@ -31,11 +30,10 @@ from fsai_hil.simulator.power import (
     SystemAction,
     SystemState,
     TractiveSystem,
-    op_state,
 )
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
-from fsai_hil.simulator.switches import SWITCH_NAMES, Switches
-from fsai_vcu.interface.bus_table import BY_NAME, Flow
+from fsai_hil.simulator.switches import ASSI, READY_BLUE_NS, SWITCH_NAMES, Assi, Switches
+from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (
     AsState,
@@ -43,9 +41,9 @@ from fsai_vcu.interface.enums import (
     Direction,
     EbsState,
     MissionStatus,
+    OpState,
     ShutdownCause,
     SteeringStatus,
-    TsState,
 )
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
@@ -73,7 +71,7 @@ from fsai_vcu.interface.messages import (
 )
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
-from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, READY_STEER_DEG, STANDING_RPM, WHEEL_SPEED_MAX_RPM
+from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, WHEEL_SPEED_MAX_RPM
 from fsai_vcu.interface.units import KMH_PER_MPS, MS
 
 # Each device hands its frames to the bus at once, and the bus puts them one behind the other.
@@ -91,16 +89,6 @@ class Transition(Immutable):
 
     def __str__(self) -> str:
         return f"{self.source.label} -> {self.target.label}: {self.why}"
-
-
-@dataclass(frozen=True, slots=True)
-class _CyclicMessage(Immutable):
-    """One cyclic message. `build` makes its image as it is at a time; None: the PCAN-GPS does."""
-
-    kind: type[Image]
-    period_ns: int
-    phase_ns: int
-    build: Callable[[SimulatedVcu, int], Image] | None
 
 
 class SimulatedVcu:
@@ -142,12 +130,10 @@ class SimulatedVcu:
         self.power_cycles = 0
         self._now_ns = now_ns
         self._feedback = CarFeedback()
-        self._motion = _motion(self._feedback)
-        self._circumstances: object = None  # of the last look
         self._table = transition_table(profile)
         self._ai_faults = ai_faults(profile)
         self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
-        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS said last
+        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS sent last
         self._powered = False
         self._ebs_closed_itself = False
         self._begin(now_ns)
@@ -157,23 +143,19 @@ class SimulatedVcu:
         self.profile = profile
         self._table = transition_table(profile)
         self._ai_faults = ai_faults(profile)
-        self._settled_until_ns = self._now_ns
 
     # ------------------------------------------------------------ what it receives
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of the AI computer has arrived, at its `t_ns`."""
-        if self.incoming.sound:
-            self._hear(frame)
-        else:
-            for arrived in self.incoming.through((frame,), frame.t_ns):
-                self._hear(arrived)
+        for arrived in self.incoming.through((frame,), frame.t_ns):
+            self._receive(arrived)
 
-    def _hear(self, frame: Frame) -> None:
+    def _receive(self, frame: Frame) -> None:
         if not self._powered or frame.can_id not in AI_IDS:
             return
         if self.power_up.ai_master_switch and not self.switches.aims:
-            return  # an AI computer without power says nothing
+            return  # an AI computer without power sends nothing
         image = self.codec.decode(frame).image
         if image is None:
             return  # a malformed message is a missing one
@@ -187,10 +169,8 @@ class SimulatedVcu:
     def step(self, now_ns: int, feedback: CarFeedback) -> list[Frame]:
         """Live on until `now_ns`, where the sensors read `feedback`; returns the frames sent, each with its time."""
         self._feedback = feedback
-        self._motion = _motion(feedback)
-        if not self.incoming.sound:
-            for arrived in self.incoming.through((), now_ns):
-                self._hear(arrived)
+        for arrived in self.incoming.through((), now_ns):
+            self._receive(arrived)
         self._now_ns = now_ns
         if self.switches.lvms != self._powered:
             if self.switches.lvms:
@@ -204,12 +184,10 @@ class SimulatedVcu:
             due = self._due
             while due and due[0][0] <= now_ns:
                 t_ns, order = due[0]
-                message = self._messages[order]
-                heapq.heapreplace(due, (t_ns + message.period_ns, order))
-                sent.append(self._frame(message, t_ns))
-        if not self.outgoing.sound:
-            return self.outgoing.through(sent, now_ns)
-        return sent
+                kind, period_ns = self._messages[order]
+                heapq.heapreplace(due, (t_ns + period_ns, order))
+                sent.append(self._frame(kind, t_ns))
+        return self.outgoing.through(sent, now_ns)
 
     def next_due_ns(self) -> int:
         """When the next frame is due; a millisecond from now while the VCU has no power."""
@@ -218,7 +196,6 @@ class SimulatedVcu:
     def _begin(self, now_ns: int) -> None:
         """Everything as it is when low voltage comes on."""
         self._powered_ns = now_ns
-        self._settled_until_ns = now_ns
         self._link = AiLink(self.profile)
         self._link.response_times_ns = self.response_times_ns
         self._comms_were_lost = False
@@ -231,14 +208,14 @@ class SimulatedVcu:
         self._state = self.power_up.first_state
         self._state_since_ns = now_ns
         self._go_before = True  # a Go that is on while the VCU starts is no rising edge
-        self._has_moved = False
         self._power_cycle_needed = False
         self._activated = False
         self._tsms_was_on = False
         self._shutdown_since_ns: int | None = None
         self._held_steer_deg = self._feedback.steer_deg
-        self._due = [(now_ns + INITIAL_ACTIONS_NS + m.phase_ns, order) for order, m in enumerate(self._messages)]
-        heapq.heapify(self._due)
+        begin_ns = now_ns + INITIAL_ACTIONS_NS
+        phases_ns = [0 if kind in BUILDERS else GPS_PHASE_NS for kind, _ in self._messages]
+        self._due = sorted((begin_ns + phase_ns, order) for order, phase_ns in enumerate(phases_ns))
 
     def _power_off(self, now_ns: int) -> None:
         """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed anew."""
@@ -250,40 +227,7 @@ class SimulatedVcu:
     # ------------------------------------------------------------ deciding
 
     def _look(self, now_ns: int) -> None:
-        """Look at everything once: subsystems first, then one row of the state machine.
-
-        Where the last look changed nothing, and nothing that it looked at has changed, this one would not either: that
-        saves nine looks of ten, which were a tenth of a simulation's time.
-        """
-        circumstances = (self._link.requests, self._motion, _positions(self.switches))
-        if now_ns < self._settled_until_ns and circumstances == self._circumstances:
-            return
-        before = (self._state, self._tractive_system.state, self._ebs.state, self._go_before)
-        took = self._look_closely(now_ns)
-        after = (self._state, self._tractive_system.state, self._ebs.state, self._go_before)
-        self._circumstances = circumstances
-        self._settled_until_ns = now_ns if took or before != after else self._next_change_ns(now_ns)
-
-    def _next_change_ns(self, now_ns: int) -> int:
-        """Until when looking again changes nothing, if nothing else changes."""
-        if (
-            not self._activated
-            or self._comms_were_lost
-            or self._tractive_system.state in PASSING_TRACTIVE_STATES
-            or self._ebs.state in PASSING_EBS_STATES
-        ):
-            return now_ns
-        profile = self.profile
-        # A handshake that toggles after this look is missed at the earliest so much later.
-        change_ns = min(self._link.deadline_ns(), now_ns + profile.echo_timeout_ns)
-        for timer_ns in (profile.ready_wait_ns, profile.emergency_timer_ns):
-            over_ns = self._state_since_ns + timer_ns
-            if now_ns < over_ns < change_ns:
-                change_ns = over_ns
-        return change_ns
-
-    def _look_closely(self, now_ns: int) -> bool:
-        """Whether a row of the state machine was taken."""
+        """Look at everything once: subsystems first, then one row of the state machine."""
         switches, link, s = self.switches, self._link, self._situation
         comms_lost = link.lost(now_ns)
         if comms_lost and not self._comms_were_lost:
@@ -307,19 +251,19 @@ class SimulatedVcu:
         s.tractive_system_running = self._tractive_system.running
         s.power_cycle_needed = self._power_cycle_needed
         s.comms_lost = comms_lost
-        s.estop_request, status, s.direction, s.torque_requested, s.brake_requested, s.steer_requested = link.requests
-        # what was said before the link was lost acknowledges nothing
-        s.mission_status = MissionStatus.NOT_SELECTED if comms_lost else status
+        s.estop_request, s.direction = link.status.estop_request, link.status.direction
+        s.torque_requested = link.drive_front.torque_nm > 0.0 or link.drive_rear.torque_nm > 0.0
+        s.brake_requested = link.brake.front_pct > 0.0 or link.brake.rear_pct > 0.0
+        s.steer_requested = link.steer.steer_deg != 0.0
+        # what was received before the link was lost acknowledges nothing
+        s.mission_status = MissionStatus.NOT_SELECTED if comms_lost else link.status.mission_status
         in_state_ns = now_ns - self._state_since_ns
         s.ready_wait_over = in_state_ns >= self.profile.ready_wait_ns
         s.emergency_timer_over = in_state_ns >= self.profile.emergency_timer_ns
 
-        if s.fastest_wheel_rpm >= STANDING_RPM and self._state is AsState.AS_DRIVING:
-            self._has_moved = True
         row = taken(self._table, self._state, s)
         if row is not None:
             self._take(row, now_ns)
-        return row is not None
 
     def _take(self, row: Row, now_ns: int) -> None:
         if row.fault is not None:
@@ -327,17 +271,16 @@ class SimulatedVcu:
             self.shutdown_cause = row.fault.cause
         if row.target is AsState.EMERGENCY_BRAKE:
             self._power_cycle_needed = True
-        if row.source is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
+        if self._state is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
             self._power_cycle_needed = True
         if row.reset:
             self._latched.clear()
             self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
             self._power_cycle_needed = False
-        if row.source is AsState.AS_DRIVING:
+        if self._state is AsState.AS_DRIVING:
             self._held_steer_deg = self._steer_target_deg()
-        elif row.source is AsState.AS_READY:
+        elif self._state is AsState.AS_READY:
             self._held_steer_deg = 0.0
-        self._has_moved = False
         self._change(now_ns, row.target, row.why)
         self._follow_power(now_ns, self.sdc_open)
 
@@ -347,7 +290,6 @@ class SimulatedVcu:
             self.history.append((now_ns, target))
         self._state = target
         self._state_since_ns = now_ns
-        self._settled_until_ns = now_ns
 
     def _follow_power(self, now_ns: int, sdc_open: bool) -> None:
         """Shutdown, tractive system and EBS follow the switches, the shutdown circuit and the state."""
@@ -398,15 +340,13 @@ class SimulatedVcu:
     def sdc_open(self) -> bool:
         """Interface specification v4.0: what opens the shutdown circuit."""
         s = self.switches
-        broken = (
-            s.bms_fault,
-            s.hvil_open,
-            s.hvil_short,
-            s.ebs_fault,
-            s.offboard_charger_fault,
-            s.charge_procedure_fault,
-        )
-        return s.remote_estop or not s.remote_radio_ok or s.car_estop or s.crash or not s.dongle or any(broken)
+        stopped = s.remote_estop or not s.remote_radio_ok or s.car_estop or s.crash or not s.dongle
+        return stopped or self._broken
+
+    @property
+    def _broken(self) -> bool:
+        """A critical fault of the VCU or the battery."""
+        return any(_critical_faults(self.switches))
 
     @property
     def comms_lost(self) -> bool:
@@ -416,17 +356,10 @@ class SimulatedVcu:
     @property
     def faults(self) -> Faults:
         """The fault bits of 0x520: those that stopped the car until power is cycled, and those that are there now."""
-        s = self.switches
-        now = {
-            "hvil_open": s.hvil_open,
-            "hvil_short": s.hvil_short,
-            "ebs": s.ebs_fault,
-            "offboard_charger": s.offboard_charger_fault,
-            "ai_comms_lost": self.comms_lost,
-            "charge_procedure": s.charge_procedure_fault,
-            "bms": s.bms_fault,
-        }
-        return Faults(**{name: name in self._latched or now.get(name, False) for name in FAULT_NAMES})
+        shown = self._latched | {fault.name for fault in CAR_FAULTS if fault.when(self.switches)}
+        if self.comms_lost:
+            shown |= {AI_COMMS_LOST.name}
+        return Faults(**{name: name in shown for name in FAULT_NAMES})
 
     @property
     def power_cycle_needed(self) -> bool:
@@ -467,17 +400,17 @@ class SimulatedVcu:
         )
 
     @property
-    def indicators(self) -> Indicators:
-        if not self._powered:
-            return DARK
-        return indicators(
-            self._state,
-            self.in_state_ns,
-            self.profile.ready_wait_ns,
-            self.profile.emergency_timer_ns,
-            self._has_moved,
-            self._tractive_system.live,
-        )
+    def assi(self) -> Assi:
+        """The light of the AS state, dark without low voltage."""
+        over_ns = self.in_state_ns - self.profile.ready_wait_ns
+        if self._state is AsState.AS_READY and 0 <= over_ns < READY_BLUE_NS:
+            return Assi.YELLOW_AND_BLUE
+        return ASSI[self._state]
+
+    @property
+    def siren(self) -> bool:
+        """The siren sounds in an emergency."""
+        return self._state is AsState.EMERGENCY_BRAKE and self.in_state_ns < self.profile.emergency_timer_ns
 
     # ------------------------------------------------------------ what it orders
 
@@ -540,31 +473,31 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ what it sends
 
-    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[_CyclicMessage, ...]:
-        """Everything that is sent in this revision, 0x520 first."""
+    def _cyclic_messages(
+        self, gps: bool, gps_decimation: int, log_decimation: int
+    ) -> tuple[tuple[type[Image], int], ...]:
+        """Everything that is sent in this revision and its period in ns, 0x520 first."""
         decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
         if gps:
             decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
-        messages: list[_CyclicMessage] = []
+        messages: list[tuple[type[Image], int]] = []
         for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
             message = BY_NAME[kind.dbc_name]
             if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
                 continue
-            phase_ns = GPS_PHASE_NS if message.flow is Flow.FROM_SENSOR else 0
-            period_ns = message.period_ns[self.revision.name] * decimation.get(kind, 1)
-            messages.append(_CyclicMessage(kind, period_ns, phase_ns, BUILDERS.get(kind)))
+            messages.append((kind, message.period_ns[self.revision.name] * decimation.get(kind, 1)))
         return tuple(messages)
 
-    def _frame(self, message: _CyclicMessage, t_ns: int) -> Frame:
-        if message.build is not None:
-            return self.codec.encode(message.build(self, t_ns))
+    def _frame(self, kind: type[Image], t_ns: int) -> Frame:
+        if kind in BUILDERS:
+            return self.codec.encode(BUILDERS[kind](self, t_ns))
         # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
-        image = self._device.image(cast("type[GpsImage]", message.kind), t_ns, self._feedback)
-        last = self._repeated.get(message.kind)
+        image = self._device.image(cast("type[GpsImage]", kind), t_ns, self._feedback)
+        last = self._repeated.get(kind)
         if last is not None and image is last[0]:
             return Frame(last[1].can_id, last[1].data, t_ns)
         encoded = self.codec.encode(image)
-        self._repeated[message.kind] = (image, encoded)
+        self._repeated[kind] = (image, encoded)
         return encoded if encoded.t_ns == t_ns else Frame(encoded.can_id, encoded.data, t_ns)
 
     def _warnings(self) -> dict[str, bool]:
@@ -574,10 +507,8 @@ class SimulatedVcu:
     def _status_image(self, t_ns: int) -> VcuStatus:
         s, profile = self.switches, self.profile
         shutting_down = self._shutdown_since_ns is not None
-        faults = self.faults
         hidden = profile.as_state_zero_without_asms and not s.asms
         ops = self.power_up.sends_op_states
-        booting = self._booting(t_ns)
         return VcuStatus(
             handshake=self._link.next_bit(t_ns),
             shutdown_request=shutting_down,
@@ -587,17 +518,23 @@ class SimulatedVcu:
             steering_status=SteeringStatus.ACTIVE if self._steering_active() else SteeringStatus.OFF,
             as_state=AsState.AS_INIT if hidden else self._state,
             ami=s.ami,
-            fault=bool(self._latched) or self.comms_lost or any(fault.when(self._situation) for fault in CAR_FAULTS),
+            fault=bool(self._latched) or self.comms_lost or self._broken,
             warning=s.batt_temp_high or s.batt_soc_low,
             warn_batt_temp_high=s.batt_temp_high,
             warn_batt_soc_low=s.batt_soc_low,
-            faults=faults,
+            faults=self.faults,
             shutdown_cause=self.shutdown_cause,
-            op_state=op_state(booting, any(f.when(self._situation) for f in CAR_FAULTS)) if ops else None,
+            op_state=self._op_state(t_ns) if ops else None,
             ts_state=self._tractive_system.state if ops else None,
             ebs_state=self._ebs.state if ops else None,
             t_rx_ns=t_ns,
         )
+
+    def _op_state(self, t_ns: int) -> OpState:
+        """This car only ever drives autonomously."""
+        if self._booting(t_ns):
+            return OpState.OP_INIT
+        return OpState.OP_FAULT if self._broken else OpState.OP_AUTO
 
     def _steering_active(self) -> bool:
         return (
@@ -726,27 +663,12 @@ BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = Ma
     }
 )
 
+_critical_faults: Final = attrgetter(
+    "hvil_open", "hvil_short", "ebs_fault", "offboard_charger_fault", "charge_procedure_fault", "bms_fault"
+)
 SEEN_OF_THE_SWITCHES: Final = tuple(
     field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
 )
-_positions: Final = attrgetter(*SWITCH_NAMES)
-
-# States which pass by themselves.
-PASSING_TRACTIVE_STATES: Final = frozenset({TsState.TS_PRECHARGE, TsState.TS_ACTIVATE})
-PASSING_EBS_STATES: Final = frozenset({EbsState.EBS_INIT, EbsState.EBS_CHARGING, EbsState.EBS_DISCHARGING})
-
-
-def _motion(feedback: CarFeedback) -> tuple[bool, bool, bool, bool]:
-    """What the state machine distinguishes of the car's motion and steering."""
-    rpm = feedback.wheel_rpm
-    fastest = max(rpm)
-    return (
-        fastest > STANDING_RPM,
-        fastest < STANDING_RPM,
-        min(rpm) > STANDING_RPM,
-        abs(feedback.steer_deg) < READY_STEER_DEG,
-    )
-
 
 # signal database: State_service_brake of 0x502
 LOG_BRAKE_DISENGAGED: Final = 1

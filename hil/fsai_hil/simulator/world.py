@@ -7,15 +7,15 @@ process on a bus. Deterministic: the same setup and the same frames at the same 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.simulator.car import Car, car_model
+from fsai_hil.simulator.car import Car, car_facts
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.ground_truth import Truth
-from fsai_hil.simulator.judge import Judge, JudgeSettings, JudgeVerdict, check_track
-from fsai_hil.simulator.operator import At, Operator
+from fsai_hil.simulator.judge import Judge, JudgeVerdict, check_track
+from fsai_hil.simulator.operator import Operator
 from fsai_hil.simulator.profiles import profile as profile_named
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import MISSION_TRACK, Track, load_track
@@ -49,11 +49,10 @@ class WorldSetup:
     laps: int | None = None  # of a trackdrive; None: ten
     auto: bool = True  # somebody walks the switches; else nobody does
     noise_level: float = 1.0
-    judge: JudgeSettings | None = None
+    start_timeout_s: float = 120.0  # until AS_DRIVING, where somebody walks the switches
     gps: bool = True
     gps_decimation: int = 1
     log_decimation: int = 1
-    at: Sequence[At] = ()  # switches and buttons at moments of the run
     start_ns: int = 0
 
 
@@ -101,10 +100,9 @@ class World:
         self.vcu = SimulatedVcu(
             self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
         )
-        self.car = Car(car_model(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
-        self.operator = Operator.auto(setup.revision, setup.missions, setup.at) if setup.auto else Operator(at=setup.at)
+        self.car = Car(car_facts(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
+        self.operator = Operator.auto(setup.revision, setup.missions) if setup.auto else Operator()
         self._sensor_settings = SensorSettings(noise_level=setup.noise_level)
-        self._judge_settings = _judge_settings(setup)
         self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
         self._now_ns = setup.start_ns
         self._next_look_ns = setup.start_ns
@@ -125,7 +123,7 @@ class World:
         self._spoken_to = True
 
     def advance(self, to_ns: int) -> list[Frame]:
-        """Live on until `to_ns`; what the car has said meanwhile, each frame with its time, in order.
+        """Live on until `to_ns`; what the car has sent meanwhile, each frame with its time, in order.
 
         The world moves in steps of a fixed grid, so it does not matter in what portions time is handed over.
         """
@@ -186,8 +184,9 @@ class World:
         again = bool(self.runs)
         if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
             track = load_track(MISSION_TRACK[mission])
-        facts = self.car.model.facts
-        judge = Judge(track, mission, facts, self._judge_settings, self._now_ns, self.setup.start_ns)
+        facts = self.car.facts
+        patience_s = self.setup.start_timeout_s if self.setup.auto else None
+        judge = Judge(track, mission, facts, self.setup.laps, patience_s, self._now_ns, self.setup.start_ns)
         sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
         self.car.place(track.staging(mission, facts.nose_ahead_of_rear_axle_m), mission in STATIC_INSPECTIONS)
         run = Run(mission, track, judge, sensor)
@@ -275,11 +274,6 @@ class World:
     def faults(self) -> tuple[str, ...]:
         """The fault bits that the car shows now, by name."""
         return self.vcu.faults.names
-
-
-def _judge_settings(setup: WorldSetup) -> JudgeSettings:
-    settings = setup.judge or JudgeSettings(start_timeout_s=120.0 if setup.auto else None)
-    return settings if setup.laps is None else replace(settings, laps=setup.laps)
 
 
 def mission_named(name: str) -> Ami:

@@ -4,7 +4,7 @@
     status = place.run([...], cwd=..., env=..., timeout_s=..., results_dir=...)
 
 Both places give the command a SocketCAN interface `vcan0`, a loopback interface with multicast and a `/dev/shm` of its
-own, so that two runs side by side never hear each other. Standard library only: `make setup` asks
+own, so that neither of two runs side by side receives the other. Standard library only: `make setup` asks
 `native_vcan_available` before anything is installed.
 """
 

@@ -253,7 +253,7 @@ def hands_over() -> str:
     """A shell line for inside, once /proc is there: received frames are handed over before any program goes on.
 
     What an adapter's interrupt does on a PC, this thread of the kernel's does for vcan. On the only processor it would
-    wait for whatever else runs, and bridge and car would hear nothing for tens of milliseconds, which the stall
+    wait for whatever else runs, and bridge and car would receive nothing for tens of milliseconds, which the stall
     monitor does not see.
     """
     return f"chrt --fifo --pid {HANDS_OVER_PRIORITY} $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
@@ -323,11 +323,7 @@ def boot(
 
 def _show(data: bytes) -> None:
     sys.stdout.flush()
-    stream = getattr(sys.stdout, "buffer", None)
-    if stream is None:
-        sys.stdout.write(data.decode(errors="replace"))
-    else:
-        stream.write(data)
+    sys.stdout.buffer.write(data)
     sys.stdout.flush()
 
 
@@ -335,7 +331,7 @@ def _settle(cpu: int) -> None:
     """In the child: onto one processor, ahead of others there where allowed, and to end with the parent."""
     os.sched_setaffinity(0, {cpu})
     # A rehearsal in real time shares that processor badly: each hand-over between two processes is a wake-up, at which
-    # another's turn may come first. So others get a hundredth of it. (Real-time scheduling would be worse: whoever is
+    # another's turn may come first. So others get a hundredth of it. (Real-time scheduling would be worse: what is
     # always busy there loses the processor for 50 ms in each second.) The session's own niceness counts where the
     # kernel groups processes by session (sched(7), autogroup), the process's elsewhere.
     with contextlib.suppress(OSError):

@@ -18,6 +18,7 @@ import numpy as np
 from fsai_hil.evidence.campaign.demands import Params
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.faults import (
+    Changed,
     Delay,
     Drop,
     FaultyWire,
@@ -26,7 +27,6 @@ from fsai_hil.simulator.faults import (
     Freeze,
     Overwrite,
     Repeat,
-    Window,
     WrongLength,
     WrongValues,
 )
@@ -54,6 +54,7 @@ class Injected:
     tick: Callable[[int], None] | None = None
 
 
+Ids = frozenset[int]
 Injection = Callable[[Lockstep, Params, int], Injected]
 
 
@@ -129,26 +130,26 @@ def _mask(p: Params) -> bytes:
     return bytes(mask)
 
 
-def _impossible_speeds(window: Window, p: Params) -> FrameFault:
+def _impossible_speeds(ids: Ids, p: Params) -> FrameFault:
     """What no wheel of this car can turn at, on one wheel or on all: more than the signal database allows."""
     raw = struct.pack("<H", int(p["rpm"]))
     at, data = (0, raw * 4) if p["wheel"] == "all" else (2 * WHEELS.index(p["wheel"]), raw)
-    return Overwrite(window, at, data)
+    return Overwrite(ids, at, data)
 
 
 _NO_NUMBERS: Final = {"nan": math.nan, "inf": math.inf, "huge": 3e38}
-_ON_THE_WIRE: Final[Mapping[str, Callable[[Window, Params], FrameFault]]] = {
-    "lost": lambda window, p: Drop(window),
-    "thinned": lambda window, p: Drop(window, probability=p["share"], seed=p["chance"]),
-    "late": lambda window, p: Delay(window, delay_ns=p["delay"] * MS),
-    "jittering": lambda window, p: Delay(window, jitter_ns=p["delay"] * MS, seed=p["chance"]),
-    "frozen": lambda window, p: Freeze(window),
-    "twice": lambda window, p: Repeat(window, p["times"]),
-    "flipped": lambda window, p: FlipBits(window, _mask(p)),
-    "cut": lambda window, p: WrongLength(window, p["length"]),
-    "no number": lambda window, p: Overwrite(window, 0, struct.pack("<f", _NO_NUMBERS[p["value"]])),
+_ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
+    "lost": lambda ids, p: Drop(ids),
+    "thinned": lambda ids, p: Drop(ids, probability=p["share"], seed=p["chance"]),
+    "late": lambda ids, p: Delay(ids, delay_ns=p["delay"] * MS),
+    "jittering": lambda ids, p: Delay(ids, jitter_ns=p["delay"] * MS, seed=p["chance"]),
+    "frozen": lambda ids, p: Freeze(ids),
+    "twice": lambda ids, p: Repeat(ids, p["times"]),
+    "flipped": lambda ids, p: FlipBits(ids, _mask(p)),
+    "cut": lambda ids, p: WrongLength(ids, p["length"]),
+    "no number": lambda ids, p: Overwrite(ids, 0, struct.pack("<f", _NO_NUMBERS[p["value"]])),
     "impossible speeds": _impossible_speeds,
-    "undefined AS_STATE": lambda window, p: Overwrite(window, 2, bytes([p["state"]])),  # HANDSHAKE stays what it is
+    "undefined AS_STATE": lambda ids, p: Overwrite(ids, 2, bytes([p["state"]])),  # HANDSHAKE stays what it is
 }
 
 
@@ -162,33 +163,22 @@ def from_car(ids: Iterable[int], fault: str) -> Injection:
     chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
 
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        window = Window(frozenset({int(p["message"], 16)}) if "message" in p else chosen)
-        return _wired(rig.world.vcu.outgoing, make(window, p))
+        ids = frozenset({int(p["message"], 16)}) if "message" in p else chosen
+        return _wired(rig.world.vcu.outgoing, make(ids, p))
 
     return begin
 
 
 def to_car(ids: Iterable[int], fault: str) -> Injection:
     """On what the car receives of the AI computer; the bus itself shows what was sent."""
-    window, make = Window(frozenset(ids)), _ON_THE_WIRE[fault]
-    return lambda rig, p, now_ns: _wired(rig.world.vcu.incoming, make(window, p))
+    chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
+    return lambda rig, p, now_ns: _wired(rig.world.vcu.incoming, make(chosen, p))
 
 
 def status_shows(values: Callable[[Params], Mapping[str, Any]]) -> Injection:
     """Fields of 0x520 say something else."""
-    window = Window(frozenset({STATUS}))
-    return lambda rig, p, now_ns: _wired(rig.world.vcu.outgoing, WrongValues(rig.world.codec, window, values(p)))
-
-
-@dataclass(frozen=True)
-class _Changed(FrameFault):
-    """Frames of one id are what `change` makes of them."""
-
-    can_id: int
-    change: Callable[[Frame], Frame]
-
-    def frames(self, frame: Frame) -> Iterable[Frame]:
-        return (self.change(frame) if frame.can_id == self.can_id else frame,)
+    ids = frozenset({STATUS})
+    return lambda rig, p, now_ns: _wired(rig.world.vcu.outgoing, WrongValues(ids, rig.world.codec, values(p)))
 
 
 def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
@@ -200,7 +190,7 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             return frame
         return replace(frame, data=bytes((frame.data[0] ^ 1, *frame.data[1:])))
 
-    return _wired(rig.world.vcu.outgoing, _Changed(STATUS, change))
+    return _wired(rig.world.vcu.outgoing, Changed(frozenset({STATUS}), change))
 
 
 def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
@@ -218,7 +208,7 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         spike = 1250 if getattr(image, name) < 600 else 0
         return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)  # type: ignore[arg-type]
 
-    return _wired(rig.world.vcu.outgoing, _Changed(SPEEDS, change))
+    return _wired(rig.world.vcu.outgoing, Changed(frozenset({SPEEDS}), change))
 
 
 def intruder(rig: Lockstep, p: Params, now_ns: int) -> Injected:

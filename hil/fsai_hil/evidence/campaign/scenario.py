@@ -11,7 +11,6 @@ from fsai_hil.evidence.campaign.cases import Case, Since
 from fsai_hil.evidence.campaign.injections import Injected
 from fsai_hil.evidence.campaign.observation import Observation, Observer
 from fsai_hil.evidence.campaign.verdict import SUPERVISED_MS, CaseVerdict, as_record, judge
-from fsai_hil.simulator.judge import JudgeSettings
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.interface.enums import Ami, AsState
@@ -38,7 +37,7 @@ def power_up(case: Case, on_frame: Callable[[Frame], None] | None = None) -> Loc
         revision=case.revision,
         seed=case.seed,
         gps=case.kind.gps,
-        judge=JudgeSettings(start_timeout_s=40.0),
+        start_timeout_s=40.0,
     )
     rig = Lockstep(setup, on_frame=on_frame)
     rig.computer.confine_failures = True

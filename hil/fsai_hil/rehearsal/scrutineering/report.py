@@ -7,11 +7,10 @@ from typing import Any
 
 from fsai_hil.rehearsal.scrutineering.load import FILL_ID
 from fsai_hil.rehearsal.scrutineering.machine import scheduling_in_words
-from fsai_hil.simulator.profiles import SPECIFICATION
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS
 
-ECHO_LIMIT_MS = SPECIFICATION.echo_timeout_ns // MS
-MESSAGE_LIMIT_MS = SPECIFICATION.message_timeout_ns // MS
+ECHO_LIMIT_MS = MESSAGE_LIMIT_MS = COMMS_LOST_NS // MS
 IDLE_P50_MS, IDLE_P99_MS = 1.0, 3.0
 MOST_MS = 20.0  # under any load
 PEER_SHARE = 0.5  # of the C loop's p99
