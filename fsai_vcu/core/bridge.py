@@ -348,7 +348,7 @@ class Bridge:
                 state.command_ns,
                 None if vehicle.steer is None else vehicle.steer.t_rx_ns,
                 state.steering.implausible_since_ns,
-                state.wheels.implausible_since_ns,
+                state.wheels.implausible_since_ns if state.wheels.detail else None,  # a doubt alone is as if missing
                 state.wheels.detail,
                 state.status_doubt,
                 state.speeds_doubt,
@@ -445,7 +445,8 @@ class Bridge:
             return forget_steering(), forget_wheels(wheels)
         steering = check_steering(config, car, state.steering, asked.steer_deg, vehicle.steer, now_ns)
         if state.supervisor.mission not in _WHEELS_IN_THE_AIR:
-            wheels = check_wheels(config, car, wheels, asked, vehicle.speeds, vehicle.steer, now_ns)
+            doubted = bool(state.speeds_doubt)
+            wheels = check_wheels(config, car, wheels, asked, vehicle.speeds, vehicle.steer, now_ns, doubted=doubted)
         return steering, wheels
 
     # ------------------------------------------------------------ the snapshot

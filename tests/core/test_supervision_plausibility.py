@@ -353,6 +353,17 @@ def test_each_wheel_rolls_on_the_circle_that_ackermann_gives_it(steer_deg: float
     )
 
 
+@pytest.mark.parametrize(("asked", "since_ns"), [(COASTING, T), (BRAKING, None)])
+def test_a_wheel_odd_after_doubts_has_been_since_they_began(asked: AiCommand, since_ns: int | None) -> None:
+    """Unless what is asked for explains it, before and all through the doubts."""
+    fitting, odd = WheelSpeeds(500, 500, 500, 500, T), WheelSpeeds(0, 500, 500, 500, T + 200 * MS)
+    doubted = check_wheels(CONFIG, CAR, WheelCheck(), asked, fitting, None, T, doubted=True)
+    doubted = check_wheels(CONFIG, CAR, doubted, asked, fitting, None, T + 150 * MS, doubted=True)
+    found = check_wheels(CONFIG, CAR, doubted, COASTING, odd, None, T + 200 * MS)
+    assert (doubted.detail, found.implausible_since_ns, bool(found.detail)) == ("", since_ns, since_ns is not None)
+    assert check_wheels(CONFIG, CAR, doubted, asked, fitting, None, T + 50 * MS).implausible_since_ns is None
+
+
 def test_stale_speeds_do_not_change_the_start_of_an_odd_wheel() -> None:
     check = check_wheels(CONFIG, CAR, WheelCheck(), COASTING, WheelSpeeds(0, 500, 500, 500, T), None, T)
     later = check_wheels(CONFIG, CAR, check, COASTING, WheelSpeeds(0, 500, 500, 500, T), None, T + 99 * MS)

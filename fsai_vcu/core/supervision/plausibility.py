@@ -79,10 +79,10 @@ def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class WheelCheck(Immutable):
-    """Since when one wheel has not fitted the others, and until when slip explains what."""
+    """Since when one wheel has not fitted the others or was not believed, and until when slip explains what."""
 
     implausible_since_ns: int | None = None
-    detail: str = ""
+    detail: str = ""  # which wheel does not fit
     spin_until_ns: int = 0  # torque so recently explains a driven wheel that is too fast
     lock_until_ns: int = 0  # brake so recently explains any wheel that is too slow
     drag_until_ns: int = 0  # a motor held by its speed limit explains a driven wheel that is too slow
@@ -104,16 +104,24 @@ def check_wheels(
     speeds: WheelSpeeds | None,
     steer: VcuSteer | None,
     now_ns: int,
+    *,
+    doubted: bool = False,
 ) -> WheelCheck:
-    """One cycle in AS_DRIVING: `asked` is the command that this cycle sends."""
+    """One cycle in AS_DRIVING: `asked` is the command that this cycle sends.
+
+    doubted: the newest frame of 0x525 was not believed. A wheel that is believed again and does not fit has not fitted
+    since then.
+    """
     # What we ask for once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
-    explains = check.implausible_since_ns is None
+    explains = not check.detail
     until = now_ns + config.slip_memory_ns
     spin_until = until if explains and asked.torque_requested else check.spin_until_ns
     lock_until = until if explains and asked.brake_requested else check.lock_until_ns
     drag_until = check.drag_until_ns
     since, detail = check.implausible_since_ns, check.detail
-    if speeds is not None and now_ns - speeds.t_rx_ns < config.feedback_stale_ns:
+    if doubted:
+        since = now_ns if since is None else since
+    elif speeds is not None and now_ns - speeds.t_rx_ns < config.feedback_stale_ns:
         rpm = speeds.all_rpm
         limit_rpm = max(asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm)
         if explains and asked.torque_requested and max(rpm) * car.gear_ratio > limit_rpm:
