@@ -63,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     decoding = Decoding("dump", args)
     decoding.show_signals(args.signals)
     sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
+    sources.learn()
     lines = _Lines(args, decoding)
     output = Output()
     left = args.count

@@ -6,9 +6,9 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -18,13 +18,9 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.lines import LineWriter
     from fsai_vcu.diagnostics.log.files import Problems
     from fsai_vcu.diagnostics.log.filters import FrameFilter
-    from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.diagnostics.log.part import Part
-    from fsai_vcu.diagnostics.log.reader import Log
     from fsai_vcu.interface.revisions import Revision
-
-Done = TypeVar("Done")
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
@@ -133,6 +129,8 @@ class Decoding:
         self._writer: LineWriter | None = None
         if self._files:
             self._databases = self._loaded()  # what is wrong with them is reported before anything is read
+            for name in self._databases.signed_flags:
+                print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
 
     @property
     def databases(self) -> Databases:
@@ -174,7 +172,7 @@ class Decoding:
             return
         self._shown = tuple(filter(None, names.split(",")))
         self._databases = self._decoder = self._writer = None
-        if not self.databases.layouts:
+        if not any(databases.with_signals(self._shown).layouts for databases in self.possible()):
             raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
 
     def hear(self, frames: Frames) -> None:
@@ -183,15 +181,6 @@ class Decoding:
 
         if not self.told and len(frames):
             self._learn(told_revision(frames))
-
-    def hear_frames(self, frames: Iterable[LogFrame]) -> None:
-        """The same without numpy."""
-        from fsai_vcu.diagnostics.decode.revision import revision_of
-
-        plain = [frame for frame in frames if not (frame.extended or frame.error or frame.remote)]
-        if not self.told:
-            words = {(each.can_id, len(each.data), int.from_bytes(each.data[:8], "little")) for each in plain}
-            self._learn(revision_of(words))
 
     def _learn(self, found: tuple[Revision, str] | None) -> None:
         if found is None:
@@ -281,31 +270,21 @@ class Sources:
 
     def learn(self) -> None:
         """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
-        for name, _ in self._rules:
-            with self._opened(name) as log:
+        from fsai_vcu.diagnostics.log.reader import open_log
+
+        for name, _ in self._rules if self.files else ():
+            with open_log(name) as log:
                 for frames in log.chunks():
                     if self._decoding is None or self._decoding.told:
                         return
                     self._decoding.hear(frames)
 
-    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
-        """What `work` makes of the frames of each chunk of the logs; for `in_order` see Log.mapped."""
-        for name, rule in self._rules:
-            count = 0
-
-            def done(frames: Frames, rule: FrameFilter = rule) -> tuple[Done, int]:
-                return work(self._passing(frames, rule)), len(frames)
-
-            with self._opened(name) as log:
-                for what, frames in log.mapped(done, in_order):
-                    count += frames
-                    yield what
-            self.status |= report_problems(self.verb, log.name, count, log.problems)
-
     def _log_chunks(self) -> Iterator[Frames]:
+        from fsai_vcu.diagnostics.log.reader import open_log
+
         for name, rule in self._rules:
             count = 0
-            with self._opened(name) as log:
+            with open_log(name) as log:
                 for frames in log.chunks():
                     count += len(frames)
                     if self._decoding is not None:
@@ -318,11 +297,6 @@ class Sources:
             self.first_ns = int(frames.t_ns[0])
         shown = frames if self._part is None else self._part.of(frames)
         return shown.only(rule.passes(shown)) if rule else shown
-
-    def _opened(self, name: str) -> Log:
-        from fsai_vcu.diagnostics.log.reader import open_log
-
-        return open_log(name)
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.diagnostics.log.filters import filtered

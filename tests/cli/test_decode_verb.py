@@ -36,19 +36,6 @@ def test_each_frame_is_one_line_as_cantools_writes_it(log: Path, capsys: pytest.
     assert capsys.readouterr().out == LINE * 3
 
 
-def test_a_short_log_is_decoded_without_slow_imports(tmp_path: Path) -> None:
-    log = tmp_path / "run.log"
-    log.write_text(GOOD + "(1.000000) can0 7FE#00\n")
-    load_databases()  # and what is made of its files is remembered
-    program = (
-        "import sys; from fsai_vcu.cli.main import main; "
-        f"assert main(['decode', {str(log)!r}]) == 0; assert not {{'numpy', 'cantools', 'can'}} & set(sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.count("\n") == 2
-
-
 def test_a_long_log_is_decoded_like_many_short_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chance = random.Random(3)
     ids = [layout.can_id for layout in load_databases().layouts.values()]

@@ -152,7 +152,8 @@ def test_the_csv_of_savvycan_is_read_in_both_versions(tmp_path: Path) -> None:
         ("1,00000520,false,Rx,0,9,1,2,3,4,5,6,7,8,9\n", "9 data bytes"),
         ("1,00000520,false,Rx\n", "not a line of GVRET"),
         ("1,00000520,false,Rx,0,1,100\n", "not a line of GVRET"),
-        ("1,00000520,false,Rx,0,1,01", "cut off, without a line end; its frame is left out"),
+        ("1,00000520,false,Rx,0,2,01", "1 data bytes where 2 are announced"),
+        ("1,00000520,false,Rx,0,2,01,0", "cut off, without a line end; its frame is left out"),
     ],
 )
 def test_an_invalid_line_of_savvycan_is_named(tmp_path: Path, line: str, words: str) -> None:
@@ -160,6 +161,13 @@ def test_an_invalid_line_of_savvycan_is_named(tmp_path: Path, line: str, words: 
     frames, problems = problems_of(tmp_path / "run.csv", (head + line).encode())
     assert (len(frames), len(problems)) == (1, 1)
     assert f"line 3: {words}" in problems[0]
+
+
+@pytest.mark.parametrize("end", ["", ","])
+def test_a_whole_last_line_of_savvycan_needs_no_line_end(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,00000520,false,Rx,0,2,01,A5" + end)
+    assert [frame.data.hex() for frame in read(path)] == ["01a5"]
 
 
 def test_what_log2asc_makes_of_a_candump_log_is_the_same_log(tmp_path: Path) -> None:

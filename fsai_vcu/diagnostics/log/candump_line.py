@@ -1,4 +1,4 @@
-"""candump's text formats, line by line: every manner of them is read, what is no frame is reported. No numpy."""
+"""candump's text formats, line by line: every manner of them is read, what is no frame is reported."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import Final
 
-from fsai_vcu.diagnostics.log.frame import LogFrame
+from fsai_vcu.diagnostics.log.frames import LogFrame
 
 MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
 MAX_STANDARD_ID: Final = 0x7FF
@@ -44,6 +44,12 @@ def read_line(line: bytes, parse: Callable[[str], LogFrame | None]) -> LogFrame 
         shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
         what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
         raise UnreadableError(f"{what}: '{shown}{'…' if len(line) > 60 else ''}'") from None
+
+
+def whole_line(line: bytes) -> bool:
+    """Whether a line without its end has a whole frame: one that cannot be longer than it is."""
+    digits = line.partition(b"#")[2].strip()
+    return len(digits) == 2 * MAX_CLASSIC_DLC or digits.endswith((b" R", b" T"))
 
 
 def parse_line(line: str) -> LogFrame:

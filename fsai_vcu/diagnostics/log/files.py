@@ -9,7 +9,6 @@ _GZIP, _BLF, _MF4 = b"\x1f\x8b", b"LOGG", b"MDF "
 _ASC_STARTS = (b"date ", b"base hex", b"base dec", b"// version")
 _TRC_STARTS = (b";$FILEVERSION=", b";##############")  # the latter: version 1.0
 _GVRET = b"time stamp,id,"
-_CLASSIC_HEX_DIGITS = 16
 
 
 class Problems:
@@ -31,17 +30,6 @@ class Problems:
         """One line."""
         more = f" (and {self.count - 1} more like it or worse)" if self.count > 1 else ""
         return self.texts[0] + more if self.count else ""
-
-
-def last_line(line: bytes) -> tuple[bytes, str | None]:
-    """A line without a line end may be cut off; it counts only if its frame cannot be longer than it is.
-
-    Returns (the line as it may be read, what is wrong with it).
-    """
-    digits = line.partition(b"#")[2].strip()
-    if len(digits) == _CLASSIC_HEX_DIGITS or digits.endswith((b" R", b" T")) or not line.strip():
-        return line + b"\n", None
-    return b"", "cut off, without a line end; its frame is left out"
 
 
 def kind_of(head: bytes) -> str:
