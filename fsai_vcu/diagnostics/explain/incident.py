@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from typing import Any
 
@@ -94,10 +94,20 @@ class Candidate:
     def t_ns(self) -> int:
         return self.steps[0].t_ns
 
+    def with_steps(self, *steps: ChainLink) -> Candidate:
+        """The same with more evidence behind it, all in the order of time and each step once."""
+        every = sorted((*self.steps, *steps), key=lambda step: step.t_ns)
+        return replace(self, steps=tuple(dict.fromkeys(every)))
 
-def candidate(slug: str, sureness: Sureness, steps: Iterable[ChainLink]) -> Candidate:
+
+def candidate(slug: str, sureness: Sureness, *steps: ChainLink) -> Candidate:
     """A candidate with its steps in the order of time. Raises KeyError for a cause that the table does not have."""
     return Candidate(CAUSES[slug].slug, sureness, tuple(sorted(steps, key=lambda step: step.t_ns)))
+
+
+def shown(slug: str, *steps: ChainLink) -> Candidate:
+    """A cause that the frames show."""
+    return candidate(slug, Sureness.SHOWN, *steps)
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,6 +54,10 @@ class SecondSender:
         which = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
         return f"{ids}: {self.proof}{which}"
 
+    @property
+    def sentence(self) -> str:
+        return f"somebody else sends on the AI computer's ids: {self.words}"
+
 
 def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
     """Every stretch with a second sender in a log of one bus, in the order of time. `t_ns` must not go backwards."""
