@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.sources import (
@@ -38,8 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "digits mean a 29-bit id. Without a filter all frames are shown, error frames too",
     )
     parser.add_argument(
-        "-t", dest="times", choices=("a", "d", "z"), help="times: absolute, delta to the line before, from zero"
+        "-t",
+        dest="times",
+        choices=("a", "A", "d", "z"),
+        help="times: absolute, absolute with the date, delta to the line before, from zero",
     )
+    parser.add_argument("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
+    parser.add_argument("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
     parser.add_argument("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
     parser.add_argument("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
     parser.add_argument("-L", dest="log_format", action="store_true", help="the format of candump's logs")
@@ -60,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
         raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
+    if args.log_format and (args.ascii_column or args.times == "A"):
+        raise WrongUse("-a and -t A do not go with -L, the format of logs")
     decoding = Decoding("dump", args)
     decoding.show_signals(args.signals)
     sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
@@ -124,21 +132,17 @@ class _Lines:
         return frames.only(np.array(changed, np.bool_))
 
     def block(self, frames: Frames) -> bytes | bytearray:
-        from fsai_vcu.diagnostics.log.candump import log_lines, screen_lines
-        from fsai_vcu.diagnostics.log.frames import EXTENDED
+        from fsai_vcu.diagnostics.log.candump import log_lines
 
         if not len(frames):
             return b""
         if self._args.json:
             return self._decoding.writer.block(frames)
-        style = self._args.times
         frames = self._shifted(frames)
         if self._args.log_format:
-            heads = log_lines(frames, _TIME_DIGITS[style or "a"])
+            heads = log_lines(frames, _TIME_DIGITS[self._args.times or "a"], marks=self._args.extra)
         else:
-            digits = _TIME_DIGITS[style] if style else None
-            heads = screen_lines(frames, time_digits=digits, padded=not self._args.no_signals, indented=self._indented)
-            self._indented = self._indented or bool((frames.flags & EXTENDED).any())
+            heads = self._screen_lines(frames)
         tails = [b"\n"] * len(frames) if self._args.no_signals else self._decoding.writer.tails(frames)
         if self._color:
             colors = self._colors(frames)
@@ -149,6 +153,26 @@ class _Lines:
         both = [b""] * (2 * len(frames))
         both[0::2], both[1::2] = heads, tails
         return b"".join(both)
+
+    def _screen_lines(self, frames: Frames) -> list[bytes]:
+        """As candump shows them; padded to one width where signals stand beside."""
+        from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
+
+        lines = []
+        wide_name = max(map(len, frames.channels))
+        for frame in frames:
+            self._indented = self._indented or frame.extended
+            time = ""
+            if self._args.times is not None:
+                digits = _TIME_DIGITS.get(self._args.times)
+                time = date_text(frame.t_ns) if digits is None else time_text(frame.t_ns, digits)
+            named = replace(frame, channel=frame.channel.rjust(wide_name))
+            line = screen_line(
+                named, time, indented=self._indented, extra=self._args.extra, ascii_column=self._args.ascii_column
+            )
+            lines.append(line.encode("utf-8", "replace"))
+        width = 0 if self._args.no_signals else max(map(len, lines))
+        return [line.ljust(width) for line in lines]
 
     def _shifted(self, frames: Frames) -> Frames:
         """With the times that -t asks for; like candump's, none goes below zero."""

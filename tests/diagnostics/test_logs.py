@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.log.candump import log_lines, parse_block, screen_lines
-from fsai_vcu.diagnostics.log.candump_line import parse_line
+from fsai_vcu.diagnostics.log.candump import log_lines, parse_block
+from fsai_vcu.diagnostics.log.candump_line import date_text, parse_line, screen_line, time_text
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.reader import LogError, open_log, read_log
 
@@ -259,8 +259,7 @@ def test_the_fast_reader_reads_what_the_careful_one_reads(text: str, template: s
 def test_lines_of_candumps_screen_are_read_together(time: str, way: str) -> None:
     """Not one by one: a line of each length and kind, all in one block."""
     frames = [frame(n, bytes(range(240, 240 + n)), channel="can1", extended=wide) for n in range(9) for wide in (0, 1)]
-    lines = [line.decode() for line in screen_lines(frames_of(frames), time_digits=None)]
-    lines = [f"{time}{line.replace('can1  ', 'can1  ' + way)}" for line in lines]
+    lines = [f"{time}{screen_line(each).replace('can1  ', 'can1  ' + way)}" for each in frames]
     found, unreadable, _ = parse_block(np.frombuffer("".join(f"{line}\n" for line in lines).encode(), np.uint8), [])
     assert not unreadable
     assert list(found) == [parse_line(line) for line in lines]
@@ -424,5 +423,7 @@ def test_lines_on_a_screen_are_read_back_from_what_is_shown() -> None:
         frame(data=b"", remote=True, length=4),
         frame(4, error=True),
     ]
-    lines = screen_lines(frames_of(frames), time_digits=10)
-    assert [parse_line(line.decode()) for line in lines] == frames
+    assert [parse_line(screen_line(each, time_text(each.t_ns))) for each in frames] == frames
+    received = [replace(each, sent=bool(each.sent)) for each in frames]
+    lines = [screen_line(each, date_text(each.t_ns), extra=True, indented=True, ascii_column=True) for each in received]
+    assert [parse_line(line) for line in lines] == received

@@ -159,16 +159,46 @@ def _screen_time_ns(text: str | None) -> int:
 
 def log_line(frame: LogFrame, time_digits: int = 1) -> str:
     """The frame as a line of `candump -L`, without its line end; at least `time_digits` digits of seconds."""
+    return f"({time_text(frame.t_ns, time_digits)}) {frame.channel} {_identifier_text(frame)}#{_payload_text(frame)}"
+
+
+def screen_line(
+    frame: LogFrame, time: str = "", *, indented: bool = False, extra: bool = False, ascii_column: bool = False
+) -> str:
+    """The frame as candump shows it on a screen (can-utils, lib.c).
+
+    time: what stands in brackets. indented: as candump does with an 11-bit identifier once it has seen one of 29 bits.
+    extra: direction and FD flags (-x); received, where nothing else is known. ascii_column: -a.
+    """
+    way = f"  {'TX' if frame.sent else 'RX'} {'B' if frame.brs else '-'} {'E' if frame.esi else '-'}" if extra else ""
+    indent = " " * 5 if indented and not (frame.extended or frame.error) else ""
+    head = f" {f'({time}) ' if time else ''} {frame.channel}{way}  {indent}{_identifier_text(frame)}"
+    length = f"  [{frame.length:02d}]" if frame.fd else f"   [{frame.length}]"
+    if frame.remote:
+        return f"{head}{length}  remote request"
+    line = f"{head}{length} {''.join(f' {byte:02X}' for byte in frame.data)}"
+    behind = " " * (3 * (MAX_CLASSIC_DLC - len(frame.data)) + 3)
     if frame.error:
-        name = f"{frame.can_id | ERROR_FLAG:08X}"
-    else:
-        name = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
-    return f"({time_text(frame.t_ns, time_digits)}) {frame.channel} {name}#{_payload_text(frame)}"
+        return f"{line}{behind}ERRORFRAME"
+    if ascii_column and len(frame.data) <= MAX_CLASSIC_DLC:
+        line += f"{behind}'{''.join(chr(byte) if 0x1F < byte < 0x7F else '.' for byte in frame.data)}'"
+    return line
 
 
 def time_text(t_ns: int, digits: int = 1) -> str:
     """Seconds with six decimals, as candump writes them."""
     return f"{t_ns // 1_000_000_000:0{digits}d}.{t_ns // 1000 % 1_000_000:06d}"
+
+
+def date_text(t_ns: int) -> str:
+    """Date and time of day, local, as `candump -t A` writes them."""
+    return f"{datetime.fromtimestamp(t_ns // 1_000_000_000):%Y-%m-%d %H:%M:%S}.{t_ns // 1000 % 1_000_000:06d}"
+
+
+def _identifier_text(frame: LogFrame) -> str:
+    if frame.error:
+        return f"{frame.can_id | ERROR_FLAG:08X}"
+    return f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
 
 
 def _payload_text(frame: LogFrame) -> str:
