@@ -6,6 +6,7 @@ import argparse
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
     from fsai_vcu.diagnostics.decode.decoder import Decoder
     from fsai_vcu.diagnostics.decode.lines import LineWriter
+    from fsai_vcu.diagnostics.explain.record import Record
     from fsai_vcu.diagnostics.log.files import Problems
     from fsai_vcu.diagnostics.log.filters import FrameFilter
     from fsai_vcu.diagnostics.log.frames import Frames
@@ -26,6 +28,7 @@ LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzip
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc"})
 _PROBLEMS_SHOWN = 5
+_PROGRESS_S = 1.0
 
 
 def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
@@ -52,6 +55,22 @@ def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to", *, me
             metavar="NAME,…",
             help="only these: names with * and ?, or identifiers (0x520)",
         )
+
+
+def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True) -> None:
+    """What every verb takes that looks at a whole log, or listens for a while."""
+    add_sources_argument(parser)
+    add_seconds_argument(parser)
+    add_part_arguments(parser, messages=messages)
+    add_database_arguments(parser)
+
+
+def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Record | None:
+    """The frames of all sources sorted for an explanation; None without a frame, which was reported then."""
+    from fsai_vcu.diagnostics.explain import record_for
+
+    frames = sources.everything(getattr(args, "seconds", None))
+    return record_for(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
@@ -260,8 +279,6 @@ class Sources:
             if not self.live:
                 raise
         if self._part and self.first_ns is not None and not count:
-            from fsai_vcu.interface.errors import UserError
-
             raise UserError(f"no frame of {self.name} is in that part")
         if self.live and not count:
             self._say(f"nothing was received on {self.name}")
@@ -343,6 +360,30 @@ def check_seconds(args: argparse.Namespace) -> None:
     """Raises WrongUse."""
     if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
+
+
+class Progress:
+    """How far it is, rewritten on a terminal every second."""
+
+    def __init__(self) -> None:
+        self._next_s = time.monotonic() + _PROGRESS_S
+        self._shown = False
+
+    def reading(self, frames: int) -> None:
+        self._say(f"{frames} frames read")
+
+    def writing(self, done: int, of: int) -> None:
+        self._say(f"{100 * done // max(of, 1)} % written")
+
+    def end(self) -> None:
+        if self._shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def _say(self, text: str) -> None:
+        if sys.stderr.isatty() and time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + _PROGRESS_S
+            self._shown = True
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _first_stamp(path: Path) -> tuple[int, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import cache, cached_property
 from typing import Final, NamedTuple
 
@@ -156,7 +157,7 @@ class Record:
     wrong_length: Mapping[int, tuple[int, int]] = field(default_factory=dict)  # id: how often, first time
     unknown_ids: Mapping[int, int] = field(default_factory=dict)
     other_channels: Mapping[str, int] = field(default_factory=dict)
-    _rows: dict[int, Ints] = field(default_factory=dict, repr=False)
+    _rows: dict[int, Ints] = field(default_factory=dict, repr=False)  # by key, as in MessageLayout
     _tables: dict[str, MessageTable] = field(default_factory=dict, repr=False)
     _series: dict[Signal, Series] = field(default_factory=dict, repr=False)
 
@@ -184,7 +185,7 @@ class Record:
 
     def _read(self, signal: Signal) -> Series:
         layout = self.decoder.databases.by_name(signal.message)
-        rows = self._rows.get(layout.can_id) if layout is not None else None
+        rows = self._rows.get(layout.key) if layout is not None else None
         if layout is None or rows is None:
             return NOTHING
         if layout.name not in self._tables:
@@ -192,6 +193,18 @@ class Record:
         named = self._tables[layout.name].series
         found = next((named[signal.name + tail] for tail in _NAME_TAILS if signal.name + tail in named), None)
         return NOTHING if found is None else Series(found.t_ns, found.values.astype(np.float64))
+
+    def matching(self, patterns: Sequence[str]) -> dict[str, list[tuple[str, Series]]]:
+        """By unit, (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ? means."""
+        groups: dict[str, list[tuple[str, Series]]] = {}
+        for layout in self.decoder.databases.layouts.values():
+            for signal in layout.signals:
+                full = f"{layout.name}.{signal.name}"
+                if any(fnmatchcase(full if "." in pattern else signal.name, pattern) for pattern in patterns):
+                    series = self.series(Signal(layout.name, signal.name))
+                    if len(series):
+                        groups.setdefault(signal.unit, []).append((full, series))
+        return groups
 
     def at(self, signal: Signal, t_ns: int) -> float | None:
         """The signal's newest value at `t_ns`; None before its first frame."""
@@ -286,8 +299,8 @@ def record_of(frames: Frames, revision: Revision, reason: str = "given", databas
         if not right.all():
             strange = rows[~right]
             wrong[layout.can_id] = (len(strange), int(bus.t_ns[strange[0]]))
-        if right.any() and not layout.extended:
-            rows_of[layout.can_id] = rows[right]
+        if right.any():
+            rows_of[layout.key] = rows[right]
     return Record(
         revision,
         reason,

@@ -14,16 +14,18 @@ from typing import Any, Final
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, record_for, story_of
 from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds
 from fsai_vcu.diagnostics.log.frames import Frames
-from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots
+from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots, plots_of
 from fsai_vcu.diagnostics.report.summary import drawing, figures, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
 
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3
+
+Chosen = dict[str, list[tuple[str, Series]]]
 
 
 def page(frames: Frames, name: str, revision: str | None = None, databases: Databases | None = None) -> str:
@@ -32,14 +34,14 @@ def page(frames: Frames, name: str, revision: str | None = None, databases: Data
     return page_of(record, story_of(record), name)
 
 
-def page_of(record: Record, story: Explanation, name: str) -> str:
-    """The page of a log that is sorted already."""
+def page_of(record: Record, story: Explanation, name: str, chosen: Chosen | None = None) -> str:
+    """The page of a log that is sorted already; `chosen`: signals to be plotted too, by unit."""
     style, script = _part("page.css"), _part("page.js")
     policy = (
         f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
-    drawn = plots(record)
+    drawn = [*plots_of(chosen or {}), *plots(record)]
     buses = measure(record.frames, record.decoder, revision=record.revision.name)
     verdict = judge_log(record, story, buses)
     return "".join(
