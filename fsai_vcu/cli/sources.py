@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 import time
@@ -83,7 +84,7 @@ def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
         chosen: set[int] = set()
         for name in filter(None, args.messages.split(",")):
             found = {layout.can_id for layout in layouts if layout.is_called(name)}
-            if not found and not (name.lower().startswith("0x") and _is_hex(name)):
+            if not found and not re.fullmatch("0x[0-9a-f]+", name, re.IGNORECASE):
                 raise UserError(f"no message {name}; fsai-vcu dbc list names them")
             chosen |= found or {int(name, 16)}
         ids = frozenset(chosen)
@@ -91,13 +92,6 @@ def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
         return Part(args.begin, args.end, ids)
     except ValueError as error:
         raise WrongUse(str(error)) from error
-
-
-def _is_hex(text: str) -> bool:
-    try:
-        return int(text, 16) >= 0
-    except ValueError:
-        return False
 
 
 def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:

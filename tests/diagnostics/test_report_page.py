@@ -178,8 +178,8 @@ def test_any_signals_can_be_on_the_page_of_a_foreign_dbc_too(
     frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, out, dbc = tmp_path / "run.log", tmp_path / "run.html", tmp_path / "team.dbc"
-    lines = [*log_lines(frames), b"(12.000000) can0 18FF0001#0A", b"(12.100000) can0 18FF0001#14"]
-    log.write_bytes(b"\n".join(lines).replace(b"can0", b"vcan0") + b"\n")
+    lines = [*log_lines(frames), b"(12.000000) vcan0 18FF0001#0A", b"(12.100000) vcan0 18FF0001#14"]
+    log.write_bytes(b"\n".join(lines) + b"\n")
     dbc.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 2566848513 Team: 1 AI\n SG_ TEMP : 0|8@1+ (0.5,0) [0|0] "C" AI\n')
     assert main(["report", str(log), "-o", str(out), "--signals", "AS_STATE,VCU2AI_Speeds.*"]) == 0
     first = data_of(out.read_text())["plots"][0]

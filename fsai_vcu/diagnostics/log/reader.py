@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
-# glibc gives freed memory back to the kernel, to fetch it again for the next block, until so much was freed at once
-# (M_MMAP_THRESHOLD in mallopt(3)). Nothing is written there, so that it costs nothing.
-_FREED_BYTES: Final = 31 << 20
 
 
 class LogError(UserError):
@@ -58,7 +55,6 @@ class Log:
 
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
-        np.empty(_FREED_BYTES, np.uint8)
         channels: list[str] = []
         if self.kind != "candump":
             frames = self._messages() if self.kind != "GVRET" else self._gvret_frames()
