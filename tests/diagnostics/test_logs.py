@@ -6,6 +6,7 @@ import gzip
 import os
 import re
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -89,21 +90,18 @@ def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, s
     assert plainly([replace(f, t_ns=f.t_ns + late_ns) for f in found]) == plainly(MIXED)
 
 
-def test_mf4_is_read_or_the_missing_package_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "run.mf4"
-    try:
-        import asammdf  # type: ignore[import-not-found]  # noqa: F401
-    except ImportError:
-        path.write_bytes(b"MDF     4.10    ")
-        with open_log(path) as log:
-            assert list(log.frames()) == []
-        assert log.problems.texts == [f"{path}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'"]
-    else:
-        write_with_python_can(path, MIXED)
-        assert plainly(read(path)) == plainly(MIXED)
-        packed = tmp_path / "run.mf4.gz"
-        packed.write_bytes(gzip.compress(path.read_bytes()))
-        assert plainly(read(packed)) == plainly(MIXED)
+def test_mf4_is_read_packed_too(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    path, packed = tmp_path / "run.mf4", tmp_path / "run.mf4.gz"
+    write_with_python_can(path, MIXED)
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert plainly(read(path)) == plainly(read(packed)) == plainly(MIXED)
+
+
+def test_mf4_without_its_package_names_what_installs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    frames, problems = problems_of(tmp_path / "run.mf4", b"MDF     4.10    ")
+    assert (frames, problems) == ([], [f"{tmp_path / 'run.mf4'}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'"])
 
 
 def test_the_format_is_told_by_the_content_and_not_by_the_name(tmp_path: Path) -> None:
