@@ -34,17 +34,21 @@ class TimelineEntry:
 
 
 class IncidentKind(Enum):
-    """What happened, in the words of the heading."""
+    """What happened: its name, the words of the heading, and what one and several of it are called."""
 
-    EMERGENCY = ("emergency_brake", "emergency brake")
-    ABORT = ("abort", "the drive was cut off")
-    REFUSAL = ("refusal_to_start", "refusal to start")
-    MISMATCH = ("not_as_asked", "the car does not do what it is asked")
-    STOP = ("early_stop", "stopped before the mission was done")
+    EMERGENCY = ("emergency_brake", "emergency brake", "emergency brake", "emergency brakes")
+    ABORT = ("abort", "the drive was cut off", "drive cut off", "drives cut off")
+    REFUSAL = ("refusal_to_start", "refusal to start", "refusal to start", "refusals to start")
+    MISMATCH = (
+        "not_as_asked", "the car does not do what it is asked", "thing not as asked", "things not as asked"
+    )  # fmt: skip
+    STOP = ("early_stop", "stopped before the mission was done", "early stop", "early stops")
 
-    def __init__(self, slug: str, words: str) -> None:
+    def __init__(self, slug: str, words: str, one: str, many: str) -> None:
         self.slug = slug
         self.words = words
+        self.one = one
+        self.many = many
 
 
 class Sureness(IntEnum):

@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from html import escape
 from importlib.resources import files
 from typing import Any, Final
@@ -15,7 +14,7 @@ from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, record_for, story_of
 from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
 from fsai_vcu.diagnostics.explain.record import Record, Series
-from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds
+from fsai_vcu.diagnostics.explain.render import before, extent, seconds
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots, plots_of
 from fsai_vcu.diagnostics.report.summary import drawing, figures, way_of
@@ -97,12 +96,10 @@ def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
 
 def _head(story: Explanation, verdict: Verdict, name: str) -> Iterator[str]:
     heading = story.heading
-    began = int(heading["begin_ns"])
-    when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
     yield f"<header>\n<h1>{escape(name)}</h1>\n"
     yield f'<p class="verdict {"good" if verdict.ok else "bad"}">{escape(verdict.line())}</p>\n'
     yield (
-        f"<p>{heading['seconds']:.1f} s, {heading['frames']} frames on {escape(str(heading['channel']))}{when};"
+        f"<p>{escape(extent(story))};"
         f" interface revision {escape(heading['revision'])} ({escape(heading['revision_reason'])});"
         f" {escape(story.closing)}.</p>\n"
     )
