@@ -71,21 +71,11 @@ def _from_log_line(found: re.Match[str]) -> LogFrame:
     if found["remote"]:
         return LogFrame(t_ns, channel, can_id, b"", extended, True, error, sent=sent, length=int(found["asked"] or 0))
     data = bytes.fromhex(found["data"].replace(".", ""))
-    bits = int(found["fd"][1], 16) if found["fd"] else 0
-    _check_length(len(data), found["fd"] is not None)
-    return LogFrame(
-        t_ns,
-        channel,
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=found["fd"] is not None,
-        brs=bool(bits & 1),  # linux/can.h, CANFD_BRS and CANFD_ESI
-        esi=bool(bits & 2),
-        sent=sent,
-    )
+    fd = found["fd"] is not None
+    bits = int(found["fd"][1], 16) if fd else 0
+    _check_length(len(data), fd)
+    marks = (extended, False, error, fd, bool(bits & 1), bool(bits & 2))  # linux/can.h, CANFD_BRS and CANFD_ESI
+    return LogFrame(t_ns, channel, can_id, data, *marks, sent=sent)
 
 
 def _from_screen_line(found: re.Match[str]) -> LogFrame:
@@ -99,22 +89,10 @@ def _from_screen_line(found: re.Match[str]) -> LogFrame:
     data = bytes.fromhex(text)
     if len(data) < length:
         raise ValueError(f"{len(data)} data bytes where {length} are announced")
-    data = data[:length]
-    fd = length > MAX_CLASSIC_DLC or found["brs"] == "B" or found["esi"] == "E"
+    brs, esi = found["brs"] == "B", found["esi"] == "E"
+    fd = length > MAX_CLASSIC_DLC or brs or esi
     _check_length(length, fd)
-    return LogFrame(
-        t_ns,
-        found["ch"],
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=fd,
-        brs=found["brs"] == "B",
-        esi=found["esi"] == "E",
-        sent=sent,
-    )
+    return LogFrame(t_ns, found["ch"], can_id, data[:length], extended, False, error, fd, brs, esi, sent)
 
 
 def _identifier(text: str) -> tuple[int, bool, bool]:

@@ -97,20 +97,11 @@ class Frames:
 
     def frame(self, row: int) -> LogFrame:
         flags = int(self.flags[row])
-        return LogFrame(
-            t_ns=int(self.t_ns[row]),
-            channel=self.channels[int(self.channel[row])],
-            can_id=int(self.can_id[row]),
-            data=self.payload(row),
-            extended=bool(flags & EXTENDED),
-            remote=bool(flags & REMOTE),
-            error=bool(flags & ERROR),
-            fd=bool(flags & FD),
-            brs=bool(flags & BRS),
-            esi=bool(flags & ESI),
-            sent=True if flags & SENT else False if flags & RECEIVED else None,
-            length=int(self.length[row]),
-        )
+        head = (int(self.t_ns[row]), self.channels[int(self.channel[row])], int(self.can_id[row]), self.payload(row))
+        kind = (bool(flags & EXTENDED), bool(flags & REMOTE), bool(flags & ERROR))
+        fd = (bool(flags & FD), bool(flags & BRS), bool(flags & ESI))
+        sent = True if flags & SENT else False if flags & RECEIVED else None
+        return LogFrame(*head, *kind, *fd, sent, int(self.length[row]))
 
     def __iter__(self) -> Iterator[LogFrame]:
         return (self.frame(row) for row in range(len(self)))

@@ -65,17 +65,8 @@ class LiveSource:
                     break
                 if found is not None:
                     frame, stamp_ns = found
-                    received.append(
-                        LogFrame(
-                            stamp_ns,
-                            name,
-                            frame.can_id,
-                            frame.data,
-                            frame.extended and not frame.error,
-                            frame.remote,
-                            frame.error,
-                        )
-                    )
+                    kind = (frame.extended and not frame.error, frame.remote, frame.error)
+                    received.append(LogFrame(stamp_ns, name, frame.can_id, frame.data, *kind))
 
     def _ready(self, wait_s: float) -> list[tuple[str, CanBus]]:
         """The buses on which something may be waiting."""
