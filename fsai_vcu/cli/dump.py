@@ -194,16 +194,10 @@ class _Lines:
         from fsai_vcu.diagnostics.log.frames import ERROR
         from fsai_vcu.interface.bus_table import BY_ID, Flow
 
-        which = self._decoding.decoder.which(frames)
-        colors = []
-        for known, can_id, flags in zip(which.tolist(), frames.can_id.tolist(), frames.flags.tolist(), strict=True):
-            own = BY_ID.get(can_id)
-            if flags & ERROR:
-                colors.append(_COLORS["error"])
-            elif known == -1:
-                colors.append(_COLORS["unknown"])
-            elif own is not None and own.flow in (Flow.TO_VCU, Flow.FROM_VCU):
-                colors.append(_COLORS["ai" if own.flow is Flow.TO_VCU else "vcu"])
-            else:
-                colors.append(b"")
-        return colors
+        kinds = {Flow.TO_VCU: "ai", Flow.FROM_VCU: "vcu"}
+        own = {can_id: _COLORS.get(kinds.get(message.flow, ""), b"") for can_id, message in BY_ID.items()}
+        which = self._decoding.decoder.which(frames).tolist()
+        return [
+            _COLORS["error" if flags & ERROR else "unknown"] if flags & ERROR or known == -1 else own.get(can_id, b"")
+            for known, can_id, flags in zip(which, frames.can_id.tolist(), frames.flags.tolist(), strict=True)
+        ]

@@ -26,61 +26,45 @@ ORDER: Final = (
     "brakes", "steering", "warning", "motion",
 )  # fmt: skip
 
+NOTE, STATE, WARNING, FAULT = Weight
+_REMOTE: Final = ("the remote's ESTOP_STATUS is 0", "the remote's ESTOP_STATUS is 1")
+_ESTOP: Final = (
+    "ESTOP_REQUEST 0: the request is taken back",
+    "ESTOP_REQUEST 1: the AI computer asks for an emergency stop",
+)
+_STEERING: Final = ("the steering is off (STEERING_STATUS 0)", "the steering is active")
 # signal, topic, what 0 and 1 mean to people, weight of 0 and of 1
 SWITCHES: Final = (
-    (sig.AS_SWITCH, "switches", ("ASMS off", "ASMS on"), (Weight.STATE, Weight.STATE)),
-    (sig.TS_SWITCH, "switches", ("TSMS off", "TSMS on"), (Weight.STATE, Weight.STATE)),
-    (sig.GO, "Go", ("Go off", "Go on"), (Weight.STATE, Weight.STATE)),
-    (
-        sig.REMOTE_ESTOP,
-        "switches",
-        ("the remote's ESTOP_STATUS is 0", "the remote's ESTOP_STATUS is 1"),
-        (Weight.STATE, Weight.STATE),
-    ),
-    (
-        sig.SHUTDOWN_REQUEST,
-        "power",
-        ("SHUTDOWN_REQUEST ends", "the car asks for shutdown"),
-        (Weight.NOTE, Weight.STATE),
-    ),
-    (
-        sig.ESTOP,
-        "AI",
-        (
-            "ESTOP_REQUEST 0: the request is taken back",
-            "ESTOP_REQUEST 1: the AI computer asks for an emergency stop",
-        ),
-        (Weight.STATE, Weight.FAULT),
-    ),
-    (sig.FAULT_STATUS, "fault", ("FAULT_STATUS 0", "FAULT_STATUS 1"), (Weight.STATE, Weight.FAULT)),
-    (sig.WARNING_STATUS, "warning", ("WARNING_STATUS 0", "WARNING_STATUS 1"), (Weight.NOTE, Weight.WARNING)),
-    (
-        sig.STEERING_STATUS,
-        "steering",
-        ("the steering is off (STEERING_STATUS 0)", "the steering is active"),
-        (Weight.NOTE, Weight.NOTE),
-    ),
+    (sig.AS_SWITCH, "switches", ("ASMS off", "ASMS on"), (STATE, STATE)),
+    (sig.TS_SWITCH, "switches", ("TSMS off", "TSMS on"), (STATE, STATE)),
+    (sig.GO, "Go", ("Go off", "Go on"), (STATE, STATE)),
+    (sig.REMOTE_ESTOP, "switches", _REMOTE, (STATE, STATE)),
+    (sig.SHUTDOWN_REQUEST, "power", ("SHUTDOWN_REQUEST ends", "the car asks for shutdown"), (NOTE, STATE)),
+    (sig.ESTOP, "AI", _ESTOP, (STATE, FAULT)),
+    (sig.FAULT_STATUS, "fault", ("FAULT_STATUS 0", "FAULT_STATUS 1"), (STATE, FAULT)),
+    (sig.WARNING_STATUS, "warning", ("WARNING_STATUS 0", "WARNING_STATUS 1"), (NOTE, WARNING)),
+    (sig.STEERING_STATUS, "steering", _STEERING, (NOTE, NOTE)),
 )
 STATES: Final = (
-    (sig.AS_STATE, "AS state", Weight.STATE),
-    (sig.AMI, "mission", Weight.STATE),
-    (sig.MISSION_STATUS, "AI", Weight.STATE),
-    (sig.DIRECTION, "AI", Weight.NOTE),
-    (sig.SHUTDOWN_CAUSE, "fault", Weight.FAULT),
-    (sig.OP_STATE, "power", Weight.NOTE),
-    (sig.TS_STATE, "power", Weight.NOTE),
-    (sig.EBS_STATE, "EBS", Weight.NOTE),
-    (sig.STATUS_EBS, "EBS", Weight.NOTE),
-    (sig.STATUS_BRK, "brakes", Weight.NOTE),
+    (sig.AS_STATE, "AS state", STATE),
+    (sig.AMI, "mission", STATE),
+    (sig.MISSION_STATUS, "AI", STATE),
+    (sig.DIRECTION, "AI", NOTE),
+    (sig.SHUTDOWN_CAUSE, "fault", FAULT),
+    (sig.OP_STATE, "power", NOTE),
+    (sig.TS_STATE, "power", NOTE),
+    (sig.EBS_STATE, "EBS", NOTE),
+    (sig.STATUS_EBS, "EBS", NOTE),
+    (sig.STATUS_BRK, "brakes", NOTE),
 )
 GRAVE: Final = {
-    (sig.AS_STATE, sig.EMERGENCY): Weight.FAULT,
-    (sig.TS_STATE, float(TsState.TS_FAULT)): Weight.FAULT,
-    (sig.EBS_STATE, float(EbsState.EBS_FAULT)): Weight.FAULT,
-    (sig.EBS_STATE, float(EbsState.EBS_TRIGGERED)): Weight.WARNING,
-    (sig.STATUS_EBS, float(EbsStatus.TRIGGERED)): Weight.WARNING,
-    (sig.STATUS_BRK, 4.0): Weight.FAULT,
-    (sig.SHUTDOWN_CAUSE, 0.0): Weight.NOTE,
+    (sig.AS_STATE, sig.EMERGENCY): FAULT,
+    (sig.TS_STATE, float(TsState.TS_FAULT)): FAULT,
+    (sig.EBS_STATE, float(EbsState.EBS_FAULT)): FAULT,
+    (sig.EBS_STATE, float(EbsState.EBS_TRIGGERED)): WARNING,
+    (sig.STATUS_EBS, float(EbsStatus.TRIGGERED)): WARNING,
+    (sig.STATUS_BRK, 4.0): FAULT,
+    (sig.SHUTDOWN_CAUSE, 0.0): NOTE,
 }
 SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
     "INITIAL_ACTIONS", "POWER_ON_SELF_TEST", "AUX", "POWERTRAIN_ENABLE", "DRIVE_AUTONOMOUS", "DRIVE_MANUAL", "CHARGE",
@@ -98,7 +82,7 @@ def timeline(record: Record) -> list[TimelineEntry]:
     return sorted(events, key=lambda event: (event.t_ns, ORDER.index(event.topic)))
 
 
-def _entry(signal: Signal, t_ns: int, topic: str, text: str, weight: Weight = Weight.NOTE) -> TimelineEntry:
+def _entry(signal: Signal, t_ns: int, topic: str, text: str, weight: Weight = NOTE) -> TimelineEntry:
     """An event which a frame with this signal shows."""
     return TimelineEntry(t_ns, topic, text, weight, signal.can_id, signal.name)
 
@@ -112,7 +96,7 @@ def _speakers(record: Record) -> Iterator[TimelineEntry]:
         times = record.times(can_id)
         if len(times):
             already = " (it did when the log began)" if times[0] - record.begin_ns < 50 * MS else ""
-            yield TimelineEntry(int(times[0]), topic, who + already, Weight.STATE, can_id)
+            yield TimelineEntry(int(times[0]), topic, who + already, STATE, can_id)
 
 
 def _switches(record: Record) -> Iterator[TimelineEntry]:
@@ -136,7 +120,7 @@ def _states(record: Record) -> Iterator[TimelineEntry]:
             weight = GRAVE.get((signal, span.value), usual)
             known = label(signal, span.value)
             if "not in the interface" in known and not (signal is sig.STATUS_EBS and span.value == 0):
-                weight = max(weight, Weight.WARNING)
+                weight = max(weight, WARNING)
             text = f"{signal.name} {known}"
             if signal is sig.AS_STATE and span.before is not None:
                 text = f"AS_STATE {label(signal, span.before)} → {known}"
@@ -149,9 +133,9 @@ def _states(record: Record) -> Iterator[TimelineEntry]:
 def _flags(record: Record) -> Iterator[TimelineEntry]:
     """Fault and warning bits."""
     groups = (
-        (sig.FAULTS, "fault", Weight.FAULT),
-        ((*sig.WARNINGS, *sig.SYSTEM_WARNINGS), "warning", Weight.WARNING),
-        (sig.MISSED, "link", Weight.WARNING),
+        (sig.FAULTS, "fault", FAULT),
+        ((*sig.WARNINGS, *sig.SYSTEM_WARNINGS), "warning", WARNING),
+        (sig.MISSED, "link", WARNING),
     )
     for signals, topic, weight in groups:
         for signal in signals:
@@ -170,12 +154,12 @@ def _mode(record: Record) -> Iterator[TimelineEntry]:
     for span in record.series(sig.MISSION_STATUS).spans:
         chosen = record.at(sig.AS_STATE, span.begin_ns) in OFF_LIKE and record.at(sig.AMI, span.begin_ns)
         if chosen and span.value == MissionStatus.SELECTED:
-            yield _entry(sig.MISSION_STATUS, span.begin_ns, "mode", acknowledged, Weight.STATE)
+            yield _entry(sig.MISSION_STATUS, span.begin_ns, "mode", acknowledged, STATE)
     for span in record.series(sig.AMI).spans:
         later = span.begin_ns + 2 * S
         off = all(record.at(sig.AS_STATE, t_ns) in OFF_LIKE for t_ns in (span.begin_ns, later))
         if span.value and off and later < span.end_ns and record.at(sig.MISSION_STATUS, later) == 0:
-            yield _entry(sig.MISSION_STATUS, later, "mode", waits, Weight.WARNING)
+            yield _entry(sig.MISSION_STATUS, later, "mode", waits, WARNING)
 
 
 def _motion(record: Record) -> Iterator[TimelineEntry]:
@@ -184,15 +168,15 @@ def _motion(record: Record) -> Iterator[TimelineEntry]:
     turning = Series(wheels.t_ns, (wheels.values >= STANDING_RPM).astype(np.float64))
     for span in turning.spans:
         if span.before is None and span.value:
-            yield TimelineEntry(span.begin_ns, "motion", "the wheels turn when the log begins", Weight.STATE, 0x525)
+            yield TimelineEntry(span.begin_ns, "motion", "the wheels turn when the log begins", STATE, 0x525)
         elif span.before is not None and span.value:
-            yield TimelineEntry(span.begin_ns, "motion", "the wheels begin to turn", Weight.NOTE, 0x525)
+            yield TimelineEntry(span.begin_ns, "motion", "the wheels begin to turn", NOTE, 0x525)
         elif span.before is not None:
             begun = turning.span_at(span.begin_ns - 1)
             top = wheels.between(begun.begin_ns if begun else 0, span.begin_ns - 1).values.max()
             if top >= 3 * STANDING_RPM:
                 text = f"the wheels stand (under 10 rpm), {top:.0f} rpm at most before"
-                yield TimelineEntry(span.begin_ns, "motion", text, Weight.NOTE, 0x525)
+                yield TimelineEntry(span.begin_ns, "motion", text, NOTE, 0x525)
 
 
 def _first_requests(record: Record) -> Iterator[TimelineEntry]:
@@ -220,7 +204,7 @@ def _early_torque(record: Record) -> Iterator[TimelineEntry]:
             asked = [s for s in record.changes(signal, span.begin_ns, span.end_ns) if s.value > 0 and s.before == 0]
             for first in asked[:1]:
                 text = f"{signal.name} {first.value:g} Nm in {label(sig.AS_STATE, span.value)}"
-                yield _entry(signal, first.begin_ns, "AI", text, Weight.WARNING)
+                yield _entry(signal, first.begin_ns, "AI", text, WARNING)
     for span in record.series(sig.ANGLE_MAX).spans:
         if span.before is not None:
             yield _entry(sig.ANGLE_MAX, span.begin_ns, "steering", f"ANGLE_MAX {span.before:g} → {span.value:g} deg")
@@ -229,7 +213,7 @@ def _early_torque(record: Record) -> Iterator[TimelineEntry]:
 def _gaps(record: Record) -> Iterator[TimelineEntry]:
     """Messages that did not come, several that stopped together as one."""
     for begin_ns, end_ns in record.silences:
-        yield TimelineEntry(begin_ns, "bus", silence_words(begin_ns, end_ns), Weight.WARNING)
+        yield TimelineEntry(begin_ns, "bus", silence_words(begin_ns, end_ns), WARNING)
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
         together: dict[int, list[Gap]] = {}
         for can_id in ids:
@@ -237,7 +221,7 @@ def _gaps(record: Record) -> Iterator[TimelineEntry]:
             gaps = [gap for gap in record.gaps(can_id, GAP_PERIODS * period_ns) if not record.silence_in(gap)]
             if len(gaps) > MANY:
                 text = f"{BY_ID[can_id]} pauses {len(gaps)} times, {ms(max(g.length_ns for g in gaps))} at most"
-                yield TimelineEntry(gaps[0].begin_ns, "link", text, Weight.WARNING, can_id)
+                yield TimelineEntry(gaps[0].begin_ns, "link", text, WARNING, can_id)
                 continue
             for gap in gaps:
                 key = next((k for k in together if abs(k - gap.begin_ns) <= AT_ONCE_NS), gap.begin_ns)
@@ -253,22 +237,22 @@ def _gaps(record: Record) -> Iterator[TimelineEntry]:
             if gone and ids is VCU_IDS:
                 text += ": switched off, or unplugged"
             grave = longest.length_ns >= 10 * BY_ID[longest.can_id].period_ns[record.revision.name]
-            weight = Weight.WARNING if grave else Weight.NOTE
+            weight = WARNING if grave else NOTE
             yield TimelineEntry(begin_ns, "link", f"{text} {longest.words()}", weight, longest.can_id)
             if longest.end_ns is not None and gone:
-                yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", Weight.STATE, longest.can_id)
+                yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
 
 
 def _handshake(record: Record) -> Iterator[TimelineEntry]:
     for answer in record.answers:
         if answer.lost:
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
-            yield TimelineEntry(answer.toggle_ns, "link", text, Weight.WARNING, 0x510, "HANDSHAKE")
+            yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
 
 
 def _second_senders(record: Record) -> Iterator[TimelineEntry]:
     for other in record.second_senders:
-        yield TimelineEntry(other.begin_ns, "intruder", other.sentence, Weight.FAULT, other.can_ids[0])
+        yield TimelineEntry(other.begin_ns, "intruder", other.sentence, FAULT, other.can_ids[0])
 
 
 def _bus(record: Record) -> Iterator[TimelineEntry]:
@@ -277,13 +261,13 @@ def _bus(record: Record) -> Iterator[TimelineEntry]:
         if len(burst):
             first, last = int(burst[0]), int(burst[-1])
             many = f"{len(burst)} error frames within {ms(last - first)}" if len(burst) > 1 else "an error frame"
-            yield TimelineEntry(first, "bus", f"{many}: {error_text(record, first)}", Weight.FAULT)
+            yield TimelineEntry(first, "bus", f"{many}: {error_text(record, first)}", FAULT)
     for can_id, (count, first) in record.wrong_length.items():
         known = BY_ID.get(can_id)
         grave = known is not None and known.flow in (Flow.TO_VCU, Flow.FROM_VCU)
         text = f"{known or f'0x{can_id:03X}'} with the wrong length ({count} frames): it counts as missing"
-        yield TimelineEntry(first, "bus", text, Weight.FAULT if grave else Weight.WARNING, can_id)
+        yield TimelineEntry(first, "bus", text, FAULT if grave else WARNING, can_id)
     for t_ns, back_ns in record.set_back:
         if back_ns >= MS:  # less is two frames stamped on two processors
             text = f"the log's clock was set back by {ms(back_ns)}: what follows is moved on"
-            yield TimelineEntry(t_ns, "bus", text, Weight.WARNING)
+            yield TimelineEntry(t_ns, "bus", text, WARNING)

@@ -56,44 +56,20 @@ class Plot:
         return f"{self.title} in {self.unit} over time: {'; '.join(parts)}."
 
 
+def _axles(*signals: Signal) -> tuple[tuple[Signal, str], ...]:
+    return tuple(zip(signals, ("front asked", "front given", "rear asked", "rear given"), strict=True))
+
+
+LONGITUDINAL: Final = Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2")
+LATERAL: Final = Signal("AI2LOG_Dynamics2", "Accel_lateral_mps2")
+YAW_RATE: Final = Signal("AI2LOG_Dynamics2", "Yaw_rate_degps")
 # slug, title, unit, digits, pairs of (signal, name)
 _OF_SIGNALS: Final = (
     ("steering", "Steering", "deg", 1, ((sig.STEER, "asked"), (sig.ANGLE, "given"))),
-    (
-        "torque",
-        "Axle torque",
-        "Nm",
-        1,
-        (
-            (sig.TORQUE_F, "front asked"),
-            (CAR_TORQUE[0], "front given"),
-            (sig.TORQUE_R, "rear asked"),
-            (CAR_TORQUE[1], "rear given"),
-        ),
-    ),
-    (
-        "brake",
-        "Brake",
-        "%",
-        1,
-        (
-            (sig.BRAKE_REQ_F, "front asked"),
-            (sig.BRAKE_F, "front given"),
-            (sig.BRAKE_REQ_R, "rear asked"),
-            (sig.BRAKE_R, "rear given"),
-        ),
-    ),
-    (
-        "acceleration",
-        "Acceleration",
-        "m/s²",
-        1,
-        (
-            (Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2"), "longitudinal"),
-            (Signal("AI2LOG_Dynamics2", "Accel_lateral_mps2"), "lateral"),
-        ),
-    ),
-    ("yaw", "Yaw rate", "deg/s", 1, ((Signal("AI2LOG_Dynamics2", "Yaw_rate_degps"), "to the left"),)),
+    ("torque", "Axle torque", "Nm", 1, _axles(sig.TORQUE_F, CAR_TORQUE[0], sig.TORQUE_R, CAR_TORQUE[1])),
+    ("brake", "Brake", "%", 1, _axles(sig.BRAKE_REQ_F, sig.BRAKE_F, sig.BRAKE_REQ_R, sig.BRAKE_R)),
+    ("acceleration", "Acceleration", "m/s²", 1, ((LONGITUDINAL, "longitudinal"), (LATERAL, "lateral"))),
+    ("yaw", "Yaw rate", "deg/s", 1, ((YAW_RATE, "to the left"),)),
 )
 
 
