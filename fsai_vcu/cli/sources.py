@@ -114,7 +114,7 @@ def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None
 
 def decoder_of(args: argparse.Namespace) -> Decoder:
     """The decoder that the arguments ask for; where they name no revision, of the latest. Raises UserError."""
-    return Decoding("", args).decoder
+    return Decoding("record", args).decoder
 
 
 class Decoding:
