@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -41,12 +42,10 @@ def cut(story: Explanation, from_s: float | None, to_s: float | None) -> Explana
     """The part of a story from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
     low = float("-inf") if from_s is None else from_s
     high = float("inf") if to_s is None else to_s
-    return Explanation(
-        story.heading,
-        tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
-        tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
-        story.closing,
-        story.problems,
+    return replace(
+        story,
+        events=tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
+        incidents=tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
     )
 
 
