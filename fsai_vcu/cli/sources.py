@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.decoder import Decoder
     from fsai_vcu.diagnostics.decode.lines import LineWriter
     from fsai_vcu.diagnostics.explain.record import Record
-    from fsai_vcu.diagnostics.log.files import Problems
     from fsai_vcu.diagnostics.log.filters import FrameFilter
     from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.diagnostics.log.part import Part
+    from fsai_vcu.diagnostics.log.reader import Problems
     from fsai_vcu.interface.revisions import Revision
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"

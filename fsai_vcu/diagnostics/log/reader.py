@@ -21,9 +21,8 @@ import numpy as np
 
 from fsai_vcu.diagnostics.log.candump import parse_block
 from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, read_line, whole_line
-from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.log.gvret import GvretLines, whole_gvret
+from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
 from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
@@ -32,6 +31,44 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
+
+
+_KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
+_GZIP: Final = b"\x1f\x8b"
+_FORMATS: Final = (  # by the first bytes; the second of TRC: version 1.0
+    ("BLF", (b"LOGG",)),
+    ("MF4", (b"MDF ",)),
+    ("ASC", (b"date ", b"base hex", b"base dec", b"// version")),
+    ("TRC", (b";$FILEVERSION=", b";##############")),
+    ("GVRET", (HEAD.encode(),)),
+)
+
+
+class Problems:
+    """What could not be read in a log. `texts` are whole lines for people, each with its place; all are counted."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.texts: list[str] = []
+
+    def add(self, text: str) -> None:
+        self.count += 1
+        if len(self.texts) < _KEPT_PROBLEMS:
+            self.texts.append(text)
+
+    def __bool__(self) -> bool:
+        return self.count > 0
+
+    def summary(self) -> str:
+        """One line."""
+        more = f" (and {self.count - 1} more like it or worse)" if self.count > 1 else ""
+        return self.texts[0] + more if self.count else ""
+
+
+def kind_of(head: bytes) -> str:
+    """The format of a log, from its first bytes."""
+    starts = (head, head.lower())
+    return next((kind for kind, begins in _FORMATS if any(each.startswith(begins) for each in starts)), "candump")
 
 
 class LogError(UserError):
@@ -233,7 +270,7 @@ def read_log(path: Path | str) -> tuple[Frames, Problems]:
 
 
 def _unpacked(name: str, stream: IO[bytes], path: Path | None) -> Log:
-    if is_gzip(_head(stream)):
+    if _head(stream).startswith(_GZIP):
         return Log(name, gzip.GzipFile(fileobj=stream), path)  # type: ignore[arg-type]
     return Log(name, stream, path)
 
