@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from story_runs import branch, driving, log_of
+from story_runs import branch, driving, log_of, page
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.explain import record_for
 from fsai_vcu.diagnostics.explain.record import Series
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, joined
-from fsai_vcu.diagnostics.report import page
 from fsai_vcu.diagnostics.report.curves import BUCKETS, Curve, lanes, packed, plots, thinned
 from fsai_vcu.interface.units import MS, S
 

@@ -10,12 +10,10 @@ from html import escape
 from importlib.resources import files
 from typing import Any, Final
 
-from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, record_for, story_of
+from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind
 from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
 from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.diagnostics.explain.render import before, extent, seconds
-from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots, plots_of
 from fsai_vcu.diagnostics.report.summary import drawing, figures, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
@@ -25,12 +23,6 @@ EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has
 _ALSO: Final = 3
 
 Chosen = dict[str, list[tuple[str, Series]]]
-
-
-def page(frames: Frames, name: str, revision: str | None = None, databases: Databases | None = None) -> str:
-    """The whole file as text. Raises ValueError for a log without frames, or an unknown revision."""
-    record = record_for(frames, revision, databases)
-    return page_of(record, story_of(record), name)
 
 
 def page_of(record: Record, story: Explanation, name: str, chosen: Chosen | None = None) -> str:
