@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.sources import (
@@ -159,20 +158,15 @@ class _Lines:
         from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
 
         lines = []
-        wide_name = max(map(len, frames.channels))
+        width, digits = max(map(len, frames.channels)), _TIME_DIGITS.get(self._args.times)
         for frame in frames:
             self._indented = self._indented or frame.extended
-            time = ""
-            if self._args.times is not None:
-                digits = _TIME_DIGITS.get(self._args.times)
-                time = date_text(frame.t_ns) if digits is None else time_text(frame.t_ns, digits)
-            named = replace(frame, channel=frame.channel.rjust(wide_name))
-            line = screen_line(
-                named, time, indented=self._indented, extra=self._args.extra, ascii_column=self._args.ascii_column
-            )
+            time = date_text(frame.t_ns) if self._args.times == "A" else time_text(frame.t_ns, digits) if digits else ""
+            extra, ascii_ = self._args.extra, self._args.ascii_column
+            line = screen_line(frame, time, width=width, indented=self._indented, extra=extra, ascii_=ascii_)
             lines.append(line.encode("utf-8", "replace"))
-        width = 0 if self._args.no_signals else max(map(len, lines))
-        return [line.ljust(width) for line in lines]
+        padded = 0 if self._args.no_signals else max(map(len, lines))
+        return [line.ljust(padded) for line in lines]
 
     def _shifted(self, frames: Frames) -> Frames:
         """With the times that -t asks for; like candump's, none goes below zero."""

@@ -423,5 +423,5 @@ def test_lines_on_a_screen_are_read_back_from_what_is_shown() -> None:
     ]
     assert [parse_line(screen_line(each, time_text(each.t_ns))) for each in frames] == frames
     received = [replace(each, sent=bool(each.sent)) for each in frames]
-    lines = [screen_line(each, date_text(each.t_ns), extra=True, indented=True, ascii_column=True) for each in received]
+    lines = [screen_line(each, date_text(each.t_ns), extra=True, indented=True, ascii_=True) for each in received]
     assert [parse_line(line) for line in lines] == received

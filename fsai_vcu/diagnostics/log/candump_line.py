@@ -141,16 +141,23 @@ def log_line(frame: LogFrame, time_digits: int = 1) -> str:
 
 
 def screen_line(
-    frame: LogFrame, time: str = "", *, indented: bool = False, extra: bool = False, ascii_column: bool = False
+    frame: LogFrame,
+    time: str = "",
+    *,
+    width: int = 0,
+    indented: bool = False,
+    extra: bool = False,
+    ascii_: bool = False,
 ) -> str:
     """The frame as candump shows it on a screen (can-utils, lib.c).
 
-    time: what stands in brackets. indented: as candump does with an 11-bit identifier once it has seen one of 29 bits.
-    extra: direction and FD flags (-x); received, where nothing else is known. ascii_column: -a.
+    time: what stands in brackets. width: of the longest channel's name. indented: as candump does with an 11-bit
+    identifier once it has seen one of 29 bits. extra: direction and FD flags (-x); received, where nothing else is
+    known. ascii_: -a.
     """
     way = f"  {'TX' if frame.sent else 'RX'} {'B' if frame.brs else '-'} {'E' if frame.esi else '-'}" if extra else ""
     indent = " " * 5 if indented and not (frame.extended or frame.error) else ""
-    head = f" {f'({time}) ' if time else ''} {frame.channel}{way}  {indent}{_identifier_text(frame)}"
+    head = f" {f'({time}) ' if time else ''} {frame.channel:>{width}}{way}  {indent}{_identifier_text(frame)}"
     length = f"  [{frame.length:02d}]" if frame.fd else f"   [{frame.length}]"
     if frame.remote:
         return f"{head}{length}  remote request"
@@ -158,7 +165,7 @@ def screen_line(
     behind = " " * (3 * (MAX_CLASSIC_DLC - len(frame.data)) + 3)
     if frame.error:
         return f"{line}{behind}ERRORFRAME"
-    if ascii_column and len(frame.data) <= MAX_CLASSIC_DLC:
+    if ascii_ and len(frame.data) <= MAX_CLASSIC_DLC:
         line += f"{behind}'{''.join(chr(byte) if 0x1F < byte < 0x7F else '.' for byte in frame.data)}'"
     return line
 
