@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, record_in
 from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import record_for, story_of
+    from fsai_vcu.diagnostics.explain import story_of
     from fsai_vcu.diagnostics.statistics.measure import measure
 
     decoding = Decoding("compare", args)
@@ -39,11 +39,10 @@ def run(args: argparse.Namespace) -> int:
         sources = Sources("compare", [name])
         if sources.live:
             raise UserError(f"{name} is a bus; compare takes two logs")
-        frames = sources.everything()
-        status |= sources.status
-        if not len(frames):
+        record = record_in(args, sources, decoding)
+        if record is None:
             return 1
-        record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+        status |= sources.status
         records.append(record)
         buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
         incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in story_of(record).incidents])

@@ -38,8 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "digits mean a 29-bit id. Without a filter all frames are shown, error frames too",
     )
     parser.add_argument(
-        "-t", dest="times", choices=("a", "d", "z"), help="times: absolute, delta to the line before, from zero"
+        "-t",
+        dest="times",
+        choices=("a", "A", "d", "z"),
+        help="times: absolute, absolute with the date, delta to the line before, from zero",
     )
+    parser.add_argument("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
+    parser.add_argument("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
     parser.add_argument("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
     parser.add_argument("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
     parser.add_argument("-L", dest="log_format", action="store_true", help="the format of candump's logs")
@@ -60,9 +65,12 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"-n is {args.count}, but at least 1 frame can be shown")
     if args.idle_ms is not None and not 0.0 < args.idle_ms < float("inf"):
         raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
+    if args.log_format and (args.ascii_column or args.times == "A"):
+        raise WrongUse("-a and -t A do not go with -L, the format of logs")
     decoding = Decoding("dump", args)
     decoding.show_signals(args.signals)
     sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
+    sources.learn()
     lines = _Lines(args, decoding)
     output = Output()
     left = args.count
@@ -123,21 +131,17 @@ class _Lines:
         return frames.only(np.array(changed, np.bool_))
 
     def block(self, frames: Frames) -> bytes | bytearray:
-        from fsai_vcu.diagnostics.log.candump import log_lines, screen_lines
-        from fsai_vcu.diagnostics.log.frames import EXTENDED
+        from fsai_vcu.diagnostics.log.candump import log_lines
 
         if not len(frames):
             return b""
         if self._args.json:
             return self._decoding.writer.block(frames)
-        style = self._args.times
         frames = self._shifted(frames)
         if self._args.log_format:
-            heads = log_lines(frames, _TIME_DIGITS[style or "a"])
+            heads = log_lines(frames, _TIME_DIGITS[self._args.times or "a"], marks=self._args.extra)
         else:
-            digits = _TIME_DIGITS[style] if style else None
-            heads = screen_lines(frames, time_digits=digits, padded=not self._args.no_signals, indented=self._indented)
-            self._indented = self._indented or bool((frames.flags & EXTENDED).any())
+            heads = self._screen_lines(frames)
         tails = [b"\n"] * len(frames) if self._args.no_signals else self._decoding.writer.tails(frames)
         if self._color:
             colors = self._colors(frames)
@@ -148,6 +152,21 @@ class _Lines:
         both = [b""] * (2 * len(frames))
         both[0::2], both[1::2] = heads, tails
         return b"".join(both)
+
+    def _screen_lines(self, frames: Frames) -> list[bytes]:
+        """As candump shows them; padded to one width where signals stand beside."""
+        from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
+
+        lines = []
+        width, digits = max(map(len, frames.channels)), _TIME_DIGITS.get(self._args.times)
+        for frame in frames:
+            self._indented = self._indented or frame.extended
+            time = date_text(frame.t_ns) if self._args.times == "A" else time_text(frame.t_ns, digits) if digits else ""
+            extra, ascii_ = self._args.extra, self._args.ascii_column
+            line = screen_line(frame, time, width=width, indented=self._indented, extra=extra, ascii_=ascii_)
+            lines.append(line.encode("utf-8", "replace"))
+        padded = 0 if self._args.no_signals else max(map(len, lines))
+        return [line.ljust(padded) for line in lines]
 
     def _shifted(self, frames: Frames) -> Frames:
         """With the times that -t asks for; like candump's, none goes below zero."""
@@ -169,16 +188,10 @@ class _Lines:
         from fsai_vcu.diagnostics.log.frames import ERROR
         from fsai_vcu.interface.bus_table import BY_ID, Flow
 
-        which = self._decoding.decoder.which(frames)
-        colors = []
-        for known, can_id, flags in zip(which.tolist(), frames.can_id.tolist(), frames.flags.tolist(), strict=True):
-            own = BY_ID.get(can_id)
-            if flags & ERROR:
-                colors.append(_COLORS["error"])
-            elif known == -1:
-                colors.append(_COLORS["unknown"])
-            elif own is not None and own.flow in (Flow.TO_VCU, Flow.FROM_VCU):
-                colors.append(_COLORS["ai" if own.flow is Flow.TO_VCU else "vcu"])
-            else:
-                colors.append(b"")
-        return colors
+        kinds = {Flow.TO_VCU: "ai", Flow.FROM_VCU: "vcu"}
+        own = {can_id: _COLORS.get(kinds.get(message.flow, ""), b"") for can_id, message in BY_ID.items()}
+        which = self._decoding.decoder.which(frames).tolist()
+        return [
+            _COLORS["error" if flags & ERROR else "unknown"] if flags & ERROR or known == -1 else own.get(can_id, b"")
+            for known, can_id, flags in zip(which, frames.can_id.tolist(), frames.flags.tolist(), strict=True)
+        ]

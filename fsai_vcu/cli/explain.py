@@ -7,16 +7,8 @@ import json
 import os
 import sys
 
-from fsai_vcu.cli.sources import (
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    add_seconds_argument,
-    add_sources_argument,
-    check_seconds,
-    part_of,
-)
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of
+from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain can0 --seconds 10"
 ABOUT = """\
@@ -28,10 +20,7 @@ mission ends with is no problem)."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    add_sources_argument(parser)
-    add_part_arguments(parser, messages=False)
-    add_seconds_argument(parser)
-    add_database_arguments(parser)
+    add_log_arguments(parser, messages=False)
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
 
 
@@ -40,7 +29,6 @@ def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
-    from fsai_vcu.interface.errors import UserError
 
     check_seconds(args)
     decoding = Decoding("explain", args)  # before anything is read; the story itself says which revision it is, and why

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from pathlib import Path
 
-from fsai_vcu.cli.sources import LOG_HELP, Decoding, Sources, add_database_arguments, add_part_arguments, part_of
+from fsai_vcu.cli.sources import (
+    LOG_HELP,
+    Decoding,
+    Progress,
+    Sources,
+    add_database_arguments,
+    add_part_arguments,
+    part_of,
+)
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
@@ -15,7 +22,6 @@ EXAMPLE = (
     "  fsai-vcu export run.log --to csv --wide --raster 20ms -o run.csv"
 )
 _DEFAULT_RASTER = "10ms"
-_PROGRESS_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("export", args.logs, decoding, part_of(args, decoding))
     if sources.live:
         raise WrongUse(f"{args.logs[0]} is an interface; export reads logs, and `fsai-vcu record` makes them")
-    progress = _Progress()
+    progress = Progress()
     frames = sources.everything(received=progress.reading)
     if not len(frames):
         return sources.status or 1
@@ -85,35 +91,3 @@ def run(args: argparse.Namespace) -> int:
     for note in written.notes:
         print(f"fsai-vcu export: {note}", file=sys.stderr)
     return sources.status
-
-
-class _Progress:
-    """A line on a terminal, rewritten once a second while it takes long."""
-
-    def __init__(self) -> None:
-        self._next_s = time.monotonic() + _PROGRESS_S
-        self._shown = False
-        self._terminal = sys.stderr.isatty()
-
-    def reading(self, frames: int) -> None:
-        self._say(f"{frames} frames read")
-
-    def writing(self, done: int, of: int) -> None:
-        self._say(f"{100 * done // max(of, 1)} % written")
-
-    def end(self) -> None:
-        if self._shown and self._terminal:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-        self._shown = False
-
-    def _say(self, text: str) -> None:
-        if time.monotonic() < self._next_s:
-            return
-        self._next_s = time.monotonic() + _PROGRESS_S
-        self._shown = True
-        print(
-            f"\r\x1b[K{text}" if self._terminal else text,
-            end="" if self._terminal else "\n",
-            file=sys.stderr,
-            flush=True,
-        )

@@ -70,23 +70,6 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows what there is\n")
 
 
-class Formatter(argparse.RawDescriptionHelpFormatter):
-    """As wide as the terminal; argparse itself would load shutil to learn that, at every start of a command."""
-
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, width=_columns() - 2)
-
-
-def _columns() -> int:
-    """COLUMNS, else what the terminal says, else 80."""
-    if (asked := os.environ.get("COLUMNS", "")).isdecimal() and int(asked) > 0:
-        return int(asked)
-    try:
-        return os.get_terminal_size().columns or 80
-    except OSError:
-        return 80
-
-
 def module_of(verb: str) -> ModuleType:
     """The module of a verb: EXAMPLE, add_arguments(parser), run(args), and parse(parser, argv) where it has its own."""
     return importlib.import_module(_entry(verb)[0], __package__)
@@ -99,7 +82,7 @@ def parser_of(verb: str) -> Parser:
         prog=f"fsai-vcu {verb}",
         description=summary[0].upper() + summary[1:] + ".",
         epilog=f"example:\n  {module.EXAMPLE}",
-        formatter_class=Formatter,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
     return parser

@@ -13,6 +13,7 @@ from fsai_vcu.cli.sources import (
     add_part_arguments,
     add_source_argument,
     part_of,
+    record_in,
 )
 from fsai_vcu.interface.errors import UserError
 
@@ -36,40 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import record_for
-
     decoding = Decoding("plot", args)
     sources = Sources("plot", [args.source], part=part_of(args, decoding))
     if sources.live:
         raise UserError(f"{sources.name} is a bus; plot takes a log (fsai-vcu record -i {sources.name} makes one)")
-    frames = sources.everything()
-    if not len(frames):
+    record = record_in(args, sources, decoding)
+    if record is None:
         return 1
-    record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
-    groups = _chosen(record, args.signals)
+    groups = record.matching(args.signals)
     if not groups:
         raise UserError(f"no signal {' or '.join(args.signals)} in {sources.name}; fsai-vcu dbc show lists them")
     record.begin_ns = sources.first_ns or record.begin_ns
     _save(args.output, record, groups, sources.name)
     print(f"saved {args.output}: {', '.join(name for group in groups.values() for name, _ in group)}")
     return sources.status
-
-
-def _chosen(record: Record, patterns: list[str]) -> dict[str, list[tuple[str, Series]]]:
-    """Signals that the log has, by unit."""
-    from fnmatch import fnmatchcase
-
-    from fsai_vcu.diagnostics.explain.record import Signal
-
-    groups: dict[str, list[tuple[str, Series]]] = {}
-    for layout in record.decoder.databases.layouts.values():
-        for signal in layout.signals:
-            full = f"{layout.name}.{signal.name}"
-            if any(fnmatchcase(full if "." in pattern else signal.name, pattern) for pattern in patterns):
-                series = record.series(Signal(layout.name, signal.name))
-                if len(series):
-                    groups.setdefault(signal.unit, []).append((full, series))
-    return groups
 
 
 def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]], title: str) -> None:

@@ -5,16 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fsai_vcu.cli.sources import (
-    Decoding,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    add_seconds_argument,
-    add_sources_argument,
-    check_seconds,
-    part_of,
-)
+from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of, record_in
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
@@ -26,24 +17,27 @@ something could not be read, or the page not be written, 2 wrong use."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    add_sources_argument(parser)
+    add_log_arguments(parser)
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.html", help="the page to write")
-    add_seconds_argument(parser)
-    add_part_arguments(parser)
-    add_database_arguments(parser)
+    parser.add_argument(
+        "--signals", metavar="NAME,…", help="plots of these signals too: NAME or MESSAGE.NAME, with * and ?"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.report import page
+    from fsai_vcu.diagnostics.explain import story_of
+    from fsai_vcu.diagnostics.report.page import page_of
 
     check_seconds(args)
     decoding = Decoding("report", args)
     sources = Sources("report", args.sources, part=part_of(args, decoding))
-    frames = sources.everything(args.seconds)
-    if not len(frames):
+    record = record_in(args, sources, decoding)
+    if record is None:
         return 1
-    databases = decoding.databases if args.dbc else None
-    text = page(frames, Path(sources.name).name, args.revision, databases)
+    chosen = record.matching((args.signals or "").split(","))
+    if args.signals is not None and not chosen:
+        raise UserError(f"no signal {args.signals} in {sources.name}; fsai-vcu dbc show lists them")
+    text = page_of(record, story_of(record), Path(sources.name).name, chosen)
     try:
         _write(args.output, text)
     except OSError as error:

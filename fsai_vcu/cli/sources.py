@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.interface.errors import UserError, WrongUse
 
@@ -16,20 +18,18 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.decode.databases import Databases
     from fsai_vcu.diagnostics.decode.decoder import Decoder
     from fsai_vcu.diagnostics.decode.lines import LineWriter
-    from fsai_vcu.diagnostics.log.files import Problems
+    from fsai_vcu.diagnostics.explain.record import Record
     from fsai_vcu.diagnostics.log.filters import FrameFilter
-    from fsai_vcu.diagnostics.log.frame import LogFrame
     from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.diagnostics.log.part import Part
-    from fsai_vcu.diagnostics.log.reader import Log
+    from fsai_vcu.diagnostics.log.reader import Problems
     from fsai_vcu.interface.revisions import Revision
-
-Done = TypeVar("Done")
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
 LOG_SUFFIXES: Final = frozenset({".log", ".blf", ".asc", ".mf4", ".trc"})
 _PROBLEMS_SHOWN = 5
+_PROGRESS_S = 1.0
 
 
 def add_sources_argument(parser: argparse.ArgumentParser, name: str = "sources") -> None:
@@ -58,6 +58,22 @@ def add_part_arguments(parser: argparse.ArgumentParser, end: str = "--to", *, me
         )
 
 
+def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True) -> None:
+    """What every verb takes that looks at a whole log, or listens for a while."""
+    add_sources_argument(parser)
+    add_seconds_argument(parser)
+    add_part_arguments(parser, messages=messages)
+    add_database_arguments(parser)
+
+
+def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Record | None:
+    """The frames of all sources sorted for an explanation; None without a frame, which was reported then."""
+    from fsai_vcu.diagnostics.explain import record_for
+
+    frames = sources.everything(getattr(args, "seconds", None))
+    return record_for(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
+
+
 def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
     """The part of the log that the arguments ask for. Raises UserError."""
     from fsai_vcu.diagnostics.log.part import Part
@@ -68,7 +84,7 @@ def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
         chosen: set[int] = set()
         for name in filter(None, args.messages.split(",")):
             found = {layout.can_id for layout in layouts if layout.is_called(name)}
-            if not found and not (name.lower().startswith("0x") and _is_hex(name)):
+            if not found and not re.fullmatch("0x[0-9a-f]+", name, re.IGNORECASE):
                 raise UserError(f"no message {name}; fsai-vcu dbc list names them")
             chosen |= found or {int(name, 16)}
         ids = frozenset(chosen)
@@ -76,13 +92,6 @@ def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
         return Part(args.begin, args.end, ids)
     except ValueError as error:
         raise WrongUse(str(error)) from error
-
-
-def _is_hex(text: str) -> bool:
-    try:
-        return int(text, 16) >= 0
-    except ValueError:
-        return False
 
 
 def add_source_argument(parser: argparse.ArgumentParser, name: str = "source") -> None:
@@ -105,7 +114,7 @@ def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None
 
 def decoder_of(args: argparse.Namespace) -> Decoder:
     """The decoder that the arguments ask for; where they name no revision, of the latest. Raises UserError."""
-    return Decoding("", args).decoder
+    return Decoding("record", args).decoder
 
 
 class Decoding:
@@ -133,6 +142,8 @@ class Decoding:
         self._writer: LineWriter | None = None
         if self._files:
             self._databases = self._loaded()  # what is wrong with them is reported before anything is read
+            for name in self._databases.signed_flags:
+                print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
 
     @property
     def databases(self) -> Databases:
@@ -174,7 +185,7 @@ class Decoding:
             return
         self._shown = tuple(filter(None, names.split(",")))
         self._databases = self._decoder = self._writer = None
-        if not self.databases.layouts:
+        if not any(databases.with_signals(self._shown).layouts for databases in self.possible()):
             raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
 
     def hear(self, frames: Frames) -> None:
@@ -183,15 +194,6 @@ class Decoding:
 
         if not self.told and len(frames):
             self._learn(told_revision(frames))
-
-    def hear_frames(self, frames: Iterable[LogFrame]) -> None:
-        """The same without numpy."""
-        from fsai_vcu.diagnostics.decode.revision import revision_of
-
-        plain = [frame for frame in frames if not (frame.extended or frame.error or frame.remote)]
-        if not self.told:
-            words = {(each.can_id, len(each.data), int.from_bytes(each.data[:8], "little")) for each in plain}
-            self._learn(revision_of(words))
 
     def _learn(self, found: tuple[Revision, str] | None) -> None:
         if found is None:
@@ -271,8 +273,6 @@ class Sources:
             if not self.live:
                 raise
         if self._part and self.first_ns is not None and not count:
-            from fsai_vcu.interface.errors import UserError
-
             raise UserError(f"no frame of {self.name} is in that part")
         if self.live and not count:
             self._say(f"nothing was received on {self.name}")
@@ -281,31 +281,21 @@ class Sources:
 
     def learn(self) -> None:
         """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
-        for name, _ in self._rules:
-            with self._opened(name) as log:
+        from fsai_vcu.diagnostics.log.reader import open_log
+
+        for name, _ in self._rules if self.files else ():
+            with open_log(name) as log:
                 for frames in log.chunks():
                     if self._decoding is None or self._decoding.told:
                         return
                     self._decoding.hear(frames)
 
-    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
-        """What `work` makes of the frames of each chunk of the logs; for `in_order` see Log.mapped."""
-        for name, rule in self._rules:
-            count = 0
-
-            def done(frames: Frames, rule: FrameFilter = rule) -> tuple[Done, int]:
-                return work(self._passing(frames, rule)), len(frames)
-
-            with self._opened(name) as log:
-                for what, frames in log.mapped(done, in_order):
-                    count += frames
-                    yield what
-            self.status |= report_problems(self.verb, log.name, count, log.problems)
-
     def _log_chunks(self) -> Iterator[Frames]:
+        from fsai_vcu.diagnostics.log.reader import open_log
+
         for name, rule in self._rules:
             count = 0
-            with self._opened(name) as log:
+            with open_log(name) as log:
                 for frames in log.chunks():
                     count += len(frames)
                     if self._decoding is not None:
@@ -318,11 +308,6 @@ class Sources:
             self.first_ns = int(frames.t_ns[0])
         shown = frames if self._part is None else self._part.of(frames)
         return shown.only(rule.passes(shown)) if rule else shown
-
-    def _opened(self, name: str) -> Log:
-        from fsai_vcu.diagnostics.log.reader import open_log
-
-        return open_log(name)
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
         from fsai_vcu.diagnostics.log.filters import filtered
@@ -369,6 +354,30 @@ def check_seconds(args: argparse.Namespace) -> None:
     """Raises WrongUse."""
     if args.seconds is not None and not 0.0 < args.seconds < float("inf"):
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time")
+
+
+class Progress:
+    """How far it is, rewritten on a terminal every second."""
+
+    def __init__(self) -> None:
+        self._next_s = time.monotonic() + _PROGRESS_S
+        self._shown = False
+
+    def reading(self, frames: int) -> None:
+        self._say(f"{frames} frames read")
+
+    def writing(self, done: int, of: int) -> None:
+        self._say(f"{100 * done // max(of, 1)} % written")
+
+    def end(self) -> None:
+        if self._shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def _say(self, text: str) -> None:
+        if sys.stderr.isatty() and time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + _PROGRESS_S
+            self._shown = True
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _first_stamp(path: Path) -> tuple[int, str]:

@@ -4,22 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import (
-    Decoding,
-    Output,
-    Sources,
-    add_database_arguments,
-    add_part_arguments,
-    add_seconds_argument,
-    add_sources_argument,
-    check_seconds,
-    part_of,
-)
+from fsai_vcu.cli.sources import Decoding, Output, Progress, Sources, add_log_arguments, check_seconds, part_of
 from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -30,15 +18,11 @@ ABOUT = """\
 Exit status: 0 everything is known and nothing is wrong (notes may be there), 1 a
 problem was found, or too little is known, or not everything could be read, 2
 wrong use."""
-_PROGRESS_S = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    add_sources_argument(parser)
-    add_database_arguments(parser)
-    add_seconds_argument(parser)
-    add_part_arguments(parser)
+    add_log_arguments(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
     parser.add_argument(
         "--json", action="store_true", help="one JSON object per message, finding and bus; verdict last"
@@ -60,7 +44,9 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
         raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")
     decoding = Decoding(verb, args)
     sources = Sources(verb, args.sources, decoding, part_of(args, decoding))
-    frames = sources.everything(args.seconds, _Progress())
+    progress = Progress()
+    frames = sources.everything(args.seconds, progress.reading)
+    progress.end()
     buses = measure(frames, decoding.decoder, revision=decoding.revision, bitrate=args.bitrate)
     output = Output()
     for bus in buses:
@@ -75,18 +61,6 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     output.write("".join(f"{line}\n" for line in lines).encode(), at_once=True)
     return sources.status or verdict.status
-
-
-class _Progress:
-    """Says on a terminal, every two seconds, how many frames there are."""
-
-    def __init__(self) -> None:
-        self._printed_at = time.monotonic()
-
-    def __call__(self, frames: int) -> None:
-        if sys.stderr.isatty() and time.monotonic() - self._printed_at > _PROGRESS_S:
-            self._printed_at = time.monotonic()
-            print(f"{frames} frames …", file=sys.stderr)
 
 
 def _as_json(bus: BusStatistics, *, table: bool) -> str:

@@ -13,8 +13,8 @@ Reading
     guess_revision(frames)                        # decode/revision.py: the interface revision they are of, and why
     LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses
 
-    candump's formats are read and written by log/candump.py (many lines at once) and log/candump_line.py (one, without
-    numpy), SavvyCAN's by log/gvret.py; log/reader.py knows all others, through python-can.
+    candump's formats are read and written by log/candump.py (many lines at once) and log/candump_line.py (one),
+    SavvyCAN's by log/gvret.py; log/reader.py knows all others, through python-can.
 
 Choosing
     FrameFilter.parse("520:7FF,#FFFFFFFF")        # log/filters.py: candump's filters, on columns
@@ -31,16 +31,12 @@ Decoding
 
 Printing
     LineWriter(decoder, as_json=False).block(frames)      # decode/lines.py: lines of bytes; tails(): the signals only
-    FrameText(databases).line(frame)                      # decode/text.py: the same of one frame, without numpy
     error_words(can_id, data)                             # decode/error_frames.py: an error frame of SocketCAN in words
-
-    text.py says what is right; lines.py does it for many frames at once. `fsai-vcu decode` of a short log loads neither
-    numpy nor cantools: to load them takes longer.
 
 Measuring
     measure(frames, decoder, revision=…)       # statistics/measure.py: a BusStatistics for each channel: periods,
                                                   # gaps, load, handshake
-    judge(bus), verdict(findings)                 # what is not as it should be; whether all is well
+    judge(bus)                                    # what is not as it should be; verdict.judge_log has all of it
     wire_bits(frames)                           # statistics/wire_bits.py: exact length on the wire, stuff bits included
     quantile(ordered, share)                 # statistics/quantiles.py: one meaning of p50 and p99 everywhere
 

@@ -60,17 +60,19 @@ def _load_one(path: Path) -> Database:
     if not database.messages:
         raise DatabaseError(f"{path}: not a valid DBC file: it describes no message")
     check_whole(path, text)
-    _make_flags_unsigned(database)
+    make_flags_unsigned(database)
     return database
 
 
 def check_whole(path: Path, text: str) -> None:
     """Raises DatabaseError for a DBC file that was cut off in its last statement."""
-    if not _WHOLE_STATEMENT.fullmatch(text.rstrip().rpartition("\n")[2].strip()):
+    statements = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("//")]
+    if not statements or not _WHOLE_STATEMENT.fullmatch(statements[-1]):
         raise DatabaseError(f"{path}: not a valid DBC file: it ends in the middle of a statement")
 
 
-def _make_flags_unsigned(database: Database) -> None:
+def make_flags_unsigned(database: Database) -> None:
+    """One-bit signals become 0 and 1, whatever their sign."""
     for message in database.messages:
         for signal in message.signals:
             if signal.length == 1 and signal.is_signed:

@@ -296,13 +296,16 @@ def _bound_queue(bus: can.BusABC) -> None:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
 
 
+def can_interfaces() -> list[str]:
+    """The names of this machine's CAN interfaces, up or down."""
+    return sorted(path.name for path in Path("/sys/class/net").glob("*") if _read(path / "type") == _ARPHRD_CAN)
+
+
 def _check_interface(channel: str) -> None:
     """Say in words what a bare OSError would not: absent, not a CAN device, or down."""
     device = Path("/sys/class/net") / channel
     if not channel or not device.exists():
-        can_devices = sorted(
-            path.name for path in Path("/sys/class/net").glob("*") if _read(path / "type") == _ARPHRD_CAN
-        )
+        can_devices = can_interfaces()
         known = f"CAN interfaces here: {', '.join(can_devices)}" if can_devices else "this machine has no CAN interface"
         raise BusError(
             f"no CAN interface '{channel}' ({known}; 'loopback:NAME' is a stand-in bus for a rehearsal on one machine)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,16 @@ def test_lines_are_those_of_candumps_screen(log: str, capsys: pytest.CaptureFixt
         "  can0       514   [2]  0A 14",  # candump indents once it has seen a 29-bit identifier
         "  can0  20000040   [8]  00 00 00 00 00 00 00 00   ERRORFRAME",
     ]
+
+
+def test_direction_and_ascii_stand_where_candump_has_them(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path(log).write_text("(1.000000) can0 18FF0001#41007E7F R\n(1.000000) can0 514#0A42 T\n(1.000000) can0 123##3AA\n")
+    assert shown(capsys, log, "--no-signals", "-x", "-a") == [
+        "  can0  RX - -  18FF0001   [4]  41 00 7E 7F               'A.~.'",
+        "  can0  TX - -       514   [2]  0A 42                     '.B'",
+        "  can0  RX B E       123  [01]  AA                        '.'",
+    ]
+    assert [line[-2:] for line in shown(capsys, log, "--no-signals", "-L", "-x")] == [" R", " T", " R"]
 
 
 @pytest.mark.parametrize(
@@ -98,6 +109,8 @@ def test_colour_is_for_terminals_or_for_who_asks(log: str, capsys: pytest.Captur
     [
         (["LOG", "-n", "0"], "-n is 0, but at least 1 frame can be shown", 2),
         (["LOG", "-T", "nan"], "-T is nan, not a time", 2),
+        (["LOG", "-L", "-a"], "-a and -t A do not go with -L", 2),
+        (["LOG", "--signals", "NO_SUCH"], "no signal NO_SUCH", 1),
         (["LOG,520"], "no filter: '520'; a filter is ID:MASK", 2),
         (["LOG", "vcan0"], "logs and live interfaces cannot be read together", 2),
         (["vcan77"], "no CAN interface 'vcan77'", 1),
@@ -117,6 +130,20 @@ def test_changes_of_chosen_signals_are_shown_once(tmp_path: Path, capsys: pytest
     log.write_text("".join(f"(1.{n}) can0 520#00{word}0000000000\n" for n, word in enumerate(words)))
     assert main(["dump", str(log), "--changes", "--signals", "AS_STATE", "--no-signals"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_signals_are_those_of_the_logs_own_revision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"  # SM_SYS is only in 2021, and nothing before 0x120 tells the revision
+    log.write_text("(1.000000) can0 513#0000\n(1.100000) can0 120#0000000000000000\n")
+    assert main(["dump", str(log), "--signals", "SM_*"]) == 0
+    assert "VCU_STATUS(SM_SYS: " in capsys.readouterr().out
+
+
+def test_times_with_the_date_are_local_and_read_back(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "\n".join(shown(capsys, log, "-t", "A", "--no-signals"))
+    assert re.match(r" \(2015-07-1\d \d\d:\d\d:33\.850870\)  can0  523 ", text)
+    Path(log).write_text(text + "\n")
+    assert shown(capsys, log, "-L", "--no-signals") == LOG.splitlines()
 
 
 def test_a_part_of_a_log_is_by_seconds_clock_and_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,9 @@ from multiprocessing.connection import Connection
 from fsai_hil.simulator.faults import FaultyWire, FrameFault
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
+from fsai_vcu.diagnostics.explain import record_for, story_of
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.report.page import page_of
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 
@@ -167,3 +169,9 @@ def cut(frames: Frames, end_ns: int) -> Frames:
 def hand_made(lines: Sequence[tuple[float, int, str]]) -> Frames:
     """Frames of (seconds, identifier, payload as hex)."""
     return frames_of(LogFrame(round(t_s * 1e9), "can0", can_id, bytes.fromhex(data)) for t_s, can_id, data in lines)
+
+
+def page(frames: Frames, name: str) -> str:
+    """The report's page on these frames."""
+    record = record_for(frames)
+    return page_of(record, story_of(record), name)

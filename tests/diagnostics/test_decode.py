@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import re
 import struct
 import subprocess
 import sys
@@ -22,7 +23,6 @@ from fsai_vcu.diagnostics.decode.databases import databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.lines import LineWriter
-from fsai_vcu.diagnostics.decode.text import FrameText
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.errors import UserError
@@ -237,12 +237,8 @@ def test_a_64_bit_number_and_special_floats_keep_every_bit() -> None:
 
 
 def lines(decoder: Decoder, frames: Frames, **options: bool) -> list[bytearray]:
-    """Lines as many at once are written, each with its line end; the same frame by frame."""
-    found = LineWriter(decoder, **options).block(frames).splitlines(keepends=True)
-    text = FrameText(decoder.databases, **options)
-    for frame, line in zip(frames, found, strict=True):
-        assert line == text.line(frame).encode()
-    return found
+    """The lines of many frames, each with its line end."""
+    return LineWriter(decoder, **options).block(frames).splitlines(keepends=True)
 
 
 def tails(decoder: Decoder, frames: Frames) -> list[bytes]:
@@ -424,13 +420,21 @@ def test_of_several_files_the_first_one_counts_for_an_id(tmp_path: Path) -> None
 
 
 def test_only_an_official_file_has_its_flags_corrected(tmp_path: Path) -> None:
-    official, team = tmp_path / "official.dbc", tmp_path / "team.dbc"
+    official, part, team = (tmp_path / name for name in ("official.dbc", "part.dbc", "team.dbc"))
     text = (dbc_dir() / "ads_dv_2026.dbc").read_text(encoding="cp1252")
-    official.write_text(text.replace("SG_ GO_SIGNAL : 11|1@1+", "SG_ GO_SIGNAL : 11|1@1-"), encoding="cp1252")
+    text = text.replace("SG_ GO_SIGNAL : 11|1@1+", "SG_ GO_SIGNAL : 11|1@1-")
+    official.write_text(text, encoding="cp1252")
+    status = re.search(r"BO_ \d+ VCU2AI_Status.*?\n\n", text, re.DOTALL)
+    assert status is not None
+    part.write_text(f'VERSION ""\n\nBU_: VCU AI\n\n{status[0]}// the state alone\n', encoding="cp1252")
     team.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 1 Team: 1 AI\n SG_ A : 0|1@1- (1,0) [0|0] "" AI\n')
     go = frames_of([LogFrame(0, "c", 0x520, bytes([0, 0x08, 0, 0, 0, 0, 0, 0]))])
-    series = Decoder(load_databases([official])).tables(go)["VCU2AI_Status"].series["GO_SIGNAL"]
-    assert series.values.tolist() == [1]
+    for path in (official, part):
+        databases = load_databases([path])
+        assert databases.signed_flags == (str(path),)
+        assert Decoder(databases).tables(go)["VCU2AI_Status"].series["GO_SIGNAL"].values.tolist() == [1]
+        assert databases.decoded(databases.layouts[0x520], bytes([0, 0x08, 0, 0, 0, 0, 0, 0]))["GO_SIGNAL"] == 1
+    assert load_databases().signed_flags == load_databases([team]).signed_flags == ()
     flag = frames_of([LogFrame(0, "c", 1, b"\x01")])
     assert Decoder(load_databases([team])).tables(flag)["Team"].series["A"].values.tolist() == [-1]
 
@@ -473,4 +477,4 @@ def test_a_spoilt_or_forbidden_cache_is_no_cache_and_no_error(tmp_path: Path, mo
     assert load_databases().layouts == fresh.layouts
     monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
     assert load_databases().layouts == fresh.layouts
-    assert layout_cache.recall("0" * 64) is None
+    assert layout_cache.recall([]) is None

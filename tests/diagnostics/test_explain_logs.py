@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -399,32 +398,6 @@ def test_a_part_of_the_log_is_told_with_causes_from_the_whole(explain: Explain, 
     assert '"finished_while_moving"' in out
 
 
-def test_gzip_and_a_revision_that_is_given(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
-    path = tmp_path / "run.log.gz"
-    path.write_bytes(gzip.compress(b"\n".join(log_lines(stopped)) + b"\n"))
-    status, out, _ = explain(path, "--revision", "2026")
-    assert status == 1
-    assert "interface revision 2026 (given)" in out
-
-
-def test_a_truncated_log_is_told_as_far_as_it_goes(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
-    path = tmp_path / "cut.log"
-    path.write_bytes(b"\n".join(log_lines(stopped))[:-9])
-    status, out, err = explain(path)
-    assert status == 1
-    assert "SDC" in out
-    assert err.count("\n") == 1 and "cut off" in err
-
-
-def test_an_unreadable_part_fails_even_if_the_rest_is_fine(explain: Explain, nominal: Frames, tmp_path: Path) -> None:
-    path = tmp_path / "half.log"
-    path.write_bytes(b"\n".join([b"not a frame", *log_lines(nominal)]) + b"\n")
-    status, out, err = explain(path)
-    assert status == 1
-    assert "as planned" in out
-    assert "line 1" in err
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [(None, "No such file"), (b"", "no frame"), (bytes(range(256)) * 40, "nothing could be read: line 1")],
@@ -445,12 +418,6 @@ def test_what_is_no_log_gets_one_clear_line_and_status_1(
 @pytest.mark.parametrize("option", ["--from", "--to"])
 def test_a_time_that_is_none_is_refused(explain: Explain, option: str) -> None:
     assert explain("x.log", option, "nan")[0] == 2
-
-
-def test_an_unknown_revision_is_refused_by_name(explain: Explain, stopped: Frames, tmp_path: Path) -> None:
-    status, _, err = explain(written(stopped, tmp_path / "run.log"), "--revision", "2030")
-    assert status == 2
-    assert "choose one of 2021, 2026" in err
 
 
 def test_colours_are_for_terminals_and_no_color_is_obeyed(

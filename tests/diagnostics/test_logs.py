@@ -6,6 +6,7 @@ import gzip
 import os
 import re
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.log.candump import log_lines, parse_block, screen_lines
-from fsai_vcu.diagnostics.log.candump_line import parse_line
+from fsai_vcu.diagnostics.log.candump import log_lines, parse_block
+from fsai_vcu.diagnostics.log.candump_line import date_text, parse_line, screen_line, time_text
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.reader import LogError, open_log, read_log
 
@@ -89,21 +90,18 @@ def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, s
     assert plainly([replace(f, t_ns=f.t_ns + late_ns) for f in found]) == plainly(MIXED)
 
 
-def test_mf4_is_read_or_the_missing_package_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "run.mf4"
-    try:
-        import asammdf  # type: ignore[import-not-found]  # noqa: F401
-    except ImportError:
-        path.write_bytes(b"MDF     4.10    ")
-        with open_log(path) as log:
-            assert list(log.frames()) == []
-        assert log.problems.texts == [f"{path}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'"]
-    else:
-        write_with_python_can(path, MIXED)
-        assert plainly(read(path)) == plainly(MIXED)
-        packed = tmp_path / "run.mf4.gz"
-        packed.write_bytes(gzip.compress(path.read_bytes()))
-        assert plainly(read(packed)) == plainly(MIXED)
+def test_mf4_is_read_packed_too(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    path, packed = tmp_path / "run.mf4", tmp_path / "run.mf4.gz"
+    write_with_python_can(path, MIXED)
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert plainly(read(path)) == plainly(read(packed)) == plainly(MIXED)
+
+
+def test_mf4_without_its_package_names_what_installs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    frames, problems = problems_of(tmp_path / "run.mf4", b"MDF     4.10    ")
+    assert (frames, problems) == ([], [f"{tmp_path / 'run.mf4'}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'"])
 
 
 def test_the_format_is_told_by_the_content_and_not_by_the_name(tmp_path: Path) -> None:
@@ -152,7 +150,8 @@ def test_the_csv_of_savvycan_is_read_in_both_versions(tmp_path: Path) -> None:
         ("1,00000520,false,Rx,0,9,1,2,3,4,5,6,7,8,9\n", "9 data bytes"),
         ("1,00000520,false,Rx\n", "not a line of GVRET"),
         ("1,00000520,false,Rx,0,1,100\n", "not a line of GVRET"),
-        ("1,00000520,false,Rx,0,1,01", "cut off, without a line end; its frame is left out"),
+        ("1,00000520,false,Rx,0,2,01", "1 data bytes where 2 are announced"),
+        ("1,00000520,false,Rx,0,2,01,0", "cut off, without a line end; its frame is left out"),
     ],
 )
 def test_an_invalid_line_of_savvycan_is_named(tmp_path: Path, line: str, words: str) -> None:
@@ -160,6 +159,13 @@ def test_an_invalid_line_of_savvycan_is_named(tmp_path: Path, line: str, words: 
     frames, problems = problems_of(tmp_path / "run.csv", (head + line).encode())
     assert (len(frames), len(problems)) == (1, 1)
     assert f"line 3: {words}" in problems[0]
+
+
+@pytest.mark.parametrize("end", ["", ","])
+def test_a_whole_last_line_of_savvycan_needs_no_line_end(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,00000520,false,Rx,0,2,01,A5" + end)
+    assert [frame.data.hex() for frame in read(path)] == ["01a5"]
 
 
 def test_what_log2asc_makes_of_a_candump_log_is_the_same_log(tmp_path: Path) -> None:
@@ -251,8 +257,7 @@ def test_the_fast_reader_reads_what_the_careful_one_reads(text: str, template: s
 def test_lines_of_candumps_screen_are_read_together(time: str, way: str) -> None:
     """Not one by one: a line of each length and kind, all in one block."""
     frames = [frame(n, bytes(range(240, 240 + n)), channel="can1", extended=wide) for n in range(9) for wide in (0, 1)]
-    lines = [line.decode() for line in screen_lines(frames_of(frames), time_digits=None)]
-    lines = [f"{time}{line.replace('can1  ', 'can1  ' + way)}" for line in lines]
+    lines = [f"{time}{screen_line(each).replace('can1  ', 'can1  ' + way)}" for each in frames]
     found, unreadable, _ = parse_block(np.frombuffer("".join(f"{line}\n" for line in lines).encode(), np.uint8), [])
     assert not unreadable
     assert list(found) == [parse_line(line) for line in lines]
@@ -416,5 +421,7 @@ def test_lines_on_a_screen_are_read_back_from_what_is_shown() -> None:
         frame(data=b"", remote=True, length=4),
         frame(4, error=True),
     ]
-    lines = screen_lines(frames_of(frames), time_digits=10)
-    assert [parse_line(line.decode()) for line in lines] == frames
+    assert [parse_line(screen_line(each, time_text(each.t_ns))) for each in frames] == frames
+    received = [replace(each, sent=bool(each.sent)) for each in frames]
+    lines = [screen_line(each, date_text(each.t_ns), extra=True, indented=True, ascii_=True) for each in received]
+    assert [parse_line(line) for line in lines] == received

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from story_runs import branch, driving
+from story_runs import branch, driving, page
 
-from fsai_vcu.diagnostics.report import page
 from fsai_vcu.interface.enums import MissionStatus
 
 selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install 'selenium>=4.20,<5'")

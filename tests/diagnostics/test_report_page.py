@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from story_runs import branch, driving, log_of
+from story_runs import branch, driving, log_of, page
 
 from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.explain import record_for
 from fsai_vcu.diagnostics.explain.record import Series
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, joined
-from fsai_vcu.diagnostics.report import page
 from fsai_vcu.diagnostics.report.curves import BUCKETS, Curve, lanes, packed, plots, thinned
 from fsai_vcu.interface.units import MS, S
 
@@ -172,6 +171,23 @@ def test_the_verb_writes_the_page_and_says_where(
     assert main(["report", str(log), "-o", str(out)]) == 0
     assert str(out) in capsys.readouterr().out
     assert out.read_text().startswith("<!doctype html>")
+
+
+def test_any_signals_can_be_on_the_page_of_a_foreign_dbc_too(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out, dbc = tmp_path / "run.log", tmp_path / "run.html", tmp_path / "team.dbc"
+    lines = [*log_lines(frames), b"(12.000000) vcan0 18FF0001#0A", b"(12.100000) vcan0 18FF0001#14"]
+    log.write_bytes(b"\n".join(lines) + b"\n")
+    dbc.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 2566848513 Team: 1 AI\n SG_ TEMP : 0|8@1+ (0.5,0) [0|0] "C" AI\n')
+    assert main(["report", str(log), "-o", str(out), "--signals", "AS_STATE,VCU2AI_Speeds.*"]) == 0
+    first = data_of(out.read_text())["plots"][0]
+    assert [curve["name"] for curve in first["curves"]] == ["VCU2AI_Status.AS_STATE"]
+    assert main(["report", str(log), "-o", str(out), "--dbc", str(dbc), "--signals", "TEMP"]) == 0
+    curve = data_of(out.read_text())["plots"][0]["curves"][0]
+    assert (curve["name"], unpacked(curve, 0)[1].tolist()) == ("Team.TEMP", [5.0, 10.0])
+    assert main(["report", str(log), "-o", str(out), "--signals", "NO_SUCH"]) == 1
+    assert "no signal NO_SUCH" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("where", ["absent/run.html", "."])

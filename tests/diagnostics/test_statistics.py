@@ -15,14 +15,14 @@ from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
 from fsai_vcu.diagnostics.log.reader import read_log
-from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, Severity, judge, measure
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, Severity, judge, measure
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
-from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.units import MS, S
 
 DECODER = Decoder(load_databases())
 
@@ -55,11 +55,11 @@ def measured(frames: Sequence[LogFrame]) -> BusStatistics:
     return bus
 
 
-def problems(frames: Sequence[LogFrame]) -> list[BusFinding]:
+def problems(frames: Sequence[LogFrame]) -> list[Finding]:
     return [finding for finding in judge(measured(frames)) if finding.severity.value == "problem"]
 
 
-def only(frames: Sequence[LogFrame], kind: str) -> BusFinding:
+def only(frames: Sequence[LogFrame], kind: str) -> Finding:
     """The one problem there is, of this kind."""
     found = problems(frames)
     assert [finding.kind for finding in found] == [kind], found
@@ -107,11 +107,11 @@ def test_a_silence_of_the_timeout_is_a_loss_a_shorter_one_a_note() -> None:
         return [f for f in NOMINAL if f.can_id != 0x523 or not 1000 * MS < f.t_ns < (1000 + for_ms) * MS]
 
     found = only(without(100), "gap")
-    assert (found.can_id, found.t_s) == (0x523, 1.0)
+    assert (found.can_ids, found.t_ns) == ((0x523,), S)
     assert "silent for 100.0 ms" in found.text
     assert problems(without(99)) == [] or "silent for 100.0" in problems(without(99))[0].text
     assert problems(without(90)) == []
-    assert [f.kind for f in judge(measured(without(50))) if f.can_id == 0x523] == ["gap"]
+    assert [f.kind for f in judge(measured(without(50))) if f.can_ids == (0x523,)] == ["gap"]
 
 
 def test_a_message_that_never_comes_is_missed() -> None:

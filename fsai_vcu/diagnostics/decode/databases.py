@@ -6,6 +6,7 @@ plain (multiplexed, longer than eight bytes, …) are decoded by cantools, which
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -44,6 +45,7 @@ class Databases:
         self.layouts = layouts
         self.sources = sources
         self.baudrate = baudrate
+        self.signed_flags: tuple[str, ...] = ()  # official files with one-bit flags that are signed, and read unsigned
         self._load = load
 
     def message(self, key: int) -> Message:
@@ -86,28 +88,37 @@ def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> 
     What cantools made of the files is remembered (layout_cache.py): loading it and them takes longer than to decode
     a hundred thousand frames.
     """
-    paths = [Path(file) for file in files]
     try:
-        if not paths:
-            paths = [dbc_dir() / name for name in revision_named(revision).dbc_files]
-        digest = layout_cache.digest(paths)
+        paths = [Path(file) for file in files] or [dbc_dir() / name for name in revision_named(revision).dbc_files]
+        contents = [(path.suffix.lower(), path.read_bytes()) for path in paths]
     except ValueError as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
-    remembered = layout_cache.recall(digest)
-    if remembered is not None:
+    remembered = layout_cache.recall(contents)
+    if remembered is None:
+        databases = databases_of(map(_load, paths), paths)
+        layout_cache.keep(contents, list(databases.layouts.values()), databases.baudrate)
+    else:
         layouts, baudrate = remembered
-        return Databases(
-            {layout.key: layout for layout in layouts}, _names(paths), baudrate, lambda: _messages_of(map(_load, paths))
-        )
-    databases = databases_of(map(_load, paths), paths)
-    layout_cache.keep(digest, list(databases.layouts.values()), databases.baudrate)
+        by_key = {layout.key: layout for layout in layouts}
+        databases = Databases(by_key, _names(paths), baudrate, lambda: _messages_of(map(_load, paths)))
+    databases.signed_flags = tuple(
+        str(path) for path, (suffix, text) in zip(paths, contents, strict=True) if _has_signed_flags(suffix, text)
+    )
     return databases
 
 
 def _names(paths: Iterable[Path | str]) -> tuple[str, ...]:
     return tuple(str(path) for path in paths)
+
+
+def _is_of_this_car(suffix: str, content: bytes) -> bool:
+    return suffix == ".dbc" and (b"AI2VCU_" in content or b"VCU2AI_" in content)
+
+
+def _has_signed_flags(suffix: str, content: bytes) -> bool:
+    return _is_of_this_car(suffix, content) and re.search(rb"\|1@[01]-", content) is not None
 
 
 def databases_of(databases: Iterable[Database], sources: Iterable[Path | str] = ()) -> Databases:
@@ -136,14 +147,16 @@ def _load(path: Path) -> Database:
     import cantools.database
     from cantools.database.can import Database
 
-    from fsai_vcu.interface.database import DatabaseError, check_whole, load_database
+    from fsai_vcu.interface.database import DatabaseError, check_whole, load_database, make_flags_unsigned
 
-    if path.suffix.lower() == ".dbc":
-        text = _text(path)
-        if all(name in text for name in ("AI2VCU_Status", "VCU2AI_Status")):
-            return load_database([path])
     try:
+        content = path.read_bytes()
+        ours = _is_of_this_car(path.suffix.lower(), content)
+        if ours and all(name in content for name in (b"AI2VCU_Status", b"VCU2AI_Status")):
+            return load_database([path])
         loaded = cantools.database.load_file(path, strict=False)
+    except UserError:
+        raise
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the parsers have no common base class for what a broken file makes them raise
@@ -154,15 +167,10 @@ def _load(path: Path) -> Database:
     if not loaded.messages:
         raise DatabaseError(f"{path}: describes no message")
     if path.suffix.lower() == ".dbc":
-        check_whole(path, text)
+        check_whole(path, content.decode("cp1252", errors="replace"))
+    if ours:
+        make_flags_unsigned(loaded)
     return loaded
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="cp1252", errors="replace")
-    except OSError:
-        return ""  # reported by the loader
 
 
 def _layout(message: Message) -> MessageLayout:

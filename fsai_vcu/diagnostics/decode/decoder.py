@@ -137,31 +137,21 @@ class Decoder:
         for signal in layout.signals:
             places, values, raws = found[signal.name]
             at = np.array(places, np.int64)
-            series[signal.name] = SignalSeries(
-                signal.name,
-                signal.unit,
-                signal.choices,
-                at,
-                frames.t_ns[at],
-                _column(values),
-                _column(raws),
-            )
+            columns = at, frames.t_ns[at], _column(values), _column(raws)
+            series[signal.name] = SignalSeries(signal.name, signal.unit, signal.choices, *columns)
         return series
 
 
 def values_of(signal: SignalLayout, words: Words) -> tuple[Numbers, Numbers]:
     """(physical values, raw values) of a signal of a plain message, from its payloads as numbers."""
-    with np.errstate(all="ignore"):  # floats on a bus may be anything: infinities and NaN are values like others
-        return _values_of(signal, raw_of(signal, words))
-
-
-def _values_of(signal: SignalLayout, raw: Numbers) -> tuple[Numbers, Numbers]:
-    if signal.scale == 1 and signal.offset == 0:
-        return raw, raw
+    raw = raw_of(signal, words)
     scale, offset = signal.scale, signal.offset
-    if not signal.is_float and _whole(scale) and _whole(offset):
+    if scale == 1 and offset == 0:
+        return raw, raw
+    if not signal.is_float and float(scale).is_integer() and float(offset).is_integer():
         scale, offset = int(scale), int(offset)  # as cantools does: the value stays an integer
-    return raw * scale + offset, raw
+    with np.errstate(all="ignore"):  # floats on a bus may be anything: infinities and NaN are values like others
+        return raw * scale + offset, raw
 
 
 def raw_of(signal: SignalLayout, words: Words) -> Numbers:
@@ -177,10 +167,6 @@ def raw_of(signal: SignalLayout, words: Words) -> Numbers:
         return (words << above).view(np.int64) >> np.int64(64 - signal.length)
     raw = (words << above) >> np.uint64(64 - signal.length)
     return raw if signal.length == 64 else raw.view(np.int64)
-
-
-def _whole(number: float) -> bool:
-    return float(number).is_integer()
 
 
 def _column(values: list[Any]) -> Numbers:

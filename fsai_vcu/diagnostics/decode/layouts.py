@@ -1,7 +1,4 @@
-"""What is known of a message and its signals: plain data.
-
-Named tuples: to load `dataclasses` takes as long as to decode ten thousand frames.
-"""
+"""What is known of a message and its signals: plain data, which layout_cache.py keeps as JSON."""
 
 from __future__ import annotations
 

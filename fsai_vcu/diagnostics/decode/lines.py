@@ -1,24 +1,27 @@
-"""Frames as lines of text, many at once: what text.py writes one by one, as columns of characters.
+"""Frames as lines of text, many at once, as columns of characters.
 
 A signal of a plain message has a table with the text of each of its values, filled as they come up. All frames of a
-message are put together at a time; whatever is unusual is left to text.py.
+message are put together at a time; whatever is unusual goes through cantools, frame by frame.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from threading import Lock
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from fsai_vcu.diagnostics.decode.databases import UndecodableError
 from fsai_vcu.diagnostics.decode.decoder import Decoder, raw_of
+from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
-from fsai_vcu.diagnostics.decode.text import FrameText, SignalText
+from fsai_vcu.diagnostics.decode.text import MessageText, SignalText, json_value, with_unit
 from fsai_vcu.diagnostics.log.candump import channel_text, hex_text, log_parts, time_text
+from fsai_vcu.diagnostics.log.candump_line import log_line
+from fsai_vcu.diagnostics.log.candump_line import time_text as one_time_text
 from fsai_vcu.diagnostics.log.characters import Characters, Part, matrix_of, put
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Ints, LogFrame, Words
 
@@ -28,24 +31,26 @@ _TABLE_BITS: Final = 16  # a signal of up to so many bits has a table of its val
 
 
 class LineWriter:
-    """Writes frames with their signals, in several threads at once if need be.
+    """Writes frames with their signals.
 
     as_json: one object per line. words: names of values instead of numbers, where the database has them.
     """
 
     def __init__(self, decoder: Decoder, *, as_json: bool = False, words: bool = True) -> None:
         self._decoder = decoder
-        self._text = FrameText(decoder.databases, as_json=as_json, words=words)
+        self._json = as_json
+        self._words = words
+        self._messages: dict[int, MessageText] = {}
         self._tables: dict[str, _Texts] = {}
 
     def block(self, frames: Frames) -> bytearray:
         """All lines of `frames`, each with its line end."""
-        return self._written(frames, self._heads(frames), self._text.line) if len(frames) else bytearray()
+        return self._written(frames, self._heads(frames), self._line) if len(frames) else bytearray()
 
     def tails(self, frames: Frames) -> list[bytes]:
         """For each frame what it says, to stand behind the frame itself; with the line end."""
         heads = np.zeros((len(frames), 0), np.uint8)
-        return [bytes(line) + b"\n" for line in self._written(frames, heads, self._text.tail).split(b"\n")[:-1]]
+        return [bytes(line) + b"\n" for line in self._written(frames, heads, self._tail).split(b"\n")[:-1]]
 
     def _written(self, frames: Frames, heads: Characters, singly: Callable[[LogFrame], str]) -> bytearray:
         """Each frame's head and what it says; `singly` writes both for a frame that is unusual."""
@@ -78,11 +83,17 @@ class LineWriter:
 
     def _unknown(self, can_ids: npt.NDArray[np.uint32]) -> Characters:
         ids, where = np.unique(can_ids, return_inverse=True)
-        return np.take(_characters([self._text.unknown(can_id)[:-1] for can_id in ids.tolist()], "\n"), where, axis=0)
+        texts = [
+            ',"message":null,"signals":{}}' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})"
+            for can_id in ids.tolist()
+        ]
+        return np.take(_characters(texts, "\n"), where, axis=0)
 
     def _usual(self, layout: MessageLayout, words: Words) -> Characters:
         """What the frames of a plain message say, from their payloads."""
-        text = self._text.message(layout)
+        text = self._messages.get(layout.key)
+        if text is None:
+            text = self._messages[layout.key] = MessageText(layout, as_json=self._json, words=self._words)
         parts: list[Part] = []
         for before, signal in zip(text.before, text.signals, strict=True):
             table = self._tables.get(signal.kind) or self._tables.setdefault(signal.kind, _Texts(signal))
@@ -93,7 +104,7 @@ class LineWriter:
 
     def _heads(self, frames: Frames) -> Characters:
         """Everything up to what a frame says: candump's line, or the object up to the message's name."""
-        if not self._text.as_json:
+        if not self._json:
             return matrix_of(log_parts(frames), len(frames))
         keys = frames.can_id | ((frames.flags & np.uint32(EXTENDED)) << np.uint32(_EXTENDED_SHIFT))
         distinct, where = np.unique(keys, return_inverse=True)
@@ -105,6 +116,51 @@ class LineWriter:
         parts: list[Part] = [b'{"t":', time_text(frames.t_ns), b',"channel":"', channel_text(escaped)]
         return matrix_of([*parts, np.take(_characters(ids), where, axis=0), hex_text(frames), b'"'], len(frames))
 
+    # ------------------------------------------------------------ one by one
+
+    def _line(self, frame: LogFrame) -> str:
+        if not self._json:
+            return log_line(frame) + self._tail(frame)
+        flags = (',"fd":true' if frame.fd else "") + (',"remote":true' if frame.remote else "")
+        return (
+            f'{{"t":{one_time_text(frame.t_ns)},"channel":{json.dumps(frame.channel)},"id":{frame.can_id},'
+            f'"extended":{json.dumps(frame.extended)},"data":"{frame.data.hex().upper()}"{flags}{self._tail(frame)}'
+        )
+
+    def _tail(self, frame: LogFrame) -> str:
+        """What stands behind an unusual frame: an error or remote frame, or one that goes through cantools."""
+        layout = self._decoder.databases.layouts.get(frame.can_id | (EXTENDED_KEY if frame.extended else 0))
+        if frame.error:
+            words = error_words(frame.can_id, frame.data)
+            if self._json:
+                return f',"error":{json.dumps(words)},"message":null,"signals":{{}}}}\n'
+            return f" :: error frame: {', '.join(words)}\n"
+        if frame.remote:
+            name = layout.name if layout else None
+            if self._json:
+                return f',"message":{json.dumps(name)},"signals":{{}}}}\n'
+            return f" :: remote request for {name or 'an unknown frame id'}\n"
+        if layout is None:
+            return self._unknown(np.array([frame.can_id], np.uint32)).tobytes().decode()
+        return self._careful(layout, frame.data)
+
+    def _careful(self, layout: MessageLayout, data: bytes) -> str:
+        """Messages that are not plain, and frames of the wrong length as far as they go."""
+        wrong = "" if len(data) == layout.length else f"Wrong data size: {len(data)} instead of {layout.length} bytes"
+        try:
+            values: Mapping[str, Any] = self._decoder.databases.decoded(layout, data, choices=self._words)
+        except UndecodableError as error:
+            values, wrong = {}, wrong or str(error)
+        if self._json:
+            signals = ",".join(f"{json.dumps(name)}:{json_value(value)}" for name, value in values.items())
+            problem = f',"problem":{json.dumps(wrong)}' if wrong else ""
+            return f',"message":{json.dumps(layout.name)},"signals":{{{signals}}}{problem}}}\n'
+        if wrong and not values:
+            return f" :: {wrong}\n"
+        units = {signal.name: signal.unit for signal in layout.signals}
+        shown = ", ".join(f"{name}: {with_unit(value, units[name])}" for name, value in values.items())
+        return f" :: {wrong + ': ' if wrong else ''}{layout.name}({shown})\n"
+
 
 class _Texts:
     """The texts of all values of one kind of signal."""
@@ -112,7 +168,6 @@ class _Texts:
     def __init__(self, signal: SignalText) -> None:
         self._signal = signal
         self._layout = signal.layout._replace(start=0, big_endian=False)
-        self._lock = Lock()
         values = 1 << self._layout.length if self._layout.length <= _TABLE_BITS else 0
         self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
         self._known = np.zeros(values, np.bool_)
@@ -127,8 +182,7 @@ class _Texts:
         if self._unknown:
             known = np.take(self._known, bits)
             if not known.all():
-                with self._lock:
-                    self._learn(np.unique(bits[~known]) if len(self._known) > _SMALL else np.arange(len(self._known)))
+                self._learn(np.unique(bits[~known]) if len(self._known) > _SMALL else np.arange(len(self._known)))
         return np.take(self._table, bits, axis=0)
 
     def _learn(self, fresh: Ints) -> None:
@@ -136,7 +190,7 @@ class _Texts:
         if new.shape[1] > self._table.shape[1]:
             self._table = np.pad(self._table, ((0, 0), (0, new.shape[1] - self._table.shape[1])))
         self._table[fresh, : new.shape[1]] = new
-        self._known[fresh] = True  # last: others look there without the lock
+        self._known[fresh] = True
         self._unknown = not self._known.all()
 
     def _written(self, bits: Ints) -> Characters:

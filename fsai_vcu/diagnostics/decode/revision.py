@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+import numpy as np
+
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames
 from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
 from fsai_vcu.interface.revisions import REVISIONS, Revision, told_by_init, told_by_status, told_by_steer
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
 
 _STATUS: Final = (BY_NAME["VCU2AI_Status"].can_id, 8)
 _STEER: Final = (BY_NAME["VCU2AI_Steer"].can_id, 6)
@@ -23,29 +22,18 @@ def guess_revision(frames: Frames) -> tuple[Revision, str]:
 
 def told_revision(frames: Frames) -> tuple[Revision, str] | None:
     """The revision that the frames tell, and the observation; None if they are the same in all."""
-    import numpy as np
-
-    from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE
-
     plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
-    found = {(can_id, 0, 0) for can_id in np.unique(frames.can_id[plain]).tolist()}
-    for can_id, length in (_STATUS, _STEER):
-        words = frames.word[plain & (frames.can_id == can_id) & (frames.length == length)]
-        found |= {(can_id, length, word) for word in np.unique(words).tolist()}
-    return revision_of(found)
-
-
-def revision_of(payloads: Collection[tuple[int, int, int]]) -> tuple[Revision, str] | None:
-    """As `told_revision`, of (identifier, bytes, payload as a little-endian number)."""
-    status = [word for can_id, length, word in payloads if (can_id, length) == _STATUS]
+    status, steer = (
+        np.unique(frames.word[plain & (frames.can_id == can_id) & (frames.length == length)]).tolist()
+        for can_id, length in (_STATUS, _STEER)
+    )
     told = next((found for word in status if (found := told_by_status(word)) is not None), None)
     if told is not None:
         return REVISIONS[told[0]], told[1]
-    present = {can_id for can_id, _, _ in payloads}
+    present = np.unique(frames.can_id[plain]).tolist()
     for name in REVISIONS:
-        only = sorted(i for i in present if i in BY_ID and set(BY_ID[i].period_ns) == {name})
+        only = [i for i in present if i in BY_ID and set(BY_ID[i].period_ns) == {name}]
         if only:
             return REVISIONS[name], f"{BY_ID[only[0]].name} (0x{only[0]:03X}) is only in {name}"
-    steer = [word for can_id, length, word in payloads if (can_id, length) == _STEER]
     last = told_by_steer(steer) or told_by_init(status)
     return None if last is None else (REVISIONS[last[0]], last[1])

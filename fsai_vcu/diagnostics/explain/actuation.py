@@ -13,9 +13,8 @@ import numpy as np
 
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, Sureness, candidate
-from fsai_vcu.diagnostics.explain.link import ms
-from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
+from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, shown
+from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values, ms
 from fsai_vcu.diagnostics.explain.signals import car_of
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
 from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
@@ -56,26 +55,24 @@ def mismatches(record: Record) -> list[Incident]:
     """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
     found: list[Incident] = []
     for span in record.series(sig.AS_STATE).spans:
-        if span.value == sig.DRIVING:
-            times = record.times(0x513)
-            times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
-            if len(times) > STEER_TIME_NS // PERIOD_NS:
-                seen: dict[str, Incident] = {}  # an axle that does not do it is enough
-                for one in _all(record, car_of(record), times):
-                    known = np.logical_and.reduce(
-                        [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
-                    )
-                    fresh = replace(one, holds=one.holds & known)
-                    if (stretch := _longest(fresh, times)) is not None:
-                        seen.setdefault(one.slug, _incident(one, times, *stretch))
-                found += seen.values()
+        times = record.times(0x513)
+        times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
+        if span.value != sig.DRIVING or len(times) <= STEER_TIME_NS // PERIOD_NS:
+            continue
+        seen: dict[str, Incident] = {}  # an axle that does not do it is enough
+        for one in _all(record, car_of(record), times):
+            known = [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
+            stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times)
+            if stretch is not None:
+                seen.setdefault(one.slug, _incident(one, times, *stretch))
+        found += seen.values()
     return found
 
 
 def _incident(one: Mismatch, times: Ints, begin: int, end: int) -> Incident:
     lasted_ns = int(times[end] - times[begin])
     words = f"{one.words((begin + end) // 2)}, for {ms(lasted_ns)}"
-    cause = candidate(one.slug, Sureness.SHOWN, [one.signal.step(int(times[begin]), words)])
+    cause = shown(one.slug, one.signal.step(int(times[begin]), words))
     return Incident(IncidentKind.MISMATCH, int(times[begin]), words, (cause,))
 
 
@@ -107,14 +104,9 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
     braked = np.maximum(column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)) > 0
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
     given_sum = np.zeros(len(times))
-    for axle, driven, asked_signal, limit_signal, given_signal, max_signal in zip(
-        ("front", "rear"),
-        (car.driven_front, car.driven_rear),
-        (sig.TORQUE_F, sig.TORQUE_R),
-        (sig.SPEED_MAX_F, sig.SPEED_MAX_R),
-        CAR_TORQUE,
-        CAR_TORQUE_MAX,
-        strict=True,
+    for axle, driven, asked_signal, limit_signal, given_signal, max_signal in (
+        ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0]),
+        ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1]),
     ):
         if not driven or not len(record.series(given_signal)):
             continue
@@ -123,12 +115,10 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
         low = lowest(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
         high = highest(asked, TORQUE_TIME_NS)
-        yield from both_ways(
-            ("torque_not_given", (low > TORQUE_NM) & (given < TORQUE_SHARE * low), LASTING_NS),
-            ("torque_unasked", given > high + TORQUE_NM, LASTING_NS),
-            (given_signal, asked_signal),
-            asked_and_given(f"{axle} torque", "Nm", asked, given),
-        )
+        words = asked_and_given(f"{axle} torque", "Nm", asked, given)
+        less, more = (low > TORQUE_NM) & (given < TORQUE_SHARE * low), given > high + TORQUE_NM
+        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words)
+        yield Mismatch("torque_unasked", given_signal, asked_signal, more, words)
     pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
@@ -145,12 +135,10 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
             continue
         asked, given = column(asked_signal), column(given_signal)
         low, high = lowest(asked, BRAKE_TIME_NS), highest(asked, 2 * BRAKE_TIME_NS)
-        yield from both_ways(
-            ("brake_not_following", (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), BRAKE_LASTING_NS),
-            ("brake_unasked", given > 1.3 * high + BRAKE_PCT, LASTING_NS),
-            (given_signal, asked_signal),
-            asked_and_given(f"{axle} brake", "%", asked, given),
-        )
+        words = asked_and_given(f"{axle} brake", "%", asked, given)
+        less, more = (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), given > 1.3 * high + BRAKE_PCT
+        yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, BRAKE_LASTING_NS)
+        yield Mismatch("brake_unasked", given_signal, asked_signal, more, words)
     if len(record.series(sig.ANGLE)):
         asked, angle = column(sig.STEER), column(sig.ANGLE)
         limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
@@ -158,36 +146,16 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         low, high = lowest(within, STEER_TIME_NS), highest(within, STEER_TIME_NS)
         off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
         off[: STEER_TIME_NS // PERIOD_NS] = False
-        yield Mismatch(
-            "steering_not_following",
-            sig.ANGLE,
-            sig.STEER,
-            off,
-            asked_and_given("steering", "deg", asked, angle),
-        )
+        words = asked_and_given("steering", "deg", asked, angle)
+        yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words)
     if len(record.series(sig.WHEELS[0])):
         for number, name in enumerate(sig.WHEEL_NAMES):
             others = np.sort(np.delete(wheels, number, axis=0), axis=0)
             middle = others[1]
-            yield Mismatch(
-                "wheel_unlike",
-                sig.WHEELS[number],
-                sig.WHEELS[0],
-                (np.abs(wheels[number] - middle) > WHEEL_RPM + WHEEL_SHARE * middle)
-                & (others[2] - others[0] <= WHEEL_RPM + WHEEL_SHARE * middle),
-                compared(name, wheels[number], middle),
-            )
-
-
-def both_ways(
-    less: tuple[str, Mask, int],
-    more: tuple[str, Mask, int],
-    signals: tuple[Signal, Signal],
-    words: Callable[[int], str],
-) -> Iterator[Mismatch]:
-    """Less than asked, and more: each (cause, where it holds, for how long at least); signals: given and asked."""
-    for slug, holds, least_ns in (less, more):
-        yield Mismatch(slug, *signals, holds, words, least_ns)
+            allowed = WHEEL_RPM + WHEEL_SHARE * middle
+            unlike = (np.abs(wheels[number] - middle) > allowed) & (others[2] - others[0] <= allowed)
+            words = compared(name, wheels[number], middle)
+            yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words)
 
 
 def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:
@@ -207,13 +175,11 @@ def sampled(series: Series, times: Ints) -> Values:
 
 def lowest(values: Values, over_ns: int) -> Values:
     """The lowest value of the last `over_ns`, of one value a cycle; before the beginning counts as nothing asked."""
-    low: Values = _window(values, over_ns).min(axis=1)
-    return low
+    return np.asarray(_window(values, over_ns).min(axis=1))
 
 
 def highest(values: Values, over_ns: int) -> Values:
-    high: Values = _window(values, over_ns).max(axis=1)
-    return high
+    return np.asarray(_window(values, over_ns).max(axis=1))
 
 
 def _window(values: Values, over_ns: int) -> Values:

@@ -32,383 +32,306 @@ class Cause:
 _TEAM_LOG = "the log of vcu_bridge (journalctl -u fsai-vcu, or /diagnostics in a bag): it names who asked and why"
 _CAR_RESTART = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
 
-_EMERGENCY: Final = (
-    Cause(
-        "ai_computer_request",
+_MOVE_STEERING = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
+_TURN_WHEELS = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
+_SEE_FAULT = "see the fault's own line in this story"
+
+# What to do about what the supervisor found
+_REMEDIES: Final = {
+    Reason.VCU_SILENT: "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on",
+    Reason.WHEELS_STALE: (
+        "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); else compare it with 0x526"
+    ),
+    Reason.STEERING_STALE: "check why 0x523 stopped: steering controller, VCU, wiring",
+    Reason.STEERING_IMPLAUSIBLE: _MOVE_STEERING,
+    Reason.WHEEL_IMPLAUSIBLE: _TURN_WHEELS,
+    Reason.INTRUDER: (
+        "only one program may send 0x510 to 0x514: stop the other one (a second stack, canplayer, a script, a logger"
+        " that replays)"
+    ),
+    Reason.LOOP_FAULT: "look what kept the processor busy; real-time priority and CPU load of the AI computer",
+    Reason.BUS_LOST: "check CAN plugs, termination and bit rate; ip -details link show can0",
+    Reason.STOP_INEFFECTIVE: "check the service brake: pressure in 0x524 against the request, air, pads",
+    Reason.COMMAND_STALE: "look why planner or controller fell silent: their logs, cones seen, CPU load",
+    Reason.FAULT_STATUS: _SEE_FAULT,
+    Reason.AS_SWITCH_OFF: "ask who switched ASMS off; else check the switch and its wiring",
+    Reason.TS_SWITCH_OFF: "ask who switched TSMS off; else check the switch and its wiring",
+    Reason.SHUTDOWN_REQUESTED: "ask who switched the car off; else check TSMS and LVMS",
+    Reason.FAULT_BIT: _SEE_FAULT,
+    Reason.SHUTDOWN_CAUSE: _SEE_FAULT,
+    Reason.SEQUENCE_SHORT: "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
+    Reason.NOT_SEEN: "start the software before the car leaves AS_OFF, then start anew from AS_OFF",
+    Reason.NO_MISSION: "choose a mission on the AMI before Go",
+    Reason.AS_STATE_UNKNOWN: (
+        "compare the VCU's interface revision with the database; look for a second sender of 0x520"
+    ),
+    Reason.VCU_REBOOT: "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted",
+}
+
+_CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
+    "ai_computer_request": (
         "the AI computer asked for it (ESTOP_REQUEST 1)",
         f"find out why the AI computer asked, then {_CAR_RESTART}; the software's latch is cleared by /reset in AS_OFF"
         " or by that power cycle",
         _TEAM_LOG,
     ),
-    Cause(
-        "hvil_open",
+    "hvil_open": (
         "the high-voltage interlock is open (HVIL_OPEN_FAULT)",
         "tractive system off, then look for a high-voltage connector or cover that is not closed",
     ),
-    Cause(
-        "hvil_short",
+    "hvil_short": (
         "the high-voltage interlock is shorted (HVIL_SHORT_FAULT)",
         "tractive system off, then check the interlock loop for a short circuit to its supply or to ground",
     ),
-    Cause(
-        "ebs_fault",
+    "ebs_fault": (
         "the emergency brake system failed (EBS_FAULT)",
         "check EBS air pressure and valves (accumulators, 0x301 on 2026 cars), then power-cycle for a new EBS test",
         "0x301 and 0x302 on 2026 cars: EBS pressures and the bits of its self-test",
     ),
-    Cause(
-        "offboard_charger",
+    "offboard_charger": (
         "an off-board charger fault (OFFBOARD_CHARGER_FAULT)",
         "unplug the charger, close its socket, power-cycle",
     ),
-    Cause(
-        "ai_comms_lost",
+    "ai_comms_lost": (
         "the AI computer's messages or its handshake echo were missing (AI_COMMS_LOST)",
         "check that the AI computer runs and its CAN plug sits, then the load of its processor (fsai-vcu check LOG)",
     ),
-    Cause(
-        "neutral_while_moving",
+    "neutral_while_moving": (
         "DIRECTION_REQUEST was NEUTRAL while a wheel turned above 10 rpm (AUTONOMOUS_BRAKING_FAULT)",
         "keep FORWARD until all wheels have been under 10 rpm for 0.5 s; brake with 0x514, not with NEUTRAL",
     ),
-    Cause(
-        "finished_while_moving",
+    "finished_while_moving": (
         "MISSION_STATUS was FINISHED while a wheel turned above 10 rpm (MISSION_STATUS_FAULT)",
         "say FINISHED only when all wheels have been under 10 rpm for 0.5 s",
     ),
-    Cause(
-        "charge_procedure",
+    "charge_procedure": (
         "the charge procedure was broken (CHARGE_PROCEDURE_FAULT)",
         "end charging in the order of the manual, unplug, power-cycle",
     ),
-    Cause(
-        "bms",
+    "bms": (
         "the battery management reports a fault (BMS_FAULT)",
         "read the BMS (cell voltages and temperatures, current) before driving again; charge or cool the battery",
         "the BMS's own log",
     ),
-    Cause(
-        "torque_with_brake",
+    "torque_with_brake": (
         "axle torque and brake were requested together (BRAKE_PLAUSIBILITY_FAULT)",
         "send a whole cycle with both at zero between torque and brake; a safety gate must let the brake win",
     ),
-    Cause(
-        "asms_off",
+    "asms_off": (
         "ASMS was turned off while the car was driving",
         f"nothing is broken: leave ASMS on until the car has finished; {_CAR_RESTART}",
     ),
-    Cause(
-        "tsms_off",
+    "tsms_off": (
         "TSMS was turned off: the tractive system shuts down and the EBS goes",
         f"nothing is broken: leave TSMS on until ASMS is off; {_CAR_RESTART}",
     ),
-    Cause(
-        "go_off",
+    "go_off": (
         "the remote's Go went off (GO_SIGNAL 0) in AS_DRIVING",
         "leave Go on for the whole run; if nobody touched it, check the remote's battery, range and receiver",
         "0x181 (RES_TPDO): the remote's switches and RADIO_STRENGTH",
     ),
-    Cause(
-        "remote_estop",
+    "remote_estop": (
         "the E-stop of the remote was pressed",
         f"release it when the reason is gone; {_CAR_RESTART}",
     ),
-    Cause(
-        "radio_lost",
+    "radio_lost": (
         "the remote's radio was lost",
         "check the remote's battery, antenna and distance; test the range before the next run",
         "0x181 (RES_TPDO): RADIO_STRENGTH",
     ),
-    Cause(
-        "sdc_open",
+    "sdc_open": (
         "the shutdown circuit (SDC) was opened by something that the bus does not name: an E-stop button on the car,"
         " the remote's E-stop or its radio, the crash sensor, or the autonomous dongle",
         f"look which button is pressed, at the remote, the crash sensor and the dongle; put it right; {_CAR_RESTART}",
         "0x181 (RES_TPDO, 2026): it tells the remote's E-stop and radio from the car's own; otherwise a video",
     ),
-    Cause(
-        "brake_request_simulator",
+    "brake_request_simulator": (
         "a hydraulic brake was requested, which this VCU (like the official simulator) takes for an emergency",
         "against the official simulator hold and stop by torque with a low MOTOR_SPEED_MAX (service_brake: motor), and"
         " keep 0x514 at zero",
     ),
-    Cause(
-        "before_the_log",
+    "before_the_log": (
         "it began before the log did",
         "record from power-up on",
         "everything from power-up: start recording before LVMS",
     ),
-    Cause(
-        "unknown",
+    "unknown": (
         "the log does not show why",
         f"{_CAR_RESTART}; record the next run whole",
         "both directions (0x510-0x514 and 0x520-0x526), error frames, and from power-up on",
     ),
-)
-
-# Behind an ESTOP_REQUEST or a lost link
-_ROOTS: Final = (
-    Cause(
-        "planned_end",
+    # Behind an ESTOP_REQUEST or a lost link
+    "planned_end": (
         "the mission ends with the emergency brake",
         f"nothing: static inspection B and the autonomous demo end like this; for the next mission {_CAR_RESTART}",
     ),
-    Cause(
-        "not_on_the_bus",
+    "not_on_the_bus": (
         "nothing on the bus explains it: the operator's emergency brake, both pedals in one command, the mission"
         " itself, or this software being stopped",
         "look in the software's own log for the emergency's cause",
         _TEAM_LOG,
     ),
-    *(
-        Cause(reason.slug, reason.words, remedy)
-        for reason, remedy in (
-            (Reason.VCU_SILENT, "check the VCU's supply and the CAN wiring: its 0x520 stopped while others went on"),
-            (
-                Reason.WHEELS_STALE,
-                "check why 0x525 stopped: VCU, wiring, bus load (fsai-vcu stats LOG); else compare it with 0x526",
-            ),
-            (Reason.STEERING_STALE, "check why 0x523 stopped: steering controller, VCU, wiring"),
-            (
-                Reason.STEERING_IMPLAUSIBLE,
-                "move the steering by hand and by command (static inspection A): column, motor, angle sensor",
-            ),
-            (Reason.WHEEL_IMPLAUSIBLE, "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"),
-            (
-                Reason.INTRUDER,
-                "only one program may send 0x510 to 0x514: stop the other one (a second stack, canplayer, a script, a"
-                " logger that replays)",
-            ),
-            (
-                Reason.LOOP_FAULT,
-                "look what kept the processor busy; real-time priority and CPU load of the AI computer",
-            ),
-            (Reason.BUS_LOST, "check CAN plugs, termination and bit rate; ip -details link show can0"),
-            (Reason.STOP_INEFFECTIVE, "check the service brake: pressure in 0x524 against the request, air, pads"),
-            (Reason.COMMAND_STALE, "look why planner or controller fell silent: their logs, cones seen, CPU load"),
-            (Reason.FAULT_STATUS, "see the fault's own line in this story"),
-            (Reason.AS_SWITCH_OFF, "ask who switched ASMS off; else check the switch and its wiring"),
-            (Reason.TS_SWITCH_OFF, "ask who switched TSMS off; else check the switch and its wiring"),
-            (Reason.SHUTDOWN_REQUESTED, "ask who switched the car off; else check TSMS and LVMS"),
-            (Reason.FAULT_BIT, "see the fault's own line in this story"),
-            (Reason.SHUTDOWN_CAUSE, "see the fault's own line in this story"),
-            (
-                Reason.SEQUENCE_SHORT,
-                "keep Go off for 5 s in AS_READY; if AS_DRIVING came by itself, check the VCU",
-            ),
-            (Reason.NOT_SEEN, "start the software before the car leaves AS_OFF, then start anew from AS_OFF"),
-            (Reason.NO_MISSION, "choose a mission on the AMI before Go"),
-            (
-                Reason.AS_STATE_UNKNOWN,
-                "compare the VCU's interface revision with the database; look for a second sender of 0x520",
-            ),
-            (Reason.VCU_REBOOT, "check the VCU's supply (low-voltage battery, LVMS, connectors): it restarted"),
-        )
-    ),
-    Cause(
-        "vcu_hung",
+    **{reason.slug: (reason.words, remedy) for reason, remedy in _REMEDIES.items()},
+    "vcu_hung": (
         "the VCU itself stood still: it sent nothing and received nothing",
         "check the VCU's supply and connectors; if it happens again have its software looked at",
         "the VCU's own log",
     ),
-    Cause(
-        "frames_wrong",
+    "frames_wrong": (
         "0x520 showed a state that the car cannot have been in",
         "look for a second sender of 0x520 (a simulator, a replay); else have the VCU's software looked at",
     ),
-    Cause(
-        "ai_silent",
+    "ai_silent": (
         "the AI computer fell silent: none of its five messages came any more",
         "the program ended or hung, or its CAN plug or power went: look at its log (journalctl -u fsai-vcu) and at the"
         " plug",
         _TEAM_LOG,
     ),
-    Cause(
-        "ai_message_missing",
+    "ai_message_missing": (
         "one of the AI computer's five messages was missing",
         "send all five of 0x510 to 0x514 every 10 ms: ten missing in a row stop the car",
     ),
-    Cause(
-        "ai_message_length",
+    "ai_message_length": (
         "a message of the AI computer had the wrong length, which the VCU takes for missing",
         "send 0x510 with 8 bytes, 0x511 and 0x512 with 4, 0x513 and 0x514 with 2",
     ),
-    Cause(
-        "handshake_lost",
+    "handshake_lost": (
         "the AI computer did not echo the handshake within 100 ms",
         "send back in 0x510 the HANDSHAKE bit of the last 0x520, in every cycle",
     ),
-    Cause(
-        "ai_unheard",
+    "ai_unheard": (
         "the AI computer's messages are in this log, but the VCU did not receive them all",
         "the fault lies between this log's plug and the VCU: wiring, termination, the VCU's own plug; where the VCU is"
         " simulated, its computer may have been too busy",
         "a log taken at the VCU's end of the bus",
     ),
-    Cause(
-        "not_selected_simulator",
+    "not_selected_simulator": (
         "MISSION_STATUS became NOT_SELECTED, which this VCU (like the official simulator) takes as AS_OFF at once",
         "keep RUNNING while driving, then FINISHED at rest",
     ),
-    Cause(
-        "stop_asked",
+    "stop_asked": (
         "nothing on the bus explains it: manual mode was asked for, or this software's own supervision stopped the car",
         "look in the software's own log for the stop's cause",
         _TEAM_LOG,
     ),
-    Cause(
-        "power_off",
+    "power_off": (
         "the car was switched off (LVMS) while it was driving, or the log lost it",
         "switch off in the order ASMS, TSMS, LVMS, after the car has stopped",
     ),
-)
-
-# Between power-up and driving
-_STARTING: Final = (
-    Cause(
-        "no_ai_data",
+    # Between power-up and driving
+    "no_ai_data": (
         "no message of the AI computer has come: tractive system and EBS wait for it",
         "start the bridge on this bus (2021: AIMS on), and check its CAN plug",
     ),
-    Cause(
-        "ai_data_incomplete",
+    "ai_data_incomplete": (
         "not all five messages of the AI computer come",
         "send all five of 0x510 to 0x514 every 10 ms: the VCU waits for valid data",
     ),
-    Cause(
-        "link_lost",
+    "link_lost": (
         "AI_COMMS_LOST: the AI computer's messages or echo are missing",
         "see the handshake and gaps in this story; fsai-vcu check LOG measures them",
     ),
-    Cause("asms", "ASMS is off (AS_SWITCH_STATUS 0)", "turn ASMS on"),
-    Cause("tsms", "TSMS is off (TS_SWITCH_STATUS 0)", "turn TSMS on"),
-    Cause(
-        "ts_not_running",
+    "asms": ("ASMS is off (AS_SWITCH_STATUS 0)", "turn ASMS on"),
+    "tsms": ("TSMS is off (TS_SWITCH_STATUS 0)", "turn TSMS on"),
+    "ts_not_running": (
         "the tractive system does not run",
         "check TSMS, the shutdown circuit (E-stops, dongle, remote) and the battery",
     ),
-    Cause(
-        "ebs_not_armed",
+    "ebs_not_armed": (
         "EBS is not armed",
         "check the shutdown circuit (E-stops, dongle, remote) and the EBS air pressure; ASMS must be on",
     ),
-    Cause("no_mission", "no mission is chosen on the AMI", "choose the mission on the display"),
-    Cause(
-        "status_not_selected",
+    "no_mission": ("no mission is chosen on the AMI", "choose the mission on the display"),
+    "status_not_selected": (
         "the AI computer says MISSION_STATUS NOT_SELECTED: it is in manual mode, or planner"
         " and controller have not confirmed their reset",
         "fsai-vcu status says what it waits for; fsai-vcu mode autonomous",
         "fsai-vcu status beside the log",
     ),
-    Cause(
-        "status_running",
+    "status_running": (
         "the AI computer says RUNNING too early: the VCU waits for SELECTED",
         "send SELECTED in AS_OFF and AS_READY, and RUNNING only once AS_DRIVING is seen",
     ),
-    Cause(
-        "status_finished",
+    "status_finished": (
         "the AI computer still says FINISHED from the run before: the VCU waits for SELECTED",
         "reset the mission state in AS_OFF and say SELECTED",
     ),
-    Cause(
-        "estop_latched",
+    "estop_latched": (
         "the AI computer requests an emergency stop (ESTOP_REQUEST 1)",
         "clear it by /reset in AS_OFF, after its cause is gone",
     ),
-    Cause(
-        "power_cycle",
+    "power_cycle": (
         "the car has not been switched off since its last run",
         "ASMS, TSMS and LVMS off, and on again: 2026 cars need it after every mission, all after an emergency brake",
     ),
-    Cause("fault", "the car reports a fault (FAULT_STATUS 1)", "see the fault's own line in this story"),
-    Cause(
-        "shutting_down",
+    "fault": ("the car reports a fault (FAULT_STATUS 1)", _SEE_FAULT),
+    "shutting_down": (
         "the car asks for shutdown (SHUTDOWN_REQUEST)",
         "TSMS was turned off: let it shut down, then LVMS off and on",
     ),
-    Cause(
-        "steering_inactive",
+    "steering_inactive": (
         "the steering is not active (STEERING_STATUS 0)",
         "check that ASMS is on and the tractive system runs; then the steering controller's fault",
     ),
-    Cause("brakes_not_ready", "the brakes are not ready (STATUS_BRK)", "check the brake controller; power-cycle"),
-    Cause(
-        "go_too_early",
+    "brakes_not_ready": ("the brakes are not ready (STATUS_BRK)", "check the brake controller; power-cycle"),
+    "go_too_early": (
         "Go came before 5 s in AS_READY had passed",
         "Go off, wait until the ASSI shows yellow and blue, Go on again",
     ),
-    Cause("go_held", "Go was on already: only a rising edge counts", "Go off and on again"),
-    Cause("no_go", "Go was not given", "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)"),
-    Cause(
-        "torque_requested",
+    "go_held": ("Go was on already: only a rising edge counts", "Go off and on again"),
+    "no_go": ("Go was not given", "give Go on the remote after 5 s in AS_READY (ASSI yellow and blue)"),
+    "torque_requested": (
         "axle torque is requested in AS_READY",
         "send zero torque in 0x511 and 0x512 until AS_DRIVING",
     ),
-    Cause("steering_requested", "steering is requested in AS_READY", "send STEER_REQUEST 0 until AS_DRIVING"),
-    Cause(
-        "steering_turned", "the steering is measured at 5 deg or more", "straighten the wheels; check the angle sensor"
-    ),
-    Cause(
-        "direction_not_neutral",
+    "steering_requested": ("steering is requested in AS_READY", "send STEER_REQUEST 0 until AS_DRIVING"),
+    "steering_turned": ("the steering is measured at 5 deg or more", "straighten the wheels; check the angle sensor"),
+    "direction_not_neutral": (
         "DIRECTION_REQUEST is not NEUTRAL in AS_READY",
         "send NEUTRAL until AS_DRIVING, then FORWARD",
     ),
-    Cause(
-        "ready_not_selected",
+    "ready_not_selected": (
         "MISSION_STATUS is not SELECTED in AS_READY: the official simulator does not start so",
         "send SELECTED until AS_DRIVING is seen",
     ),
-    Cause("given_up", "ASMS was turned off in AS_READY: the start was given up", "turn ASMS on to start anew"),
-    Cause(
-        "start_unknown",
+    "given_up": ("ASMS was turned off in AS_READY: the start was given up", "turn ASMS on to start anew"),
+    "start_unknown": (
         "every condition that the bus shows was met, and yet the car did not go on",
         "look at the display and the ASSI; EBS test and shutdown circuit are not all on the bus",
         "0x120 (2021), 0x181, 0x301 and 0x302 (2026), from power-up on",
     ),
-)
-
-# In a drive that goes on
-_ACTUATION: Final = (
-    Cause(
-        "torque_not_given",
+    # In a drive that goes on
+    "torque_not_given": (
         "the motors do not give the torque that is asked for",
         "check inverter and motor faults and the tractive system's voltage; compare TRQ_MAX in 0x521 and 0x522",
     ),
-    Cause(
-        "torque_unasked",
+    "torque_unasked": (
         "the motors give torque that nobody asks for",
         "do not drive: press an E-stop, then have inverter and torque request looked at with the car on stands",
     ),
-    Cause(
-        "no_motion",
+    "no_motion": (
         "torque is given and no wheel turns",
         "check that the brakes are released and drive shafts and coupling are whole; then the wheel-speed sensors",
     ),
-    Cause(
-        "brake_not_following",
+    "brake_not_following": (
         "the brake pressure does not come as asked",
         "do not drive: check air, brake fluid and the pressure sensor by static inspection A",
     ),
-    Cause(
-        "brake_unasked",
+    "brake_unasked": (
         "there is brake pressure that nobody asks for",
         "check that the EBS is not triggered, and the pressure sensors and valves",
     ),
-    Cause(
-        "steering_not_following",
+    "steering_not_following": (
         "the steering does not go where it is asked to",
-        "move the steering by hand and by command (static inspection A): column, motor, angle sensor",
+        _MOVE_STEERING,
     ),
-    Cause(
-        "wheel_unlike",
+    "wheel_unlike": (
         "one wheel's speed is unlike the others'",
-        "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping",
+        _TURN_WHEELS,
     ),
-)
+}
 
-CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(
-    {cause.slug: cause for cause in (*_EMERGENCY, *_ROOTS, *_STARTING, *_ACTUATION)}
-)
+CAUSES: Final[Mapping[str, Cause]] = MappingProxyType({slug: Cause(slug, *row) for slug, row in _CAUSES.items()})
 
 SHUTDOWN: Final[Mapping[ShutdownCause, str]] = MappingProxyType(
     {

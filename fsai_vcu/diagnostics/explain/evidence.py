@@ -6,7 +6,8 @@ The conditions and times are those of the supervisor (core/supervision): its own
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from itertools import pairwise
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.actuation import sampled
-from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate
-from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at, ms
-from fsai_vcu.diagnostics.explain.record import Record, Signal, Values
+from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, shown
+from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at
+from fsai_vcu.diagnostics.explain.record import Record, Signal, Values, ms
 from fsai_vcu.diagnostics.explain.signals import car_of, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.interface.enums import Ami
@@ -36,71 +37,57 @@ SLACK_NS: Final = 25 * MS
 
 def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: bool) -> list[Candidate]:
     """Everything on the bus that makes a careful AI computer ask for an emergency (or, else, stop) at `t_ns`."""
-    config = CONFIG
     found: list[Candidate] = []
 
-    def add(slug: str, since_ns: int, words: str, can_id: int | None = None, signal: str = "") -> None:
-        found.append(candidate(slug, Sureness.SHOWN, [ChainLink(since_ns, words, can_id, signal)]))
+    def add(reason: Reason, since_ns: int, words: str, can_id: int | None = None, signal: str = "") -> None:
+        found.append(shown(reason.slug, ChainLink(since_ns, words, can_id, signal)))
+
+    def add_gap(reason: Reason, can_id: int, patience_ns: int) -> bool:
+        gap = gap_at(record, can_id, t_ns, patience_ns)
+        if gap is not None:
+            end = ", to the end of the log" if gap.end_ns is None else ""
+            words = f"the last 0x{can_id:03X} before {ms(gap.length_ns)} without it{end}"
+            add(reason, gap.begin_ns, words, can_id)
+        return gap is not None
 
     if emergency:
         for other in record.second_senders:
             if other.begin_ns <= t_ns and t_ns - other.begin_ns <= INTRUDER_NS:
-                add(Reason.INTRUDER.slug, other.begin_ns, other.words, other.can_ids[0])
+                add(Reason.INTRUDER, other.begin_ns, other.words, other.can_ids[0])
                 break
-        gap = gap_at(record, 0x520, t_ns, config.vcu_lost_ns)
-        if gap is not None:
-            add(
-                Reason.VCU_SILENT.slug,
-                gap.begin_ns,
-                f"the last 0x520 before {_lasting(gap.end_ns, gap.length_ns)}",
-                0x520,
-            )
-    patience = config.feedback_lost_ns if emergency else config.feedback_stale_ns
+        add_gap(Reason.VCU_SILENT, 0x520, CONFIG.vcu_lost_ns)
+    patience = CONFIG.feedback_lost_ns if emergency else CONFIG.feedback_stale_ns
     for can_id, reason in ((0x525, Reason.WHEELS_STALE), (0x523, Reason.STEERING_STALE)):
-        gap = gap_at(record, can_id, t_ns, patience)
-        if gap is None and not emergency and not record.has(can_id):
-            add(reason.slug, drive_begin_ns, f"0x{can_id:03X} never comes", can_id)
-        elif gap is not None:
-            add(
-                reason.slug,
-                gap.begin_ns,
-                f"the last 0x{can_id:03X} before {_lasting(gap.end_ns, gap.length_ns)}",
-                can_id,
-            )
+        if not add_gap(reason, can_id, patience) and not emergency and not record.has(can_id):
+            add(reason, drive_begin_ns, f"0x{can_id:03X} never comes", can_id)
     found += _not_believed(record, t_ns, patience)
     found += dead_bus(record, t_ns, Sureness.SHOWN)
-    found += _implausible(
-        record, t_ns, drive_begin_ns, config.implausible_lost_ns if emergency else config.implausible_ns
-    )
-    pause = _own_pause(record, t_ns)
-    if pause is not None:
-        begin, length = pause
+    implausible_ns = CONFIG.implausible_lost_ns if emergency else CONFIG.implausible_ns
+    found += _implausible(record, t_ns, drive_begin_ns, implausible_ns)
+    for begin_ns, length_ns in _own_pause(record, t_ns):
         add(
-            Reason.LOOP_FAULT.slug, begin, f"the AI computer itself paused for {ms(length)} (its cycle is 10 ms)", 0x510
+            Reason.LOOP_FAULT,
+            begin_ns,
+            f"the AI computer itself paused for {ms(length_ns)} (its cycle is 10 ms)",
+            0x510,
         )
-    errors = record.error_ns[(record.error_ns >= t_ns - BUS_NS) & (record.error_ns <= t_ns)]
-    if len(errors):
-        add(
-            Reason.BUS_LOST.slug,
-            int(errors[0]),
-            f"{len(errors)} error frames within {ms(t_ns - int(errors[0]))} before",
-        )
+    if errors := record.errors_before(t_ns, BUS_NS):
+        add(Reason.BUS_LOST, errors[0], f"{len(errors)} error frames within {ms(t_ns - errors[0])} before")
     if emergency:
-        found += _ineffective(record, t_ns)
-    else:
-        for signal, reason, falls in (
-            (sig.GO, Reason.GO_OFF, True),
-            (sig.FAULT_STATUS, Reason.FAULT_STATUS, False),
-            (sig.AS_SWITCH, Reason.AS_SWITCH_OFF, True),
-            (sig.TS_SWITCH, Reason.TS_SWITCH_OFF, True),
-            (sig.SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
-            *((fault, Reason.FAULT_BIT, False) for fault in sig.FAULTS),
-            (sig.SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
-        ):
-            for span in record.series(signal).changes(t_ns - 100 * MS, t_ns):
-                if (span.value if falls else span.before) == 0.0:
-                    words = f"{signal.name} becomes {label(signal, span.value)}"
-                    add(reason.slug, span.begin_ns, words, signal.can_id, signal.name)
+        return [*found, *_ineffective(record, t_ns)]
+    for signal, reason, falls in (
+        (sig.GO, Reason.GO_OFF, True),
+        (sig.FAULT_STATUS, Reason.FAULT_STATUS, False),
+        (sig.AS_SWITCH, Reason.AS_SWITCH_OFF, True),
+        (sig.TS_SWITCH, Reason.TS_SWITCH_OFF, True),
+        (sig.SHUTDOWN_REQUEST, Reason.SHUTDOWN_REQUESTED, False),
+        *((fault, Reason.FAULT_BIT, False) for fault in sig.FAULTS),
+        (sig.SHUTDOWN_CAUSE, Reason.SHUTDOWN_CAUSE, False),
+    ):
+        for span in record.changes(signal, t_ns - 100 * MS, t_ns):
+            if (span.value if falls else span.before) == 0.0:
+                words = f"{signal.name} becomes {label(signal, span.value)}"
+                add(reason, span.begin_ns, words, signal.can_id, signal.name)
     return found
 
 
@@ -128,22 +115,14 @@ def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate
     if not doubt or believed_ns is None or t_ns - believed_ns < patience_ns - SLACK_NS:
         return []
     words = f"{doubt}: 0x525 is not believed for {ms(t_ns - believed_ns)}"
-    return [candidate(Reason.WHEELS_STALE.slug, Sureness.SHOWN, [ChainLink(believed_ns, words, 0x525)])]
+    return [shown(Reason.WHEELS_STALE.slug, ChainLink(believed_ns, words, 0x525))]
 
 
-def _lasting(end_ns: int | None, length_ns: int) -> str:
-    return f"{ms(length_ns)} without it" + ("" if end_ns is not None else ", to the end of the log")
-
-
-def _own_pause(record: Record, t_ns: int) -> tuple[int, int] | None:
-    """A pause of the AI computer's cycle that ended just before it asked."""
+def _own_pause(record: Record, t_ns: int) -> list[tuple[int, int]]:
+    """The first pause of the AI computer's cycle that ended just before it asked: (since when, how long)."""
     times = record.times(0x510)
-    place = int(np.searchsorted(times, t_ns, side="right")) - 1
-    for row in range(max(place - 3, 1), place + 1):
-        length = int(times[row] - times[row - 1])
-        if length >= CONFIG.send_lost_ns:
-            return int(times[row - 1]), length
-    return None
+    before = times[: np.searchsorted(times, t_ns, side="right")][-5:].tolist()
+    return [(a, b - a) for a, b in pairwise(before) if b - a >= CONFIG.send_lost_ns][:1]
 
 
 def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
@@ -152,7 +131,7 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
     now = wheels.at(t_ns)
     if now is None or now < STANDING_RPM:
         return []
-    front = record.series(sig.BRAKE_REQ_F).span_at(t_ns - SLACK_NS)
+    front = record.span_at(sig.BRAKE_REQ_F, t_ns - SLACK_NS)
     if front is None or front.value < CONFIG.stop_brake_pct - 1:
         return []
     asked_ns = t_ns - SLACK_NS - front.begin_ns
@@ -163,13 +142,7 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
     words = (
         f"the brake is asked for at {front.value:g} % for {ms(asked_ns)}, and the wheels still turn at {now:.0f} rpm"
     )
-    return [
-        candidate(
-            Reason.STOP_INEFFECTIVE.slug,
-            Sureness.SHOWN,
-            [sig.BRAKE_REQ_F.step(front.begin_ns, words)],
-        )
-    ]
+    return [shown(Reason.STOP_INEFFECTIVE.slug, sig.BRAKE_REQ_F.step(front.begin_ns, words))]
 
 
 def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: int) -> list[Candidate]:
@@ -185,50 +158,36 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
     def column(signal: Signal) -> Values:
         return sampled(record.series(signal), times)
 
-    def age_base(can_id: int) -> Ints:
-        heard = record.times(can_id)
-        places = np.searchsorted(heard, times, side="right") - 1
-        return np.where(places >= 0, heard[np.maximum(places, 0)] if len(heard) else 0, -S)
+    def received_ns(can_id: int) -> Ints:
+        """When the newest one came, for each of the times."""
+        received = np.append(-S, record.times(can_id))
+        return received[np.searchsorted(received, times, side="right") - 1]
 
-    angle, angle_ns = column(sig.ANGLE), age_base(0x523)
-    rpm = [column(signal) for signal in sig.WHEELS]
-    rpm_ns = age_base(0x525)
-    asked = column(sig.STEER)
-    torque_f, torque_r = column(sig.TORQUE_F), column(sig.TORQUE_R)
-    brake_f, brake_r = column(sig.BRAKE_REQ_F), column(sig.BRAKE_REQ_R)
-    limit_f, limit_r = column(sig.SPEED_MAX_F), column(sig.SPEED_MAX_R)
-    inspected = _inspection(record, t_ns)
-    for row, now in enumerate(times.tolist()):
+    angle, angle_ns, asked = column(sig.ANGLE), received_ns(0x523), column(sig.STEER)
+    rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], received_ns(0x525)
+    requests: dict[str, Any] = {
+        "front_torque_nm": column(sig.TORQUE_F).tolist(),
+        "rear_torque_nm": column(sig.TORQUE_R).tolist(),
+        "front_brake_pct": column(sig.BRAKE_REQ_F).tolist(),
+        "rear_brake_pct": column(sig.BRAKE_REQ_R).tolist(),
+        "front_motor_speed_max_rpm": column(sig.SPEED_MAX_F).astype(np.int64).tolist(),
+        "rear_motor_speed_max_rpm": column(sig.SPEED_MAX_R).astype(np.int64).tolist(),
+    }
+    inspected = record.at(sig.AMI, t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
+    for row, now_ns in enumerate(times.tolist()):
         measured = VcuSteer(float(angle[row]), t_rx_ns=int(angle_ns[row]))
-        steer = check_steering(CONFIG, car, steer, float(asked[row]), measured, now)
-        if inspected:
-            continue
-        command = AiCommand(
-            front_torque_nm=float(torque_f[row]),
-            rear_torque_nm=float(torque_r[row]),
-            front_brake_pct=float(brake_f[row]),
-            rear_brake_pct=float(brake_r[row]),
-            front_motor_speed_max_rpm=int(limit_f[row]),
-            rear_motor_speed_max_rpm=int(limit_r[row]),
-        )
-        turning = [int(column_of[row]) for column_of in rpm]
-        speeds = replace(WheelSpeeds(*turning), t_rx_ns=int(rpm_ns[row]))
-        wheel = check_wheels(CONFIG, car, wheel, command, speeds, measured, now)
+        steer = check_steering(CONFIG, car, steer, float(asked[row]), measured, now_ns)
+        if not inspected:
+            command = AiCommand(**{name: values[row] for name, values in requests.items()})
+            speeds = replace(WheelSpeeds(*(int(column[row]) for column in rpm)), t_rx_ns=int(rpm_ns[row]))
+            wheel = check_wheels(CONFIG, car, wheel, command, speeds, measured, now_ns)
     found = []
-    for since_ns, slug, can_id, words in (
-        (
-            steer.implausible_since_ns,
-            Reason.STEERING_IMPLAUSIBLE.slug,
-            0x523,
-            f"asked for {asked[-1]:.1f} deg, measured {angle[-1]:.1f} deg",
-        ),
-        (wheel.implausible_since_ns, Reason.WHEEL_IMPLAUSIBLE.slug, 0x525, wheel.detail),
+    words = f"asked for {asked[-1]:.1f} deg, measured {angle[-1]:.1f} deg"
+    for since_ns, reason, can_id, what in (
+        (steer.implausible_since_ns, Reason.STEERING_IMPLAUSIBLE, 0x523, words),
+        (wheel.implausible_since_ns, Reason.WHEEL_IMPLAUSIBLE, 0x525, wheel.detail),
     ):
         if since_ns is not None and t_ns - since_ns >= patience_ns - 2 * SLACK_NS:
-            text = f"{words}: implausible for {ms(t_ns - since_ns)}"
-            found.append(candidate(slug, Sureness.SHOWN, [ChainLink(since_ns, text, can_id)]))
+            text = f"{what}: implausible for {ms(t_ns - since_ns)}"
+            found.append(shown(reason.slug, ChainLink(since_ns, text, can_id)))
     return found
-
-
-def _inspection(record: Record, t_ns: int) -> bool:
-    return record.series(sig.AMI).at(t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)

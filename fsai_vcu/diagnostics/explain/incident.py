@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from typing import Any
 
@@ -34,17 +34,21 @@ class TimelineEntry:
 
 
 class IncidentKind(Enum):
-    """What happened, in the words of the heading."""
+    """What happened: its name, the words of the heading, and what one and several of it are called."""
 
-    EMERGENCY = ("emergency_brake", "emergency brake")
-    ABORT = ("abort", "the drive was cut off")
-    REFUSAL = ("refusal_to_start", "refusal to start")
-    MISMATCH = ("not_as_asked", "the car does not do what it is asked")
-    STOP = ("early_stop", "stopped before the mission was done")
+    EMERGENCY = ("emergency_brake", "emergency brake", "emergency brake", "emergency brakes")
+    ABORT = ("abort", "the drive was cut off", "drive cut off", "drives cut off")
+    REFUSAL = ("refusal_to_start", "refusal to start", "refusal to start", "refusals to start")
+    MISMATCH = (
+        "not_as_asked", "the car does not do what it is asked", "thing not as asked", "things not as asked"
+    )  # fmt: skip
+    STOP = ("early_stop", "stopped before the mission was done", "early stop", "early stops")
 
-    def __init__(self, slug: str, words: str) -> None:
+    def __init__(self, slug: str, words: str, one: str, many: str) -> None:
         self.slug = slug
         self.words = words
+        self.one = one
+        self.many = many
 
 
 class Sureness(IntEnum):
@@ -94,10 +98,20 @@ class Candidate:
     def t_ns(self) -> int:
         return self.steps[0].t_ns
 
+    def with_steps(self, *steps: ChainLink) -> Candidate:
+        """The same with more evidence behind it, all in the order of time and each step once."""
+        every = sorted((*self.steps, *steps), key=lambda step: step.t_ns)
+        return replace(self, steps=tuple(dict.fromkeys(every)))
 
-def candidate(slug: str, sureness: Sureness, steps: Iterable[ChainLink]) -> Candidate:
+
+def candidate(slug: str, sureness: Sureness, *steps: ChainLink) -> Candidate:
     """A candidate with its steps in the order of time. Raises KeyError for a cause that the table does not have."""
     return Candidate(CAUSES[slug].slug, sureness, tuple(sorted(steps, key=lambda step: step.t_ns)))
+
+
+def shown(slug: str, *steps: ChainLink) -> Candidate:
+    """A cause that the frames show."""
+    return candidate(slug, Sureness.SHOWN, *steps)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import cache, cached_property
 from typing import Final, NamedTuple
 
@@ -24,13 +25,20 @@ from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.specification import COMMS_LOST_NS
-from fsai_vcu.interface.units import MS
+from fsai_vcu.interface.units import MS, S
 
 Values = npt.NDArray[np.float64]
 
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
+
+
+def ms(length_ns: int) -> str:
+    """A length of time as people read it."""
+    if length_ns < S:
+        return f"{length_ns / MS:.0f} ms" if length_ns >= 10 * MS else f"{length_ns / MS:.1f} ms"
+    return f"{length_ns / S:.2f} s"
 
 
 class Signal(NamedTuple):
@@ -75,29 +83,17 @@ class Series:
 
     @cached_property
     def spans(self) -> Sequence[Span]:
-        """What was said, change by change."""
+        """What was sent, change by change."""
         if not len(self.t_ns):
             return ()
         starts = np.concatenate(([0], np.flatnonzero(np.diff(self.values)) + 1))
-        ends = np.append(self.t_ns[starts[1:]], self.t_ns[-1])
-        return tuple(
-            Span(
-                int(self.t_ns[start]),
-                int(end),
-                float(self.values[start]),
-                float(self.values[start - 1]) if start else None,
-            )
-            for start, end in zip(starts, ends, strict=True)
-        )
+        begins, values = self.t_ns[starts].tolist(), self.values[starts].tolist()
+        ends, before = [*begins[1:], int(self.t_ns[-1])], [None, *values[:-1]]
+        return tuple(map(Span, begins, ends, values, before))
 
     def span_at(self, t_ns: int) -> Span | None:
         """The span in force at `t_ns`."""
-        found = None
-        for span in self.spans:
-            if span.begin_ns > t_ns:
-                break
-            found = span
-        return found
+        return next((span for span in reversed(self.spans) if span.begin_ns <= t_ns), None)
 
     def changes(self, begin_ns: int, end_ns: int) -> list[Span]:
         """Spans that begin with a change (not with the log) from `begin_ns` up to and including `end_ns`."""
@@ -120,6 +116,15 @@ class Gap:
     begin_ns: int  # its last frame before
     end_ns: int | None
     length_ns: int
+
+    @property
+    def over_ns(self) -> int:
+        """When it ended, or the log did."""
+        return self.begin_ns + self.length_ns
+
+    def words(self) -> str:
+        """How long it lasted."""
+        return f"to the end of the log ({ms(self.length_ns)})" if self.end_ns is None else f"for {ms(self.length_ns)}"
 
 
 @dataclass(frozen=True)
@@ -152,7 +157,7 @@ class Record:
     wrong_length: Mapping[int, tuple[int, int]] = field(default_factory=dict)  # id: how often, first time
     unknown_ids: Mapping[int, int] = field(default_factory=dict)
     other_channels: Mapping[str, int] = field(default_factory=dict)
-    _rows: dict[int, Ints] = field(default_factory=dict, repr=False)
+    _rows: dict[int, Ints] = field(default_factory=dict, repr=False)  # by key, as in MessageLayout
     _tables: dict[str, MessageTable] = field(default_factory=dict, repr=False)
     _series: dict[Signal, Series] = field(default_factory=dict, repr=False)
 
@@ -174,23 +179,49 @@ class Record:
 
     def series(self, signal: Signal) -> Series:
         """A signal in physical units; empty if the log or the database does not have it."""
-        found = self._series.get(signal)
-        if found is None:
-            found = self._series[signal] = self._read(signal)
-        return found
+        if signal not in self._series:
+            self._series[signal] = self._read(signal)
+        return self._series[signal]
 
     def _read(self, signal: Signal) -> Series:
         layout = self.decoder.databases.by_name(signal.message)
-        if layout is None or layout.can_id not in self._rows:
+        rows = self._rows.get(layout.key) if layout is not None else None
+        if layout is None or rows is None:
             return NOTHING
-        table = self._tables.get(layout.name)
-        if table is None:
-            table = self._tables[layout.name] = self.decoder.table(layout, self.frames, self._rows[layout.can_id])
-        for tail in _NAME_TAILS:
-            found = table.series.get(signal.name + tail)
-            if found is not None:
-                return Series(found.t_ns, found.values.astype(np.float64))
-        return NOTHING
+        if layout.name not in self._tables:
+            self._tables[layout.name] = self.decoder.table(layout, self.frames, rows)
+        named = self._tables[layout.name].series
+        found = next((named[signal.name + tail] for tail in _NAME_TAILS if signal.name + tail in named), None)
+        return NOTHING if found is None else Series(found.t_ns, found.values.astype(np.float64))
+
+    def matching(self, patterns: Sequence[str]) -> dict[str, list[tuple[str, Series]]]:
+        """By unit, (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ? means."""
+        groups: dict[str, list[tuple[str, Series]]] = {}
+        for layout in self.decoder.databases.layouts.values():
+            for signal in layout.signals:
+                full = f"{layout.name}.{signal.name}"
+                if any(fnmatchcase(full if "." in pattern else signal.name, pattern) for pattern in patterns):
+                    series = self.series(Signal(layout.name, signal.name))
+                    if len(series):
+                        groups.setdefault(signal.unit, []).append((full, series))
+        return groups
+
+    def at(self, signal: Signal, t_ns: int) -> float | None:
+        """The signal's newest value at `t_ns`; None before its first frame."""
+        return self.series(signal).at(t_ns)
+
+    def span_at(self, signal: Signal, t_ns: int) -> Span | None:
+        """The signal's value in force at `t_ns`, and since when."""
+        return self.series(signal).span_at(t_ns)
+
+    def changes(self, signal: Signal, begin_ns: int, end_ns: int, to: float | None = None) -> list[Span]:
+        """The signal's changes (to a value, if one is named) from `begin_ns` up to and including `end_ns`."""
+        return [s for s in self.series(signal).changes(begin_ns, end_ns) if to is None or s.value == to]
+
+    def errors_before(self, t_ns: int, length_ns: int) -> list[int]:
+        """The times of error frames in the `length_ns` up to `t_ns`."""
+        found: list[int] = self.error_ns[(self.error_ns >= t_ns - length_ns) & (self.error_ns <= t_ns)].tolist()
+        return found
 
     def fastest_wheel(self) -> Series:
         """The fastest of the four wheels, rpm."""
@@ -206,18 +237,10 @@ class Record:
     def gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
         """Where that message was missing for more than `longest_ns`, within the log and at its end."""
         times = self.times(can_id)
-        if not len(times):
-            return []
         waits = np.diff(np.append(times, self.end_ns))
-        return [
-            Gap(
-                can_id,
-                int(times[place]),
-                int(times[place + 1]) if place + 1 < len(times) else None,
-                int(waits[place]),
-            )
-            for place in np.flatnonzero(waits > longest_ns)
-        ]
+        found = np.flatnonzero(waits > longest_ns).tolist() if len(times) else []
+        ends = [int(times[place + 1]) if place + 1 < len(times) else None for place in found]
+        return [Gap(can_id, int(times[p]), end, int(waits[p])) for p, end in zip(found, ends, strict=True)]
 
     @cached_property
     def silences(self) -> Sequence[tuple[int, int]]:
@@ -227,9 +250,8 @@ class Record:
 
     def silence_in(self, gap: Gap) -> tuple[int, int] | None:
         """The silence of everybody that is nearly all of this gap of one message."""
-        over_ns = self.end_ns if gap.end_ns is None else gap.end_ns
         for begin_ns, end_ns in self.silences:
-            if min(end_ns, over_ns) - max(begin_ns, gap.begin_ns) > DEAD_SHARE * gap.length_ns:
+            if min(end_ns, gap.over_ns) - max(begin_ns, gap.begin_ns) > DEAD_SHARE * gap.length_ns:
                 return begin_ns, end_ns
         return None
 
@@ -238,19 +260,15 @@ class Record:
         """Every toggle of the VCU's handshake while the AI computer speaks, and its echo."""
         asked = self.series(Signal("VCU2AI_Status", "HANDSHAKE"))
         echo = self.series(Signal("AI2VCU_Status", "HANDSHAKE"))
-        if not len(echo):
-            return ()
-        place = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
+        times = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
         found = []
-        for span in asked.spans:
-            if span.before is None or span.begin_ns < echo.t_ns[0]:
-                continue
-            bit = int(span.value)
-            times = place[bit]
-            first = int(np.searchsorted(times, span.begin_ns))
-            echo_ns = int(times[first]) if first < len(times) else None
-            waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
-            found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
+        for span in asked.spans if len(echo) else ():
+            if span.before is not None and span.begin_ns >= echo.t_ns[0]:
+                bit = int(span.value)
+                first = int(np.searchsorted(times[bit], span.begin_ns))
+                echo_ns = int(times[bit][first]) if first < len(times[bit]) else None
+                waited_ns = (self.end_ns if echo_ns is None else echo_ns) - span.begin_ns
+                found.append(HandshakeToggle(span.begin_ns, bit, echo_ns, waited_ns))
         return tuple(found)
 
     @cached_property
@@ -281,8 +299,8 @@ def record_of(frames: Frames, revision: Revision, reason: str = "given", databas
         if not right.all():
             strange = rows[~right]
             wrong[layout.can_id] = (len(strange), int(bus.t_ns[strange[0]]))
-        if right.any() and not layout.extended:
-            rows_of[layout.can_id] = rows[right]
+        if right.any():
+            rows_of[layout.key] = rows[right]
     return Record(
         revision,
         reason,

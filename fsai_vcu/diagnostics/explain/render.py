@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -30,16 +31,21 @@ def seconds(story: Explanation, t_ns: int) -> float:
     return (t_ns - int(story.heading["begin_ns"])) / 1e9
 
 
+def extent(story: Explanation) -> str:
+    """How long the log is, of which bus, and when it began."""
+    heading, began = story.heading, int(story.heading["begin_ns"])
+    when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
+    return f"{heading['seconds']:.1f} s, {heading['frames']} frames on {heading['channel']}{when}"
+
+
 def cut(story: Explanation, from_s: float | None, to_s: float | None) -> Explanation:
     """The part of a story from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
     low = float("-inf") if from_s is None else from_s
     high = float("inf") if to_s is None else to_s
-    return Explanation(
-        story.heading,
-        tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
-        tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
-        story.closing,
-        story.problems,
+    return replace(
+        story,
+        events=tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
+        incidents=tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
     )
 
 
@@ -53,9 +59,7 @@ def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterat
         return f"\033[{code}m{text}\033[0m" if colour and code else text
 
     heading = story.heading
-    began = int(heading["begin_ns"])
-    when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
-    yield paint(f"{name}: {heading['seconds']:.1f} s, {heading['frames']} frames on {heading['channel']}{when}", "1")
+    yield paint(f"{name}: {extent(story)}", "1")
     yield f"interface revision {heading['revision']} ({heading['revision_reason']})"
     for problem in story.problems:
         yield paint(f"note: {problem}", "33")
@@ -120,22 +124,11 @@ def _wrapped(text: str, indent: str, paint: Any, code: str = "") -> Iterator[str
 
 def verdict(story: Explanation) -> str:
     """One line that ends the story."""
-    counts = []
-    for kind, one, many in (
-        (IncidentKind.EMERGENCY, "emergency brake", "emergency brakes"),
-        (IncidentKind.ABORT, "drive cut off", "drives cut off"),
-        (IncidentKind.REFUSAL, "refusal to start", "refusals to start"),
-        (IncidentKind.MISMATCH, "thing not as asked", "things not as asked"),
-        (IncidentKind.STOP, "early stop", "early stops"),
-    ):
-        count = sum(incident.bad for incident in story.incidents if incident.kind is kind)
-        if count:
-            counts.append(f"{count} {one if count == 1 else many}")
-    planned = sum(incident.planned for incident in story.incidents)
+    counts = [(kind, sum(i.bad for i in story.incidents if i.kind is kind)) for kind in IncidentKind]
+    bad = [f"{count} {kind.one if count == 1 else kind.many}" for kind, count in counts if count]
+    planned = any(incident.planned for incident in story.incidents)
     rest = ["the emergency brake that the mission ends with"] if planned else []
-    if counts:
-        return ", ".join([*counts, *rest])
-    return "no emergency brake, no refusal to start" + (f"; {', '.join(rest)}" if rest else "")
+    return ", ".join([*bad, *rest]) if bad else "; ".join(["no emergency brake, no refusal to start", *rest])
 
 
 # ---------------------------------------------------------------- for programs

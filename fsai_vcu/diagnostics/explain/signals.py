@@ -1,4 +1,4 @@
-"""The signals that a story is about, and a few words that several of its chapters share."""
+"""The signals that an explanation is about, and a few words that several of its parts share."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Final
 
 from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.diagnostics.explain.record import Record, Signal
+from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import (
     Ami,
     AsState,
@@ -21,6 +22,7 @@ from fsai_vcu.interface.enums import (
     TsState,
 )
 from fsai_vcu.interface.messages import FAULT_NAMES
+from fsai_vcu.interface.reserved import AI_IDS
 
 DRIVING: Final = float(AsState.AS_DRIVING)
 READY: Final = float(AsState.AS_READY)
@@ -66,25 +68,16 @@ BRAKE_REQ_R: Final = Signal("AI2VCU_Brake", "HYD_PRESS_R_REQ_pct")
 
 SYSTEM: Final = "VCU_STATUS"
 SM_SYS: Final = Signal(SYSTEM, "SM_SYS")
-TIMEOUTS: Final = {
-    Signal(SYSTEM, "R1_AI2VCU_STATUS_TIMEOUT_ERROR"): 0x510,
-    Signal(SYSTEM, "R1_AI2VCU_DRIVE_F_TIMEOUT_ERROR"): 0x511,
-    Signal(SYSTEM, "R1_AI2VCU_DRIVE_R_TIMEOUT_ERROR"): 0x512,
-    Signal(SYSTEM, "R1_AI2VCU_STEER_TIMEOUT_ERROR"): 0x513,
-    Signal(SYSTEM, "R1_AI2VCU_BRAKE_TIMEOUT_ERROR"): 0x514,
+# What 0x120 (2021) reports as missing
+MISSED: Final = {
+    **{
+        Signal(SYSTEM, f"R1_AI2VCU_{name}_TIMEOUT_ERROR"): str(BY_ID[can_id])
+        for can_id, name in zip(AI_IDS, ("STATUS", "DRIVE_F", "DRIVE_R", "STEER", "BRAKE"), strict=True)
+    },
+    Signal(SYSTEM, "R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR"): "the handshake's echo",
 }
-HANDSHAKE_TIMEOUT: Final = Signal(SYSTEM, "R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR")
-SYSTEM_WARNINGS: Final = tuple(
-    Signal(SYSTEM, f"WARN_{name}")
-    for name in (
-        "BRAKE_PLAUSIBILITY",
-        "KL15_UNDER_V",
-        "AI_ESTOP_REQ",
-        "AI_COMMS_LOST",
-        "AUTO_BRAKING",
-        "MISSION_STATUS",
-    )
-)
+_WARNINGS = ("BRAKE_PLAUSIBILITY", "KL15_UNDER_V", "AI_ESTOP_REQ", "AI_COMMS_LOST", "AUTO_BRAKING", "MISSION_STATUS")
+SYSTEM_WARNINGS: Final = tuple(Signal(SYSTEM, f"WARN_{name}") for name in _WARNINGS)
 REMOTE_ESTOP: Final = Signal("RES_TPDO", "ESTOP_STATUS")
 RADIO_STRENGTH: Final = Signal("RES_TPDO", "RADIO_STRENGTH")
 
@@ -108,18 +101,12 @@ def label(signal: Signal, value: float | None) -> str:
     """A value in the car's own word; its number where there is none."""
     if value is None:
         return "nothing yet"
-    kind = LABELS.get(signal)
-    if kind is not None:
-        try:
-            return kind(int(value)).label
-        except ValueError:
-            return f"{int(value)} (not in the interface's table)"
-    return f"{value:g}"
-
-
-def is_on(record: Record, signal: Signal, t_ns: int) -> bool:
-    """Whether the signal's newest value at `t_ns` is not zero; False before it was heard."""
-    return bool(record.series(signal).at(t_ns))
+    if signal not in LABELS:
+        return f"{value:g}"
+    try:
+        return LABELS[signal](int(value)).label
+    except ValueError:
+        return f"{int(value)} (not in the interface's table)"
 
 
 def car_of(record: Record) -> VehicleParameters:

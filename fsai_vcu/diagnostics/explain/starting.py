@@ -1,20 +1,30 @@
 """Why the car does not start: every condition between power-up and AS_DRIVING, as two tables.
 
 `TO_READY` are the conditions of AS_OFF -> AS_READY (and of leaving AS_INIT), `TO_DRIVING` those of AS_READY ->
-AS_DRIVING. A condition that cannot be met before another one is is told as what follows from it.
+AS_DRIVING. A condition that cannot be met before another one is, is named as what follows from it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import groupby, zip_longest
 from operator import not_
 from typing import Final
 
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Incident, IncidentKind, Sureness, candidate
-from fsai_vcu.diagnostics.explain.link import GONE_NS, REBOOT_NS, ms
-from fsai_vcu.diagnostics.explain.record import Record, Signal, Span
+from fsai_vcu.diagnostics.explain.emergencies import restarted
+from fsai_vcu.diagnostics.explain.incident import (
+    Candidate,
+    ChainLink,
+    Incident,
+    IncidentKind,
+    Sureness,
+    candidate,
+    shown,
+)
+from fsai_vcu.diagnostics.explain.link import GONE_NS
+from fsai_vcu.diagnostics.explain.record import Record, Signal, Span, ms
 from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
 from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS
@@ -25,6 +35,7 @@ PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
 HEARD_NS: Final = 500 * MS
+COMMS_LOST: Final = Signal("VCU2AI_Status", "AI_COMMS_LOST")
 
 Unmet = Callable[[Record, int], "ChainLink | None"]
 
@@ -43,46 +54,43 @@ def _is(signal: Signal, wanted: Callable[[float], bool]) -> Unmet:
     """The condition that a signal (where the log has it) has a wanted value."""
 
     def unmet(record: Record, t_ns: int) -> ChainLink | None:
-        span = record.series(signal).span_at(t_ns)
+        span = record.span_at(signal, t_ns)
         if span is None or wanted(span.value):
             return None
-        words = f"{signal.name} is {label(signal, span.value)}"
-        return signal.step(span.begin_ns, words)
+        return signal.step(span.begin_ns, f"{signal.name} is {label(signal, span.value)}")
 
     return unmet
 
 
-def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
-    last = max((_last(record, can_id, t_ns) for can_id in AI_IDS), default=None)
-    if last is not None and last > 0 and t_ns - last < HEARD_NS:
-        return None
-    if not last:
-        return ChainLink(record.begin_ns, "no 0x510 to 0x514 up to then")
-    return ChainLink(last, f"the last frame of the AI computer, {ms(t_ns - last)} before")
-
-
 def _last(record: Record, can_id: int, t_ns: int) -> int:
+    """When that message came last, before or at `t_ns`; 0: never."""
     times = record.times(can_id)
     place = int(times.searchsorted(t_ns, side="right"))
     return int(times[place - 1]) if place else 0
+
+
+def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
+    last_ns = max(_last(record, can_id, t_ns) for can_id in AI_IDS)
+    if not last_ns:
+        return ChainLink(record.begin_ns, "no 0x510 to 0x514 up to then")
+    if t_ns - last_ns < HEARD_NS:
+        return None
+    return ChainLink(last_ns, f"the last frame of the AI computer, {ms(t_ns - last_ns)} before")
 
 
 def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
     missing = [i for i in AI_IDS if t_ns - _last(record, i, t_ns) >= HEARD_NS]
     if not missing or len(missing) == len(AI_IDS):
         return None
-    wrong = [i for i in missing if i in record.wrong_length]
-    names = ", ".join(f"0x{i:03X}" for i in missing)
-    words = f"{names} {'does' if len(missing) == 1 else 'do'} not come" + (
-        ", or with the wrong length" if wrong else ""
-    )
+    words = f"{', '.join(f'0x{i:03X}' for i in missing)} {'does' if len(missing) == 1 else 'do'} not come"
+    if any(i in record.wrong_length for i in missing):
+        words += ", or with the wrong length"
     return ChainLink(max(_last(record, missing[0], t_ns), record.begin_ns), words, missing[0])
 
 
 def _link_lost(record: Record, t_ns: int) -> ChainLink | None:
-    bit = Signal("VCU2AI_Status", "AI_COMMS_LOST")
-    span = record.series(bit).span_at(t_ns)
-    return bit.step(span.begin_ns, "AI_COMMS_LOST is 1") if span is not None and span.value else None
+    span = record.span_at(COMMS_LOST, t_ns)
+    return COMMS_LOST.step(span.begin_ns, "AI_COMMS_LOST is 1") if span is not None and span.value else None
 
 
 def _ebs(record: Record, t_ns: int) -> ChainLink | None:
@@ -100,24 +108,19 @@ def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
     ends = (sig.EMERGENCY,) if record.revision.name == "2021" else (sig.EMERGENCY, sig.FINISHED)
     if like_official_simulator(record):
         return None  # ASMS alone resets it
-    last: Span | None = None
-    for span in record.series(sig.AS_STATE).spans:
-        if span.begin_ns > t_ns:
-            break
-        if span.value in ends:
-            last = span
-    if last is None or any(last.end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
+    runs = [s for s in record.series(sig.AS_STATE).spans if s.begin_ns <= t_ns and s.value in ends]
+    if not runs or any(runs[-1].end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
         return None
-    words = f"the last run ended in {label(sig.AS_STATE, last.value)}, and 0x520 has not been away since"
-    return sig.AS_STATE.step(last.end_ns, words)
+    words = f"the last run ended in {label(sig.AS_STATE, runs[-1].value)}, and 0x520 has not been away since"
+    return sig.AS_STATE.step(runs[-1].end_ns, words)
 
 
 def _fault(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.series(sig.FAULT_STATUS).span_at(t_ns)
+    span = record.span_at(sig.FAULT_STATUS, t_ns)
     if span is None or not span.value:
         return None
-    names = [signal.name for signal in sig.FAULTS if record.series(signal).at(t_ns)]
-    return sig.FAULT_STATUS.step(span.begin_ns, f"FAULT_STATUS is 1{': ' + ', '.join(names) if names else ''}")
+    names = ", ".join(signal.name for signal in sig.FAULTS if record.at(signal, t_ns))
+    return sig.FAULT_STATUS.step(span.begin_ns, f"FAULT_STATUS is 1{': ' + names if names else ''}")
 
 
 _LINK = ("no_ai_data", "ai_data_incomplete")
@@ -152,7 +155,7 @@ TO_READY: Final[tuple[StartCondition, ...]] = (
 
 
 def _too_early(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.series(sig.AS_STATE).span_at(t_ns)
+    span = record.span_at(sig.AS_STATE, t_ns)
     if span is None or span.before is None or t_ns - span.begin_ns >= READY_WAIT_NS:
         return None
     words = f"Go {ms(t_ns - span.begin_ns)} after AS_READY began: 5 s have to pass"
@@ -185,15 +188,10 @@ TO_DRIVING: Final[tuple[StartCondition, ...]] = (
 
 def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> list[Candidate]:
     """What does not hold at `t_ns`: what must be put right first, then what follows from it."""
-    steps = {c.slug: step for c in conditions if (step := c.unmet(record, t_ns)) is not None}
+    steps = {c.slug: (c, step) for c in conditions if (step := c.unmet(record, t_ns)) is not None}
     found = [
-        candidate(
-            c.slug,
-            Sureness.FITS if c.hint or any(slug in steps for slug in c.after) else Sureness.SHOWN,
-            [steps[c.slug]],
-        )
-        for c in conditions
-        if c.slug in steps
+        candidate(slug, Sureness.FITS if c.hint or not steps.keys().isdisjoint(c.after) else Sureness.SHOWN, step)
+        for slug, (c, step) in steps.items()
     ]
     return sorted(found, key=lambda one: -one.sureness)
 
@@ -211,15 +209,12 @@ def _never_ready(record: Record) -> list[Incident]:
     for begin_ns, end_ns, after_run, following in _off_stretches(record):
         if following is not None or end_ns - begin_ns < PATIENCE_NS:
             continue
-        tried = any(s.value for s in record.series(sig.AS_SWITCH).changes(begin_ns, end_ns))
-        if after_run and not tried:
+        if after_run and not any(s.value for s in record.changes(sig.AS_SWITCH, begin_ns, end_ns)):
             continue  # the run is over, and the switches go off
         at_ns = _last_both_on(record, begin_ns, end_ns)
-        candidates = unmet(TO_READY, record, at_ns)
-        if not candidates:
-            words = "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there"
-            candidates = [candidate("start_unknown", Sureness.POSSIBLE, [ChainLink(at_ns, words, sig.STATUS)])]
-        state = label(sig.AS_STATE, record.series(sig.AS_STATE).at(at_ns))
+        met = ChainLink(at_ns, "ASMS, TSMS, EBS, mission and MISSION_STATUS SELECTED are all there", sig.STATUS)
+        candidates = unmet(TO_READY, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
+        state = label(sig.AS_STATE, record.at(sig.AS_STATE, at_ns))
         what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
         found.append(Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates)))
     return found
@@ -228,21 +223,15 @@ def _never_ready(record: Record) -> list[Incident]:
 def _off_stretches(record: Record) -> list[tuple[int, int, bool, float | None]]:
     """(begin, end, whether a run was before, the state after) of each stay in AS_INIT and AS_OFF while 0x520 came."""
     found: list[tuple[int, int, bool, float | None]] = []
-    spans = record.series(sig.AS_STATE).spans
     away = record.gaps(sig.STATUS, GONE_NS)
-    place = 0
-    while place < len(spans):
-        if spans[place].value not in OFF_LIKE:
-            place += 1
+    spans = record.series(sig.AS_STATE).spans
+    for off, group in groupby(spans, key=lambda span: span.value in OFF_LIKE):
+        if not off:
             continue
-        first = place
-        while place < len(spans) and spans[place].value in OFF_LIKE:
-            place += 1
-        begin_ns = spans[first].begin_ns
-        before = spans[first].before
+        stay = list(group)
+        begin_ns, before, end_ns = stay[0].begin_ns, stay[0].before, stay[-1].end_ns
         after_run = before is not None and before not in OFF_LIKE
-        end_ns = spans[place - 1].end_ns
-        following = spans[place].value if place < len(spans) else None
+        following = next((span.value for span in spans if span.begin_ns == end_ns), None)
         for gap in away:
             if begin_ns <= gap.begin_ns < end_ns and gap.end_ns is not None:
                 if gap.begin_ns > begin_ns:
@@ -257,81 +246,72 @@ def _off_stretches(record: Record) -> list[tuple[int, int, bool, float | None]]:
 def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
     """The last moment with ASMS and TSMS on: what was missing then was missing to start. Else the end."""
     asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (sig.AS_SWITCH, sig.TS_SWITCH))
-    both = (asms.values != 0) & (tsms.values != 0)
-    places = both.nonzero()[0]
-    return int(asms.t_ns[places[-1]]) if len(places) else end_ns
+    both = asms.t_ns[(asms.values != 0) & (tsms.values != 0)]
+    return int(both[-1]) if len(both) else end_ns
 
 
 def _never_driving(record: Record) -> list[Incident]:
     found = []
     spans = record.series(sig.AS_STATE).spans
-    for place, span in enumerate(spans):
-        if span.value != sig.READY:
-            continue
-        following = spans[place + 1].value if place + 1 < len(spans) else None
-        incident = _refused_go(record, span, following)
-        if incident is None and following not in (sig.DRIVING, sig.EMERGENCY):
-            incident = _waited_in_vain(record, span, following)
-        if incident is not None:
-            found.append(incident)
+    for span, after in zip_longest(spans, spans[1:]):
+        if span.value == sig.READY:
+            following = after.value if after is not None else None
+            incident = _refused_go(record, span, following)
+            if incident is None and following not in (sig.DRIVING, sig.EMERGENCY):
+                incident = _waited_in_vain(record, span, following)
+            found += [incident] if incident is not None else []
     return found
 
 
 def _refused_go(record: Record, span: Span, following: float | None) -> Incident | None:
     """Go was given, and the car stayed in AS_READY."""
-    edges = [s.begin_ns for s in record.series(sig.GO).changes(span.begin_ns, span.end_ns) if s.value]
+    given_up = following not in (sig.DRIVING, None)
     refused = [
-        edge
-        for edge in edges
-        if span.end_ns - edge > ANSWER_NS or (following not in (sig.DRIVING, None) and span.end_ns - edge > 0)
+        s.begin_ns
+        for s in record.changes(sig.GO, span.begin_ns, span.end_ns)
+        if s.value and span.end_ns - s.begin_ns > (0 if given_up else ANSWER_NS)
     ]
     if not refused:
         return None
     found: dict[str, Candidate] = {}
-    for edge in refused:
-        pressed = sig.GO.step(edge, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY")
-        for one in unmet(TO_DRIVING, record, edge):
-            found.setdefault(one.slug, candidate(one.slug, one.sureness, [*one.steps, pressed]))
+    pressed = [sig.GO.step(edge_ns, "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY") for edge_ns in refused]
+    for press in pressed:
+        for one in unmet(TO_DRIVING, record, press.t_ns):
+            found.setdefault(one.slug, candidate(one.slug, one.sureness, *one.steps, press))
     if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
-        pressed = sig.GO.step(refused[0], "GO_SIGNAL 0 → 1, and AS_STATE stays AS_READY")
-        found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, [pressed])
+        found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, pressed[0])
     times = f" ({len(refused)} times)" if len(refused) > 1 else ""
     later = ", later it did" if following == sig.DRIVING else ""
-    what = f"Go was given{times} and the car did not start{later}"
     order = sorted(found.values(), key=lambda one: -one.sureness)
+    what = f"Go was given{times} and the car did not start{later}"
     return Incident(IncidentKind.REFUSAL, refused[0], what, tuple(order))
 
 
 def _waited_in_vain(record: Record, span: Span, following: float | None) -> Incident | None:
     """AS_READY ended, or the log did, without a Go that counts."""
     waited_ns = span.end_ns - span.begin_ns
-    end_ns = span.end_ns - 1 if following is not None else span.end_ns
-    candidates: list[Candidate] = []
+    state = label(sig.AS_STATE, following)
+    found: list[Candidate] = []
     if following in OFF_LIKE:
-        for s in record.series(sig.AS_SWITCH).changes(span.begin_ns, span.end_ns):
-            if not s.value:
-                step = sig.AS_SWITCH.step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0")
-                candidates.append(candidate("given_up", Sureness.SHOWN, [step]))
-        for gap in record.gaps(sig.STATUS, ANSWER_NS):
-            if gap.end_ns == span.end_ns:
-                words = f"the last 0x520 before {ms(gap.length_ns)} of silence, then {label(sig.AS_STATE, following)}"
-                slug = "vcu_reboot" if gap.length_ns < REBOOT_NS else "power_off"
-                candidates.append(candidate(slug, Sureness.SHOWN, [ChainLink(gap.begin_ns, words, sig.STATUS)]))
-    if waited_ns >= NO_GO_NS and not candidates:
-        held = record.series(sig.GO).span_at(end_ns)
-        candidates += [c for c in unmet(TO_DRIVING, record, end_ns) if c.slug != "go_too_early"]
-        if held is not None and held.value and held.begin_ns <= span.begin_ns:
-            step = sig.GO.step(held.begin_ns, "GO_SIGNAL is 1 since before AS_READY began")
-            candidates.append(candidate("go_held", Sureness.SHOWN, [step]))
-        elif held is not None and not held.value:
-            step = sig.GO.step(span.begin_ns, f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY")
-            candidates.append(candidate("no_go", Sureness.SHOWN, [step]))
-    elif following is None and not candidates:
+        for s in record.changes(sig.AS_SWITCH, span.begin_ns, span.end_ns, to=0):
+            found.append(shown("given_up", sig.AS_SWITCH.step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0")))
+        silences = [gap for gap in record.gaps(sig.STATUS, ANSWER_NS) if gap.end_ns == span.end_ns]
+        found += [restarted(gap, f", then {state}") for gap in silences]
+    if waited_ns >= NO_GO_NS and not found:
+        end_ns = span.end_ns - 1 if following is not None else span.end_ns
+        go = record.span_at(sig.GO, end_ns)
+        found += [one for one in unmet(TO_DRIVING, record, end_ns) if one.slug != "go_too_early"]
+        if go is not None and go.value and go.begin_ns <= span.begin_ns:
+            found.append(shown("go_held", sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began")))
+        elif go is not None and not go.value:
+            words = f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY"
+            found.append(shown("no_go", sig.GO.step(span.begin_ns, words)))
+    elif following is None and not found:
         return None  # the log ends while the 5 s run
-    if not candidates:
-        step = sig.AS_STATE.step(span.end_ns, f"AS_STATE AS_READY → {label(sig.AS_STATE, following)}")
-        candidates.append(candidate("start_unknown", Sureness.POSSIBLE, [step]))
-    ended = "the log ends" if following is None else f"{label(sig.AS_STATE, following)} follows"
+    if not found:
+        step = sig.AS_STATE.step(span.end_ns, f"AS_STATE AS_READY → {state}")
+        found.append(candidate("start_unknown", Sureness.POSSIBLE, step))
+    ended = "the log ends" if following is None else f"{state} follows"
+    order = sorted(found, key=lambda one: -one.sureness)
     what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
-    order = sorted(candidates, key=lambda one: -one.sureness)
     return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order))

@@ -9,8 +9,8 @@ import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS, GONE_NS, error_text, ms
-from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS, GONE_NS, error_text, silence_words
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Series, Signal, ms
 from fsai_vcu.diagnostics.explain.signals import label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
@@ -19,66 +19,52 @@ from fsai_vcu.interface.specification import STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
-MANY: Final = 12  # gaps of one message told singly
-# What one instant brings is told with causes before effects.
+MANY: Final = 12  # gaps of one message named one by one
+# What one instant brings is listed with causes before effects.
 ORDER: Final = (
     "bus", "link", "intruder", "switches", "Go", "mission", "fault", "AS state", "AI", "mode", "gate", "power", "EBS",
     "brakes", "steering", "warning", "motion",
 )  # fmt: skip
 
+NOTE, STATE, WARNING, FAULT = Weight
+_REMOTE: Final = ("the remote's ESTOP_STATUS is 0", "the remote's ESTOP_STATUS is 1")
+_ESTOP: Final = (
+    "ESTOP_REQUEST 0: the request is taken back",
+    "ESTOP_REQUEST 1: the AI computer asks for an emergency stop",
+)
+_STEERING: Final = ("the steering is off (STEERING_STATUS 0)", "the steering is active")
 # signal, topic, what 0 and 1 mean to people, weight of 0 and of 1
 SWITCHES: Final = (
-    (sig.AS_SWITCH, "switches", "ASMS off", "ASMS on", Weight.STATE, Weight.STATE),
-    (sig.TS_SWITCH, "switches", "TSMS off", "TSMS on", Weight.STATE, Weight.STATE),
-    (sig.GO, "Go", "Go off", "Go on", Weight.STATE, Weight.STATE),
-    (
-        sig.REMOTE_ESTOP,
-        "switches",
-        "the remote's ESTOP_STATUS is 0",
-        "the remote's ESTOP_STATUS is 1",
-        Weight.STATE,
-        Weight.STATE,
-    ),
-    (sig.SHUTDOWN_REQUEST, "power", "SHUTDOWN_REQUEST ends", "the car asks for shutdown", Weight.NOTE, Weight.STATE),
-    (
-        sig.ESTOP,
-        "AI",
-        "ESTOP_REQUEST 0: the request is taken back",
-        "ESTOP_REQUEST 1: the AI computer asks for an emergency stop",
-        Weight.STATE,
-        Weight.FAULT,
-    ),
-    (sig.FAULT_STATUS, "fault", "FAULT_STATUS 0", "FAULT_STATUS 1", Weight.STATE, Weight.FAULT),
-    (sig.WARNING_STATUS, "warning", "WARNING_STATUS 0", "WARNING_STATUS 1", Weight.NOTE, Weight.WARNING),
-    (
-        sig.STEERING_STATUS,
-        "steering",
-        "the steering is off (STEERING_STATUS 0)",
-        "the steering is active",
-        Weight.NOTE,
-        Weight.NOTE,
-    ),
+    (sig.AS_SWITCH, "switches", ("ASMS off", "ASMS on"), (STATE, STATE)),
+    (sig.TS_SWITCH, "switches", ("TSMS off", "TSMS on"), (STATE, STATE)),
+    (sig.GO, "Go", ("Go off", "Go on"), (STATE, STATE)),
+    (sig.REMOTE_ESTOP, "switches", _REMOTE, (STATE, STATE)),
+    (sig.SHUTDOWN_REQUEST, "power", ("SHUTDOWN_REQUEST ends", "the car asks for shutdown"), (NOTE, STATE)),
+    (sig.ESTOP, "AI", _ESTOP, (STATE, FAULT)),
+    (sig.FAULT_STATUS, "fault", ("FAULT_STATUS 0", "FAULT_STATUS 1"), (STATE, FAULT)),
+    (sig.WARNING_STATUS, "warning", ("WARNING_STATUS 0", "WARNING_STATUS 1"), (NOTE, WARNING)),
+    (sig.STEERING_STATUS, "steering", _STEERING, (NOTE, NOTE)),
 )
 STATES: Final = (
-    (sig.AS_STATE, "AS state", Weight.STATE),
-    (sig.AMI, "mission", Weight.STATE),
-    (sig.MISSION_STATUS, "AI", Weight.STATE),
-    (sig.DIRECTION, "AI", Weight.NOTE),
-    (sig.SHUTDOWN_CAUSE, "fault", Weight.FAULT),
-    (sig.OP_STATE, "power", Weight.NOTE),
-    (sig.TS_STATE, "power", Weight.NOTE),
-    (sig.EBS_STATE, "EBS", Weight.NOTE),
-    (sig.STATUS_EBS, "EBS", Weight.NOTE),
-    (sig.STATUS_BRK, "brakes", Weight.NOTE),
+    (sig.AS_STATE, "AS state", STATE),
+    (sig.AMI, "mission", STATE),
+    (sig.MISSION_STATUS, "AI", STATE),
+    (sig.DIRECTION, "AI", NOTE),
+    (sig.SHUTDOWN_CAUSE, "fault", FAULT),
+    (sig.OP_STATE, "power", NOTE),
+    (sig.TS_STATE, "power", NOTE),
+    (sig.EBS_STATE, "EBS", NOTE),
+    (sig.STATUS_EBS, "EBS", NOTE),
+    (sig.STATUS_BRK, "brakes", NOTE),
 )
 GRAVE: Final = {
-    (sig.AS_STATE, sig.EMERGENCY): Weight.FAULT,
-    (sig.TS_STATE, float(TsState.TS_FAULT)): Weight.FAULT,
-    (sig.EBS_STATE, float(EbsState.EBS_FAULT)): Weight.FAULT,
-    (sig.EBS_STATE, float(EbsState.EBS_TRIGGERED)): Weight.WARNING,
-    (sig.STATUS_EBS, float(EbsStatus.TRIGGERED)): Weight.WARNING,
-    (sig.STATUS_BRK, 4.0): Weight.FAULT,
-    (sig.SHUTDOWN_CAUSE, 0.0): Weight.NOTE,
+    (sig.AS_STATE, sig.EMERGENCY): FAULT,
+    (sig.TS_STATE, float(TsState.TS_FAULT)): FAULT,
+    (sig.EBS_STATE, float(EbsState.EBS_FAULT)): FAULT,
+    (sig.EBS_STATE, float(EbsState.EBS_TRIGGERED)): WARNING,
+    (sig.STATUS_EBS, float(EbsStatus.TRIGGERED)): WARNING,
+    (sig.STATUS_BRK, 4.0): FAULT,
+    (sig.SHUTDOWN_CAUSE, 0.0): NOTE,
 }
 SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
     "INITIAL_ACTIONS", "POWER_ON_SELF_TEST", "AUX", "POWERTRAIN_ENABLE", "DRIVE_AUTONOMOUS", "DRIVE_MANUAL", "CHARGE",
@@ -88,44 +74,38 @@ SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
 
 def timeline(record: Record) -> list[TimelineEntry]:
     """Every event of the log in the order of time."""
-    events = [
-        *_speakers(record),
-        *_switches(record),
-        *_states(record),
-        *_flags(record),
-        *_mode(record),
-        *_motion(record),
-        *_gate(record),
-        *_gaps(record),
-        *_handshake(record),
-        *_strangers(record),
-        *_bus(record),
-    ]
+    chapters = (
+        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _gaps, _handshake,
+        _second_senders, _bus,
+    )  # fmt: skip
+    events = [event for chapter in chapters for event in chapter(record)]
     return sorted(events, key=lambda event: (event.t_ns, ORDER.index(event.topic)))
 
 
+def _entry(signal: Signal, t_ns: int, topic: str, text: str, weight: Weight = NOTE) -> TimelineEntry:
+    """An event which a frame with this signal shows."""
+    return TimelineEntry(t_ns, topic, text, weight, signal.can_id, signal.name)
+
+
 def _speakers(record: Record) -> Iterator[TimelineEntry]:
-    """Who speaks first, and when."""
-    for can_id, who in (
-        (sig.STATUS, "the car speaks: the first 0x520"),
-        (0x510, "the AI computer speaks: the first 0x510"),
+    """Who sends first, and when."""
+    for can_id, topic, who in (
+        (sig.STATUS, "power", "the car speaks: the first 0x520"),
+        (0x510, "AI", "the AI computer speaks: the first 0x510"),
     ):
         times = record.times(can_id)
         if len(times):
             already = " (it did when the log began)" if times[0] - record.begin_ns < 50 * MS else ""
-            yield TimelineEntry(
-                int(times[0]), "power" if can_id == sig.STATUS else "AI", who + already, Weight.STATE, can_id
-            )
+            yield TimelineEntry(int(times[0]), topic, who + already, STATE, can_id)
 
 
 def _switches(record: Record) -> Iterator[TimelineEntry]:
-    for signal, topic, off, on, weight_off, weight_on in SWITCHES:
+    for signal, topic, texts, weights in SWITCHES:
         for span in record.series(signal).spans:
-            if span.before is None and not span.value:
-                continue
-            begins = " (since the log began)" if span.before is None else ""
-            text, weight = (on, weight_on) if span.value else (off, weight_off)
-            yield TimelineEntry(span.begin_ns, topic, text + begins, weight, signal.can_id, signal.name)
+            if span.before is not None or span.value:
+                begins = " (since the log began)" if span.before is None else ""
+                on = bool(span.value)
+                yield _entry(signal, span.begin_ns, topic, texts[on] + begins, weights[on])
 
 
 def _states(record: Record) -> Iterator[TimelineEntry]:
@@ -140,183 +120,154 @@ def _states(record: Record) -> Iterator[TimelineEntry]:
             weight = GRAVE.get((signal, span.value), usual)
             known = label(signal, span.value)
             if "not in the interface" in known and not (signal is sig.STATUS_EBS and span.value == 0):
-                weight = max(weight, Weight.WARNING)
+                weight = max(weight, WARNING)
             text = f"{signal.name} {known}"
             if signal is sig.AS_STATE and span.before is not None:
                 text = f"AS_STATE {label(signal, span.before)} → {known}"
-            yield TimelineEntry(span.begin_ns, topic, text, weight, signal.can_id, signal.name)
+            yield _entry(signal, span.begin_ns, topic, text, weight)
     for span in record.series(sig.SM_SYS).spans:
         name = SM_SYS_NAMES[int(span.value)] if span.value < len(SM_SYS_NAMES) else f"{span.value:.0f}"
-        yield TimelineEntry(span.begin_ns, "power", f"SM_SYS {name}", Weight.NOTE, sig.SM_SYS.can_id, sig.SM_SYS.name)
+        yield _entry(sig.SM_SYS, span.begin_ns, "power", f"SM_SYS {name}")
 
 
 def _flags(record: Record) -> Iterator[TimelineEntry]:
     """Fault and warning bits."""
-    missed = {signal: f"the VCU misses {BY_ID[can_id]}" for signal, can_id in sig.TIMEOUTS.items()}
-    missed[sig.HANDSHAKE_TIMEOUT] = "the VCU misses the handshake's echo"
     groups = (
-        (sig.FAULTS, "fault", Weight.FAULT),
-        (sig.WARNINGS, "warning", Weight.WARNING),
-        (sig.SYSTEM_WARNINGS, "warning", Weight.WARNING),
-        (tuple(missed), "link", Weight.WARNING),
+        (sig.FAULTS, "fault", FAULT),
+        ((*sig.WARNINGS, *sig.SYSTEM_WARNINGS), "warning", WARNING),
+        (sig.MISSED, "link", WARNING),
     )
     for signals, topic, weight in groups:
         for signal in signals:
             for span in record.series(signal).spans:
-                if span.before is None and not span.value:
-                    continue
-                what = missed.get(signal)
-                text = f"{what} ({signal.name})" if what and span.value else f"{signal.name} {span.value:.0f}"
-                yield TimelineEntry(
-                    span.begin_ns, topic, text, weight if span.value else Weight.NOTE, signal.can_id, signal.name
-                )
+                if span.value:
+                    what = f"the VCU misses {sig.MISSED[signal]} ({signal.name})" if signal in sig.MISSED else ""
+                    yield _entry(signal, span.begin_ns, topic, what or f"{signal.name} {span.value:.0f}", weight)
+                elif span.before is not None:
+                    yield _entry(signal, span.begin_ns, topic, f"{signal.name} 0")
 
 
 def _mode(record: Record) -> Iterator[TimelineEntry]:
     """The AI side's mode is not on the bus; what it acknowledges is."""
-    ami, state = record.series(sig.AMI), record.series(sig.AS_STATE)
+    acknowledged = "mode: autonomous, as the AI computer acknowledges the mission"
+    waits = "mode: manual, or the new mission is not confirmed yet (NOT_SELECTED 2 s after the choice)"
     for span in record.series(sig.MISSION_STATUS).spans:
-        if state.at(span.begin_ns) not in OFF_LIKE or not ami.at(span.begin_ns):
-            continue
-        if span.value == MissionStatus.SELECTED:
-            text = "mode: autonomous, as the AI computer acknowledges the mission"
-            yield TimelineEntry(span.begin_ns, "mode", text, Weight.STATE, 0x510, sig.MISSION_STATUS.name)
-    chosen = [s for s in ami.spans if s.value and state.at(s.begin_ns) in OFF_LIKE]
-    for span in chosen:
+        chosen = record.at(sig.AS_STATE, span.begin_ns) in OFF_LIKE and record.at(sig.AMI, span.begin_ns)
+        if chosen and span.value == MissionStatus.SELECTED:
+            yield _entry(sig.MISSION_STATUS, span.begin_ns, "mode", acknowledged, STATE)
+    for span in record.series(sig.AMI).spans:
         later = span.begin_ns + 2 * S
-        if later < span.end_ns and record.series(sig.MISSION_STATUS).at(later) == 0 and state.at(later) in OFF_LIKE:
-            text = "mode: manual, or the new mission is not confirmed yet (NOT_SELECTED 2 s after the choice)"
-            yield TimelineEntry(later, "mode", text, Weight.WARNING, 0x510, sig.MISSION_STATUS.name)
+        off = all(record.at(sig.AS_STATE, t_ns) in OFF_LIKE for t_ns in (span.begin_ns, later))
+        if span.value and off and later < span.end_ns and record.at(sig.MISSION_STATUS, later) == 0:
+            yield _entry(sig.MISSION_STATUS, later, "mode", waits, WARNING)
 
 
 def _motion(record: Record) -> Iterator[TimelineEntry]:
     """When the car sets off and when it stands."""
     wheels = record.fastest_wheel()
-    if not len(wheels):
-        return
-    turning = (wheels.values >= STANDING_RPM).astype(np.int8)
-    changes = np.flatnonzero(np.diff(turning)) + 1
-    begun: int | None = 0 if turning[0] else None
-    if begun is not None:
-        yield TimelineEntry(int(wheels.t_ns[0]), "motion", "the wheels turn when the log begins", Weight.STATE, 0x525)
-    for row in changes.tolist():
-        if turning[row]:
-            begun = row
-            yield TimelineEntry(int(wheels.t_ns[row]), "motion", "the wheels begin to turn", Weight.NOTE, 0x525)
-        else:
-            top = wheels.values[begun or 0 : row].max()
+    turning = Series(wheels.t_ns, (wheels.values >= STANDING_RPM).astype(np.float64))
+    for span in turning.spans:
+        if span.before is None and span.value:
+            yield TimelineEntry(span.begin_ns, "motion", "the wheels turn when the log begins", STATE, 0x525)
+        elif span.before is not None and span.value:
+            yield TimelineEntry(span.begin_ns, "motion", "the wheels begin to turn", NOTE, 0x525)
+        elif span.before is not None:
+            begun = turning.span_at(span.begin_ns - 1)
+            top = wheels.between(begun.begin_ns if begun else 0, span.begin_ns - 1).values.max()
             if top >= 3 * STANDING_RPM:
                 text = f"the wheels stand (under 10 rpm), {top:.0f} rpm at most before"
-                yield TimelineEntry(int(wheels.t_ns[row]), "motion", text, Weight.NOTE, 0x525)
-            begun = None
+                yield TimelineEntry(span.begin_ns, "motion", text, NOTE, 0x525)
 
 
-def _gate(record: Record) -> Iterator[TimelineEntry]:
-    """What the AI side's gate lets through: the first torque of a drive, brake pressures that mean a stop."""
+def _first_requests(record: Record) -> Iterator[TimelineEntry]:
+    """What the AI side's gate lets through in AS_DRIVING: the first torque, the brake's release."""
     for span in record.series(sig.AS_STATE).spans:
-        if span.value != sig.DRIVING:
+        if span.value != sig.DRIVING or span.before is None:
             continue
-        for name, signals, words in (
-            ("torque", (sig.TORQUE_F, sig.TORQUE_R), "the first torque request"),
-            ("brake", (sig.BRAKE_REQ_F,), "the brake is released"),
-        ):
-            firsts = []
-            for signal in signals:
-                part = record.series(signal).between(span.begin_ns, span.end_ns)
-                hits = np.flatnonzero(part.values > 0 if name == "torque" else part.values == 0)
-                if len(hits) and not (name == "brake" and hits[0] == 0):
-                    firsts.append((int(part.t_ns[hits[0]]), signal))
-            if firsts and span.before is not None:
-                t_ns, signal = min(firsts)
-                text = f"{words}, {ms(t_ns - span.begin_ns)} after AS_DRIVING began"
-                yield TimelineEntry(t_ns, "gate", text, Weight.NOTE, signal.can_id, signal.name)
-    for span in record.series(sig.AS_STATE).spans:
-        if span.value not in (*OFF_LIKE, sig.READY):
-            continue
+        firsts = []
         for signal in (sig.TORQUE_F, sig.TORQUE_R):
-            for asked in record.series(signal).changes(span.begin_ns, span.end_ns):
-                if asked.value > 0 and asked.before == 0:
-                    text = f"{signal.name} {asked.value:g} Nm in {label(sig.AS_STATE, span.value)}"
-                    yield TimelineEntry(asked.begin_ns, "AI", text, Weight.WARNING, signal.can_id, signal.name)
-                    break
+            part = record.series(signal).between(span.begin_ns, span.end_ns)
+            firsts += [(int(t_ns), signal) for t_ns in part.t_ns[part.values > 0][:1]]
+        found = [(*min(firsts), "the first torque request")] if firsts else []
+        part = record.series(sig.BRAKE_REQ_F).between(span.begin_ns, span.end_ns)
+        if len(part) and part.values[0] != 0:
+            released = part.t_ns[part.values == 0][:1].tolist()
+            found += [(t_ns, sig.BRAKE_REQ_F, "the brake is released") for t_ns in released]
+        for t_ns, signal, words in found:
+            yield _entry(signal, t_ns, "gate", f"{words}, {ms(t_ns - span.begin_ns)} after AS_DRIVING began")
+
+
+def _early_torque(record: Record) -> Iterator[TimelineEntry]:
+    """Torque before AS_DRIVING, and how far the steering may go."""
+    for span in record.series(sig.AS_STATE).spans:
+        for signal in (sig.TORQUE_F, sig.TORQUE_R) if span.value in (*OFF_LIKE, sig.READY) else ():
+            asked = [s for s in record.changes(signal, span.begin_ns, span.end_ns) if s.value > 0 and s.before == 0]
+            for first in asked[:1]:
+                text = f"{signal.name} {first.value:g} Nm in {label(sig.AS_STATE, span.value)}"
+                yield _entry(signal, first.begin_ns, "AI", text, WARNING)
     for span in record.series(sig.ANGLE_MAX).spans:
         if span.before is not None:
-            text = f"ANGLE_MAX {span.before:g} → {span.value:g} deg"
-            yield TimelineEntry(span.begin_ns, "steering", text, Weight.NOTE, sig.ANGLE_MAX.can_id, sig.ANGLE_MAX.name)
+            yield _entry(sig.ANGLE_MAX, span.begin_ns, "steering", f"ANGLE_MAX {span.before:g} → {span.value:g} deg")
 
 
 def _gaps(record: Record) -> Iterator[TimelineEntry]:
     """Messages that did not come, several that stopped together as one."""
-    for quiet_ns, heard_ns in record.silences:
-        text = f"nothing at all is received for {ms(heard_ns - quiet_ns)}: the bus was dead, or the recording paused"
-        yield TimelineEntry(quiet_ns, "bus", text, Weight.WARNING)
+    for begin_ns, end_ns in record.silences:
+        yield TimelineEntry(begin_ns, "bus", silence_words(begin_ns, end_ns), WARNING)
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
-        together: dict[int, list[tuple[int, int, int | None]]] = {}
+        together: dict[int, list[Gap]] = {}
         for can_id in ids:
-            period = BY_ID[can_id].period_ns[record.revision.name]
-            gaps = [gap for gap in record.gaps(can_id, GAP_PERIODS * period) if not record.silence_in(gap)]
+            period_ns = BY_ID[can_id].period_ns[record.revision.name]
+            gaps = [gap for gap in record.gaps(can_id, GAP_PERIODS * period_ns) if not record.silence_in(gap)]
             if len(gaps) > MANY:
                 text = f"{BY_ID[can_id]} pauses {len(gaps)} times, {ms(max(g.length_ns for g in gaps))} at most"
-                yield TimelineEntry(gaps[0].begin_ns, "link", text, Weight.WARNING, can_id)
+                yield TimelineEntry(gaps[0].begin_ns, "link", text, WARNING, can_id)
                 continue
             for gap in gaps:
                 key = next((k for k in together if abs(k - gap.begin_ns) <= AT_ONCE_NS), gap.begin_ns)
-                together.setdefault(key, []).append((can_id, gap.length_ns, gap.end_ns))
+                together.setdefault(key, []).append(gap)
         for begin_ns, missing in together.items():
-            can_id, length_ns, end_ns = max(missing, key=lambda m: m[1])
-            lasts = f"to the end of the log ({ms(length_ns)})" if end_ns is None else f"for {ms(length_ns)}"
-            whole = len(missing) == sum(record.has(i) for i in ids)
-            names = f"{who} is silent" if whole and len(missing) > 1 else _named(sorted(m[0] for m in missing))
-            weight = Weight.WARNING if length_ns >= 10 * BY_ID[can_id].period_ns[record.revision.name] else Weight.NOTE
-            if whole and length_ns >= GONE_NS and ids is VCU_IDS:
-                names += ": switched off, or unplugged"
-            yield TimelineEntry(begin_ns, "link", f"{names} {lasts}", weight, can_id)
-            if end_ns is not None and length_ns >= GONE_NS and whole:
-                yield TimelineEntry(end_ns, "link", f"{who} speaks again", Weight.STATE, can_id)
-
-
-def _named(ids: list[int]) -> str:
-    names = ", ".join(f"0x{can_id:03X}" for can_id in ids)
-    return f"{names} {'is' if len(ids) == 1 else 'are'} missing"
+            longest = max(missing, key=lambda gap: gap.length_ns)
+            everything = len(missing) == sum(map(record.has, ids))
+            gone = everything and longest.length_ns >= GONE_NS
+            names = ", ".join(f"0x{can_id:03X}" for can_id in sorted(gap.can_id for gap in missing))
+            text = f"{names} {'is' if len(missing) == 1 else 'are'} missing"
+            if everything and len(missing) > 1:
+                text = f"{who} is silent"
+            if gone and ids is VCU_IDS:
+                text += ": switched off, or unplugged"
+            grave = longest.length_ns >= 10 * BY_ID[longest.can_id].period_ns[record.revision.name]
+            weight = WARNING if grave else NOTE
+            yield TimelineEntry(begin_ns, "link", f"{text} {longest.words()}", weight, longest.can_id)
+            if longest.end_ns is not None and gone:
+                yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
 
 
 def _handshake(record: Record) -> Iterator[TimelineEntry]:
     for answer in record.answers:
         if answer.lost:
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
-            yield TimelineEntry(answer.toggle_ns, "link", text, Weight.WARNING, 0x510, "HANDSHAKE")
+            yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
 
 
-def _strangers(record: Record) -> Iterator[TimelineEntry]:
+def _second_senders(record: Record) -> Iterator[TimelineEntry]:
     for other in record.second_senders:
-        text = f"somebody else sends on the AI computer's ids: {other.words}"
-        yield TimelineEntry(other.begin_ns, "intruder", text, Weight.FAULT, other.can_ids[0])
+        yield TimelineEntry(other.begin_ns, "intruder", other.sentence, FAULT, other.can_ids[0])
 
 
 def _bus(record: Record) -> Iterator[TimelineEntry]:
     """Error frames (grouped), frames of wrong length, a clock that was set back."""
-    for first, last, count in _bursts(record):
-        many = f"{count} error frames within {ms(last - first)}" if count > 1 else "an error frame"
-        yield TimelineEntry(first, "bus", f"{many}: {error_text(record, first)}", Weight.FAULT)
+    for burst in np.split(record.error_ns, np.flatnonzero(np.diff(record.error_ns) > GONE_NS) + 1):
+        if len(burst):
+            first, last = int(burst[0]), int(burst[-1])
+            many = f"{len(burst)} error frames within {ms(last - first)}" if len(burst) > 1 else "an error frame"
+            yield TimelineEntry(first, "bus", f"{many}: {error_text(record, first)}", FAULT)
     for can_id, (count, first) in record.wrong_length.items():
-        owner = BY_ID[can_id].flow if can_id in BY_ID else Flow.OTHER
-        weight = Weight.FAULT if owner in (Flow.TO_VCU, Flow.FROM_VCU) else Weight.WARNING
-        name = BY_ID.get(can_id, f"0x{can_id:03X}")
-        yield TimelineEntry(
-            first, "bus", f"{name} with the wrong length ({count} frames): it counts as missing", weight, can_id
-        )
+        known = BY_ID.get(can_id)
+        grave = known is not None and known.flow in (Flow.TO_VCU, Flow.FROM_VCU)
+        text = f"{known or f'0x{can_id:03X}'} with the wrong length ({count} frames): it counts as missing"
+        yield TimelineEntry(first, "bus", text, FAULT if grave else WARNING, can_id)
     for t_ns, back_ns in record.set_back:
-        if back_ns < MS:
-            continue  # two frames stamped on two processors
-        yield TimelineEntry(
-            t_ns, "bus", f"the log's clock was set back by {ms(back_ns)}: what follows is moved on", Weight.WARNING
-        )
-
-
-def _bursts(record: Record) -> Iterator[tuple[int, int, int]]:
-    times = record.error_ns
-    if not len(times):
-        return
-    cuts = np.flatnonzero(np.diff(times) > GONE_NS) + 1
-    for part in np.split(times, cuts):
-        yield int(part[0]), int(part[-1]), len(part)
+        if back_ns >= MS:  # less is two frames stamped on two processors
+            text = f"the log's clock was set back by {ms(back_ns)}: what follows is moved on"
+            yield TimelineEntry(t_ns, "bus", text, WARNING)

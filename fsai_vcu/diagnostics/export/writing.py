@@ -7,6 +7,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -86,25 +87,36 @@ def export(
         if folder:
             whole.mkdir()
         tables = Tables(decoder, several_buses=len(buses_in(frames)) > 1)
-        if step_ns is not None:
-            wide = WideTable(tables, frames, step_ns)
-            sink = _sink(form, lambda _: whole, whole, frames, words)
-            count = _write(sink, wide, lambda rows: progress(rows, wide.rows))
-            written = Written(1, count, tables.left_out, tuple(_notes(wide)))
-        else:
-            names = _FileNames(whole, form)
-            sink = _sink(form, names, whole, frames, words)
-            seen: set[str] = set()
-            count = _write(sink, _parts(tables, frames, seen, progress), lambda rows: None)
-            written = Written(len(seen), count, tables.left_out)
+        wide = WideTable(tables, frames, step_ns) if step_ns is not None else None
+        seen: set[str] = set()
+        parts = wide if wide is not None else _parts(tables, frames, progress)
+        path_of: Callable[[Table], Path] = _FileNames(whole, form) if folder else lambda _: whole
+        count = 0
+        with ExitStack() as opened:
+            sink = _sink(form, path_of, whole, frames, words, opened)
+            opened.callback(sink.close)
+            for rows in parts:
+                sink.write(rows)
+                seen.add(rows.table.name)
+                count += len(rows)
+                if wide is not None:
+                    progress(count, wide.rows)
+            sink.finish()
         whole.chmod((0o777 if folder else 0o666) & ~_umask())
         whole.replace(path)
-        return written
+        return Written(
+            1 if wide is not None else len(seen),
+            count,
+            tables.left_out,
+            tuple(_notes(wide)) if wide is not None else (),
+        )
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _sink(form: str, path_of: Callable[[Table], Path], whole: Path, frames: Frames, words: bool) -> _Sink:
+def _sink(
+    form: str, path_of: Callable[[Table], Path], whole: Path, frames: Frames, words: bool, opened: ExitStack
+) -> _Sink:
     """Of each format only the module that is asked for is imported."""
     if form == "csv":
         from fsai_vcu.diagnostics.export.csv_files import CsvFiles
@@ -115,50 +127,18 @@ def _sink(form: str, path_of: Callable[[Table], Path], whole: Path, frames: Fram
 
         return ParquetFiles(path_of, words=words)
     if form == "mcap":
-        return _OwnMcap(whole)
+        from fsai_vcu.diagnostics.export.mcap_file import McapTables
+
+        return McapTables(opened.enter_context(whole.open("wb")))
     from fsai_vcu.diagnostics.export.mf4_file import Mf4File
 
     return Mf4File(whole, int(frames.t_ns.min()), {"made by": "fsai-vcu export"})
 
 
-class _OwnMcap:
-    """An MCAP with its own file."""
-
-    def __init__(self, path: Path) -> None:
-        from fsai_vcu.diagnostics.export.mcap_file import McapTables
-
-        self._file = path.open("wb")
-        self._tables = McapTables(self._file)
-
-    def write(self, rows: Rows) -> None:
-        self._tables.write(rows)
-
-    def finish(self) -> None:
-        self._tables.finish()
-
-    def close(self) -> None:
-        self._file.close()
-
-
-def _write(sink: _Sink, parts: Iterable[Rows], progress: Callable[[int], None]) -> int:
-    count = 0
-    try:
-        for rows in parts:
-            sink.write(rows)
-            count += len(rows)
-            progress(count)
-        sink.finish()
-    finally:
-        sink.close()
-    return count
-
-
-def _parts(tables: Tables, frames: Frames, seen: set[str], progress: Callable[[int, int], None]) -> Iterable[Rows]:
+def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None]) -> Iterable[Rows]:
     for begin in range(0, len(frames), _AT_ONCE):
         end = min(begin + _AT_ONCE, len(frames))
-        for rows in tables.rows(frames.only(np.arange(begin, end, dtype=np.int64))):
-            seen.add(rows.table.name)
-            yield rows
+        yield from tables.rows(frames.only(np.arange(begin, end, dtype=np.int64)))
         progress(end, len(frames))
 
 

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from fsai_vcu.diagnostics.log.candump_line import (
     ERROR_FLAG,
     MAX_EXTENDED_ID,
-    MAX_FD_BYTES,
     MAX_SECONDS,
     MAX_STANDARD_ID,
     UnreadableError,
@@ -277,51 +276,12 @@ def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
     return [b"(", time, b") ", channel_text(frames), b" ", can_id, b"#", hex_text(frames)]
 
 
-def log_lines(frames: Frames, time_digits: int = 1) -> list[bytes]:
-    """Each frame as a line of `candump -L`, without its line end."""
+def log_lines(frames: Frames, time_digits: int = 1, *, marks: bool = False) -> list[bytes]:
+    """Each frame as a line of `candump -L`, without its line end; with `marks` of `candump -L -x`, R or T."""
     lines = assembled(log_parts(frames, time_digits), len(frames))
     for row in np.flatnonzero(frames.flags & (REMOTE | FD)).tolist():
         lines[row] = log_line(frames.frame(row), time_digits).encode()
-    return lines
-
-
-def screen_lines(
-    frames: Frames, *, time_digits: int | None, padded: bool = False, indented: bool = False
-) -> list[bytes]:
-    """Each frame as candump shows it on a screen.
-
-    time_digits: how many digits of seconds at least; None: no times. padded: to one width, so that something may stand
-    beside. indented: a frame with a 29-bit identifier was shown before; from the first one on candump indents others.
-    """
-    if not len(frames):
-        return []
-    extended = (frames.flags & EXTENDED) != 0
-    indent = np.zeros((len(frames), 5), np.uint8)
-    if indented or extended.any():
-        indent[np.logical_or.accumulate(extended | indented) & ((frames.flags & (EXTENDED | ERROR)) == 0)] = ord(" ")
-    wide_name = max(len(name) for name in frames.channels)
-    names = np.array([name.rjust(wide_name).encode("utf-8", "replace") for name in frames.channels])
-    name_text = names.view(np.uint8).reshape(len(names), -1)[frames.channel]
-    lengths = np.array([f"   [{n}]" for n in range(9)] + [f"  [{n:02d}]" for n in range(9, MAX_FD_BYTES + 1)], "S6")
-    digits = hex_text(frames).reshape(-1, CLASSIC_BYTES, 2)
-    spaced = np.zeros((len(frames), CLASSIC_BYTES, 3), np.uint8)
-    spaced[:, :, 1:] = digits
-    spaced[:, :, 0] = np.where(digits[:, :, 0] != 0, np.uint8(ord(" ")), np.uint8(0))
-    parts: list[Part] = [b" "] if time_digits is None else [b" (", time_text(frames.t_ns, time_digits), b") "]
-    parts += [b" ", name_text, b"  ", indent, id_text(frames)]
-    parts += [lengths[np.minimum(frames.length, MAX_FD_BYTES)].view(np.uint8).reshape(len(frames), -1)]
-    parts += [b" ", spaced.reshape(len(frames), -1)]
-    lines = assembled(parts, len(frames))
-    for row in np.flatnonzero(frames.flags & (ERROR | REMOTE | FD)).tolist():
-        frame = frames.frame(row)
-        head = lines[row].partition(b"]")[0].rpartition(b"[")[0].rstrip()
-        if frame.fd:
-            lines[row] = head + f"  [{frame.length:02d}]  {frame.data.hex(' ').upper()}".encode()
-        elif frame.remote:
-            lines[row] = head + f"   [{frame.length}]  remote request".encode()
-        else:
-            lines[row] += b"   ERRORFRAME"
-    if padded:
-        width = max(map(len, lines))
-        lines = [line.ljust(width) for line in lines]
+    if marks:
+        sent = (frames.flags & SENT).tolist()
+        lines = [line + (b" T" if ours else b" R") for line, ours in zip(lines, sent, strict=True)]
     return lines

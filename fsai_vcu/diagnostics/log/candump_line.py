@@ -1,4 +1,4 @@
-"""candump's text formats, line by line: every manner of them is read, what is no frame is reported. No numpy."""
+"""candump's text formats, line by line: every manner of them is read, what is no frame is reported."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import Final
 
-from fsai_vcu.diagnostics.log.frame import LogFrame
+from fsai_vcu.diagnostics.log.frames import LogFrame
 
 MAX_SECONDS: Final = 9_223_372_035  # beyond it a time in ns would not fit in 64 bits
 MAX_STANDARD_ID: Final = 0x7FF
@@ -46,6 +46,12 @@ def read_line(line: bytes, parse: Callable[[str], LogFrame | None]) -> LogFrame 
         raise UnreadableError(f"{what}: '{shown}{'…' if len(line) > 60 else ''}'") from None
 
 
+def whole_line(line: bytes) -> bool:
+    """Whether a line without its end has a whole frame: one that cannot be longer than it is."""
+    digits = line.partition(b"#")[2].strip()
+    return len(digits) == 2 * MAX_CLASSIC_DLC or digits.endswith((b" R", b" T"))
+
+
 def parse_line(line: str) -> LogFrame:
     """The frame on one line of `candump -L` or of candump's screen output. Raises ValueError."""
     found = _LOG_LINE.fullmatch(line)
@@ -65,21 +71,11 @@ def _from_log_line(found: re.Match[str]) -> LogFrame:
     if found["remote"]:
         return LogFrame(t_ns, channel, can_id, b"", extended, True, error, sent=sent, length=int(found["asked"] or 0))
     data = bytes.fromhex(found["data"].replace(".", ""))
-    bits = int(found["fd"][1], 16) if found["fd"] else 0
-    _check_length(len(data), found["fd"] is not None)
-    return LogFrame(
-        t_ns,
-        channel,
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=found["fd"] is not None,
-        brs=bool(bits & 1),  # linux/can.h, CANFD_BRS and CANFD_ESI
-        esi=bool(bits & 2),
-        sent=sent,
-    )
+    fd = found["fd"] is not None
+    bits = int(found["fd"][1], 16) if fd else 0
+    _check_length(len(data), fd)
+    marks = (extended, False, error, fd, bool(bits & 1), bool(bits & 2))  # linux/can.h, CANFD_BRS and CANFD_ESI
+    return LogFrame(t_ns, channel, can_id, data, *marks, sent=sent)
 
 
 def _from_screen_line(found: re.Match[str]) -> LogFrame:
@@ -93,22 +89,10 @@ def _from_screen_line(found: re.Match[str]) -> LogFrame:
     data = bytes.fromhex(text)
     if len(data) < length:
         raise ValueError(f"{len(data)} data bytes where {length} are announced")
-    data = data[:length]
-    fd = length > MAX_CLASSIC_DLC or found["brs"] == "B" or found["esi"] == "E"
+    brs, esi = found["brs"] == "B", found["esi"] == "E"
+    fd = length > MAX_CLASSIC_DLC or brs or esi
     _check_length(length, fd)
-    return LogFrame(
-        t_ns,
-        found["ch"],
-        can_id,
-        data,
-        extended,
-        False,
-        error,
-        fd=fd,
-        brs=found["brs"] == "B",
-        esi=found["esi"] == "E",
-        sent=sent,
-    )
+    return LogFrame(t_ns, found["ch"], can_id, data[:length], extended, False, error, fd, brs, esi, sent)
 
 
 def _identifier(text: str) -> tuple[int, bool, bool]:
@@ -153,16 +137,53 @@ def _screen_time_ns(text: str | None) -> int:
 
 def log_line(frame: LogFrame, time_digits: int = 1) -> str:
     """The frame as a line of `candump -L`, without its line end; at least `time_digits` digits of seconds."""
+    return f"({time_text(frame.t_ns, time_digits)}) {frame.channel} {_identifier_text(frame)}#{_payload_text(frame)}"
+
+
+def screen_line(
+    frame: LogFrame,
+    time: str = "",
+    *,
+    width: int = 0,
+    indented: bool = False,
+    extra: bool = False,
+    ascii_: bool = False,
+) -> str:
+    """The frame as candump shows it on a screen (can-utils, lib.c).
+
+    time: what stands in brackets. width: of the longest channel's name. indented: as candump does with an 11-bit
+    identifier once it has seen one of 29 bits. extra: direction and FD flags (-x); received, where nothing else is
+    known. ascii_: -a.
+    """
+    way = f"  {'TX' if frame.sent else 'RX'} {'B' if frame.brs else '-'} {'E' if frame.esi else '-'}" if extra else ""
+    indent = " " * 5 if indented and not (frame.extended or frame.error) else ""
+    head = f" {f'({time}) ' if time else ''} {frame.channel:>{width}}{way}  {indent}{_identifier_text(frame)}"
+    length = f"  [{frame.length:02d}]" if frame.fd else f"   [{frame.length}]"
+    if frame.remote:
+        return f"{head}{length}  remote request"
+    line = f"{head}{length} {''.join(f' {byte:02X}' for byte in frame.data)}"
+    behind = " " * (3 * (MAX_CLASSIC_DLC - len(frame.data)) + 3)
     if frame.error:
-        name = f"{frame.can_id | ERROR_FLAG:08X}"
-    else:
-        name = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
-    return f"({time_text(frame.t_ns, time_digits)}) {frame.channel} {name}#{_payload_text(frame)}"
+        return f"{line}{behind}ERRORFRAME"
+    if ascii_ and len(frame.data) <= MAX_CLASSIC_DLC:
+        line += f"{behind}'{''.join(chr(byte) if 0x1F < byte < 0x7F else '.' for byte in frame.data)}'"
+    return line
 
 
 def time_text(t_ns: int, digits: int = 1) -> str:
     """Seconds with six decimals, as candump writes them."""
     return f"{t_ns // 1_000_000_000:0{digits}d}.{t_ns // 1000 % 1_000_000:06d}"
+
+
+def date_text(t_ns: int) -> str:
+    """Date and time of day, local, as `candump -t A` writes them."""
+    return f"{datetime.fromtimestamp(t_ns // 1_000_000_000):%Y-%m-%d %H:%M:%S}.{t_ns // 1000 % 1_000_000:06d}"
+
+
+def _identifier_text(frame: LogFrame) -> str:
+    if frame.error:
+        return f"{frame.can_id | ERROR_FLAG:08X}"
+    return f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
 
 
 def _payload_text(frame: LogFrame) -> str:

@@ -1,47 +1,63 @@
-"""Frames of a log or a live bus as columns; one of them is a LogFrame (frame.py)."""
+"""Frames of a log or a live bus: one as a LogFrame, many as columns."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fsai_vcu.diagnostics.log.frame import (
-    BRS as BRS,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    CLASSIC_BYTES as CLASSIC_BYTES,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    ERROR as ERROR,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    ESI as ESI,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    EXTENDED as EXTENDED,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    FD as FD,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    RECEIVED as RECEIVED,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    REMOTE as REMOTE,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    SENT as SENT,
-)
-from fsai_vcu.diagnostics.log.frame import (
-    LogFrame as LogFrame,
-)
+# Bits of `flags`.
+EXTENDED: Final = 0x01
+REMOTE: Final = 0x02
+ERROR: Final = 0x04
+FD: Final = 0x08
+BRS: Final = 0x10
+ESI: Final = 0x20
+RECEIVED: Final = 0x40  # the log says that its computer received the frame …
+SENT: Final = 0x80  # … or sent it; where neither is set the log does not say
+
+CLASSIC_BYTES: Final = 8
+
+_COLUMNS: Final = ("t_ns", "can_id", "flags", "length", "word", "channel")
 
 Ints = npt.NDArray[np.int64]
 Words = npt.NDArray[np.uint64]
 Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class LogFrame:
+    """One frame. `t_ns`: nanoseconds of the log's clock. `sent`: by the computer that logged; None: not recorded.
+
+    `length` is the number of data bytes; for a remote frame the number asked for. `can_id` is without flags: for an
+    error frame, SocketCAN's error class bits (linux/can/error.h).
+    """
+
+    t_ns: int
+    channel: str
+    can_id: int
+    data: bytes = b""
+    extended: bool = False
+    remote: bool = False
+    error: bool = False
+    fd: bool = False
+    brs: bool = False
+    esi: bool = False
+    sent: bool | None = None
+    length: int = -1
+
+    def __post_init__(self) -> None:
+        if self.length < 0:
+            object.__setattr__(self, "length", len(self.data))
+
+    @property
+    def flags(self) -> int:
+        direction = 0 if self.sent is None else SENT if self.sent else RECEIVED
+        marks = (self.extended, self.remote, self.error, self.fd, self.brs, self.esi)
+        return direction | sum(mark << place for place, mark in enumerate(marks))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +97,11 @@ class Frames:
 
     def frame(self, row: int) -> LogFrame:
         flags = int(self.flags[row])
-        return LogFrame(
-            t_ns=int(self.t_ns[row]),
-            channel=self.channels[int(self.channel[row])],
-            can_id=int(self.can_id[row]),
-            data=self.payload(row),
-            extended=bool(flags & EXTENDED),
-            remote=bool(flags & REMOTE),
-            error=bool(flags & ERROR),
-            fd=bool(flags & FD),
-            brs=bool(flags & BRS),
-            esi=bool(flags & ESI),
-            sent=True if flags & SENT else False if flags & RECEIVED else None,
-            length=int(self.length[row]),
-        )
+        head = (int(self.t_ns[row]), self.channels[int(self.channel[row])], int(self.can_id[row]), self.payload(row))
+        kind = (bool(flags & EXTENDED), bool(flags & REMOTE), bool(flags & ERROR))
+        fd = (bool(flags & FD), bool(flags & BRS), bool(flags & ESI))
+        sent = True if flags & SENT else False if flags & RECEIVED else None
+        return LogFrame(*head, *kind, *fd, sent, int(self.length[row]))
 
     def __iter__(self) -> Iterator[LogFrame]:
         return (self.frame(row) for row in range(len(self)))
@@ -106,16 +113,7 @@ class Frames:
             chosen = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
             places = {int(old): new for new, old in enumerate(chosen)}
             long = {places[old]: whole for old, whole in self.long.items() if old in places}
-        return Frames(
-            self.t_ns[rows],
-            self.can_id[rows],
-            self.flags[rows],
-            self.length[rows],
-            self.word[rows],
-            self.channel[rows],
-            self.channels,
-            long,
-        )
+        return replace(self, long=long, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def at(self, t_ns: Ints) -> Frames:
         """The same frames at other times."""
@@ -129,13 +127,9 @@ class Frames:
 def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) -> Frames:
     """Columns from single frames. `channels` is the log's own growing list of names, to number them alike."""
     names = [] if channels is None else channels
-    index = {name: number for number, name in enumerate(names)}
     rows = list(records)
-    long = {row: frame.data for row, frame in enumerate(rows) if len(frame.data) > CLASSIC_BYTES}
-    for frame in rows:
-        if frame.channel not in index:
-            index[frame.channel] = len(names)
-            names.append(frame.channel)
+    names += [name for name in dict.fromkeys(frame.channel for frame in rows) if name not in names]
+    index = {name: number for number, name in enumerate(names)}
     count = len(rows)
     return Frames(
         np.fromiter((frame.t_ns for frame in rows), np.int64, count),
@@ -145,15 +139,13 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
         np.fromiter((int.from_bytes(frame.data[:CLASSIC_BYTES], "little") for frame in rows), np.uint64, count),
         np.fromiter((index[frame.channel] for frame in rows), np.int32, count),
         names,
-        long,
+        {row: frame.data for row, frame in enumerate(rows) if len(frame.data) > CLASSIC_BYTES},
     )
 
 
 def renumbered(frames: Frames, channels: list[str]) -> Frames:
     """The same frames with their buses numbered by `channels`, which grows: several logs number each their own."""
-    for name in frames.channels:
-        if name not in channels:
-            channels.append(name)
+    channels += [name for name in frames.channels if name not in channels]
     number = np.array([channels.index(name) for name in frames.channels] or [0], np.int32)
     return replace(frames, channel=number[frames.channel], channels=channels)
 
@@ -161,22 +153,9 @@ def renumbered(frames: Frames, channels: list[str]) -> Frames:
 def joined(parts: Iterable[Frames]) -> Frames:
     """One run of frames from several of the same log."""
     kept = [part for part in parts if len(part)]
-    if not kept:
-        return frames_of(())
-    if len(kept) == 1:
-        return kept[0]
-    long: dict[int, bytes] = {}
-    before = 0
-    for part in kept:
-        long.update({row + before: whole for row, whole in part.long.items()})
-        before += len(part)
-    return Frames(
-        np.concatenate([part.t_ns for part in kept]),
-        np.concatenate([part.can_id for part in kept]),
-        np.concatenate([part.flags for part in kept]),
-        np.concatenate([part.length for part in kept]),
-        np.concatenate([part.word for part in kept]),
-        np.concatenate([part.channel for part in kept]),
-        kept[-1].channels,
-        long,
-    )
+    if len(kept) < 2:
+        return kept[0] if kept else frames_of(())
+    begins = np.cumsum([0, *map(len, kept)]).tolist()
+    long = {row + begin: whole for part, begin in zip(kept, begins, strict=False) for row, whole in part.long.items()}
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in kept]) for name in _COLUMNS}
+    return replace(kept[-1], long=long, **columns)

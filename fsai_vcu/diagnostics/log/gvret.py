@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from fsai_vcu.diagnostics.log.candump_line import MAX_CLASSIC_DLC, MAX_EXTENDED_ID, MAX_SECONDS, MAX_STANDARD_ID
-from fsai_vcu.diagnostics.log.frame import LogFrame
+from fsai_vcu.diagnostics.log.frames import LogFrame
 
 HEAD: Final = "time stamp,id,"
 _BUS: Final = "can"
@@ -42,3 +43,11 @@ class GvretLines:
             raise ValueError(f"no {29 if extended else 11}-bit identifier: {named['id']}")
         sent = {"tx": True, "rx": False}.get(named.get("dir", "").lower())
         return LogFrame(t_us * 1000, f"{_BUS}{named.get('bus', '0')}", can_id, data, extended, sent=sent)
+
+
+def whole_gvret(line: bytes) -> bool:
+    """Whether a line without its end is whole: as many data bytes as it announces, the last one of two digits.
+
+    That they are as many is checked when it is read.
+    """
+    return re.fullmatch(rb".*,[0-9A-Fa-f]{2},?\s*", line) is not None

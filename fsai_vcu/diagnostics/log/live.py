@@ -5,16 +5,14 @@ from __future__ import annotations
 import selectors
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Final
 
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
-from fsai_vcu.runtime.bus import BusLost, CanBus, open_bus
+from fsai_vcu.runtime.bus import BusLost, CanBus, can_interfaces, open_bus
 
 _GATHER_S: Final = 0.05  # frames of so long are handled together: quick enough for an eye, cheap enough for a car
 _MOST_AT_ONCE: Final = 500
 _ALL_INTERFACES: Final = "any"  # as candump calls it
-_CAN_DEVICE: Final = "280"  # linux/if_arp.h, ARPHRD_CAN
 
 
 class LiveSource:
@@ -65,17 +63,8 @@ class LiveSource:
                     break
                 if found is not None:
                     frame, stamp_ns = found
-                    received.append(
-                        LogFrame(
-                            stamp_ns,
-                            name,
-                            frame.can_id,
-                            frame.data,
-                            frame.extended and not frame.error,
-                            frame.remote,
-                            frame.error,
-                        )
-                    )
+                    kind = (frame.extended and not frame.error, frame.remote, frame.error)
+                    received.append(LogFrame(stamp_ns, name, frame.can_id, frame.data, *kind))
 
     def _ready(self, wait_s: float) -> list[tuple[str, CanBus]]:
         """The buses on which something may be waiting."""
@@ -98,19 +87,5 @@ class LiveSource:
 
 
 def _expanded(interfaces: Sequence[str]) -> list[str]:
-    names: list[str] = []
-    for interface in interfaces:
-        if interface == _ALL_INTERFACES:
-            names += sorted(
-                path.name for path in Path("/sys/class/net").glob("*") if _type_of(path / "type") == _CAN_DEVICE
-            )
-        else:
-            names.append(interface)
+    names = [name for each in interfaces for name in (can_interfaces() if each == _ALL_INTERFACES else [each])]
     return names or [_ALL_INTERFACES]
-
-
-def _type_of(path: Path) -> str:
-    try:
-        return path.read_text().strip()
-    except OSError:
-        return ""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
 
-_CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::(\d\d(?:\.\d+)?))?")
+_CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::([0-5]\d(?:\.\d+)?))?")
 _SECOND_NS: Final = 1_000_000_000
 
 
@@ -23,8 +23,10 @@ class Part:
     def __init__(self, begin: str | None = None, end: str | None = None, ids: frozenset[int] | None = None) -> None:
         """Raises ValueError with one clear line."""
         for name, text in (("--from", begin), ("--to", end)):
-            if text is not None and not _is_clock(text) and not _is_number(text):
-                raise ValueError(f"{name} is {text}: neither seconds nor a time of day such as 14:03:30")
+            try:
+                _seconds(text, 0)
+            except ValueError:
+                raise ValueError(f"{name} is {text}: neither seconds nor a time of day such as 14:03:30") from None
         self._begin, self._end, self._ids = begin, end, ids
         self._bounds: tuple[float, float] | None = None
 
@@ -55,28 +57,19 @@ class Part:
         return frames.only(inside)
 
 
-def _is_clock(text: str) -> bool:
-    clock = _CLOCK.fullmatch(text)
-    return clock is not None and int(clock[1]) < 24 and int(clock[2]) < 60 and float(clock[3] or 0) < 60
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
-
-
 def _seconds(text: str | None, first_ns: int) -> float | None:
+    """Since the log's first frame. Raises ValueError for what is neither seconds nor a time of day."""
     if text is None:
         return None
     clock = _CLOCK.fullmatch(text)
     if clock is None:
-        return float(text)
+        seconds = float(text)
+        if not math.isfinite(seconds):
+            raise ValueError(text)
+        return seconds
     first = datetime.fromtimestamp(first_ns / _SECOND_NS, UTC)
-    midnight = first.replace(hour=0, minute=0, second=0, microsecond=0)
-    hours, minutes, seconds = int(clock[1]), int(clock[2]), float(clock[3] or 0)
-    moment = midnight + timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    time_of_day = first.replace(hour=int(clock[1]), minute=int(clock[2]), second=0, microsecond=0)  # or a ValueError
+    moment = time_of_day + timedelta(seconds=float(clock[3] or 0))
     if first - moment > timedelta(hours=12):  # a log over midnight
         moment += timedelta(days=1)
     return (moment - first).total_seconds()

@@ -12,31 +12,63 @@ import io
 import logging
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
+from typing import IO, TYPE_CHECKING, Final
 
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, parse_line, read_line
-from fsai_vcu.diagnostics.log.files import Problems, is_gzip, kind_of, last_line
-from fsai_vcu.diagnostics.log.frame import LogFrame
-from fsai_vcu.diagnostics.log.gvret import GvretLines
+import numpy as np
+
+from fsai_vcu.diagnostics.log.candump import parse_block
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, read_line, whole_line
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
+from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
 from fsai_vcu.interface.errors import UserError
 
 if TYPE_CHECKING:
     import can
 
-    from fsai_vcu.diagnostics.log.candump import Unreadable
-    from fsai_vcu.diagnostics.log.frames import Frames
-
-Done = TypeVar("Done")
-
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
-# glibc gives freed memory back to the kernel, to fetch it again for the next block, until so much was freed at once
-# (M_MMAP_THRESHOLD in mallopt(3)). Nothing is written there, so that it costs nothing.
-_FREED_BYTES: Final = 31 << 20
+
+
+_KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
+_GZIP: Final = b"\x1f\x8b"
+_FORMATS: Final = (  # by the first bytes; the second of TRC: version 1.0
+    ("BLF", (b"LOGG",)),
+    ("MF4", (b"MDF ",)),
+    ("ASC", (b"date ", b"base hex", b"base dec", b"// version")),
+    ("TRC", (b";$FILEVERSION=", b";##############")),
+    ("GVRET", (HEAD.encode(),)),
+)
+
+
+class Problems:
+    """What could not be read in a log. `texts` are whole lines for people, each with its place; all are counted."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.texts: list[str] = []
+
+    def add(self, text: str) -> None:
+        self.count += 1
+        if len(self.texts) < _KEPT_PROBLEMS:
+            self.texts.append(text)
+
+    def __bool__(self) -> bool:
+        return self.count > 0
+
+    def summary(self) -> str:
+        """One line."""
+        more = f" (and {self.count - 1} more like it or worse)" if self.count > 1 else ""
+        return self.texts[0] + more if self.count else ""
+
+
+def kind_of(head: bytes) -> str:
+    """The format of a log, from its first bytes."""
+    starts = (head, head.lower())
+    return next((kind for kind, begins in _FORMATS if any(each.startswith(begins) for each in starts)), "candump")
 
 
 class LogError(UserError):
@@ -60,46 +92,30 @@ class Log:
 
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
-        return (frames for frames in self.mapped(lambda frames: frames) if len(frames))
-
-    def mapped(self, work: Callable[[Frames], Done], in_order: Callable[..., Iterator[Any]] = map) -> Iterator[Done]:
-        """What `work` makes of each chunk. `in_order` is a `map`; it may do several at once."""
-        import numpy as np
-
-        from fsai_vcu.diagnostics.log.candump import parse_block
-        from fsai_vcu.diagnostics.log.frames import frames_of
-
-        np.empty(_FREED_BYTES, np.uint8)
         channels: list[str] = []
         if self.kind != "candump":
-            frames = self.frames()
-            batches = iter(lambda: list(islice(frames, _BATCH)), [])
-            yield from in_order(lambda batch: work(frames_of(batch, channels)), batches)
+            frames = self._messages() if self.kind != "GVRET" else self._gvret_frames()
+            while batch := list(islice(frames, _BATCH)):
+                yield frames_of(batch, channels)
             return
-
-        def done(block: bytes) -> tuple[Done, list[Unreadable], int]:
+        for block in self._blocks():
             columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
-            return work(columns), unreadable, lines
-
-        for what, unreadable, lines in in_order(done, self._blocks()):
             for problem in unreadable:
                 self._unreadable(problem.line, problem.reason)
             self._lines += lines
-            yield what
+            if len(columns):
+                yield columns
         self._end()
 
     def frames(self) -> Iterator[LogFrame]:
-        """All frames one by one; of text without numpy."""
-        if self.kind == "candump":
-            yield from self._text_frames(parse_line)
-        elif self.kind == "GVRET":
-            yield from self._text_frames(GvretLines())
-        else:
-            yield from self._messages()
+        """All frames one by one."""
+        for frames in self.chunks():
+            yield from frames
 
     # ------------------------------------------------------------ text
 
-    def _text_frames(self, parse: Callable[[str], LogFrame | None]) -> Iterator[LogFrame]:
+    def _gvret_frames(self) -> Iterator[LogFrame]:
+        parse = GvretLines()
         for block in self._blocks():
             for line in block.split(b"\n")[:-1]:
                 try:
@@ -113,16 +129,17 @@ class Log:
         self._end()
 
     def _blocks(self) -> Iterator[bytes]:
-        """Whole lines, many at a time."""
+        """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts."""
         carried = b""
         while read := self._read_block():
             whole, end, carried = (carried + read).rpartition(b"\n")
             if end:
                 yield whole + end
-        if carried and self._broken is None:
-            line, self._cut_off = last_line(carried)
-            if line:
-                yield line
+        if carried.strip() and self._broken is None:
+            if whole_gvret(carried) if self.kind == "GVRET" else whole_line(carried):
+                yield carried + b"\n"
+            else:
+                self._cut_off = "cut off, without a line end; its frame is left out"
 
     def _end(self) -> None:
         """What is wrong with the end, after all that comes before it."""
@@ -248,14 +265,12 @@ def open_log(path: Path | str) -> Log:
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
-    from fsai_vcu.diagnostics.log.frames import joined
-
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
 
 
 def _unpacked(name: str, stream: IO[bytes], path: Path | None) -> Log:
-    if is_gzip(_head(stream)):
+    if _head(stream).startswith(_GZIP):
         return Log(name, gzip.GzipFile(fileobj=stream), path)  # type: ignore[arg-type]
     return Log(name, stream, path)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE
 from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
 from fsai_vcu.diagnostics.explain.signals import car_of, label
 from fsai_vcu.diagnostics.log.frames import Ints
@@ -23,6 +25,7 @@ from fsai_vcu.interface.units import KMH_PER_MPS, MS
 BUCKETS: Final = 1000  # a wide screen has not many more points than twice as many
 BREAK_NS: Final = 250 * MS  # a value so old is not drawn on: a message that stopped must not look alive
 LANE_SPANS: Final = 400
+CURVES: Final = 7  # of any signals on one axis: as many as there are colours
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,77 +56,60 @@ class Plot:
         return f"{self.title} in {self.unit} over time: {'; '.join(parts)}."
 
 
+def _axles(*signals: Signal) -> tuple[tuple[Signal, str], ...]:
+    return tuple(zip(signals, ("front asked", "front given", "rear asked", "rear given"), strict=True))
+
+
+LONGITUDINAL: Final = Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2")
+LATERAL: Final = Signal("AI2LOG_Dynamics2", "Accel_lateral_mps2")
+YAW_RATE: Final = Signal("AI2LOG_Dynamics2", "Yaw_rate_degps")
+# slug, title, unit, digits, pairs of (signal, name)
+_OF_SIGNALS: Final = (
+    ("steering", "Steering", "deg", 1, ((sig.STEER, "asked"), (sig.ANGLE, "given"))),
+    ("torque", "Axle torque", "Nm", 1, _axles(sig.TORQUE_F, CAR_TORQUE[0], sig.TORQUE_R, CAR_TORQUE[1])),
+    ("brake", "Brake", "%", 1, _axles(sig.BRAKE_REQ_F, sig.BRAKE_F, sig.BRAKE_REQ_R, sig.BRAKE_R)),
+    ("acceleration", "Acceleration", "m/s²", 1, ((LONGITUDINAL, "longitudinal"), (LATERAL, "lateral"))),
+    ("yaw", "Yaw rate", "deg/s", 1, ((YAW_RATE, "to the left"),)),
+)
+
+
 def plots(record: Record) -> list[Plot]:
     """Every plot for which the log has something."""
-    car = car_of(record)
-    torque = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
-    found = [
-        Plot("speed", "Speed", "m/s", 2, _speeds(record, car)),
-        _plot(record, "steering", "Steering", "deg", 1, ((sig.STEER, "asked"), (sig.ANGLE, "given"))),
-        _plot(
-            record,
-            "torque",
-            "Axle torque",
-            "Nm",
-            1,
-            (
-                (sig.TORQUE_F, "front asked"),
-                (torque[0], "front given"),
-                (sig.TORQUE_R, "rear asked"),
-                (torque[1], "rear given"),
-            ),
-        ),
-        _plot(
-            record,
-            "brake",
-            "Brake",
-            "%",
-            1,
-            (
-                (sig.BRAKE_REQ_F, "front asked"),
-                (sig.BRAKE_F, "front given"),
-                (sig.BRAKE_REQ_R, "rear asked"),
-                (sig.BRAKE_R, "rear given"),
-            ),
-        ),
-        _plot(
-            record,
-            "acceleration",
-            "Acceleration",
-            "m/s²",
-            1,
-            (
-                (Signal("AI2LOG_Dynamics2", "Accel_longitudinal_mps2"), "longitudinal"),
-                (Signal("AI2LOG_Dynamics2", "Accel_lateral_mps2"), "lateral"),
-            ),
-        ),
-        _plot(record, "yaw", "Yaw rate", "deg/s", 1, ((Signal("AI2LOG_Dynamics2", "Yaw_rate_degps"), "to the left"),)),
-        Plot("handshake", "Handshake response", "ms", 2, _handshake(record)),
-        Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record)),)),
-    ]
-    kept = []
-    for plot in found:
-        curves = tuple(curve for curve in plot.curves if len(curve.series))
-        if curves:
-            kept.append(Plot(plot.slug, plot.title, plot.unit, plot.digits, curves))
-    return kept
+    found = [Plot("speed", "Speed", "m/s", 2, _speeds(record, car_of(record)))]
+    for slug, title, unit, digits, signals in _OF_SIGNALS:
+        curves = [Curve(name, record.series(signal)) for signal, name in signals]
+        pairs = [curves[at : at + 2] for at in range(0, len(curves), 2)]
+        # An axle that nobody drives is left out; what is asked and never given is shown as the flat line that it is.
+        moved = [pair for pair in pairs if any(curve.series.values.any() for curve in pair)] or pairs[:1]
+        found.append(Plot(slug, title, unit, digits, tuple(curve for pair in moved for curve in pair)))
+    found.append(Plot("handshake", "Handshake response", "ms", 2, _handshake(record)))
+    found.append(Plot("load", "Bus load", "%", 1, (Curve("load over 100 ms", _load(record)),)))
+    kept = [replace(plot, curves=tuple(curve for curve in plot.curves if len(curve.series))) for plot in found]
+    return [plot for plot in kept if plot.curves]
 
 
-def _plot(
-    record: Record, slug: str, title: str, unit: str, digits: int, signals: tuple[tuple[Signal, str], ...]
-) -> Plot:
-    curves = [Curve(name, record.series(signal)) for signal, name in signals]
-    pairs = [tuple(curves[at : at + 2]) for at in range(0, len(curves), 2)]
-    # An axle that nobody drives is left out; what is asked and never given is shown as the flat line that it is.
-    moved = [pair for pair in pairs if any(curve.series.values.any() for curve in pair)] or pairs[:1]
-    return Plot(slug, title, unit, digits, tuple(curve for pair in moved for curve in pair))
+def plots_of(groups: Mapping[str, Sequence[tuple[str, Series]]]) -> list[Plot]:
+    """Plots of any signals, given by unit: a few to an axis."""
+    found: list[Plot] = []
+    for unit, group in groups.items():
+        for at in range(0, len(group), CURVES):
+            curves = []
+            for name, series in group[at : at + CURVES]:
+                finite = np.isfinite(series.values)
+                curves.append(Curve(name, Series(series.t_ns[finite], series.values[finite])))
+            known = tuple(curve for curve in curves if len(curve.series))
+            whole = all((curve.series.values % 1 == 0).all() for curve in known)
+            if known:
+                title = f"Signals in {unit}" if unit else "Signals"
+                found.append(Plot(f"signals{len(found)}", title, unit or "raw", 0 if whole else 3, known))
+    return found
 
 
 def _speeds(record: Record, car: VehicleParameters) -> tuple[Curve, ...]:
     per_rpm = car.speed_of_wheel_rpm(1.0)
     curves = []
-    for short, name in (("FL", "front left"), ("FR", "front right"), ("RL", "rear left"), ("RR", "rear right")):
-        series = record.series(Signal("VCU2AI_Speeds", f"{short}_WHEEL_SPEED"))
+    for signal, name in zip(sig.WHEELS, ("front left", "front right", "rear left", "rear right"), strict=True):
+        series = record.series(signal)
         curves.append(Curve(f"wheel {name}", Series(series.t_ns, series.values * per_rpm)))
     for signal, name in (
         (Signal("GPS_CourseSpeed", "GPS_Speed"), "GPS"),
@@ -214,44 +200,32 @@ def lanes(record: Record) -> list[dict[str, Any]]:
             ]
             found.append({"name": name, "spans": shown})
 
-    kinds = {sig.READY: "ready", sig.DRIVING: "go", sig.EMERGENCY: "bad", sig.FINISHED: "done"}
-    add("AS state", [(*cut, label(sig.AS_STATE, v), kinds.get(v, "off")) for *cut, v in _spans(record, sig.AS_STATE)])  # type: ignore[misc]
-    add("mission", [(b, e, label(sig.AMI, v), "plain" if v else "off") for b, e, v in _spans(record, sig.AMI)])
-    said = {float(MissionStatus.NOT_SELECTED): "off", float(MissionStatus.RUNNING): "go"}
-    add(
-        "AI says",
-        [(b, e, label(sig.MISSION_STATUS, v), said.get(v, "plain")) for b, e, v in _spans(record, sig.MISSION_STATUS)],
-    )
-    add(
-        "direction",
-        [(b, e, label(sig.DIRECTION, v), "plain" if v else "off") for b, e, v in _spans(record, sig.DIRECTION)],
-    )
+    def of(name: str, signal: Signal, kinds: Mapping[float, str], words: Callable[[float], str] | None = None) -> None:
+        spans = _spans(record, signal)
+        add(name, [(b, e, words(v) if words else label(signal, v), kinds.get(v, "plain")) for b, e, v in spans])
+
+    states = {sig.READY: "ready", sig.DRIVING: "go", sig.EMERGENCY: "bad", sig.FINISHED: "done"}
+    off = {0.0: "off"}
+    of("AS state", sig.AS_STATE, dict.fromkeys(range(16), "off") | states)
+    of("mission", sig.AMI, off)
+    of("AI says", sig.MISSION_STATUS, {MissionStatus.NOT_SELECTED: "off", MissionStatus.RUNNING: "go"})
+    of("direction", sig.DIRECTION, off)
     for signal, name in ((sig.AS_SWITCH, "ASMS"), (sig.TS_SWITCH, "TSMS"), (sig.GO, "Go")):
-        add(name, [(b, e, "on" if v else "off", "plain" if v else "off") for b, e, v in _spans(record, signal)])
+        of(name, signal, off, lambda value: "on" if value else "off")
     ebs = sig.EBS_STATE if record.revision.name != "2021" else sig.STATUS_EBS
     if record.series(ebs).values.any():
-        grave = ("TRIGGERED", "FAULT")
-        add(
-            "EBS",
-            [
-                (b, e, w, "bad" if any(g in w for g in grave) else "plain")
-                for b, e, v in _spans(record, ebs)
-                for w in (label(ebs, v),)
-            ],
-        )
-    bad: list[tuple[int, int, str, str]] = [
-        (b, e, "ESTOP_REQUEST", "bad") for b, e, v in _spans(record, sig.ESTOP) if v
-    ]
-    for signal in (*sig.FAULTS, sig.SHUTDOWN_CAUSE):
-        bad += [
-            (b, e, signal.name if signal is not sig.SHUTDOWN_CAUSE else f"SHUTDOWN_CAUSE {label(signal, v)}", "bad")
-            for b, e, v in _spans(record, signal)
-            if v
-        ]
-    for name in sorted({text for *_, text, _ in bad}, key=[text for *_, text, _ in bad].index):
-        add(name, [entry for entry in bad if entry[2] == name])
+        values = {span.value for span in record.series(ebs).spans}
+        of("EBS", ebs, {v: "bad" for v in values if any(word in label(ebs, v) for word in ("TRIGGERED", "FAULT"))})
+    bad: dict[str, list[tuple[int, int, str, str]]] = {}
+    for signal in (sig.ESTOP, *sig.FAULTS, sig.SHUTDOWN_CAUSE):
+        for b, e, v in _spans(record, signal):
+            text = f"SHUTDOWN_CAUSE {label(signal, v)}" if signal is sig.SHUTDOWN_CAUSE else signal.name
+            if v:
+                bad.setdefault(text, []).append((b, e, text, "bad"))
+    for text, spans in bad.items():
+        add(text, spans)
     silent = [
-        (gap.begin_ns, record.end_ns if gap.end_ns is None else gap.end_ns, f"0x{can_id:03X}", "bad")
+        (gap.begin_ns, gap.over_ns, f"0x{can_id:03X}", "bad")
         for can_id in (*AI_IDS, *VCU_IDS[:-1])
         for gap in record.gaps(can_id, COMMS_LOST_NS)
     ]

@@ -6,18 +6,15 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from html import escape
 from importlib.resources import files
 from typing import Any, Final
 
-from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind, record_for, story_of
+from fsai_vcu.diagnostics.explain import Explanation, Incident, IncidentKind
 from fsai_vcu.diagnostics.explain.incident import Candidate, Sureness, Weight
-from fsai_vcu.diagnostics.explain.record import Record
-from fsai_vcu.diagnostics.explain.render import EPOCH_NS, before, seconds
-from fsai_vcu.diagnostics.log.frames import Frames
-from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots
+from fsai_vcu.diagnostics.explain.record import Record, Series
+from fsai_vcu.diagnostics.explain.render import before, extent, seconds
+from fsai_vcu.diagnostics.report.curves import Plot, lanes, packed, plots, plots_of
 from fsai_vcu.diagnostics.report.summary import drawing, figures, way_of
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
@@ -25,21 +22,17 @@ from fsai_vcu.diagnostics.verdict import Verdict, judge_log
 EVENTS: Final = 2000  # more lines than that nobody reads on a page; explain has them all
 _ALSO: Final = 3
 
-
-def page(frames: Frames, name: str, revision: str | None = None, databases: Databases | None = None) -> str:
-    """The whole file as text. Raises ValueError for a log without frames, or an unknown revision."""
-    record = record_for(frames, revision, databases)
-    return page_of(record, story_of(record), name)
+Chosen = dict[str, list[tuple[str, Series]]]
 
 
-def page_of(record: Record, story: Explanation, name: str) -> str:
-    """The page of a log that is sorted already."""
+def page_of(record: Record, story: Explanation, name: str, chosen: Chosen | None = None) -> str:
+    """The page of a log that is sorted already; `chosen`: signals to be plotted too, by unit."""
     style, script = _part("page.css"), _part("page.js")
     policy = (
         f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
-    drawn = plots(record)
+    drawn = [*plots_of(chosen or {}), *plots(record)]
     buses = measure(record.frames, record.decoder, revision=record.revision.name)
     verdict = judge_log(record, story, buses)
     return "".join(
@@ -95,12 +88,10 @@ def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
 
 def _head(story: Explanation, verdict: Verdict, name: str) -> Iterator[str]:
     heading = story.heading
-    began = int(heading["begin_ns"])
-    when = f", {datetime.fromtimestamp(began / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC" if began > EPOCH_NS else ""
     yield f"<header>\n<h1>{escape(name)}</h1>\n"
     yield f'<p class="verdict {"good" if verdict.ok else "bad"}">{escape(verdict.line())}</p>\n'
     yield (
-        f"<p>{heading['seconds']:.1f} s, {heading['frames']} frames on {escape(str(heading['channel']))}{when};"
+        f"<p>{escape(extent(story))};"
         f" interface revision {escape(heading['revision'])} ({escape(heading['revision_reason'])});"
         f" {escape(story.closing)}.</p>\n"
     )

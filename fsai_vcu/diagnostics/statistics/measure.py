@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any, Final
 
@@ -38,6 +38,17 @@ _FROZEN_COUNTS_NS = S
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
 
+def _plain(statistics: Any, names: Mapping[str, str]) -> dict[str, Any]:
+    """The fields for JSON, some of them under other names; numbers to six decimals."""
+
+    def rounded(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: rounded(each) for key, each in value.items()}
+        return round(value, 6) if isinstance(value, float) else value
+
+    return {names.get(name, name): rounded(value) for name, value in asdict(statistics).items()}
+
+
 @dataclass(frozen=True, slots=True)
 class TimeSpread:
     """A distribution of times in ms; None while there are none."""
@@ -51,9 +62,6 @@ class TimeSpread:
         ordered = np.sort(times_ns)
         found = [quantile(ordered, share) for share in (0.5, 0.99, 1.0)]  # type: ignore[arg-type]
         return cls(*(None if time_ns is None else time_ns / MS for time_ns in found))
-
-    def as_dict(self) -> dict[str, float | None]:
-        return {"p50_ms": _rounded(self.p50_ms), "p99_ms": _rounded(self.p99_ms), "max_ms": _rounded(self.max_ms)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,31 +96,8 @@ class MessageStatistics:
     load: float
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "type": "message",
-            "id": self.can_id,
-            "extended": self.extended,
-            "message": self.name,
-            "count": self.count,
-            "first_s": self.first_s,
-            "last_s": self.last_s,
-            "expected_length": self.expected_length,
-            "wrong_lengths": {str(length): count for length, count in self.wrong_lengths.items()},
-            "remote": self.remote,
-            "sent": self.sent,
-            "expected_ms": self.expected_ms,
-            "interval_ms": self.interval.as_dict(),
-            "mean_ms": _rounded(self.mean_ms),
-            "jitter_ms": self.jitter.as_dict(),
-            "gaps": self.gaps,
-            "longest_gap_ms": _rounded(self.longest_gap_ms),
-            "longest_gap_at_s": self.longest_gap_at_s,
-            "silent_ms": _rounded(self.silent_ms),
-            "frozen_ms": _rounded(self.frozen_ms),
-            "payloads": self.payloads,
-            "bits": self.bits,
-            "load": round(self.load, 6),
-        }
+        names = {"can_id": "id", "name": "message", "interval": "interval_ms", "jitter": "jitter_ms"}
+        return {"type": "message", **_plain(self, names)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +111,7 @@ class Handshake:
     above_patience: int  # answers that took 100 ms or longer
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "answered": self.answered,
-            "unanswered": self.unanswered,
-            "stood_ms": _rounded(self.stood_ms),
-            "response_ms": self.response.as_dict(),
-            "above_100_ms": self.above_patience,
-        }
+        return _plain(self, {"response": "response_ms", "above_patience": "above_100_ms"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,14 +154,16 @@ class Severity(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class BusFinding:
-    """Something that a person should know. A PROBLEM makes the verdict bad."""
+class Finding:
+    """Something that a person should know. A problem makes the verdict bad. `t_ns` None: it is about the whole log."""
 
     severity: Severity
     kind: str
     text: str
-    can_id: int | None = None
-    t_s: float | None = None
+    t_ns: int | None = None
+    remedy: str = ""
+    can_ids: tuple[int, ...] = ()
+    channel: str = ""
 
 
 # ---------------------------------------------------------------- measuring
@@ -405,136 +386,107 @@ def _frozen_counts(frames: Frames, decoder: Decoder) -> Iterator[tuple[str, floa
 # ---------------------------------------------------------------- judging
 
 
-def judge(bus: BusStatistics) -> list[BusFinding]:
+def judge(bus: BusStatistics) -> list[Finding]:
     """Everything that is not as it should be, the grave first."""
-    found = list(_judge_bus(bus))
-    for message in bus.messages:
-        found += _judge_message(message)
-    return sorted(found, key=lambda finding: finding.severity is not Severity.PROBLEM)
+    found = [*_judge_bus(bus), *(finding for message in bus.messages for finding in _judge_message(message))]
+    ours = [replace(finding, channel=bus.channel) for finding in found]
+    return sorted(ours, key=lambda finding: finding.severity is not Severity.PROBLEM)
 
 
-def _judge_bus(bus: BusStatistics) -> Iterator[BusFinding]:
-    problem, note = Severity.PROBLEM, Severity.NOTE
+def _finding(grave: bool, kind: str, text: str, can_id: int | None = None, t_s: float | None = None) -> Finding:
+    severity = Severity.PROBLEM if grave else Severity.NOTE
+    t_ns = None if t_s is None else round(t_s * S)
+    return Finding(severity, kind, text, t_ns, can_ids=() if can_id is None else (can_id,))
+
+
+def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     if not bus.frames:
-        yield BusFinding(problem, "silent", f"nothing was received on {bus.channel}")
+        yield _finding(True, "silent", f"nothing was received on {bus.channel}")
         return
     if not bus.timed:
-        yield BusFinding(note, "no-times", "no times to measure: the log has none, or is a single instant")
+        yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
-        yield BusFinding(
-            note, "clock", f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
-        )
+        text = f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
+        yield _finding(False, "clock", text)
     for words, count in bus.error_frames.items():
-        yield BusFinding(problem, "error-frames", f"{count} error frames: {words}")
+        yield _finding(True, "error-frames", f"{count} error frames: {words}")
     absent = []
     for layout in bus.missing:
         own = BY_ID.get(layout.can_id)
-        grave = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
         name = _name(layout.can_id, layout.name, layout.extended)
-        if grave and own is not None and own.timeout_ns is not None:
-            yield BusFinding(problem, "missing", f"{name} was never received", layout.can_id)
+        between = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
+        if between and own is not None and own.timeout_ns is not None:
+            yield _finding(True, "missing", f"{name} was never received", layout.can_id)
         else:
             absent.append(name)
     if absent:
-        yield BusFinding(note, "missing", f"never received: {', '.join(absent)}")
+        yield _finding(False, "missing", f"never received: {', '.join(absent)}")
     if bus.peak_load > _HIGH_LOAD:
-        yield BusFinding(
-            note, "load", f"bus load {bus.load:.1%}, and {bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
-        )
-    handshake = bus.handshake
-    if handshake is not None:
-        if handshake.above_patience or handshake.unanswered:
-            yield BusFinding(
-                problem,
-                "handshake",
-                f"{handshake.unanswered} handshakes without an answer and {handshake.above_patience} answered after"
-                f" {COMMS_LOST_NS // MS} ms or more: the VCU takes that for AI_COMMS_LOST",
-                0x510,
-            )
-        elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > PERIOD_NS:
-            yield BusFinding(
-                note, "handshake", f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow", 0x510
-            )
-        if handshake.stood_ms * MS >= COMMS_LOST_NS:
-            yield BusFinding(note, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
+        busiest = f"{bus.peak_load:.1%} in its busiest {LOAD_WINDOW_NS // MS} ms"
+        yield _finding(False, "load", f"bus load {bus.load:.1%}, and {busiest}")
+    if bus.handshake is not None:
+        yield from _judge_handshake(bus.handshake)
     if bus.frozen_counts:
         names = ", ".join(name for name, _, _ in bus.frozen_counts)
         _, since_s, for_s = max(bus.frozen_counts, key=lambda frozen: frozen[2])
         text = f"{names} stood still for {for_s:.1f} s while its wheel turned"
-        yield BusFinding(problem, "frozen", text, 0x526, since_s)
+        yield _finding(True, "frozen", text, 0x526, since_s)
 
 
-def _judge_message(message: MessageStatistics) -> Iterator[BusFinding]:
-    problem, note = Severity.PROBLEM, Severity.NOTE
-    name = _name(message.can_id, message.name, message.extended)
-    own = None if message.extended else BY_ID.get(message.can_id)
-    if own is not None and own.name != message.name:
-        own = None
+def _judge_handshake(handshake: Handshake) -> Iterator[Finding]:
+    if handshake.above_patience or handshake.unanswered:
+        late = f"{handshake.above_patience} answered after {COMMS_LOST_NS // MS} ms or more"
+        text = f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"
+        yield _finding(True, "handshake", text, 0x510)
+    elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > PERIOD_NS:
+        text = f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow"
+        yield _finding(False, "handshake", text, 0x510)
+    if handshake.stood_ms * MS >= COMMS_LOST_NS:
+        yield _finding(False, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
+
+
+def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
+    can_id = message.can_id
+    name = _name(can_id, message.name, message.extended)
     if message.name is None:
-        yield BusFinding(
-            note, "unknown", f"{name} is in no database: {message.count} frames", message.can_id, message.first_s
-        )
+        yield _finding(False, "unknown", f"{name} is in no database: {message.count} frames", can_id, message.first_s)
     if message.wrong_lengths:
         which = ", ".join(f"{count} of {length} bytes" for length, count in message.wrong_lengths.items())
-        yield BusFinding(
-            problem, "wrong-length", f"{name} must have {message.expected_length} bytes: {which}", message.can_id
+        yield _finding(True, "wrong-length", f"{name} must have {message.expected_length} bytes: {which}", can_id)
+    if not message.extended and message.remote and can_id in AI_IDS:
+        yield _finding(True, "intruder", f"{name}: {message.remote} remote frames", can_id)
+    if not message.extended and message.sent and can_id in RESERVED_IDS:
+        text = f"{name}: sent {message.sent} times by this computer, which must not"
+        yield _finding(True, "reserved", text, can_id)
+    if message.expected_ms is not None and message.longest_gap_ms is not None and message.interval.p50_ms is not None:
+        own = None if message.extended else BY_ID.get(can_id)
+        own = own if own is not None and own.name == message.name else None
+        yield from _judge_times(
+            message, name, own, message.expected_ms, message.longest_gap_ms, message.interval.p50_ms
         )
-    is_ai = not message.extended and message.can_id in AI_IDS
-    if message.remote and is_ai:
-        yield BusFinding(problem, "intruder", f"{name}: {message.remote} remote frames", message.can_id)
-    if not message.extended and message.sent and message.can_id in RESERVED_IDS:
-        yield BusFinding(
-            problem, "reserved", f"{name}: sent {message.sent} times by this computer, which must not", message.can_id
-        )
-    yield from _judge_times(message, name, own)
 
 
-def _judge_times(message: MessageStatistics, name: str, own: BusMessage | None) -> Iterator[BusFinding]:
-    problem, note = Severity.PROBLEM, Severity.NOTE
-    if message.expected_ms is None or message.longest_gap_ms is None or message.interval.p50_ms is None:
-        return
+def _judge_times(
+    message: MessageStatistics, name: str, own: BusMessage | None, expected_ms: float, gap_ms: float, p50_ms: float
+) -> Iterator[Finding]:
     supervised = own is None or own.timeout_ns is not None
-    lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * message.expected_ms
+    lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * expected_ms
     if message.silent_ms >= lost_ms:
-        yield BusFinding(
-            problem if supervised else note,
-            "stopped",
-            f"{name} is silent for the last {message.silent_ms:.0f} ms of the log",
-            message.can_id,
-            message.last_s,
-        )
-    if message.longest_gap_ms >= lost_ms:
-        yield BusFinding(
-            problem if supervised else note,
-            "gap",
-            f"{name} was silent for {message.longest_gap_ms:.1f} ms: {lost_ms:g} ms count as lost",
-            message.can_id,
-            message.longest_gap_at_s,
-        )
+        text = f"{name} is silent for the last {message.silent_ms:.0f} ms of the log"
+        yield _finding(supervised, "stopped", text, message.can_id, message.last_s)
+    if gap_ms >= lost_ms:
+        text = f"{name} was silent for {gap_ms:.1f} ms: {lost_ms:g} ms count as lost"
+        yield _finding(supervised, "gap", text, message.can_id, message.longest_gap_at_s)
     elif message.gaps:
-        yield BusFinding(
-            note,
-            "gap",
-            f"{name}: frames missing {message.gaps} times, the longest gap {message.longest_gap_ms:.1f} ms",
-            message.can_id,
-            message.longest_gap_at_s,
-        )
+        text = f"{name}: frames missing {message.gaps} times, the longest gap {gap_ms:.1f} ms"
+        yield _finding(False, "gap", text, message.can_id, message.longest_gap_at_s)
     # A gap moves the mean, and a rhythm of short and long moves the median: a wrong period moves both.
-    both = [message.interval.p50_ms, message.mean_ms or 0.0]
-    off = min(abs(period_ms / message.expected_ms - 1.0) for period_ms in both)
+    off = min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
     if message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
-        yield BusFinding(
-            problem if supervised else note,
-            "period",
-            f"{name} comes every {message.interval.p50_ms:.2f} ms, but should every {message.expected_ms:g} ms",
-            message.can_id,
-        )
+        text = f"{name} comes every {p50_ms:.2f} ms, but should every {expected_ms:g} ms"
+        yield _finding(supervised, "period", text, message.can_id)
 
 
 def _name(can_id: int, name: str | None, extended: bool) -> str:
     number = f"0x{can_id:08X}" if extended else f"0x{can_id:03X}"
     return f"{name} ({number})" if name else number
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 6)

@@ -7,7 +7,7 @@ frame between two others which says something else than both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -43,7 +43,6 @@ class SecondSender:
     can_ids: tuple[int, ...]
     begin_ns: int
     end_ns: int
-    frames: int
     proof: str
     payloads: tuple[bytes, ...] = ()  # of the first contradiction: the frame before, and the one that contradicts it
 
@@ -53,6 +52,10 @@ class SecondSender:
         ids = ", ".join(f"0x{can_id:03X}" for can_id in self.can_ids)
         which = f" ({', then '.join(payload.hex().upper() for payload in self.payloads)})" if self.payloads else ""
         return f"{ids}: {self.proof}{which}"
+
+    @property
+    def sentence(self) -> str:
+        return f"somebody else sends on the AI computer's ids: {self.words}"
 
 
 def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
@@ -64,13 +67,11 @@ def second_senders(frames: Frames, databases: Databases) -> list[SecondSender]:
         if last is None or one.begin_ns - last.end_ns > TOGETHER_NS:
             joined.append(one)
             continue
-        joined[-1] = SecondSender(
-            tuple(sorted({*last.can_ids, *one.can_ids})),
-            last.begin_ns,
-            max(last.end_ns, one.end_ns),
-            last.frames + one.frames,
-            last.proof,
-            last.payloads or one.payloads,
+        joined[-1] = replace(
+            last,
+            can_ids=tuple(sorted({*last.can_ids, *one.can_ids})),
+            end_ns=max(last.end_ns, one.end_ns),
+            payloads=last.payloads or one.payloads,
         )
     return joined
 
@@ -161,7 +162,6 @@ def _stretches(frames: Frames, rows: Ints, hits: Mask, proof: str, *, payloads: 
             (can_id,),
             int(t_ns[part[0]]),
             int(t_ns[part[-1]]),
-            len(part),
             proof,
             tuple(frames.payload(int(rows[place])) for place in (part[0] - 1, part[0])) if payloads else (),
         )

@@ -19,7 +19,7 @@ from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, DRIVING, READY, STATUS
-from fsai_vcu.diagnostics.statistics.measure import BusFinding, BusStatistics, Severity, judge
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, Severity, judge
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
@@ -27,19 +27,6 @@ from fsai_vcu.interface.units import MS, S
 MANY: Final = 3
 SHORT_NS: Final = 1 * S
 WITH_IT_NS: Final = 1 * S  # what falls silent so close to the car is switched off with it
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Something that a person should know. A problem makes the verdict bad. `t_ns` None: it is about the whole log."""
-
-    severity: Severity
-    kind: str
-    text: str
-    t_ns: int | None = None
-    remedy: str = ""
-    can_ids: tuple[int, ...] = ()
-    channel: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,42 +144,41 @@ def _of_incident(incident: Incident) -> Finding:
 
 def _second_senders(record: Record) -> Iterator[Finding]:
     for other in record.second_senders:
-        text = f"somebody else sends on the AI computer's ids: {other.words}"
         remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
-        yield Finding(Severity.PROBLEM, "intruder", text, other.begin_ns, remedy, other.can_ids, record.channel)
+        yield Finding(
+            Severity.PROBLEM, "intruder", other.sentence, other.begin_ns, remedy, other.can_ids, record.channel
+        )
 
 
 def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
     """A channel's findings; the pauses of several messages at one moment are one."""
-    pauses: list[list[BusFinding]] = []
+    pauses: list[list[Finding]] = []
     gaps = {message.can_id: message.longest_gap_ms or 0.0 for message in bus.messages}
 
-    def same(one: BusFinding, other: BusFinding) -> bool:
+    def same(one: Finding, other: Finding) -> bool:
         """Whether two messages were missing at one time: most of the shorter pause lies within the longer one."""
-        begins = [finding.t_s or 0.0 for finding in (one, other)]
-        lasts = [gaps.get(finding.can_id or 0, 0.0) / 1000 for finding in (one, other)]
+        begins = [finding.t_ns or 0 for finding in (one, other)]
+        lasts = [gaps[finding.can_ids[0]] * MS for finding in (one, other)]
         within = min(b + length for b, length in zip(begins, lasts, strict=True)) - max(begins)
-        return abs(begins[0] - begins[1]) * S <= AT_ONCE_NS or within > 0.5 * min(lasts)
+        return abs(begins[0] - begins[1]) <= AT_ONCE_NS or within > 0.5 * min(lasts)
 
     for finding in judge(bus):
-        if finding.kind == "gap" and finding.t_s is not None:
-            together = next((p for p in pauses if same(p[0], finding)), None)
-            if together is None:
-                pauses.append([finding])
-            else:
-                together.append(finding)
+        if finding.kind != "gap":
+            yield finding
             continue
-        t_ns = None if finding.t_s is None else round(finding.t_s * S)
-        one = () if finding.can_id is None else (finding.can_id,)
-        yield Finding(finding.severity, finding.kind, finding.text, t_ns, "", one, bus.channel)
+        together = next((pause for pause in pauses if same(pause[0], finding)), None)
+        if together is None:
+            pauses.append([finding])
+        else:
+            together.append(finding)
     for pause in pauses:
-        ids = tuple(sorted(finding.can_id for finding in pause if finding.can_id is not None))
+        ids = tuple(sorted(finding.can_ids[0] for finding in pause))
         severity = min((finding.severity for finding in pause), key=lambda s: s is not Severity.PROBLEM)
         text = pause[0].text
         if len(pause) >= MANY:
             longest_ms = max(gaps[can_id] for can_id in ids)
             text = f"a pause of {longest_ms:.0f} ms of {_whose(ids, len(bus.messages))}"
-        yield Finding(severity, "gap", text, round((pause[0].t_s or 0.0) * S), "", ids, bus.channel)
+        yield replace(pause[0], severity=severity, text=text, can_ids=ids)
 
 
 def _stopped(record: Record, bus: BusStatistics) -> list[Finding]:
