@@ -69,7 +69,7 @@ def test_every_fault_bit_has_a_row() -> None:
     assert set(FAULT_BITS.values()) <= set(CAUSES)
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.source.label} {row.why}")
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.sources[0].label} {row.why}")
 def test_every_transition_of_the_as_state_machine_has_its_causes(row: Row) -> None:
     if row.why in REGULAR:
         return
@@ -85,7 +85,9 @@ def test_every_condition_of_a_start_is_looked_for() -> None:
         (AsState.AS_OFF, AsState.AS_READY),
         (AsState.AS_READY, AsState.AS_DRIVING),
     }
-    wanted = set().union(*(CAUSES_OF[row.why] for row in ROWS if (row.source, row.target) in on_the_way))
+    wanted = set().union(
+        *(CAUSES_OF[row.why] for row in ROWS for source in row.sources if (source, row.target) in on_the_way)
+    )
     assert wanted <= looked_for
 
 
