@@ -23,7 +23,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.messages import GpsImu, VcuImage
+from fsai_vcu.interface.messages import GpsImu, Image
 from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
 
 BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
@@ -215,7 +215,7 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     message.header.frame_id = ODOM_FRAME
     vehicle, now_ns = report.vehicle, report.t_ns
 
-    def age_s(image: VcuImage | None) -> float:
+    def age_s(image: Image | None) -> float:
         return NEVER if image is None else (now_ns - image.t_rx_ns) / 1e9
 
     message.as_state = message.mission = message.shutdown_cause = UNKNOWN
