@@ -161,6 +161,22 @@ class Step(Immutable):
     consequence: Consequence
 
 
+CHANGES = (
+    Reason.AS_SWITCH_OFF,
+    Reason.TS_SWITCH_OFF,
+    Reason.SHUTDOWN_REQUESTED,
+    Reason.FAULT_BIT,
+    Reason.SHUTDOWN_CAUSE,
+)
+"""What 0x520 must not change in AS_DRIVING though FAULT_STATUS stays 0 (see `changes`)."""
+
+UNPREPARED = (Reason.NOT_SEEN, Reason.SEQUENCE_SHORT, Reason.NO_MISSION, Reason.NOT_CONFIRMED)
+"""What AS_DRIVING may lack of a drive that was begun in order (see `_unprepared`)."""
+
+_STOP_AT_ONCE = (Step(None, Consequence.STOP),)
+_FEEDBACK = (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP))
+_IMPLAUSIBLE = (Step("implausible_ns", Consequence.STOP), Step("implausible_lost_ns", Consequence.ESTOP))
+
 REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
     {
         Reason.COMMAND_STALE: (
@@ -170,36 +186,20 @@ REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
         Reason.STOP_INEFFECTIVE: (Step(None, Consequence.ESTOP),),
         Reason.BOTH_PEDALS: (Step(None, Consequence.REPORT), Step("both_pedals_ns", Consequence.ESTOP)),
         Reason.VCU_SILENT: (Step("vcu_stale_ns", Consequence.HOLD), Step("vcu_lost_ns", Consequence.ESTOP)),
-        Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP)),
-        Reason.STEERING_STALE: (
-            Step("feedback_stale_ns", Consequence.STOP),
-            Step("feedback_lost_ns", Consequence.ESTOP),
-        ),
-        Reason.STEERING_IMPLAUSIBLE: (
-            Step("implausible_ns", Consequence.STOP),
-            Step("implausible_lost_ns", Consequence.ESTOP),
-        ),
-        Reason.WHEEL_IMPLAUSIBLE: (
-            Step("implausible_ns", Consequence.STOP),
-            Step("implausible_lost_ns", Consequence.ESTOP),
-        ),
-        Reason.GO_OFF: (Step(None, Consequence.STOP),),
-        Reason.FAULT_STATUS: (Step(None, Consequence.STOP),),
+        Reason.WHEELS_STALE: _FEEDBACK,
+        Reason.STEERING_STALE: _FEEDBACK,
+        Reason.STEERING_IMPLAUSIBLE: _IMPLAUSIBLE,
+        Reason.WHEEL_IMPLAUSIBLE: _IMPLAUSIBLE,
+        Reason.GO_OFF: _STOP_AT_ONCE,
+        Reason.FAULT_STATUS: _STOP_AT_ONCE,
         Reason.AS_STATE_UNKNOWN: (Step(None, Consequence.HOLD),),
-        Reason.AS_SWITCH_OFF: (Step(None, Consequence.STOP),),
-        Reason.TS_SWITCH_OFF: (Step(None, Consequence.STOP),),
-        Reason.SHUTDOWN_REQUESTED: (Step(None, Consequence.STOP),),
-        Reason.FAULT_BIT: (Step(None, Consequence.STOP),),
-        Reason.SHUTDOWN_CAUSE: (Step(None, Consequence.STOP),),
+        **dict.fromkeys(CHANGES, _STOP_AT_ONCE),
         Reason.INTRUDER: (Step(None, Consequence.ESTOP),),
         Reason.LOOP_FAULT: (Step(None, Consequence.ESTOP),),
-        Reason.BUS_LOST: (Step(None, Consequence.STOP),),
+        Reason.BUS_LOST: _STOP_AT_ONCE,
         Reason.BACKLOG: (Step("backlog_ns", Consequence.REPORT),),
-        Reason.NOT_SEEN: (Step(None, Consequence.STOP),),
-        Reason.SEQUENCE_SHORT: (Step(None, Consequence.STOP),),
-        Reason.NO_MISSION: (Step(None, Consequence.STOP),),
-        Reason.NOT_CONFIRMED: (Step(None, Consequence.STOP),),
-        Reason.STACK_RESTARTED: (Step(None, Consequence.STOP),),
+        **dict.fromkeys(UNPREPARED, _STOP_AT_ONCE),
+        Reason.STACK_RESTARTED: _STOP_AT_ONCE,
     }
 )
 
@@ -219,11 +219,7 @@ STEERS_WHILE_STOPPING = frozenset(
         Asked.MISSION_DONE,
         Reason.GO_OFF,
         Reason.FAULT_STATUS,
-        Reason.AS_SWITCH_OFF,
-        Reason.TS_SWITCH_OFF,
-        Reason.SHUTDOWN_REQUESTED,
-        Reason.FAULT_BIT,
-        Reason.SHUTDOWN_CAUSE,
+        *CHANGES,
         Reason.WHEELS_STALE,
         Reason.WHEEL_IMPLAUSIBLE,
     )
