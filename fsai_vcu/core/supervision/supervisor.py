@@ -1,9 +1,9 @@
 """The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
 
-Pure: a `SupervisorState` goes in with what happened, a state comes out. `heard` and `on_status` take frames of 0x520,
-`on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns
-what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens at one
-instant. Once a cycle `supervise` looks at the clock and decides, in this order:
+Pure: a `SupervisorState` goes in with what happened, a state comes out. `received` and `on_status` take frames of
+0x520, `on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent`
+learns what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens
+at one instant. Once a cycle `supervise` looks at the clock and decides, in this order:
 
 1. In AS_DRIVING, `_react`: what is wrong, and for how long (`_ages`); after how long what follows (`REACTIONS`). What
    was asked for comes last: manual mode, then an emergency brake or the end of the mission by the command.
@@ -248,7 +248,7 @@ class Latch(Immutable):
 class SupervisorState(Immutable):
     """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
 
-    # What 0x520 said
+    # What 0x520 reported
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
@@ -260,7 +260,7 @@ class SupervisorState(Immutable):
     ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
     driving_since_ns: int | None = None
 
-    # What 0x525 said, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
+    # What 0x525 reported, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
     speeds_ns: int | None = None
     fastest_rpm: int = 0
     still_since_ns: int | None = None
@@ -325,7 +325,7 @@ class Decision(Immutable):
 # ---------------------------------------------------------------- frames
 
 
-def heard(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
+def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
     """A frame of 0x520 came, whatever is in it: the car is switched on."""
     return replace(state, heard_ns=t_ns, was_silent=_was_silent(config, state, t_ns))
 
@@ -338,7 +338,7 @@ def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bo
 def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -> SupervisorState:
     """A believed 0x520. Follows the AS states, the AMI and the runs; clears what the car's own life clears."""
     t_ns = status.t_rx_ns
-    state = heard(config, state, t_ns)
+    state = received(config, state, t_ns)
     now, before = status.as_state, state.as_state
     off = now in OFF_LIKE
     power_cycle = state.was_silent
@@ -547,7 +547,7 @@ def bus_lost(config: BridgeConfig, state: SupervisorState, detail: str, now_ns: 
 
 
 def bus_back(state: SupervisorState, now_ns: int) -> SupervisorState:
-    """The bus is open again. While it was lost nothing could be heard and nothing be said: that time is no silence of
+    """The bus is open again. While it was lost nothing could be received or sent: that time is no silence of
     the car's (an emergency asked for meanwhile has not even been sent), no missing feedback, and no part of a stop.
     """
     return replace(
