@@ -179,7 +179,7 @@ class Bridge:
         state = self._state
         self._vehicle_news["status_known"] = False
         self._state = replace(
-            state, supervisor=supervisor.heard(self._config, state.supervisor, t_ns), status_doubt=doubt
+            state, supervisor=supervisor.received(self._config, state.supervisor, t_ns), status_doubt=doubt
         )
 
     def _on_status(self, status: VcuStatus) -> None:

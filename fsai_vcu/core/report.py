@@ -17,7 +17,7 @@ NOTHING: Mapping[str, int] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class BridgeReport(Immutable):
-    """A snapshot at `t_ns` (monotonic). Ages are None for what was never heard."""
+    """A snapshot at `t_ns` (monotonic). Ages are None for what was never received."""
 
     t_ns: int
     mode: str

@@ -54,14 +54,14 @@ class Tally:
             problem = _OTHER_PROBLEMS
         self.problems[problem] += 1
 
-    def on_revision(self, heard: str, means: str, ours: str) -> None:
-        """A frame that only revision `heard` sends: another than ours is believed when it comes again and again."""
-        if heard == ours:
+    def on_revision(self, received: str, means: str, ours: str) -> None:
+        """A frame that only revision `received` sends: another than ours is believed when it comes again and again."""
+        if received == ours:
             self.other_revision_frames = 0
             return
         self.other_revision_frames += 1
         if self.other_revision_frames == _OTHER_REVISION_FROM:
-            self.other_revision = f"the car speaks interface revision {heard} ({means}), this bridge {ours}"
+            self.other_revision = f"the car speaks interface revision {received} ({means}), this bridge {ours}"
             self.problem(self.other_revision)
 
     def answered(self, now_ns: int) -> None:
@@ -75,11 +75,11 @@ class Tally:
     def received_wrongly(self, now_ns: int) -> tuple[str, ...]:
         """What should not be on the bus, in words."""
         # Named for as long as the car has to stand in AS_READY: who sends now and then is seen before Go.
-        heard = [
+        wrong = [
             f"an intruder sends on our ids: {words}"
             for t_ns, words in self.intruders.values()
             if now_ns - t_ns < READY_WAIT_NS
         ]
         if self.other_revision_frames >= _OTHER_REVISION_FROM:
-            heard.append(self.other_revision)
-        return tuple(heard)
+            wrong.append(self.other_revision)
+        return tuple(wrong)

@@ -39,6 +39,12 @@ class Message(Immutable):
     __slots__ = ()
     dbc_name: ClassVar[str]
     required: ClassVar[bool]
+    __dataclass_fields__: ClassVar[dict[str, Any]]  # each declared message is a dataclass
+
+    @property
+    def t_rx_ns(self) -> int:
+        """The monotonic time of the frame; a field of each message, the last."""
+        raise NotImplementedError
 
     def __init_subclass__(cls, name: str = "", required: bool = False) -> None:
         super().__init_subclass__()

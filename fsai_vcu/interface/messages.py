@@ -309,23 +309,9 @@ class VcuSystemStatus(Message, name="VCU_STATUS"):
     t_rx_ns: int = 0
 
 
-VcuImage = (
-    VcuStatus
-    | VcuDriveFront
-    | VcuDriveRear
-    | VcuSteer
-    | VcuBrake
-    | WheelSpeeds
-    | WheelCounts
-    | LogDynamics1
-    | LogStatus
-    | VcuSystemStatus
-)
-
-
 @dataclass(frozen=True, slots=True)
 class VehicleState(Immutable):
-    """What the car has said so far. None means never heard; each image carries the time of its frame.
+    """What the car has said so far. None means never received; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
     (an AS_STATE outside the table leaves `status` as it was, to grow stale); `status_known` tells of such a frame.
@@ -505,28 +491,9 @@ class LogDynamics2(Message, name="AI2LOG_Dynamics2"):
     t_rx_ns: int = 0
 
 
-GpsImage = (
-    Acceleration
-    | RotationA
-    | RotationB
-    | GpsStatus
-    | GpsCourseSpeed
-    | GpsLongitude
-    | GpsLatitude
-    | GpsAltitude
-    | GpsDilutionA
-    | GpsDilutionB
-    | GpsDateTime
-    | MagneticField
-    | DeviceIo
-    | DeviceClock
-    | LogDynamics2
-)
-
-
 @dataclass(frozen=True, slots=True)
 class GpsImu(Immutable):
-    """What the PCAN-GPS has said so far. None means never heard."""
+    """What the PCAN-GPS has reported so far. None: never received."""
 
     acceleration: Acceleration | None = None
     rotation_a: RotationA | None = None
@@ -547,6 +514,7 @@ class GpsImu(Immutable):
 
 GPS_FIELD_OF: Final = by_message(GpsImu)
 
-Image = AiImage | VcuImage | GpsImage
-MESSAGES: Final[tuple[type[Image], ...]] = get_args(Image)
+Image = Message
+GpsImage = Image
+MESSAGES: Final[tuple[type[Image], ...]] = (*get_args(AiImage), *VEHICLE_FIELD_OF, *GPS_FIELD_OF)
 """Every message that has a class, those of the AI computer first and in sending order."""

@@ -58,13 +58,13 @@ class ConfigurationError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One setting of the file: `name` in `[table]`. `parameters`: (node, parameter) that it becomes, unchanged."""
+    """One setting of the file: `name` in `[table]`. `node`: whose `parameter` it becomes, unchanged."""
 
     table: str
     name: str
     default: object
     meaning: str
-    parameters: tuple[tuple[str, str], ...] = ()
+    node: str = ""
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
@@ -73,6 +73,11 @@ class Key:
     @property
     def spelt(self) -> str:
         return f"[{self.table}] {self.name}"
+
+    @property
+    def parameter(self) -> str:
+        """Of a speed it has no unit in its name, of the laps no mission."""
+        return self.name.removeprefix("trackdrive_").removesuffix("_mps")
 
     def problem(self, value: object) -> str | None:
         """Why `value` cannot stand there, as the end of a sentence about it."""
@@ -118,53 +123,33 @@ BRAKE_RANGES_PCT: Ranges = {"holding_brake_pct": (0.0, 100.0), "stop_brake_pct":
 
 
 def _of(table: str, node: str, settings: object, ranges: Ranges, **meanings: str) -> Iterator[Key]:
-    """Numbers of `settings`, by their names there; the node's parameter of a speed has no unit in its name."""
+    """Numbers of `settings`, by their names there."""
     for name, meaning in meanings.items():
-        parameter = node, name.removesuffix("_mps")
-        yield Key(table, name, getattr(settings, name), meaning, (parameter,), *ranges[name])
+        yield Key(table, name, getattr(settings, name), meaning, node, *ranges[name])
 
+
+def _of_the_bridge(table: str, name: str, meaning: str, choices: tuple[str, ...] = ()) -> Key:
+    return Key(table, name, getattr(_CONFIG, name), meaning, "vcu_bridge", choices=choices)
+
+
+_NEVER_SEND = "never send: sending anything energises the tractive system and arms the EBS"
+_AT_POWER_UP = "enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF"
+_CARS = (SAME_AS_REVISION, *CARS)
+_LIMITS = "operational limits, imposed by an official; empty: none but the car's own"
+_CONFIDENCE = "raw cones with a lower confidence are dropped"
+_BRAKES = "how the car is held and stopped; motor is for the official simulator"
+_KEYSTORE = "SROS2 keystore that fsai-vcu enclaves has made; empty: no encryption, no permissions"
+_DISCOVERY_WORDS = "who may find the nodes: this machine only, or its networks as well (then with a keystore)"
 
 KEYS: tuple[Key, ...] = (
     Key("can", "interface", "can0", "the bus of the car; a service has its own, fsai-bridge@can0", shape=_BUS),
-    Key(
-        "can",
-        "revision",
-        "2026",
-        "revision of the car's CAN interface",
-        (("vcu_bridge", "revision"),),
-        choices=tuple(REVISIONS),
-    ),
+    Key("can", "revision", "2026", "revision of the car's CAN interface", "vcu_bridge", choices=tuple(REVISIONS)),
     Key("can", "dbc_files", (), "DBC files to use instead of the revision's own; none: its own", shape=_PATH),
-    Key(
-        "can",
-        "listen_only",
-        _CONFIG.listen_only,
-        "never send: sending anything energises the tractive system and arms the EBS",
-        (("vcu_bridge", "listen_only"),),
-    ),
-    Key(
-        "car",
-        "parameters",
-        SAME_AS_REVISION,
-        "whose masses, lengths and actuators",
-        choices=(SAME_AS_REVISION, *CARS),
-    ),
+    _of_the_bridge("can", "listen_only", _NEVER_SEND),
+    Key("car", "parameters", SAME_AS_REVISION, "whose masses, lengths and actuators", choices=_CARS),
     Key("car", "wheel_mapping", WheelMapping(), "where each wheel's sensor is found; fsai-vcu doctor --wheels tells"),
-    Key(
-        "car",
-        "autonomous_at_power_up",
-        _CONFIG.autonomous_at_power_up,
-        "enter mode autonomous without being asked, when the car is seen at rest in AS_INIT or AS_OFF",
-        (("vcu_bridge", "autonomous_at_power_up"),),
-    ),
-    Key(
-        "car",
-        "service_brake",
-        _CONFIG.service_brake,
-        "how the car is held and stopped; motor is for the official simulator",
-        (("vcu_bridge", "service_brake"),),
-        choices=("hydraulic", "motor"),
-    ),
+    _of_the_bridge("car", "autonomous_at_power_up", _AT_POWER_UP),
+    _of_the_bridge("car", "service_brake", _BRAKES, ("hydraulic", "motor")),
     *_of(
         "car",
         "vcu_bridge",
@@ -173,22 +158,8 @@ KEYS: tuple[Key, ...] = (
         holding_brake_pct="brake that holds the car at rest",
         stop_brake_pct="brake of a service-brake stop",
     ),
-    Key(
-        "limits",
-        "file",
-        "",
-        "operational limits, imposed by an official; empty: none but the car's own",
-        shape=_PATH_OR_EMPTY,
-    ),
-    Key(
-        "missions",
-        "trackdrive_laps",
-        _MISSIONS.trackdrive_laps,
-        "laps of a trackdrive",
-        (("path_planner", "laps"),),
-        low=1,
-        high=100,
-    ),
+    Key("limits", "file", "", _LIMITS, shape=_PATH_OR_EMPTY),
+    Key("missions", "trackdrive_laps", _MISSIONS.trackdrive_laps, "laps of a trackdrive", "path_planner", 1, 100),
     *_of(
         "missions",
         "vehicle_controller",
@@ -199,15 +170,7 @@ KEYS: tuple[Key, ...] = (
         skidpad_max_speed_mps="highest speed in the skidpad",
         acceleration_max_speed_mps="highest speed in the acceleration",
     ),
-    Key(
-        "perception",
-        "confidence_threshold",
-        0.5,
-        "raw cones with a lower confidence are dropped",
-        (("cone_detector", "confidence_threshold"),),
-        low=0.0,
-        high=1.0,
-    ),
+    Key("perception", "confidence_threshold", 0.5, _CONFIDENCE, "cone_detector", 0.0, 1.0),
     *_of(
         "perception",
         "path_planner",
@@ -217,20 +180,8 @@ KEYS: tuple[Key, ...] = (
         horizon_m="how far to look for the lane",
     ),
     Key("ros", "domain_id", 0, "ROS_DOMAIN_ID of the car", low=0, high=101),
-    Key(
-        "ros",
-        "discovery",
-        "localhost",
-        "who may find the nodes: this machine only, or its networks as well (then with a keystore)",
-        choices=("localhost", "subnet"),
-    ),
-    Key(
-        "ros",
-        "keystore",
-        "",
-        "SROS2 keystore that fsai-vcu enclaves has made; empty: no encryption, no permissions",
-        shape=_PATH_OR_EMPTY,
-    ),
+    Key("ros", "discovery", "localhost", _DISCOVERY_WORDS, choices=("localhost", "subnet")),
+    Key("ros", "keystore", "", _KEYSTORE, shape=_PATH_OR_EMPTY),
     Key("recording", "folder", "/var/log/fsai", "where bus logs are kept", shape=_PATH),
     Key("recording", "keep_mib", 20_000, "the logs together; the oldest go first", low=100, high=10_000_000),
     Key("recording", "leave_free_mib", 2_000, "room that recording leaves to others on that disk", low=0, high=10**7),
@@ -299,11 +250,10 @@ class Configuration:
             "path_planner": {},
             "vehicle_controller": {},
         }
-        for key in KEYS:
+        for key in filter(lambda key: key.node, KEYS):
             value = self.value(key.table, key.name)
-            for node, parameter in key.parameters:
-                assert isinstance(value, (bool, int, float, str)), "others have their own line below"
-                found[node][parameter] = float(value) if isinstance(key.default, float) else value
+            assert isinstance(value, (bool, int, float, str)), "others have their own line below"
+            found[key.node][key.parameter] = float(value) if isinstance(key.default, float) else value
         for node in ("vcu_bridge", "path_planner", "vehicle_controller"):
             found[node]["car"] = self.car
         found["vcu_bridge"]["wheel_mapping"] = "" if self.wheel_mapping.straight else str(self.wheel_mapping)

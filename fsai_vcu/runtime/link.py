@@ -12,8 +12,9 @@ by its first byte, so that of several that wait only the newest is unpacked.
 from __future__ import annotations
 
 import copyreg
-import logging
+import logging.handlers
 import pickle
+import queue
 import socket
 from collections import deque
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ _LARGEST_BYTES = 1 << 17  # a report has 2 to 20 kB
 _REPORT, _OTHER = b"R", b"M"
 
 
-# ---------------------------------------------------------------- from the edge to the loop
+# ---------------------------------------------------------------- from the edge to the loop: these, and commands
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +75,6 @@ class Deactivate:
 
 
 @dataclass(frozen=True, slots=True)
-class Command(Immutable):
-    """The newest command. One datagram each; the loop takes the last of those that wait."""
-
-    command: VehicleCommand
-
-
-@dataclass(frozen=True, slots=True)
 class ResetConfirmed:
     """`role` has forgotten the previous run and is ready for `run_id`."""
 
@@ -106,7 +100,7 @@ class Ask:
     better_late: bool = False
 
 
-# ---------------------------------------------------------------- from the loop to the edge
+# ---------------------------------------------------------------- from the loop to the edge: these, and log records
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,22 +123,13 @@ class LoopReport(Immutable):
 
 
 @dataclass(frozen=True, slots=True)
-class LogLine:
-    """For the edge's log."""
-
-    name: str
-    level: int
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class Ended:
     """The loop has ended by itself: why."""
 
     failure: str
 
 
-_REPLACED_BY_THE_NEXT = (LoopReport, Command, Alive)
+_REPLACED_BY_THE_NEXT = (LoopReport, VehicleCommand, Alive)
 _MOST_KEPT = 100  # messages
 
 
@@ -231,15 +216,15 @@ class LinkEnd:
         self._socket.close()
 
 
-class LinkHandler(logging.Handler):
-    """Hands log lines to the edge: the loop itself writes to no file, terminal or socket of a journal."""
+class LinkHandler(logging.handlers.QueueHandler):
+    """Hands log records to the edge: the loop itself writes to no file, terminal or socket of a journal."""
 
     def __init__(self, link: LinkEnd) -> None:
-        super().__init__()
+        super().__init__(queue.SimpleQueue())  # which is not used
         self._link = link
 
-    def emit(self, record: logging.LogRecord) -> None:
-        self._link.send(LogLine(record.name, record.levelno, self.format(record)))
+    def enqueue(self, record: logging.LogRecord) -> None:
+        self._link.send(record)
 
 
 def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:

@@ -21,7 +21,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
-from fsai_vcu.runtime.link import Alive, Answer, Ask, Command, Deactivate, Ended, LinkEnd, LoopReport, ResetConfirmed
+from fsai_vcu.runtime.link import Alive, Answer, Ask, Deactivate, Ended, LinkEnd, LoopReport, ResetConfirmed
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 
 _REOPEN_FIRST_S, _REOPEN_MOST_S = 0.01, 1.0  # the first pause also keeps two sends apart
 _IDLE_WAIT_S, _BLIND_WAIT_S = 0.02, 0.001
-EDGE_HUNG_NS = 3_000_000_000  # it says once a second that it runs
+EDGE_HUNG_NS = 3_000_000_000  # it reports once a second that it runs
 _FULL_COLLECTION_EVERY = 3000  # cycles, sent or not
 
 # What the bridge has use for; intruders on the AI's own ids are received on purpose.
@@ -66,7 +66,7 @@ class BridgeLoop:
             self._lock.release()
             raise
         self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
-        self._edge_ns = time.monotonic_ns()  # when the edge last said anything
+        self._edge_ns = time.monotonic_ns()  # when the edge last sent anything
         self._stopping = False
         self._stop_number: int | None = None  # of the request to stop
         self._cycles = 0  # sent or not
@@ -77,7 +77,7 @@ class BridgeLoop:
         self._deadline_misses = 0
 
     def run(self, number: int) -> None:
-        """Until the end. An exception is told to the edge and ends it; nothing is raised.
+        """Until the end. An exception is reported to the edge and ends it; nothing is raised.
 
         number: of the request to run, which is answered once it does.
         """
@@ -95,7 +95,7 @@ class BridgeLoop:
             self._notifier.send("READY=1")
             while self._turn():
                 pass
-            self._tell_report(time.monotonic_ns(), at_once=True)
+            self._send_report(time.monotonic_ns(), at_once=True)
         except Exception as error:
             # The decision is the bridge's: it asks for an emergency stop if one can still be sent, else silence.
             why = f"{type(error).__name__}: {error}"
@@ -121,7 +121,9 @@ class BridgeLoop:
             self._sleep((self._engine.due_ns() - time.monotonic_ns()) / 1e9)
             # Before anything is read: a deadline was missed in the state that the car was known to be in.
             missed = self._missed(self._engine.due_ns(), time.monotonic_ns())
-            self._update(*self._read())
+            frames, messages = self._bus.drain(), self._read_edge()
+            self._engine.on_frames(frames, time.monotonic_ns())
+            self._update(messages)
             sent = self._write(missed)
         except BusLost as lost:
             self._lose_bus(str(lost))
@@ -135,13 +137,8 @@ class BridgeLoop:
         if most_s > 0.0:
             select.select(self._inputs, [], [], min(most_s, self._longest_wait_s))
 
-    def _read(self) -> tuple[list[Frame], list[object] | None]:
-        """Everything that waits: the car's frames, and what the edge has said."""
-        assert self._bus is not None
-        return self._bus.drain(), self._read_edge()
-
     def _read_edge(self) -> list[object] | None:
-        """What the edge has said; None once it is gone."""
+        """What the edge has sent; None once it is gone."""
         if self._link.closed:
             return None
         messages = self._link.receive()
@@ -149,12 +146,8 @@ class BridgeLoop:
             self._wait_for(-1 if self._bus is None else self._bus.fileno())  # its end would wake every turn
         return messages
 
-    def _update(self, frames: list[Frame], messages: list[object] | None) -> None:
-        """All of it goes into the bridge: the car's frames, then the edge's words."""
-        self._engine.on_frames(frames, time.monotonic_ns())
-        self._hear(messages)
-
-    def _hear(self, messages: list[object] | None) -> None:
+    def _update(self, messages: list[object] | None) -> None:
+        """What the edge has sent goes into the bridge."""
         now_ns = time.monotonic_ns()  # not before they were read: they would be of the future
         if messages is None:
             self._edge_is_gone(now_ns)
@@ -165,8 +158,8 @@ class BridgeLoop:
             match message:
                 case Alive():
                     pass
-                case Command():
-                    command = message.command
+                case VehicleCommand():
+                    command = message
                 case ResetConfirmed():
                     self._bridge.on_reset_confirmed(message.role, message.run_id)
                 case Ask():
@@ -175,7 +168,7 @@ class BridgeLoop:
                     self._stop_number = message.number
                     self._begin_stop(now_ns)
                 case _:
-                    logger.error("the edge says what nobody understands here: %r", message)
+                    logger.error("unknown message of the edge: %r", message)
         if command is not None:
             self._bridge.on_command(command, now_ns)
 
@@ -238,14 +231,14 @@ class BridgeLoop:
 
     def _after_send(self) -> None:
         """What may take its time, right after a send."""
-        self._tell_report(time.monotonic_ns())
+        self._send_report(time.monotonic_ns())
         self._cycles += 1
         full = self._cycles % _FULL_COLLECTION_EVERY == 0
         gc.collect(2 if full else 0)
         if full:
             self._lock.answer_probes()
 
-    def _tell_report(self, now_ns: int, *, at_once: bool = False) -> None:
+    def _send_report(self, now_ns: int, *, at_once: bool = False) -> None:
         if at_once or now_ns - self._report_ns >= self._report_period_ns:
             self._report_ns = now_ns
             report = self._bridge.report(now_ns)
@@ -287,24 +280,24 @@ class BridgeLoop:
         return Engine(self._bridge, self._codec, self._send, time.monotonic_ns(), time.monotonic_ns)
 
     def _lose_bus(self, why: str) -> None:
-        # A bus that opens and takes nothing is lost again and again: told once.
+        # A bus that opens and takes nothing is lost again and again: logged once.
         logger.log(logging.ERROR if self._pause_s == _REOPEN_FIRST_S else logging.DEBUG, "bus lost: %s", why)
         self._close_bus()
         now_ns = time.monotonic_ns()
         self._bridge.bus_lost(why, now_ns)
-        self._tell_report(now_ns, at_once=True)
+        self._send_report(now_ns, at_once=True)
 
     def _reopen(self) -> bool:
-        """Try to open the bus again, after a pause in which the edge is still listened to.
+        """Try to open the bus again, after a pause in which the edge is still read.
 
-        The pauses grow until a cycle has been sent whole. False when a stop is asked for: nobody is left to be told.
+        The pauses grow until a cycle has been sent whole. False when a stop is asked for: nobody is left to answer.
         """
         first = self._pause_s == _REOPEN_FIRST_S
         until_ns = time.monotonic_ns() + round(self._pause_s * 1e9)
         self._pause_s = min(2 * self._pause_s, _REOPEN_MOST_S)
         while (left_ns := until_ns - (now_ns := time.monotonic_ns())) > 0:
-            self._hear(self._read_edge())
-            self._tell_report(now_ns)
+            self._update(self._read_edge())
+            self._send_report(now_ns)
             if self._stopping:
                 logger.info("stopped while the bus was gone")
                 return False
@@ -314,7 +307,7 @@ class BridgeLoop:
             self._bus = self._open()
         except BusError as error:
             logger.debug("%s", error)
-            self._tell_report(now_ns, at_once=True)
+            self._send_report(now_ns, at_once=True)
             self._feed_watchdog(now_ns)  # a bus that is gone is no hang, and a restart would not bring it back
             return True
         self._reopened += 1
@@ -332,6 +325,6 @@ class BridgeLoop:
             if command is not None and self._bus is not None:
                 for frame in self._codec.encode_command(command):
                     self._bus.send(frame)
-            self._tell_report(now_ns, at_once=True)
+            self._send_report(now_ns, at_once=True)
         except Exception:
             logger.exception("no emergency request could be sent; silence stops the car after 100 ms")

@@ -23,12 +23,10 @@ from fsai_vcu.runtime.link import (
     Alive,
     Answer,
     Ask,
-    Command,
     Configure,
     Deactivate,
     Ended,
     LinkEnd,
-    LogLine,
     LoopReport,
     LoopSettings,
     ResetConfirmed,
@@ -124,7 +122,7 @@ class LoopHandle:
 
     def submit_command(self, command: VehicleCommand) -> None:
         """The newest command; the loop takes it in its next turn."""
-        self._link.send(Command(command))
+        self._link.send(command)
 
     def alive(self) -> None:
         """To be called once a second: where nobody does, systemd's watchdog starts edge and loop anew."""
@@ -203,8 +201,8 @@ class LoopHandle:
                     self._newest = message
                 case Answer() if message.number == self._awaited:
                     self._answer = message
-                case LogLine():
-                    logging.getLogger(message.name).log(message.level, "%s", message.text)
+                case logging.LogRecord():
+                    logging.getLogger(message.name).handle(message)
                 case Ended():
                     self.failure, self._active = message.failure, False
         if self._link.closed and self._active:

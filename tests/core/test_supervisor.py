@@ -657,13 +657,13 @@ def test_the_cars_own_power_cycle_clears_the_emergency(as_state: AsState, silenc
 
 
 def test_0x520_of_any_content_is_no_silence() -> None:
-    state = supervisor.heard(CONFIG, latched(EMERGENCY), T0 + 600 * MS)
+    state = supervisor.received(CONFIG, latched(EMERGENCY), T0 + 600 * MS)
     assert receive(state, OFF, T0 + 1200 * MS).emergency is not None
 
 
 def test_a_power_cycle_is_remembered_past_invalid_frames() -> None:
-    state = supervisor.heard(CONFIG, latched(EMERGENCY), T0 + 2 * S)
-    state = supervisor.heard(CONFIG, state, T0 + 2 * S + 10 * MS)
+    state = supervisor.received(CONFIG, latched(EMERGENCY), T0 + 2 * S)
+    state = supervisor.received(CONFIG, state, T0 + 2 * S + 10 * MS)
     assert receive(state, OFF, T0 + 2 * S + 20 * MS).emergency is None
 
 

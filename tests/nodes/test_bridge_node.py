@@ -118,19 +118,15 @@ def test_selected_waits_for_planner_and_controller(rig: RosRig, bus: str, vcu: S
 
 
 def test_a_late_listener_learns_the_run_in_hand(rig: RosRig, bus: str) -> None:
-    _, states = start_bridge(rig, bus)
+    """Which is another one after each activation."""
+    node, states = start_bridge(rig, bus)
     rig.spin_until(lambda: bool(states), "the bridge publishes")
     runs = rig.hear(RunState, "/run_state", qos.STATE)
     rig.spin_until(lambda: bool(runs), "the latched run")
     assert runs[0].run_id == states[-1].run_id
-
-
-def test_two_bridges_in_a_row_never_announce_the_same_run(rig: RosRig, bus: str) -> None:
-    first, _ = start_bridge(rig, bus)
-    run_id = first._loop.report().run.run_id
-    first.trigger_deactivate()
-    first.trigger_activate()
-    assert first._loop.report().run.run_id != run_id
+    node.trigger_deactivate()
+    node.trigger_activate()
+    assert node._loop.report().run.run_id != runs[0].run_id
 
 
 def test_commands_carry_the_run_and_the_stamp_of_their_data(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
@@ -163,7 +159,7 @@ def test_a_car_that_falls_silent_has_no_odometry_of_now(rig: RosRig, bus: str, v
 def test_listen_only_is_shown_and_nothing_is_ever_sent(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus, listen_only=True)
     wait_for_car(rig, states)
-    rig.spin_until(lambda: len(states) > 50, "a second of states")
+    rig.spin_until(lambda: len(states) > 20, "states")
     assert states[-1].listen_only
     assert vcu.heard == []
 
@@ -252,7 +248,7 @@ def result_of(rig: RosRig, handle) -> RunMission.Result:  # type: ignore[no-unty
     return future.result().result
 
 
-def test_a_goal_is_followed_with_feedback_to_its_result(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
+def test_a_goal_is_followed_with_feedback_to_either_end(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus)
     wait_for_car(rig, states)
     vcu.say(ami=Ami.TRACKDRIVE)
@@ -263,11 +259,6 @@ def test_a_goal_is_followed_with_feedback_to_its_result(rig: RosRig, bus: str, v
     vcu.say(as_state=AsState.AS_READY)
     result = result_of(rig, handle)
     assert result.success and result.ended == "reached" and result.as_state == "AS_READY"
-
-
-def test_a_goal_that_the_car_misses_ends_with_the_reason(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
-    _, states = start_bridge(rig, bus)
-    wait_for_car(rig, states)
     handle, feedback = follow(rig, until="finished")
     rig.spin_until(lambda: bool(feedback), "feedback")
     vcu.say(as_state=AsState.EMERGENCY_BRAKE)
@@ -275,19 +266,15 @@ def test_a_goal_that_the_car_misses_ends_with_the_reason(rig: RosRig, bus: str, 
     assert not result.success and result.ended == "missed" and "EMERGENCY_BRAKE" in result.message
 
 
-def test_a_goal_can_be_cancelled_and_times_out(rig: RosRig, bus: str) -> None:
+def test_a_goal_is_rejected_cancelled_or_times_out(rig: RosRig, bus: str) -> None:
     start_bridge(rig, bus)
+    assert not follow(rig, until="lunch")[0].accepted
+    assert not follow(rig, mission="drag race")[0].accepted
     handle, _ = follow(rig, until="finished")
     rig.spin_until(handle.cancel_goal_async().done, "the cancellation")
     assert result_of(rig, handle).ended == "cancelled"
     handle, _ = follow(rig, until="finished", timeout_s=0.1)
     assert result_of(rig, handle).ended == "timeout"
-
-
-def test_a_goal_that_cannot_be_waited_for_is_rejected(rig: RosRig, bus: str) -> None:
-    start_bridge(rig, bus)
-    assert not follow(rig, until="lunch")[0].accepted
-    assert not follow(rig, mission="drag race")[0].accepted
 
 
 def test_stopping_the_bridge_ends_the_goals_that_it_follows(rig: RosRig, bus: str) -> None:

@@ -66,9 +66,9 @@ def test_a_bridge_that_hangs_is_said_within_the_deadline(bus: str) -> None:
 
     with RosRig() as rig:
         rig.start(VcuBridge, can_interface=bus, real_time=False)
-        said = verb("reset", "--wait", "7")  # meanwhile nobody lets the node answer
+        said = verb("reset", "--wait", "4")  # meanwhile nobody lets the node answer
     assert said.returncode == 1
-    assert said.stderr == "fsai-vcu reset: the bridge offers /reset, but did not answer within 7 s; does it hang?\n"
+    assert said.stderr == "fsai-vcu reset: the bridge offers /reset, but did not answer within 4 s; does it hang?\n"
 
 
 @pytest.mark.parametrize(

@@ -39,12 +39,12 @@ def test_silence_and_old_data_are_told_with_topic_and_node(rig: RosRig) -> None:
     assert topic.late(0) == "/raw_cones, which nobody publishes: nothing received yet"
     speaker.create_publisher(ConeArray, "raw_cones", qos.SENSOR)
     rig.spin_until(lambda: bool(rig.tester.get_publishers_info_by_topic("/raw_cones")), "the publisher")
-    topic.heard(1000 * MS, age_ns=10 * MS)
+    topic.received(1000 * MS, age_ns=10 * MS)
     assert topic.late(1000 * MS + LATE_NS - 1) == ""
     assert topic.late(1000 * MS + LATE_NS) == "/raw_cones of speaker has been silent for 250 ms"
-    topic.heard(2000 * MS, age_ns=LATE_NS)
+    topic.received(2000 * MS, age_ns=LATE_NS)
     assert topic.late(2000 * MS) == "/raw_cones of speaker comes with data 250 ms old"
-    topic.heard(2000 * MS, age_ns=-300 * MS)
+    topic.received(2000 * MS, age_ns=-300 * MS)
     assert topic.late(2000 * MS) == "/raw_cones of speaker is stamped 300 ms ahead of the clock"
 
 
@@ -78,7 +78,7 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
     def planned() -> bool:
         stand.state()
         stand.cones()
-        return planner._cones._heard_ns is not None and bool(commands)
+        return planner._cones._received_ns is not None and bool(commands)
 
     def plan_taken() -> bool:
         stand.state()

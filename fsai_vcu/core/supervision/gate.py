@@ -2,8 +2,8 @@
 
 Pure: `gate` makes one cycle's command, `sent` tells it whether that cycle went out whole. What comes in is the
 supervisor's `Decision` (one row of its output table: which mission status and direction, where steering and brake come
-from, whether torque is let through), the command in the slot, and what the car has said. `_wish` makes a `Request` of
-them, and each of `LIMITERS` takes from it, in that order, what one safety rule forbids:
+from, whether torque is let through), the command in the slot, and what the car has reported. `_wish` makes a `Request`
+of them, and each of `LIMITERS` takes from it, in that order, what one safety rule forbids:
 
     stillness    3     neither NEUTRAL nor FINISHED in AS_DRIVING while a wheel may turn
     steering     4, 5  zero outside AS_DRIVING; the smallest of all limits, and the rate
@@ -58,6 +58,7 @@ _TINY = 1e-9  # so that 12.3 / 0.1 counts as 123
 class GateConfig(Immutable):
     """The limits in force, each already the smallest of what revision, car, configuration and official allow."""
 
+    bridge: BridgeConfig
     steer_limit_deg: float
     steer_rate_degps: float
     torque_limit_nm: float
@@ -65,15 +66,7 @@ class GateConfig(Immutable):
     driven_rear: bool
     motor_rpm_per_mps: float
     motor_speed_limit_rpm: int
-    holding_brake_pct: float
-    stop_brake_pct: float
-    motor_brakes: bool
-    standstill_rpm: int
-    standstill_ns: int
     pulses_per_s: float
-    sensor_stale_ns: int
-    vcu_stale_ns: int
-    feedback_stale_ns: int
 
 
 def gate_config(
@@ -84,6 +77,7 @@ def gate_config(
     rpm_per_mps = car.wheel_rpm_of_speed(1.0) * car.gear_ratio
     rate = config.steer_rate_degps
     return GateConfig(
+        bridge=config,
         steer_limit_deg=min(revision.steer_limit_deg, official.max_steer_deg),
         steer_rate_degps=math.degrees(car.steer_rate_radps) if rate is None else rate,
         torque_limit_nm=min(AXLE_TORQUE_MAX_NM, car.axle_torque_max_nm, official.max_axle_torque_nm),
@@ -91,15 +85,7 @@ def gate_config(
         driven_rear=car.driven_rear,
         motor_rpm_per_mps=rpm_per_mps,
         motor_speed_limit_rpm=motor_rpm(official.max_speed_mps, rpm_per_mps, MOTOR_SPEED_MAX_RPM),
-        holding_brake_pct=config.held_brake_pct,
-        stop_brake_pct=config.stop_brake_pct,
-        motor_brakes=config.motor_brakes,
-        standstill_rpm=config.standstill_rpm,
-        standstill_ns=config.standstill_ns,
         pulses_per_s=pulses_per_s(config, car),
-        sensor_stale_ns=config.sensor_stale_ns,
-        vcu_stale_ns=config.vcu_stale_ns,
-        feedback_stale_ns=config.feedback_stale_ns,
     )
 
 
@@ -111,14 +97,14 @@ class GateState(Immutable):
     brake: float = 0.0  # fraction last asked for, for when it must be kept
     cycle_ns: int | None = None
 
-    # The interlock. Before the first complete cycle the VCU may still hold what an earlier process said.
+    # The interlock. Before the first complete cycle the VCU may still hold what an earlier process sent.
     torque_there: bool = True
     zero_cycles: int = 0  # complete cycles with both at zero since anything above it was tried; 2 means more
     zero_since_ns: int = 0  # while there is one of them: when it was sent
     torque_running: bool = False  # torque rose properly and has not been back at zero since
     tried_torque: bool = False  # what the cycle that is out now asks for
     tried_brake: bool = False
-    awaiting: bool = False  # a cycle was made and nobody has said yet whether it went out
+    awaiting: bool = False  # a cycle was made and it is not reported yet whether it went out
 
     # What else it has seen for itself
     tried_selected: bool = False  # the cycle that is out now says SELECTED
@@ -180,11 +166,11 @@ class Cycle(Immutable):
     decision: Decision
     command: VehicleCommand | None
     vehicle: VehicleState
-    driving: bool  # the car has said AS_DRIVING last
+    driving: bool  # the car has reported AS_DRIVING last
     now_ns: int
 
     def feedback_fresh(self, t_rx_ns: int) -> bool:
-        return self.now_ns - t_rx_ns < self.config.feedback_stale_ns
+        return self.now_ns - t_rx_ns < self.config.bridge.feedback_stale_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +199,7 @@ def gate(
     speed_mps: float = 0.0,
 ) -> tuple[GateState, AiCommand, frozenset[Reason]]:
     """What goes on the wire in this cycle. `speed_mps` is for the logging field only."""
-    state = sent(state, False, now_ns)  # if nobody has said what became of the cycle before, it counts as broken
+    state = sent(state, False, now_ns)  # the cycle before, if it was not reported sent, counts as broken
     if not _obeys(config, decision, command, now_ns):
         command = None
     status = vehicle.status
@@ -243,7 +229,7 @@ def _obeys(config: GateConfig, decision: Decision, command: VehicleCommand | Non
     return (
         command is not None
         and command.run_id == decision.run_id
-        and now_ns - command.t_sensor_ns < config.sensor_stale_ns
+        and now_ns - command.t_sensor_ns < config.bridge.sensor_stale_ns
         and not command.problems(math.pi)
     )
 
@@ -256,7 +242,7 @@ def _watch(config: GateConfig, state: GateState, counts: WheelCounts | None) -> 
 
 
 def _log(state: GateState, decision: Decision, command: VehicleCommand | None) -> GateState:
-    """The logging fields: kept until the next run while no command in AS_DRIVING says them."""
+    """The logging fields: kept until the next run while no command in AS_DRIVING has them."""
     if command is None and decision.run_id == state.run_id:
         return state
     return replace(
@@ -285,9 +271,9 @@ def _brake(cycle: Cycle) -> float:
         case Brake.ZERO:
             return 0.0
         case Brake.HOLDING:
-            return cycle.config.holding_brake_pct / 100.0
+            return cycle.config.bridge.held_brake_pct / 100.0
         case Brake.SERVICE:
-            return cycle.config.stop_brake_pct / 100.0
+            return cycle.config.bridge.stop_brake_pct / 100.0
         case Brake.COMMAND if cycle.command is not None:
             return cycle.command.brake
         case _:
@@ -315,8 +301,8 @@ def _still(cycle: Cycle) -> bool:
     return (
         speeds is not None
         and cycle.feedback_fresh(speeds.t_rx_ns)
-        and max(speeds.all_rpm) < config.standstill_rpm
-        and not turning(config.standstill_ns, pulses.turning_ns, cycle.now_ns)
+        and max(speeds.all_rpm) < config.bridge.standstill_rpm
+        and not turning(config.bridge.standstill_ns, pulses.turning_ns, cycle.now_ns)
     )
 
 
@@ -356,7 +342,7 @@ def _permission(cycle: Cycle, request: Request) -> Request:
 def _motors_allowed(cycle: Cycle, request: Request) -> bool:
     """Whether the motors may be asked for torque, be it to drive or to brake."""
     status = cycle.vehicle.status
-    fresh = status is not None and cycle.now_ns - status.t_rx_ns < cycle.config.vcu_stale_ns
+    fresh = status is not None and cycle.now_ns - status.t_rx_ns < cycle.config.bridge.vcu_stale_ns
     return (
         cycle.driving
         and fresh
@@ -370,7 +356,7 @@ def _actuators(cycle: Cycle, request: Request) -> Request:
     """Which actuator brakes."""
     if request.brake <= 0.0:
         return request
-    if cycle.config.motor_brakes:
+    if cycle.config.bridge.motor_brakes:
         # No hydraulic request ever: torque against a motor speed limit of zero brakes (the exception to rule 2).
         share = request.brake if _motors_allowed(cycle, request) else 0.0
         return replace(request, torque=share, motor_speed_max_rpm=0)
@@ -406,7 +392,7 @@ def _axle_limit_nm(
     now_ns: int,
 ) -> float | None:
     """The most torque this axle may be asked for now; None when the car's own limit is not known."""
-    if axle is None or now_ns - axle.t_rx_ns >= config.feedback_stale_ns:
+    if axle is None or now_ns - axle.t_rx_ns >= config.bridge.feedback_stale_ns:
         return None
     return min(config.torque_limit_nm, max(0.0, axle.torque_max_nm), constant_power_nm(max(left_rpm, right_rpm)))
 

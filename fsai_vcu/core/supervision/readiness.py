@@ -31,7 +31,7 @@ class Circumstances(Immutable):
     listening: bool = False
     bus_lost: str | None = None
     stopped: bool = False
-    heard: tuple[str, ...] = ()  # what should not be on the bus, in words
+    wrong: tuple[str, ...] = ()  # received that should not be on the bus, in words
 
 
 def why_not_driving(
@@ -54,7 +54,7 @@ def _own_side(config: BridgeConfig, state: SupervisorState, now: Circumstances) 
         unmet.append("listening before the first cycle is sent")
     if now.bus_lost is not None:
         unmet.append(f"the bus is lost: {now.bus_lost}")
-    unmet.extend(now.heard)
+    unmet.extend(now.wrong)
     if state.emergency is not None:
         unmet.append(
             f"ESTOP_REQUEST is latched because {state.emergency.words}: "

@@ -1,9 +1,9 @@
 """The AS supervisor: what the AI side says in each AS state, and what it does when something breaks.
 
-Pure: a `SupervisorState` goes in with what happened, a state comes out. `heard` and `on_status` take frames of 0x520,
-`on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent` learns
-what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens at one
-instant. Once a cycle `supervise` looks at the clock and decides, in this order:
+Pure: a `SupervisorState` goes in with what happened, a state comes out. `received` and `on_status` take frames of
+0x520, `on_speeds` those of 0x525 that are believed, `on_pulses` what 0x526 says of standing still, `on_selected_sent`
+learns what went out; the requests are `set_mode`, `ask_emergency`, `reset` and `confirm`; `strike` takes what happens
+at one instant. Once a cycle `supervise` looks at the clock and decides, in this order:
 
 1. In AS_DRIVING, `_react`: what is wrong, and for how long (`_ages`); after how long what follows (`REACTIONS`). What
    was asked for comes last: manual mode, then an emergency brake or the end of the mission by the command.
@@ -161,6 +161,22 @@ class Step(Immutable):
     consequence: Consequence
 
 
+CHANGES = (
+    Reason.AS_SWITCH_OFF,
+    Reason.TS_SWITCH_OFF,
+    Reason.SHUTDOWN_REQUESTED,
+    Reason.FAULT_BIT,
+    Reason.SHUTDOWN_CAUSE,
+)
+"""What 0x520 must not change in AS_DRIVING though FAULT_STATUS stays 0 (see `changes`)."""
+
+UNPREPARED = (Reason.NOT_SEEN, Reason.SEQUENCE_SHORT, Reason.NO_MISSION, Reason.NOT_CONFIRMED)
+"""What AS_DRIVING may lack of a drive that was begun in order (see `_unprepared`)."""
+
+_STOP_AT_ONCE = (Step(None, Consequence.STOP),)
+_FEEDBACK = (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP))
+_IMPLAUSIBLE = (Step("implausible_ns", Consequence.STOP), Step("implausible_lost_ns", Consequence.ESTOP))
+
 REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
     {
         Reason.COMMAND_STALE: (
@@ -170,36 +186,20 @@ REACTIONS: Mapping[Reason, tuple[Step, ...]] = MappingProxyType(
         Reason.STOP_INEFFECTIVE: (Step(None, Consequence.ESTOP),),
         Reason.BOTH_PEDALS: (Step(None, Consequence.REPORT), Step("both_pedals_ns", Consequence.ESTOP)),
         Reason.VCU_SILENT: (Step("vcu_stale_ns", Consequence.HOLD), Step("vcu_lost_ns", Consequence.ESTOP)),
-        Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.STOP), Step("feedback_lost_ns", Consequence.ESTOP)),
-        Reason.STEERING_STALE: (
-            Step("feedback_stale_ns", Consequence.STOP),
-            Step("feedback_lost_ns", Consequence.ESTOP),
-        ),
-        Reason.STEERING_IMPLAUSIBLE: (
-            Step("implausible_ns", Consequence.STOP),
-            Step("implausible_lost_ns", Consequence.ESTOP),
-        ),
-        Reason.WHEEL_IMPLAUSIBLE: (
-            Step("implausible_ns", Consequence.STOP),
-            Step("implausible_lost_ns", Consequence.ESTOP),
-        ),
-        Reason.GO_OFF: (Step(None, Consequence.STOP),),
-        Reason.FAULT_STATUS: (Step(None, Consequence.STOP),),
+        Reason.WHEELS_STALE: _FEEDBACK,
+        Reason.STEERING_STALE: _FEEDBACK,
+        Reason.STEERING_IMPLAUSIBLE: _IMPLAUSIBLE,
+        Reason.WHEEL_IMPLAUSIBLE: _IMPLAUSIBLE,
+        Reason.GO_OFF: _STOP_AT_ONCE,
+        Reason.FAULT_STATUS: _STOP_AT_ONCE,
         Reason.AS_STATE_UNKNOWN: (Step(None, Consequence.HOLD),),
-        Reason.AS_SWITCH_OFF: (Step(None, Consequence.STOP),),
-        Reason.TS_SWITCH_OFF: (Step(None, Consequence.STOP),),
-        Reason.SHUTDOWN_REQUESTED: (Step(None, Consequence.STOP),),
-        Reason.FAULT_BIT: (Step(None, Consequence.STOP),),
-        Reason.SHUTDOWN_CAUSE: (Step(None, Consequence.STOP),),
+        **dict.fromkeys(CHANGES, _STOP_AT_ONCE),
         Reason.INTRUDER: (Step(None, Consequence.ESTOP),),
         Reason.LOOP_FAULT: (Step(None, Consequence.ESTOP),),
-        Reason.BUS_LOST: (Step(None, Consequence.STOP),),
+        Reason.BUS_LOST: _STOP_AT_ONCE,
         Reason.BACKLOG: (Step("backlog_ns", Consequence.REPORT),),
-        Reason.NOT_SEEN: (Step(None, Consequence.STOP),),
-        Reason.SEQUENCE_SHORT: (Step(None, Consequence.STOP),),
-        Reason.NO_MISSION: (Step(None, Consequence.STOP),),
-        Reason.NOT_CONFIRMED: (Step(None, Consequence.STOP),),
-        Reason.STACK_RESTARTED: (Step(None, Consequence.STOP),),
+        **dict.fromkeys(UNPREPARED, _STOP_AT_ONCE),
+        Reason.STACK_RESTARTED: _STOP_AT_ONCE,
     }
 )
 
@@ -219,11 +219,7 @@ STEERS_WHILE_STOPPING = frozenset(
         Asked.MISSION_DONE,
         Reason.GO_OFF,
         Reason.FAULT_STATUS,
-        Reason.AS_SWITCH_OFF,
-        Reason.TS_SWITCH_OFF,
-        Reason.SHUTDOWN_REQUESTED,
-        Reason.FAULT_BIT,
-        Reason.SHUTDOWN_CAUSE,
+        *CHANGES,
         Reason.WHEELS_STALE,
         Reason.WHEEL_IMPLAUSIBLE,
     )
@@ -252,7 +248,7 @@ class Latch(Immutable):
 class SupervisorState(Immutable):
     """Everything that the supervisor remembers. Times are of the monotonic clock, None: never."""
 
-    # What 0x520 said
+    # What 0x520 reported
     as_state: AsState | None = None
     go: bool = False
     fault: bool = False
@@ -264,7 +260,7 @@ class SupervisorState(Immutable):
     ready_waited_ns: int = 0  # from the first AS_READY to the last one in which Go was off, kept in AS_DRIVING
     driving_since_ns: int | None = None
 
-    # What 0x525 said, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
+    # What 0x525 reported, and 0x526 of the wheels' turning (see wheel_speeds.Pulses)
     speeds_ns: int | None = None
     fastest_rpm: int = 0
     still_since_ns: int | None = None
@@ -329,7 +325,7 @@ class Decision(Immutable):
 # ---------------------------------------------------------------- frames
 
 
-def heard(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
+def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
     """A frame of 0x520 came, whatever is in it: the car is switched on."""
     return replace(state, heard_ns=t_ns, was_silent=_was_silent(config, state, t_ns))
 
@@ -342,7 +338,7 @@ def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bo
 def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -> SupervisorState:
     """A believed 0x520. Follows the AS states, the AMI and the runs; clears what the car's own life clears."""
     t_ns = status.t_rx_ns
-    state = heard(config, state, t_ns)
+    state = received(config, state, t_ns)
     now, before = status.as_state, state.as_state
     off = now in OFF_LIKE
     power_cycle = state.was_silent
@@ -551,7 +547,7 @@ def bus_lost(config: BridgeConfig, state: SupervisorState, detail: str, now_ns: 
 
 
 def bus_back(state: SupervisorState, now_ns: int) -> SupervisorState:
-    """The bus is open again. While it was lost nothing could be heard and nothing be said: that time is no silence of
+    """The bus is open again. While it was lost nothing could be received or sent: that time is no silence of
     the car's (an emergency asked for meanwhile has not even been sent), no missing feedback, and no part of a stop.
     """
     return replace(

@@ -44,7 +44,7 @@ class OdometrySettings(Immutable):
     speed_sd_share: float = 0.02  # … and of the speed, as for the way
     yaw_rate_sd_radps: float = 0.03  # of the sensor
     curvature_sd_1pm: float = 0.01  # of the steering angle: 0.9 deg of backlash on a wheelbase of 1.53 m
-    missing_yaw_rate_radps: float = 0.5  # a moving car may have turned so fast while it was not heard
+    missing_yaw_rate_radps: float = 0.5  # a moving car may have turned so fast while it was not received
 
 
 SETTINGS = OdometrySettings()
@@ -74,17 +74,11 @@ def begin_run(state: OdometryState, now_ns: int) -> OdometryState:
     )
 
 
-def _fresh(t_rx_ns: int, now_ns: int, settings: OdometrySettings) -> bool:
-    return now_ns - t_rx_ns <= settings.fresh_ns
+def _fresh(t_rx_ns: int, now_ns: int) -> bool:
+    return now_ns - t_rx_ns <= SETTINGS.fresh_ns
 
 
-def wheel_speed_mps(
-    car: VehicleParameters,
-    settings: OdometrySettings,
-    speeds: WheelSpeeds,
-    brake: VcuBrake | None,
-    curvature_1pm: float,
-) -> float:
+def wheel_speed_mps(car: VehicleParameters, speeds: WheelSpeeds, brake: VcuBrake | None, curvature_1pm: float) -> float:
     """Speed of the rear axle's centre by the wheels.
 
     Each wheel runs on its own circle; brought back to the rear axle's centre all four say the same unless they slip.
@@ -100,8 +94,8 @@ def wheel_speed_mps(
     front, rear = 0.5 * (fl + fr), 0.5 * (rl + rr)
     braking = (
         brake is not None
-        and _fresh(brake.t_rx_ns, speeds.t_rx_ns, settings)
-        and max(brake.front_pct, brake.rear_pct) >= settings.braking_pct
+        and _fresh(brake.t_rx_ns, speeds.t_rx_ns)
+        and max(brake.front_pct, brake.rear_pct) >= SETTINGS.braking_pct
     )
     if braking:
         return max(front, rear)
@@ -113,16 +107,14 @@ def wheel_speed_mps(
     return 0.5 * (ordered[1] + ordered[2])
 
 
-def sensed_yaw_rate_radps(
-    car: VehicleParameters, settings: OdometrySettings, gps: GpsImu, t_ns: int
-) -> tuple[float, int] | None:
+def sensed_yaw_rate_radps(car: VehicleParameters, gps: GpsImu, t_ns: int) -> tuple[float, int] | None:
     """The newest reading of the yaw-rate sensor, fresh at `t_ns`, with its time, before its bias is taken off."""
     found: tuple[float, int] | None = None
     if gps.dynamics is not None:
         found = (gps.dynamics.yaw_rate_degps, gps.dynamics.t_rx_ns)
     if gps.rotation_b is not None and (found is None or gps.rotation_b.t_rx_ns >= found[1]):
         found = (gps.rotation_b.z_degps, gps.rotation_b.t_rx_ns)
-    if found is None or not math.isfinite(found[0]) or not _fresh(found[1], t_ns, settings):
+    if found is None or not math.isfinite(found[0]) or not _fresh(found[1], t_ns):
         return None
     return car.yaw_rate_sign * math.radians(found[0]), found[1]
 
@@ -134,65 +126,60 @@ def _yaw_rates_by_wheels(car: VehicleParameters, speeds: WheelSpeeds, curvature_
     return (fr - fl) / car.track_m * along, (rr - rl) / car.track_m
 
 
-def advance(
-    car: VehicleParameters,
-    state: OdometryState,
-    vehicle: VehicleState,
-    gps: GpsImu,
-    settings: OdometrySettings = SETTINGS,
-) -> OdometryState:
+def advance(car: VehicleParameters, state: OdometryState, vehicle: VehicleState, gps: GpsImu) -> OdometryState:
     """The state when the newest wheel speeds were received. Without newer ones nothing changes."""
     before, speeds = state.motion, vehicle.speeds
     if speeds is None or speeds.t_rx_ns <= before.t_ns:
         return state
     t_ns = speeds.t_rx_ns
     step_ns = t_ns - before.t_ns
-    dt_s = min(step_ns, settings.longest_step_ns) / S
+    dt_s = min(step_ns, SETTINGS.longest_step_ns) / S
 
     curvature = state.curvature_1pm
     steer = vehicle.steer
-    if steer is not None and math.isfinite(steer.angle_deg) and _fresh(steer.t_rx_ns, t_ns, settings):
+    if steer is not None and math.isfinite(steer.angle_deg) and _fresh(steer.t_rx_ns, t_ns):
         limit_deg = 45.0  # no car of this kind steers further: a wild value must not turn the tangent over
         curvature = math.tan(math.radians(max(-limit_deg, min(limit_deg, steer.angle_deg)))) / car.wheelbase_m
 
     counts, counts_changed_ns = state.counts, state.counts_changed_ns
-    heard = vehicle.counts
-    pulses = heard is not None and _fresh(heard.t_rx_ns, t_ns, settings)
-    if heard is not None and (
-        counts is None or (heard.fl, heard.fr, heard.rl, heard.rr) != (counts.fl, counts.fr, counts.rl, counts.rr)
+    received = vehicle.counts
+    pulses = received is not None and _fresh(received.t_rx_ns, t_ns)
+    if received is not None and (
+        counts is None
+        or (received.fl, received.fr, received.rl, received.rr) != (counts.fl, counts.fr, counts.rl, counts.rr)
     ):
-        counts, counts_changed_ns = heard, t_ns
+        counts, counts_changed_ns = received, t_ns
 
-    speed = wheel_speed_mps(car, settings, speeds, vehicle.brake, curvature)
+    speed = wheel_speed_mps(car, speeds, vehicle.brake, curvature)
     fastest_rpm = max(speeds.all_rpm)
-    if fastest_rpm <= settings.resting_rpm:
+    if fastest_rpm <= SETTINGS.resting_rpm:
         silent_ns = t_ns - counts_changed_ns
-        if (pulses and silent_ns >= settings.resting_ns) or fastest_rpm == 0:
+        if (pulses and silent_ns >= SETTINGS.resting_ns) or fastest_rpm == 0:
             speed = 0.0
 
     kinematic = speed * curvature
     bias, bias_t_rx_ns = state.yaw_rate_bias_radps, state.bias_t_rx_ns
-    sensed = sensed_yaw_rate_radps(car, settings, gps, t_ns)
+    sensed = sensed_yaw_rate_radps(car, gps, t_ns)
     if sensed is not None and speed == 0.0 and sensed[1] != bias_t_rx_ns:
         bias_t_rx_ns = sensed[1]
-        bias += settings.bias_gain * (sensed[0] - bias)
-        bias = max(-settings.bias_max_radps, min(settings.bias_max_radps, bias))
-    yaw_rate, yaw_rate_sd = kinematic, speed * settings.curvature_sd_1pm
+        bias += SETTINGS.bias_gain * (sensed[0] - bias)
+        bias = max(-SETTINGS.bias_max_radps, min(SETTINGS.bias_max_radps, bias))
+    yaw_rate, yaw_rate_sd = kinematic, speed * SETTINGS.curvature_sd_1pm
     if speed > 0.0 and sensed is not None:
         # A sliding car turns otherwise than it is steered, and a spinning wheel otherwise than the car: what lies
         # between them, or near, can be. A sensor that drifts is found out before the car has lost its way.
         others = (kinematic, *_yaw_rates_by_wheels(car, speeds, curvature))
-        margin = settings.yaw_rate_disagreement_radps
+        margin = SETTINGS.yaw_rate_disagreement_radps
         if min(others) - margin <= sensed[0] - bias <= max(others) + margin:
-            yaw_rate, yaw_rate_sd = sensed[0] - bias, settings.yaw_rate_sd_radps
+            yaw_rate, yaw_rate_sd = sensed[0] - bias, SETTINGS.yaw_rate_sd_radps
 
     way = 0.5 * (speed + before.speed_mps) * dt_s
     middle_yaw = before.yaw_rad + 0.5 * yaw_rate * dt_s
     faster = max(speed, before.speed_mps)
-    missing_s = max(0, step_ns - settings.fresh_ns) / S if faster > 0.0 else 0.0
-    yaw_sd = math.sqrt(before.yaw_sd_rad**2 + settings.yaw_sd_radpsqrtm**2 * way)
+    missing_s = max(0, step_ns - SETTINGS.fresh_ns) / S if faster > 0.0 else 0.0
+    yaw_sd = math.sqrt(before.yaw_sd_rad**2 + SETTINGS.yaw_sd_radpsqrtm**2 * way)
     position_sd = math.sqrt(
-        before.position_sd_m**2 + (settings.position_sd_share**2 + yaw_sd**2) * settings.error_length_m * way
+        before.position_sd_m**2 + (SETTINGS.position_sd_share**2 + yaw_sd**2) * SETTINGS.error_length_m * way
     )
     motion = Motion(
         t_ns=t_ns,
@@ -203,8 +190,8 @@ def advance(
         yaw_rate_radps=yaw_rate,
         distance_m=before.distance_m + way,
         position_sd_m=position_sd + faster * missing_s,
-        yaw_sd_rad=yaw_sd + settings.missing_yaw_rate_radps * missing_s,
-        speed_sd_mps=math.hypot(settings.speed_sd_mps, settings.speed_sd_share * speed) if speed > 0.0 else 0.0,
+        yaw_sd_rad=yaw_sd + SETTINGS.missing_yaw_rate_radps * missing_s,
+        speed_sd_mps=math.hypot(SETTINGS.speed_sd_mps, SETTINGS.speed_sd_share * speed) if speed > 0.0 else 0.0,
         yaw_rate_sd_radps=yaw_rate_sd,
     )
     return replace(

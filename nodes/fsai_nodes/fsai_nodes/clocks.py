@@ -53,7 +53,7 @@ class Clocks:
     def measured_ns(self, stamp: Time, topic: str, now_ns: int) -> int | None:
         """Monotonic time of the stamp of a message on `topic`, never later than `now_ns`.
 
-        None where the stamp is more than 20 ms ahead: the message is to be refused, and the log has been told.
+        None where the stamp is more than 20 ms ahead: the message is to be refused, and the log says so.
         """
         t_ns = self.steady_of(stamp, now_ns)
         if t_ns <= now_ns:
@@ -78,7 +78,7 @@ class Clocks:
 
 
 class Input:
-    """A topic that a node hears: when a message last came, and how old the data in it were.
+    """A topic that a node reads: when a message last came, and how old the data in it were.
 
     Times are the monotonic clock's. What it says is for people: which node is silent, or sends old data.
     """
@@ -89,23 +89,23 @@ class Input:
         self._topic = topic
         self._silent_ns = silent_ns
         self._note = f" ({note})" if note else ""
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._age_ns = 0
         self._said = False
 
-    def heard(self, now_ns: int, age_ns: int = 0) -> None:
+    def received(self, now_ns: int, age_ns: int = 0) -> None:
         """A message came, with data of that age; negative: stamped ahead of the clock."""
-        self._heard_ns, self._age_ns = now_ns, age_ns
+        self._received_ns, self._age_ns = now_ns, age_ns
 
     def forget(self) -> None:
-        """As if nothing had ever been heard."""
-        self._heard_ns, self._age_ns, self._said = None, 0, False
+        """As if nothing had ever been received."""
+        self._received_ns, self._age_ns, self._said = None, 0, False
 
     def silence(self, now_ns: int) -> str:
         """In words for how long nothing has come; empty while something comes."""
-        if self._heard_ns is None:
+        if self._received_ns is None:
             return f"{self.who().rstrip(',')}: nothing received yet{self._note}"
-        silent_ns = now_ns - self._heard_ns
+        silent_ns = now_ns - self._received_ns
         if silent_ns < self._silent_ns:
             return ""
         return f"{self.who()} has been silent for {silent_ns / 1e6:.0f} ms{self._note}"

@@ -37,7 +37,7 @@ class ConeDetector(Node):
         self._threshold = self._settings.number("confidence_threshold")
 
     def _on_cones(self, raw: ConeArray) -> None:
-        self._raw.heard(self._clocks.now_ns())
+        self._raw.received(self._clocks.now_ns())
         if self._watch is None:  # only who has spoken can fall silent
             self._watch = self._clocks.every(WATCH_S, lambda: self._raw.watch(self._clocks.now_ns()))
         raw.cones = [cone for cone in raw.cones if believable(cone, self._threshold)]

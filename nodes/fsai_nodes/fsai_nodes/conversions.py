@@ -23,7 +23,7 @@ from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.enums import Ami, AsState
-from fsai_vcu.interface.messages import GpsImu, VcuImage
+from fsai_vcu.interface.messages import GpsImu, Image
 from fsai_vcu.interface.units import STANDARD_GRAVITY_MPS2
 
 BASE_FRAME = "base_link"  # REP-105: the car; its origin is the rear axle's centre on the ground
@@ -135,25 +135,16 @@ def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan 
 # ---------------------------------------------------------------- command
 
 
+_COMMANDED = {each.name: str(each.type) for each in fields(VehicleCommand) if each.name != "t_sensor_ns"}
+"""The fields of a command that the message has by the same names, and their types."""
+
+
 def command_to_msg(command: VehicleCommand, stamp: Time) -> VehicleCommandMsg:
-    message = VehicleCommandMsg(
-        run_id=command.run_id,
-        steering_rad=float(command.steering_rad),
-        throttle=float(command.throttle),
-        brake=float(command.brake),
-        speed_limit_mps=float(command.speed_limit_mps),
-        mission_finished=bool(command.mission_finished),
-        estop_request=bool(command.estop_request),
-        laps=_count(command.laps),
-        cones_count_actual=_count(command.cones_count_actual),
-        cones_count_all=_count(command.cones_count_all),
-    )
+    plain = {"bool": bool, "float": float, "int": _count}
+    message = VehicleCommandMsg(**{name: plain[kind](getattr(command, name)) for name, kind in _COMMANDED.items()})
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME
     return message
-
-
-_COMMANDED = tuple(each.name for each in fields(VehicleCommand) if each.name != "t_sensor_ns")
 
 
 def command_from_msg(message: VehicleCommandMsg, t_sensor_ns: int) -> VehicleCommand:
@@ -209,19 +200,23 @@ def odometry_to_msg(motion: Motion, stamp: Time) -> Odometry:
 # ---------------------------------------------------------------- vehicle state
 
 
+# Of 0x520, by the same names in the message.
+_FLAGS = ("go_signal", "as_switch", "ts_switch", "shutdown_request", "fault", "warning")
+_STATES = ("shutdown_cause", "steering_status", "op_state", "ts_state", "ebs_state")
+
+
 def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> VehicleStateMsg:
     message = VehicleStateMsg()
     message.header.stamp = stamp
     message.header.frame_id = ODOM_FRAME
     vehicle, now_ns = report.vehicle, report.t_ns
 
-    def age_s(image: VcuImage | None) -> float:
+    def age_s(image: Image | None) -> float:
         return NEVER if image is None else (now_ns - image.t_rx_ns) / 1e9
 
-    message.as_state = message.mission = message.shutdown_cause = UNKNOWN
+    for name in ("as_state", "mission", "brake_status", "ebs_status", *_STATES):
+        setattr(message, name, UNKNOWN)
     message.as_state_label = message.mission_label = "UNKNOWN"
-    message.steering_status = message.op_state = message.ts_state = message.ebs_state = UNKNOWN
-    message.brake_status = message.ebs_status = UNKNOWN
     message.mode, message.run_id = report.mode, report.run.run_id
     message.handshake = bool(vehicle.handshake)
 
@@ -229,19 +224,12 @@ def state_to_msg(report: BridgeReport, stamp: Time, command_age_s: float) -> Veh
     if status is not None:
         message.as_state, message.as_state_label = int(status.as_state), status.as_state.label
         message.mission, message.mission_label = int(status.ami), status.ami.label
-        message.go_signal = bool(status.go_signal)
-        message.as_switch = bool(status.as_switch)
-        message.ts_switch = bool(status.ts_switch)
-        message.shutdown_request = bool(status.shutdown_request)
-        message.fault = bool(status.fault)
-        message.warning = bool(status.warning)
+        for name in _FLAGS:
+            setattr(message, name, bool(getattr(status, name)))
+        for name in _STATES:
+            setattr(message, name, _raw(getattr(status, name)))
         message.faults = list(status.faults.names)
-        message.shutdown_cause = _raw(status.shutdown_cause)
         message.shutdown_cause_label = "" if status.shutdown_cause is None else status.shutdown_cause.label
-        message.steering_status = _raw(status.steering_status)
-        message.op_state = _raw(status.op_state)
-        message.ts_state = _raw(status.ts_state)
-        message.ebs_state = _raw(status.ebs_state)
     message.status_age_s = age_s(status)
 
     steer = vehicle.steer

@@ -90,7 +90,7 @@ def of_the_file(node: str, note: str = "", *, live: bool = False) -> tuple[NodeP
     """
     return tuple(
         NodeParameter(
-            parameter,
+            key.parameter,
             cast("Value", key.default),
             f"{key.meaning[:1].upper()}{key.meaning[1:]}.{note}",
             key.low,
@@ -99,8 +99,7 @@ def of_the_file(node: str, note: str = "", *, live: bool = False) -> tuple[NodeP
             live,
         )
         for key in KEYS
-        for owner, parameter in key.parameters
-        if owner == node
+        if key.node == node
     )
 
 

@@ -90,7 +90,7 @@ class PathPlanner(Node):
     def _on_cones(self, message: ConeArray) -> None:
         now_ns = self._clocks.now_ns()
         age_ns = now_ns - self._clocks.steady_of(message.header.stamp, now_ns)
-        self._cones.heard(now_ns, age_ns)
+        self._cones.received(now_ns, age_ns)
         motion = self._motion
         if self._run is None or motion is None:
             return

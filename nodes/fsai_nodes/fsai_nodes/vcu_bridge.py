@@ -359,7 +359,7 @@ class VcuBridge(LifecycleNode):
         # A stamp of the future is handed on as it is: the loop refuses the command, and counts it.
         sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         self._sensor_ns = sensor_ns
-        self._commands.heard(now_ns, now_ns - sensor_ns)
+        self._commands.received(now_ns, now_ns - sensor_ns)
         self._late, self._deadline_missed = message.late, False
         loop.submit_command(command_from_msg(message, sensor_ns))
 

@@ -88,7 +88,7 @@ class VehicleController(Node):
         if self._run is None or message.run_id != self._run.run_id:
             return
         now_ns = self._clocks.now_ns()
-        self._states.heard(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
+        self._states.received(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
         t_ns = self._clocks.measured_ns(message.header.stamp, "vehicle_state", now_ns)
         if t_ns is not None:
             self._state = message, motion_from_state(message, t_ns)
@@ -102,7 +102,7 @@ class VehicleController(Node):
 
     def _on_path(self, message: Path) -> None:
         now_ns = self._clocks.now_ns()
-        self._paths.heard(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
+        self._paths.received(now_ns, now_ns - self._clocks.steady_of(message.header.stamp, now_ns))
         self._pending = message
         if not message.poses:
             self._plan = self._pending = None
