@@ -7,7 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     every_s = args.every if args.every is not None else _DRAW_EVERY_S if drawn else _PRINT_EVERY_S
     source: Source
     if sources.live:
-        source = Live(chain([next(chunks)], chunks), view)  # the bus is opened here, not in the thread
+        source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
     else:
         source = Log(chunks, view, args.at, (args.rate or None) if drawn else args.rate)
         if source.empty:

@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from rich.columns import Columns
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.monitor.plain import (
-    NO_VALUE,
-    age,
-    all_faults,
-    duration,
-    last_state,
-    number,
-    on_off,
-    printable,
-)
+from fsai_vcu.diagnostics.monitor import plain
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Obstacle, Picture
 from fsai_vcu.interface.units import KMH_PER_MPS
 
@@ -32,12 +22,7 @@ _STATE_STYLES: Final = {
     "AS_FINISHED": "bold white on blue",
 }
 _FLASHING: Final = frozenset({"AS_DRIVING", "EMERGENCY_BRAKE"})
-_FRESHNESS_STYLES: Final = {
-    Freshness.FRESH: "",
-    Freshness.LATE: WARN,
-    Freshness.LOST: BAD,
-    Freshness.NEVER: FAINT,
-}
+_FRESHNESS_STYLES: Final = {Freshness.LATE: WARN, Freshness.LOST: BAD, Freshness.NEVER: FAINT}
 _WEIGHT_STYLES: Final = {Weight.NOTE: FAINT, Weight.STATE: "", Weight.WARNING: WARN, Weight.FAULT: BAD}
 _SHORT: Final = 20  # lines: on fewer the reasons go before everything else
 _NARROW: Final = 70
@@ -47,7 +32,7 @@ _MANY_REASONS: Final = 4
 def line(*parts: str | tuple[str, str], wrap: bool = False) -> Text:
     """Some text of several styles."""
     pairs = [(part, "") if isinstance(part, str) else part for part in parts]
-    shown = [(printable(text), style) for text, style in pairs]
+    shown = [(plain.printable(text), style) for text, style in pairs]
     return Text.assemble(*shown, no_wrap=not wrap, overflow="fold" if wrap else "crop")
 
 
@@ -64,10 +49,8 @@ def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = Fa
     width, height: of the screen. dark_phase: what flashes is off at the moment.
     """
     short = height < _SHORT
-    parts: list[RenderableType] = [
-        *_state(picture, dark_phase)[: 2 if short else 3],
-        *_why(picture, remedies=not short),
-    ]
+    state = _state(picture, dark_phase)[: 2 if short else 3]
+    parts: list[RenderableType] = [*state, *_why(picture, remedies=not short)]
     parts += [_faults(picture), *(line((f"! {text}", BAD), wrap=True) for text in picture.link)]
     if any(one.asked is not None or one.given is not None for one in picture.actuators.values()):
         parts.append(_figures(picture))
@@ -81,7 +64,7 @@ def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = Fa
 
 def message_row(message: MessagePicture, width: int) -> Text:
     """Its bytes, those that changed within the last second highlighted."""
-    style = WARN if message.wrong_length else _FRESHNESS_STYLES[message.freshness]
+    style = WARN if message.wrong_length else _FRESHNESS_STYLES.get(message.freshness, "")
     head = f"{message.number:3} "
     tail = f"{_tail(message):>8}  "
     if width >= _NARROW:
@@ -96,15 +79,16 @@ def message_row(message: MessagePicture, width: int) -> Text:
 def history_row(history: History, width: int, *, full: bool = False) -> Text:
     """A signal or a byte; its value is highlighted where it changed within the last second. full: with the message."""
     room = max(16, min(44, width - 50))
-    name = history.name if full and len(history.name) <= room else history.name.rpartition(".")[2]
+    name = history.name if full else history.name.rpartition(".")[2]
+    name = name if len(name) <= room else f"…{name[1 - room :]}"
     changed = ""
     if history.changed_s is not None:
         beyond = history.extent or f"was {history.before}"
-        changed = f"{age(history.changed_s):>7} ago, {history.changes}×, {beyond}"
-    old = f"   {age(history.age_s)} old" if history.age_s > 1.0 else ""
+        changed = f"{plain.age(history.changed_s):>7} ago, {history.changes}×, {beyond}"
+    old = f"   {plain.age(history.age_s)} old" if history.age_s > 1.0 else ""
     style = STRONG if history.changed_s is None or history.changed_s > 1.0 else "bold reverse"
     blanks = " " * (16 - len(history.value))
-    return line(f"{name:{room}.{room}} {blanks}", (history.value, style), (f" {changed}{old}", FAINT))
+    return line(f"{name:{room}} {blanks}", (history.value, style), (f" {changed}{old}", FAINT))
 
 
 def event_row(event: TimelineEntry, clock: str, *, later: bool) -> Text:
@@ -120,7 +104,7 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     shown = (state, _STATE_STYLES.get(state, STRONG)) if state else ("no AS state", BAD)
     if dark_phase and state in _FLASHING:
         shown = (shown[0], STRONG)
-    held = f" for {duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
+    held = f" for {plain.duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
     switches = (("Go", picture.go), ("ASMS", picture.as_switch), ("TSMS", picture.ts_switch))
     parts = [part for name, on in switches for part in (f"  {name} ", _switch(on))]
     asked = [word for word in (picture.mission_status, picture.direction) if word]
@@ -129,8 +113,8 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     names = {"STEERING_STATUS": "steering ", "STATUS_BRK": "brakes ", "STATUS_EBS": "STATUS_EBS "}
     states = "  ".join(f"{names.get(name, '')}{word}" for name, word in picture.states.items())
     return [
-        line(shown, held if state else last_state(picture), *parts, f"  mode {picture.mode}", wrap=True),
-        line("mission ", (picture.mission or NO_VALUE, STRONG), f"   AI {ai}", *estop, wrap=True),
+        line(shown, held if state else plain.last_state(picture), *parts, f"  mode {picture.mode}", wrap=True),
+        line("mission ", (picture.mission or plain.NO_VALUE, STRONG), f"   AI {ai}", *estop, wrap=True),
         *([line((states, FAINT))] if states else []),
     ]
 
@@ -143,7 +127,7 @@ def _why(picture: Picture, *, remedies: bool) -> list[RenderableType]:
     reasons = Table.grid()
     few = len(picture.why_not_driving) <= _MANY_REASONS
     for one in picture.why_not_driving:
-        remedy = f"\n{printable(one.remedy)}" if remedies and few and one.remedy and not one.follows else ""
+        remedy = f"\n{plain.printable(one.remedy)}" if remedies and few and one.remedy and not one.follows else ""
         reasons.add_row("  - ", Text.assemble(_reason(one), (remedy, FAINT)))
     return [line(("why not driving:", STRONG)), reasons]
 
@@ -155,24 +139,23 @@ def _reason(one: Obstacle) -> Text:
 
 
 def _faults(picture: Picture) -> Text:
-    faults = all_faults(picture)
-    shown = (", ".join(faults) or "none", BAD if faults else GOOD) if picture.as_state else NO_VALUE
+    faults = plain.all_faults(picture)
+    shown = (", ".join(faults) or "none", BAD if faults else GOOD) if picture.as_state else plain.NO_VALUE
     return line("faults      ", shown, (f"   {', '.join(picture.warnings)}", WARN), wrap=True)
 
 
-def _figures(picture: Picture) -> Columns:
-    blocks = {"brake": [line((f"{'':12}{'asked':>7}{'given':>7}", FAINT))]}
-    blocks["steering"] = blocks["torque"] = [line((f"{'':12}{'asked':>7}{'given':>7}{'most':>7}", FAINT))]
+def _figures(picture: Picture) -> Group:
+    table = Table("", "asked", "given", "most", "", box=None, header_style=FAINT, pad_edge=False)
+    for column in table.columns[1:4]:
+        column.justify, column.min_width = "right", 6
     for name, one in picture.actuators.items():
-        most = f"{number(one.limit):>7}" if name.partition(" ")[0] != "brake" else ""
-        given = (f"{number(one.given):>7}", STRONG)
-        blocks[name.partition(" ")[0]].append(line(f"{name:12}{number(one.asked):>7}", given, f"{most} {one.unit}"))
-    speed = picture.speed_mps
-    words = NO_VALUE if speed is None else f"{speed:.1f} m/s, {speed * KMH_PER_MPS:.0f} km/h"
-    blocks["brake"].append(line(f"{'speed':12}", (words, STRONG)))
-    wheels = "  ".join(f"{name} {rpm:.0f}" for name, rpm in picture.wheels_rpm.items())
-    turning = line(f"wheels      {wheels or NO_VALUE} rpm")
-    return Columns([Group(*blocks["torque"]), Group(*blocks["brake"]), turning], padding=(0, 2))
+        given, most = Text(plain.number(one.given), STRONG), "" if one.limit is None else plain.number(one.limit)
+        table.add_row(name, plain.number(one.asked), given, most, one.unit)
+    speed = plain.NO_VALUE
+    if picture.speed_mps is not None:
+        speed = f"{picture.speed_mps:.1f} m/s, {picture.speed_mps * KMH_PER_MPS:.0f} km/h"
+    wheels = "".join(f"  {name} {rpm:.0f}" for name, rpm in picture.wheels_rpm.items())
+    return Group(table, line("speed       ", (speed, STRONG), f"   wheels{wheels} rpm" if wheels else "", wrap=True))
 
 
 def _handshake(picture: Picture) -> Text:
@@ -185,12 +168,12 @@ def _handshake(picture: Picture) -> Text:
 
 
 def _tail(message: MessagePicture) -> str:
-    """Its age, and what is wrong with that."""
+    """Its plain.age, and what is wrong with that."""
     if message.age_s is None:
         return message.freshness.value
     marks = {Freshness.LATE: " late", Freshness.LOST: " LOST"}
-    return f"{age(message.age_s):>6}{marks.get(message.freshness, '')}"
+    return f"{plain.age(message.age_s):>6}{marks.get(message.freshness, '')}"
 
 
 def _switch(on: bool | None) -> tuple[str, str]:
-    return on_off(on), "" if on is None else GOOD if on else WARN
+    return plain.on_off(on), "" if on is None else GOOD if on else WARN

@@ -6,11 +6,12 @@ import copy
 from collections.abc import Iterable, Mapping
 from typing import Final
 
+import numpy as np
+
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.error_frames import error_words
-from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.emergencies import emergencies
@@ -22,9 +23,9 @@ from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames
 from fsai_vcu.diagnostics.monitor.changes import bytes_of, changed_bytes, signals_of
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
-from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, keys_of
 from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import MessageStatistics, expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.measure import expected_period_ns, measure
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
@@ -180,8 +181,8 @@ class _Moment:
             speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
             speed_actual_kmh=self._value(_CAR_SPEED),
             actuators={
-                name: Actuator(*(signal and self._value(signal) for signal in signals), unit)
-                for name, (*signals, unit) in _ACTUATORS.items()
+                name: Actuator(self._value(asked), self._value(given), limit and self._value(limit), unit)
+                for name, (asked, given, limit, unit) in _ACTUATORS.items()
             },
             faults=tuple(signal.name for signal in sig.FAULTS if self._flag(signal)),
             warnings=tuple(signal.name for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS) if self._flag(signal)),
@@ -236,13 +237,14 @@ class _Moment:
     # ------------------------------------------------------------ messages
 
     def _messages(self) -> tuple[MessagePicture, ...]:
-        measured = {} if self._stats is None else {_key(message): message for message in self._stats.messages}
+        found, counted = np.unique(keys_of(self._window), return_counts=True)
+        counts = dict(zip(found.tolist(), counted.tolist(), strict=True))
         order = {message.can_id: place for place, message in enumerate(BUS_TABLE)}
         keys = sorted({*EXPECTED, *self._memory.first_ns}, key=lambda key: (order.get(key, len(order)), key))
         changed = changed_bytes(self._window, self._now_ns - S)
-        return tuple(self._message(key, measured.get(key), changed.get(key, ())) for key in keys)
+        return tuple(self._message(key, counts.get(key, 0), changed.get(key, ())) for key in keys)
 
-    def _message(self, key: int, measured: MessageStatistics | None, changed: tuple[int, ...]) -> MessagePicture:
+    def _message(self, key: int, count: int, changed: tuple[int, ...]) -> MessagePicture:
         layout = self._record.decoder.databases.layouts.get(key)
         newest = self._memory.newest(key)
         expected_ns = self._expected_ns(key)
@@ -251,7 +253,6 @@ class _Moment:
         if newest is None:
             return MessagePicture(key, False, name, 0.0, expected_hz, None, Freshness.NEVER, False)
         listened_ns = min(WINDOW_NS, max(self._now_ns - self._memory.first_ns[key], 1))
-        count = measured.count if measured is not None else 0
         # The first frame begins the time over which the others are counted.
         rate_hz = round(max(0, count - (listened_ns < WINDOW_NS)) * S / listened_ns, 2)
         age_ns = max(0, self._now_ns - newest.t_ns)
@@ -261,18 +262,8 @@ class _Moment:
         elif expected_ns and age_ns >= _LATE_PERIODS * expected_ns:
             freshness = Freshness.LATE
         wrong = layout is not None and newest.length != layout.length
-        return MessagePicture(
-            newest.can_id,
-            newest.extended,
-            name,
-            rate_hz,
-            expected_hz,
-            age_ns / S,
-            freshness,
-            wrong,
-            newest.data,
-            changed,
-        )
+        seen = (newest.can_id, newest.extended, name, rate_hz, expected_hz, age_ns / S, freshness, wrong)
+        return MessagePicture(*seen, newest.data, changed)
 
     # ------------------------------------------------------------ the link
 
@@ -313,7 +304,3 @@ class _Moment:
         last = len(errors) - 1
         words = ", ".join(error_words(int(errors.can_id[last]), errors.payload(last)))
         return [f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s, the last: {words}"]
-
-
-def _key(message: MessageStatistics) -> int:
-    return message.can_id | (EXTENDED_KEY if message.extended else 0)
