@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import sys
-from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +33,6 @@ printed. The pages need textual (pip install 'fsai-vcu[monitor]')."""
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
-_USUAL_SIZE = (80, 24)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,9 +66,9 @@ def run(args: argparse.Namespace) -> int:
     name = args.source.partition(",")[0]
     view = View("standard input" if name == "-" else Path(name).name, chosen, decoding.databases if args.dbc else None)
     chunks = sources.chunks(args.seconds)
-    lines = args.plain or args.json
-    textual = not lines and _has_textual()
-    drawn = textual and _is_terminal()
+    terminal, still = _is_terminal(), not sources.live and args.rate is None
+    textual = not (args.plain or args.json) and (terminal or still) and _has_textual()
+    drawn = textual and terminal
     every_s = args.every if args.every is not None else _DRAW_EVERY_S if drawn else _PRINT_EVERY_S
     source: Source
     if sources.live:
@@ -79,11 +78,11 @@ def run(args: argparse.Namespace) -> int:
         if source.empty:
             return sources.status
     if drawn:
-        _draw(source, every_s, patterns)
-    elif textual and not sources.live and args.rate is None:
-        _print_whole(source.look(), *_USUAL_SIZE)
+        return _draw(source, every_s, patterns) | sources.status
+    if textual:
+        _print_whole(source.look(), 80, 24, None)
     else:
-        _print_lines(source, every_s, _line(args.json, patterns))
+        _print_lines(source, every_s, patterns, as_json=args.json)
     return sources.status
 
 
@@ -114,20 +113,22 @@ def _has_textual() -> bool:
     return True
 
 
-def _draw(source: Source, every_s: float, patterns: list[str]) -> None:
+def _draw(source: Source, every_s: float, patterns: list[str]) -> int:
     from fsai_vcu.diagnostics.monitor.app import MonitorApp
 
-    app = MonitorApp(source, every_s, patterns)
     try:
+        app = MonitorApp(source, every_s, patterns)
         app.run(mouse=False)  # so that the terminal's own selection works
     finally:
         source.close()
-    _print_whole(app.moment, *os.get_terminal_size())  # what was shown last stays to be read
+    width, height = shutil.get_terminal_size()
+    _print_whole(app.moment, width, height, height - 1)  # what was shown last stays to be read
     sys.stderr.write("".join(app.printed))
+    return app.return_code or 0
 
 
-def _print_whole(moment: Moment, width: int, height: int) -> None:
-    """Once, as lines that stay."""
+def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> None:
+    """Once, as lines that stay, at most so many."""
     from rich.console import Console
 
     from fsai_vcu.diagnostics.monitor.drawing import head, overview
@@ -136,17 +137,24 @@ def _print_whole(moment: Moment, width: int, height: int) -> None:
     with console.capture() as captured:
         console.print(head(moment.picture, moment.words, width))
         console.print(overview(moment.picture, width, height))
-    text = "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
-    Output().write(text.encode(), at_once=True)
+    lines = [f"{line.rstrip()}\n" for line in captured.get().splitlines()[:most]]
+    Output().write("".join(lines).encode(), at_once=True)
 
 
-def _print_lines(source: Source, every_s: float, line: Callable[[Moment], str]) -> None:
+def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
+    from fsai_vcu.diagnostics.monitor.plain import plain_line
+
     output = Output()
     try:
         while True:
             source.advance(every_s)
             source.wait(every_s)
-            output.write(f"{line(source.look())}\n".encode(), at_once=True)
+            view, picture, time_s, words = source.look()
+            signals = view.signals(patterns, picture.t_ns) if patterns else []
+            shown = {"signals": {one.name: one.value for one in signals}} if patterns else {}
+            entry = {"t": time_s, **picture.as_dict(), **shown}
+            text = json.dumps(entry) if as_json else plain_line(picture, words, signals)
+            output.write(f"{text}\n".encode(), at_once=True)
             if source.ended or not source.playing:
                 break
     except KeyboardInterrupt:
@@ -154,16 +162,3 @@ def _print_lines(source: Source, every_s: float, line: Callable[[Moment], str]) 
             raise
     finally:
         source.close()
-
-
-def _line(as_json: bool, patterns: list[str]) -> Callable[[Moment], str]:
-    from fsai_vcu.diagnostics.monitor.plain import plain_line
-
-    def line(moment: Moment) -> str:
-        signals = moment.view.signals(patterns, moment.picture.t_ns) if patterns else []
-        if not as_json:
-            return plain_line(moment.picture, moment.words, signals)
-        shown = {"signals": {one.name: one.value for one in signals}} if patterns else {}
-        return json.dumps({"t": moment.time_s, **moment.picture.as_dict(), **shown})
-
-    return line

@@ -281,6 +281,7 @@ def test_a_log_is_moved_in_and_no_color_is_honoured(log: str) -> None:
         terminal.type("q")
         terminal.read(f"{LEAVE}[^\x00]*3.0 s into the log[^\x00]*AS_DRIVING")
         assert terminal.process.wait(WITHIN_S) == 0
+        assert terminal.seen[terminal.seen.index("\x1b[?1049l") :].count("\n") < 24
         assert not re.search(r"\x1b\[([\d;]*;)?[349][0-7](;[\d;]*)?m", terminal.seen)
     finally:
         terminal.close()

@@ -87,6 +87,7 @@ class MonitorApp(App[None]):
         self._page = "signals" if patterns else "overview"
         self._asked = ""  # what is typed at the moment
         self._key = 0  # of the message that is looked at
+        self._height = 0  # lines of the text: arranging the page anew costs as much as drawing it
         self._rows: list[tuple[Text, Any]] = []
         self._events: tuple[float, list[TimelineEntry]] | None = None
         self._head, self._text = Static(id="head"), Static()
@@ -115,8 +116,9 @@ class MonitorApp(App[None]):
     def _tick(self) -> None:
         if self._source.ended and not self._source.is_log:
             self.exit()
-        if self._source.playing:
-            self._source.advance(self._every_s)
+        playing = self._source.playing
+        self._source.advance(self._every_s)
+        if playing:
             self._show()
 
     # ------------------------------------------------------------ pictures
@@ -125,12 +127,15 @@ class MonitorApp(App[None]):
         self.moment = self._source.look()
         width, height = self.size
         page = self._page if width >= _WIDE else ""
-        self._head.update(drawing.head(self.moment.picture, self._position(), width, page))
+        self._head.update(drawing.head(self.moment.picture, self._position(), width, page), layout=False)
         if self._page == "help":
             self._text.update(HELP)
+            self._height = 0
         elif self._page == "overview":
             dark = self._source.playing and time.monotonic() % (2 * _BLINK_S) > _BLINK_S
-            self._text.update(drawing.overview(self.moment.picture, width - 1, height, dark_phase=dark))
+            text = drawing.overview(self.moment.picture, width - 1, height, dark_phase=dark)
+            self._text.update(text, layout=text.plain.count("\n") != self._height)
+            self._height = text.plain.count("\n")
         else:
             self._show_rows(list(self._rows_of_page(width - 1)))
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Final
 
-from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.monitor import plain
-from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Obstacle, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture
 from fsai_vcu.interface.units import KMH_PER_MPS
 
 STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
@@ -43,23 +42,22 @@ def head(picture: Picture, clock: str, width: int, page: str = "") -> Text:
     return line((f"{left[:room]:{room}} {clock} ", "reverse"))
 
 
-def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = False) -> Group:
+def overview(picture: Picture, width: int, height: int, *, dark_phase: bool = False) -> Text:
     """The state, why the car is not driving, what is wrong, what is asked and given, the messages.
 
     width, height: of the screen. dark_phase: what flashes is off at the moment.
     """
     short = height < _SHORT
-    state = _state(picture, dark_phase)[: 2 if short else 3]
-    parts: list[RenderableType] = [*state, *_why(picture, remedies=not short)]
-    parts += [_faults(picture), *(line((f"! {text}", BAD), wrap=True) for text in picture.link)]
+    lines = [*_state(picture, dark_phase)[: 2 if short else 3], *_why(picture, width, remedies=not short)]
+    lines += [_faults(picture), *(line((f"! {text}", BAD), wrap=True) for text in picture.link)]
     if any(one.asked is not None or one.given is not None for one in picture.actuators.values()):
-        parts.append(_figures(picture))
+        lines += _figures(picture)
     if picture.as_state and not short:
-        parts.append(_handshake(picture))
+        lines.append(_handshake(picture))
     worst_first = sorted(picture.messages, key=lambda m: m.freshness in (Freshness.FRESH, Freshness.NEVER))
     if picture.frames:
-        parts += [message_row(message, width) for message in worst_first]
-    return Group(*parts)
+        lines += [message_row(message, width) for message in worst_first]
+    return Text("\n").join(lines)
 
 
 def message_row(message: MessagePicture, width: int) -> Text:
@@ -78,7 +76,7 @@ def message_row(message: MessagePicture, width: int) -> Text:
 
 def history_row(history: History, width: int, *, full: bool = False) -> Text:
     """A signal or a byte; its value is highlighted where it changed within the last second. full: with the message."""
-    room = max(16, min(44, width - 50))
+    room = max(16, min(44, width - 42))
     name = history.name if full else history.name.rpartition(".")[2]
     name = name if len(name) <= room else f"…{name[1 - room :]}"
     changed = ""
@@ -87,7 +85,7 @@ def history_row(history: History, width: int, *, full: bool = False) -> Text:
         changed = f"{plain.age(history.changed_s):>7} ago, {history.changes}×, {beyond}"
     old = f"   {plain.age(history.age_s)} old" if history.age_s > 1.0 else ""
     style = STRONG if history.changed_s is None or history.changed_s > 1.0 else "bold reverse"
-    blanks = " " * (16 - len(history.value))
+    blanks = " " * (14 - len(history.value))
     return line(f"{name:{room}} {blanks}", (history.value, style), (f" {changed}{old}", FAINT))
 
 
@@ -119,23 +117,22 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     ]
 
 
-def _why(picture: Picture, *, remedies: bool) -> list[RenderableType]:
+def _why(picture: Picture, width: int, *, remedies: bool) -> list[Text]:
     if picture.driving:
         return [line(("driving", GOOD))]
-    if not picture.why_not_driving:
-        return []
-    reasons = Table.grid()
-    few = len(picture.why_not_driving) <= _MANY_REASONS
+    lines = []
     for one in picture.why_not_driving:
-        remedy = f"\n{plain.printable(one.remedy)}" if remedies and few and one.remedy and not one.follows else ""
-        reasons.add_row("  - ", Text.assemble(_reason(one), (remedy, FAINT)))
-    return [line(("why not driving:", STRONG)), reasons]
+        repeated = one.evidence in one.words or one.evidence.replace(" is ", " ") in one.words
+        words = one.words if repeated else f"{one.words} ({one.evidence})"
+        lines.append(_wrapped(words, "  - ", FAINT if one.follows else WARN, width))
+        if remedies and one.remedy and not one.follows and len(picture.why_not_driving) <= _MANY_REASONS:
+            lines.append(_wrapped(one.remedy, "    ", FAINT, width))
+    return [line(("why not driving:", STRONG)), *lines] if lines else []
 
 
-def _reason(one: Obstacle) -> Text:
-    repeated = one.evidence in one.words or one.evidence.replace(" is ", " ") in one.words
-    evidence = "" if repeated else f" ({one.evidence})"
-    return line((f"{one.words}{evidence}", FAINT if one.follows else WARN), wrap=True)
+def _wrapped(text: str, indent: str, style: str, width: int) -> Text:
+    text = plain.printable(text)
+    return Text(textwrap.fill(text, max(20, width), initial_indent=indent, subsequent_indent="    "), style)
 
 
 def _faults(picture: Picture) -> Text:
@@ -144,18 +141,17 @@ def _faults(picture: Picture) -> Text:
     return line("faults      ", shown, (f"   {', '.join(picture.warnings)}", WARN), wrap=True)
 
 
-def _figures(picture: Picture) -> Group:
-    table = Table("", "asked", "given", "most", "", box=None, header_style=FAINT, pad_edge=False)
-    for column in table.columns[1:4]:
-        column.justify, column.min_width = "right", 6
+def _figures(picture: Picture) -> list[Text]:
+    lines = [line((f"{'':12}{'asked':>7}{'given':>7}{'most':>7}", FAINT))]
     for name, one in picture.actuators.items():
-        given, most = Text(plain.number(one.given), STRONG), "" if one.limit is None else plain.number(one.limit)
-        table.add_row(name, plain.number(one.asked), given, most, one.unit)
+        most = "" if one.limit is None else plain.number(one.limit)
+        given = (f"{plain.number(one.given):>7}", STRONG)
+        lines.append(line(f"{name:12}{plain.number(one.asked):>7}", given, f"{most:>7} {one.unit}"))
     speed = plain.NO_VALUE
     if picture.speed_mps is not None:
         speed = f"{picture.speed_mps:.1f} m/s, {picture.speed_mps * KMH_PER_MPS:.0f} km/h"
     wheels = "".join(f"  {name} {rpm:.0f}" for name, rpm in picture.wheels_rpm.items())
-    return Group(table, line("speed       ", (speed, STRONG), f"   wheels{wheels} rpm" if wheels else "", wrap=True))
+    return [*lines, line("speed       ", (speed, STRONG), f"   wheels{wheels} rpm" if wheels else "", wrap=True)]
 
 
 def _handshake(picture: Picture) -> Text:

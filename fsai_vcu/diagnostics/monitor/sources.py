@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from datetime import datetime
 from typing import Final, NamedTuple
 
@@ -44,21 +44,20 @@ class Live:
         self._waiting: deque[Frames] = deque()
         self._held: Moment | None = None
         self._stop = False
-        self._error: BaseException | None = None
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._receive, daemon=True)
-        self._thread.start()
+        self._receiving = ThreadPoolExecutor(1).submit(self._receive)
 
     @property
     def ended(self) -> bool:
-        return self._ended.is_set()
+        return self._receiving.done()
 
-    def advance(self, seconds: float) -> None:
-        """Time goes on by itself."""
+    def advance(self, seconds: float = 0.0) -> None:
+        """Time goes on by itself; what came is taken."""
+        while self._waiting:
+            self._view.update(self._waiting.popleft())
 
     def wait(self, seconds: float) -> None:
         """Until that time is over, or the bus."""
-        self._ended.wait(seconds)
+        wait([self._receiving], seconds)
 
     def pause(self) -> None:
         """Hold the picture, or go on. Meanwhile nothing is lost."""
@@ -67,8 +66,7 @@ class Live:
         self._held = None if self.playing else now._replace(view=now.view.copy(), words=f"paused at {now.words}")
 
     def look(self) -> Moment:
-        while self._waiting:
-            self._view.update(self._waiting.popleft())
+        self.advance()
         if self._held:
             return self._held
         picture = self._view.picture(time.monotonic_ns())
@@ -85,20 +83,13 @@ class Live:
     def close(self) -> None:
         """Raises what ended the bus."""
         self._stop = True
-        self._thread.join()
-        if self._error is not None:
-            raise self._error
+        self._receiving.result()
 
     def _receive(self) -> None:
-        try:
-            for frames in self._chunks:
-                if self._stop:
-                    break
-                self._waiting.append(_on_our_clock(frames, time.time_ns(), time.monotonic_ns()))
-        except BaseException as error:
-            self._error = error
-        finally:
-            self._ended.set()
+        for frames in self._chunks:
+            if self._stop:
+                break
+            self._waiting.append(_on_our_clock(frames, time.time_ns(), time.monotonic_ns()))
 
 
 def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
