@@ -163,7 +163,12 @@ def test_a_message_has_a_page_of_bytes_and_signals(size: tuple[int, int], frames
 
 
 @pytest.mark.parametrize(
-    ("typed", "first", "count"), [("as_st", "AS_STATE", 1), ("AS_STATE,go_*", "AS_STATE", 2), ("nothing at all", "", 0)]
+    ("typed", "first", "count"),
+    [
+        ("as_st", "AS_STATE", 1),
+        ("AS_STATE,go_*", "AS_STATE", 2),
+        ("nothing at all", "no signal received fits *nothing at all*", 1),
+    ],
 )
 def test_signals_are_found_by_a_part_of_their_name(typed: str, first: str, count: int, frames: Frames) -> None:
     async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:

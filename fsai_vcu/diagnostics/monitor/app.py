@@ -160,6 +160,8 @@ class MonitorApp(App[None]):
         elif self._page == "signals":
             found = view.signals(self._patterns, picture.t_ns)
             yield from ((drawing.history_row(one, width, full=True), None) for one in found)
+            if not found:
+                yield drawing.line(f"no signal received fits {', '.join(self._patterns)}"), None
         else:
             for event in self._history():
                 later = event.t_ns > picture.t_ns
