@@ -25,7 +25,8 @@ from fsai_vcu.diagnostics.monitor.changes import bytes_of, changed_bytes, signal
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, keys_of
 from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
@@ -145,11 +146,13 @@ class _Moment:
         self._record = record
         self._now_ns = now_ns
         self._window = record.frames.only(record.frames.t_ns > now_ns - WINDOW_NS)
-        measured = measure(self._window, record.decoder, revision=record.revision.name)
-        self._stats = measured[0] if measured else None
+        # All figures of all messages would take as long as everything else.
+        both = self._window.only(np.isin(self._window.can_id, (sig.STATUS, 0x510)))
+        measured = measure(both, record.decoder, revision=record.revision.name)
+        self._handshake = measured[0].handshake if measured else None
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
-        record, now_ns, stats = self._record, self._now_ns, self._stats
+        record, now_ns = self._record, self._now_ns
         span = record.series(sig.AS_STATE).span_at(now_ns)
         status = self._fresh(sig.STATUS)
         messages = self._messages()
@@ -187,9 +190,9 @@ class _Moment:
             faults=tuple(signal.name for signal in sig.FAULTS if self._flag(signal)),
             warnings=tuple(signal.name for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS) if self._flag(signal)),
             shutdown_cause=self._label(sig.SHUTDOWN_CAUSE) if self._flag(sig.SHUTDOWN_CAUSE) else None,
-            handshake=stats.handshake if stats is not None else None,
+            handshake=self._handshake,
             handshake_waiting_s=self._handshake_waiting_s(),
-            load=stats.load if stats is not None else None,
+            load=self._load(),
             link=tuple(self._link(messages)),
             messages=messages,
         )
@@ -233,6 +236,13 @@ class _Moment:
     def _expected_ns(self, key: int) -> int | None:
         layout = self._record.decoder.databases.layouts.get(key)
         return expected_period_ns(key, layout, self._record.revision.name)
+
+    def _load(self) -> float | None:
+        if not len(self._window):
+            return None
+        length_ns = int(self._window.t_ns[-1] - self._window.t_ns[0])
+        bitrate = self._record.decoder.databases.baudrate or BITRATE
+        return int(wire_bits(self._window).sum()) * S / (bitrate * length_ns) if length_ns else 0.0
 
     # ------------------------------------------------------------ messages
 
