@@ -5,43 +5,41 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from datetime import datetime
+import shutil
+import sys
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument
 from fsai_vcu.interface.errors import UserError, WrongUse
-from fsai_vcu.interface.units import S
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
-    from fsai_vcu.diagnostics.monitor.snapshot import Picture
-    from fsai_vcu.diagnostics.monitor.view import View
+    from fsai_vcu.diagnostics.monitor.sources import Moment, Source
 
-EXAMPLE = "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2"
+EXAMPLE = (
+    "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2\n"
+    "  fsai-vcu monitor can0 --signals 'AS_STATE,*_TRQ*'"
+)
 ABOUT = """\
-Draws AS state, mission, what stands between now and driving, what is asked for
+Shows AS state, mission, what stands between now and driving, what is asked for
 and what the car gives, faults, handshake, and every message with its rate and
-age. It never sends. Ctrl-C or q ends it, p holds the picture. A log is shown as
-it stood at its end, or at a moment, or played. Where the output is no terminal,
-and with --plain, a line a second is printed."""
-
-Clock = tuple[float, str]  # as a number for programs (s), and as words
-Shown = tuple["Picture", Clock]
+age; on pages of their own messages with their bytes, signals, and the history of
+events. It never sends. Ctrl-C or q ends it, space holds the picture, ? shows all
+keys. A log is shown as it stood at its end, or at a moment, or played; the keys
+move in it. Where the output is no terminal, and with --plain, a line a second is
+printed. The pages need textual (pip install 'fsai-vcu[monitor]')."""
 
 _DRAW_EVERY_S = 0.25
 _PRINT_EVERY_S = 1.0
-_FAR_OFF_NS = 60 * S  # a stamp so far from now is of a device's own clock
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
     add_source_argument(parser)
     add_database_arguments(parser)
+    parser.add_argument("--signals", metavar="NAME,…", help="show these signals; NAME or MESSAGE.NAME, with * and ?")
     parser.add_argument("--every", type=float, metavar="S", help="how often (default: 0.25 drawn, 1 printed)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so long (live; default: until Ctrl-C)")
     log = parser.add_mutually_exclusive_group()
@@ -52,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.monitor.screen import is_terminal
+    from fsai_vcu.diagnostics.monitor.sources import Live, Log
     from fsai_vcu.diagnostics.monitor.view import View
     from fsai_vcu.interface.revisions import revision
 
@@ -63,146 +61,104 @@ def run(args: argparse.Namespace) -> int:
     if not sources.live and args.seconds is not None:
         raise WrongUse("--seconds is for live buses; --at shows a moment of a log")
     decoding = Decoding("monitor", args)
+    patterns = _patterns(args.signals, decoding)
     chosen = revision(args.revision) if args.revision else None
-    databases = decoding.databases if args.dbc else None
     name = args.source.partition(",")[0]
-    view = View("standard input" if name == "-" else Path(name).name, chosen, databases)
-    lines = args.plain or args.json
-    drawn = is_terminal() and not lines
-    still = not sources.live and args.rate is None
+    view = View("standard input" if name == "-" else Path(name).name, chosen, decoding.databases if args.dbc else None)
+    chunks = sources.chunks(args.seconds)
+    terminal, still = _is_terminal(), not sources.live and args.rate is None
+    textual = not (args.plain or args.json) and (terminal or still) and _has_textual()
+    drawn = textual and terminal
     every_s = args.every if args.every is not None else _DRAW_EVERY_S if drawn else _PRINT_EVERY_S
-    if still:
-        moments = _still(args, sources, view)
+    source: Source
+    if sources.live:
+        source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
     else:
-        moments = _live(sources, view, args.seconds, every_s) if sources.live else _played(sources, view, args, every_s)
-    last: Shown | None = None
-    with ExitStack() as stack:
-        show = None if still and not lines else _shower(args, drawn, stack)
-        try:
-            for last in moments:
-                if show is not None and not show(*last):
-                    break
-        except KeyboardInterrupt:
-            if not sources.live:
-                raise
-    if last is not None and (drawn or show is None):
-        _print_whole(*last, on_terminal=drawn)  # what was shown last stays to be read
+        source = Log(chunks, view, args.at, (args.rate or None) if drawn else args.rate)
+        if source.empty:
+            return sources.status
+    if drawn:
+        return _draw(source, every_s, patterns) | sources.status
+    if textual:
+        _print_whole(source.look(), 80, 24, None)
+    else:
+        _print_lines(source, every_s, patterns, as_json=args.json)
     return sources.status
 
 
-# ---------------------------------------------------------------- moments
+def _patterns(names: str | None, decoding: Decoding) -> list[str]:
+    """The signals asked for. Raises UserError where a database knows none of them."""
+    from fsai_vcu.diagnostics.monitor.changes import fits
+
+    patterns = list(filter(None, (names or "").split(",")))
+    layouts = [layout for databases in decoding.possible() for layout in databases.layouts.values()] if patterns else []
+    for pattern in patterns:
+        if not any(fits(layout, signal, [pattern]) for layout in layouts for signal in layout.signals):
+            raise UserError(f"no signal {pattern}; fsai-vcu dbc show lists them")
+    return patterns
 
 
-def _live(sources: Sources, view: View, seconds: float | None, every_s: float) -> Iterator[Shown]:
-    """Pictures of a live bus. Ages are reckoned on the monotonic clock: a step of the wall clock changes none."""
-    due_s = time.monotonic()
-    for frames in sources.chunks(seconds):
-        now_ns = time.monotonic_ns()
-        view.update(_on_our_clock(frames, time.time_ns(), now_ns))
-        if time.monotonic() >= due_s:
-            due_s = max(due_s + every_s, time.monotonic())
-            wall_s = time.time()
-            yield view.picture(now_ns), (wall_s, datetime.fromtimestamp(wall_s).strftime("%H:%M:%S"))
+def _is_terminal() -> bool:
+    """Whether there is a terminal with keys that can be drawn on; textual draws on standard error."""
+    able = os.environ.get("TERM", "") not in ("", "dumb")
+    return able and all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
 
 
-def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
-    """Stamps of the wall clock (or of a device's own) as times of the monotonic clock, none of them in the future."""
-    import numpy as np
-
-    if not len(frames):
-        return frames
-    newest_ns = int(frames.t_ns.max())
-    reference_ns = wall_ns if abs(wall_ns - newest_ns) < _FAR_OFF_NS else newest_ns
-    return frames.at(np.minimum(frames.t_ns - reference_ns + now_ns, now_ns))
+def _has_textual() -> bool:
+    try:
+        import textual  # noqa: F401
+    except ImportError:
+        print("fsai-vcu monitor: for pages and keys: pip install 'fsai-vcu[monitor]'", file=sys.stderr)
+        return False
+    return True
 
 
-def _played(sources: Sources, view: View, args: argparse.Namespace, every_s: float) -> Iterator[Shown]:
-    """Pictures of a log, as often as it was asked for on the clock of the one who looks."""
-    import numpy as np
+def _draw(source: Source, every_s: float, patterns: list[str]) -> int:
+    from fsai_vcu.diagnostics.monitor.app import MonitorApp
 
-    step_ns = max(1, round(every_s * (args.rate or 1.0) * S))
-    begin_ns = due_ns = None
-    due_s = time.monotonic()
-    for frames in sources.chunks():
-        while len(frames):
-            if due_ns is None or begin_ns is None:
-                begin_ns = int(frames.t_ns[0])
-                due_ns = begin_ns + step_ns
-            later = (frames.t_ns >= due_ns).nonzero()[0]
-            cut = int(later[0]) if len(later) else len(frames)
-            view.update(frames.head(cut))
-            frames = frames.only(np.arange(cut, len(frames), dtype=np.int64))
-            if len(later):
-                yield _moment(view, begin_ns, due_ns)
-                due_ns += step_ns
-                due_s += every_s
-                if args.rate:
-                    time.sleep(max(0.0, due_s - time.monotonic()))
-    if begin_ns is not None:
-        yield _moment(view, begin_ns, 0)
+    try:
+        app = MonitorApp(source, every_s, patterns)
+        app.run(mouse=False)  # so that the terminal's own selection works
+    finally:
+        source.close()
+    width, height = shutil.get_terminal_size()
+    _print_whole(app.moment, width, height, height - 1)  # what was shown last stays to be read
+    sys.stderr.write("".join(app.printed))
+    return app.return_code or 0
 
 
-def _still(args: argparse.Namespace, sources: Sources, view: View) -> Iterator[Shown]:
-    """A log as it stood at its end, or at --at. Nothing for an empty log, which Sources has reported."""
-    begin_ns: int | None = None
-    for frames in sources.chunks():
-        if not len(frames):
-            continue
-        if begin_ns is None:
-            begin_ns = int(frames.t_ns[0])
-        view.update(frames if args.at is None else frames.only(frames.t_ns <= begin_ns + round(args.at * S)))
-    if begin_ns is None:
-        return
-    if view.memory.newest_ns is None:
-        raise UserError(f"{args.source}: no frame up to {args.at:g} s")
-    yield _moment(view, begin_ns, 0 if args.at is None else begin_ns + round(args.at * S))
+def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> None:
+    """Once, as lines that stay, at most so many."""
+    from rich.console import Console
+
+    from fsai_vcu.diagnostics.monitor.drawing import head, overview
+
+    console = Console(width=width, highlight=False)
+    with console.capture() as captured:
+        console.print(head(moment.picture, moment.words, width))
+        console.print(overview(moment.picture, width, height))
+    lines = [f"{line.rstrip()}\n" for line in captured.get().splitlines()[:most]]
+    Output().write("".join(lines).encode(), at_once=True)
 
 
-def _print_whole(picture: Picture, clock: Clock, *, on_terminal: bool) -> None:
-    """Once, as lines that stay."""
-    from fsai_vcu.diagnostics.monitor.drawing import screen_lines
-    from fsai_vcu.diagnostics.monitor.screen import USUAL_SIZE, size
+def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
+    from fsai_vcu.diagnostics.monitor.plain import plain_line
 
-    width, height = size() if on_terminal else USUAL_SIZE
-    color = on_terminal and not os.environ.get("NO_COLOR")
-    lines = screen_lines(picture, width, max(USUAL_SIZE[1], height - 1), clock[1], color=color)
-    Output().write(("\n".join(line.rstrip() for line in lines) + "\n").encode(), at_once=True)
-
-
-def _moment(view: View, begin_ns: int, at_ns: int) -> Shown:
-    """The picture at `at_ns` or at the newest frame, whichever is later."""
-    now_ns = max(at_ns, view.memory.newest_ns or 0)
-    return view.picture(now_ns), (now_ns / S, f"{(now_ns - begin_ns) / S:.1f} s into the log")
-
-
-# ---------------------------------------------------------------- showing
-
-
-def _shower(args: argparse.Namespace, drawn: bool, stack: ExitStack) -> Callable[[Picture, Clock], bool]:
-    """Shows a picture, and says whether to go on."""
-    from fsai_vcu.diagnostics.monitor.drawing import plain_line, screen_lines
-    from fsai_vcu.diagnostics.monitor.screen import Screen, size
-
-    if drawn:
-        screen = stack.enter_context(Screen())
-        color = not os.environ.get("NO_COLOR")
-        held: Shown | None = None
-
-        def draw(picture: Picture, clock: Clock) -> bool:
-            nonlocal held
-            keys = screen.keys()
-            if "p" in keys:
-                held = None if held else (picture, (clock[0], f"paused at {clock[1]}"))
-            shown, at = held or (picture, clock)
-            screen.draw(screen_lines(shown, *size(), at[1], color=color))
-            return "q" not in keys
-
-        return draw
     output = Output()
-
-    def write(picture: Picture, clock: Clock) -> bool:
-        text = json.dumps({"t": clock[0], **picture.as_dict()}) if args.json else plain_line(picture, clock[1])
-        output.write(f"{text}\n".encode(), at_once=True)
-        return True
-
-    return write
+    try:
+        while True:
+            source.advance(every_s)
+            source.wait(every_s)
+            view, picture, time_s, words = source.look()
+            signals = view.signals(patterns, picture.t_ns) if patterns else []
+            shown = {"signals": {one.name: one.value for one in signals}} if patterns else {}
+            entry = {"t": time_s, **picture.as_dict(), **shown}
+            text = json.dumps(entry) if as_json else plain_line(picture, words, signals)
+            output.write(f"{text}\n".encode(), at_once=True)
+            if source.ended or not source.playing:
+                break
+    except KeyboardInterrupt:
+        if source.is_log:
+            raise
+    finally:
+        source.close()

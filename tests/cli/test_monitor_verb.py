@@ -54,7 +54,33 @@ def test_a_log_is_shown_as_it_stood_at_its_end(log: str, capsys: pytest.CaptureF
     assert lines[0].endswith("6.0 s into the log")
     assert lines[1].startswith("AS_DRIVING for 3.0 s  Go on  ASMS on  TSMS on  mode autonomous")
     assert "driving" in lines
-    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+    assert max(map(len, lines)) <= 80
+
+
+def test_signals_can_be_added_to_lines_and_objects(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (line,) = shown(capsys, log, "--plain", "--signals", "AS_STATE,VCU2AI_Speeds.FL*")
+    assert "| VCU2AI_Status.AS_STATE AS_DRIVING | VCU2AI_Speeds.FL_WHEEL_SPEED 256 rpm" in line
+    (entry,) = (json.loads(each) for each in shown(capsys, log, "--json", "--signals", "*_Status.as_state"))
+    assert entry["signals"] == {"VCU2AI_Status.AS_STATE": "AS_DRIVING"}
+
+
+def test_without_textual_plain_lines_and_how_to_get_it(
+    log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "textual", None)
+    assert main(["monitor", log]) == 0
+    found = capsys.readouterr()
+    assert found.err == "fsai-vcu monitor: for pages and keys: pip install 'fsai-vcu[monitor]'\n"
+    assert found.out.startswith("6.0 s into the log | AS_DRIVING |") and found.out.count("\n") == 1
+
+
+def test_textual_is_loaded_only_where_pages_are_shown(log: str) -> None:
+    code = (
+        "import sys; from fsai_vcu.cli.main import main; main(sys.argv[1:]); "
+        "sys.exit(any(each in sys.modules for each in ('textual', 'rich')))"
+    )
+    for argv in (["--version"], ["monitor", log, "--plain"], ["monitor", log, "--json"]):
+        assert subprocess.run([sys.executable, "-c", code, *argv], capture_output=True).returncode == 0
 
 
 def test_a_moment_of_a_log_is_shown_with_what_stood_in_the_way(log: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,7 +94,7 @@ def test_a_log_is_played_a_line_for_each_second_of_it(log: str, capsys: pytest.C
     assert [line.split(" | ")[:2] for line in lines] == [
         ["1.0 s into the log", "AS_OFF"],
         ["2.0 s into the log", "AS_OFF"],
-        ["3.0 s into the log", "AS_OFF"],
+        ["3.0 s into the log", "AS_DRIVING"],
         ["4.0 s into the log", "AS_DRIVING"],
         ["5.0 s into the log", "AS_DRIVING"],
         ["6.0 s into the log", "AS_DRIVING"],
@@ -109,6 +135,7 @@ def test_json_is_one_object_for_each_look_with_the_promised_keys(log: str, capsy
         (["loopback:monitor-none", "--rate", "1"], "--at and --rate are for logs", 2),
         (["LOG", "--revision", "2030"], "choose one of 2021, 2026", 2),
         (["LOG", "--dbc", "gone.dbc"], "gone.dbc: cannot be read", 1),
+        (["LOG", "--signals", "AS_STATE,NOTHING*"], "no signal NOTHING*; fsai-vcu dbc show lists them", 1),
         (["EMPTY"], "no frames in it", 1),
         (["GARBAGE"], "line 1: not text", 1),
     ],
@@ -152,7 +179,7 @@ def test_a_live_bus_is_shown_and_nothing_is_ever_sent_on_it(capsys: pytest.Captu
 class Terminal:
     """The verb on a pseudo-terminal of 80 by 24."""
 
-    def __init__(self, *argv: str) -> None:
+    def __init__(self, *argv: str, **environment: str) -> None:
         self.master, slave = pty.openpty()
         self.resize(80, 24)
         self.before = termios.tcgetattr(self.master)
@@ -163,7 +190,7 @@ class Terminal:
             stdout=slave,
             stderr=slave,
             start_new_session=True,
-            env={**os.environ, "TERM": "xterm", "NO_COLOR": ""},
+            env={**{k: v for k, v in os.environ.items() if k != "NO_COLOR"}, "TERM": "xterm", **environment},
         )
         os.close(slave)
 
@@ -184,6 +211,9 @@ class Terminal:
         assert re.search(pattern, self.seen[begin:]), self.seen[-2000:]
         return self.seen[begin:]
 
+    def type(self, keys: str) -> None:
+        os.write(self.master, keys.encode())
+
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
@@ -197,41 +227,42 @@ def terminal() -> Iterator[Terminal]:
     found.close()
 
 
-ENTER, LEAVE = re.escape("\x1b[?1049h"), re.escape("\x1b[0m\x1b[?25h\x1b[?1049l")
+ENTER, LEAVE = re.escape("\x1b[?1049h"), re.escape("\x1b[?1049l")
+NOTHING = "nothing is received on this bus"
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, "q"])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, "q", "\x03"])
 def test_however_it_ends_the_terminal_is_left_as_it_was(terminal: Terminal, how: signal.Signals | str) -> None:
-    terminal.read("nothing is received on this bus")
+    terminal.read(NOTHING)
     assert re.search(ENTER, terminal.seen)
     assert termios.tcgetattr(terminal.master)[3] & termios.ECHO == 0
     if isinstance(how, str):
-        os.write(terminal.master, how.encode())
+        terminal.type(how)
     else:
         terminal.process.send_signal(how)
-    terminal.read(LEAVE)
+    terminal.read(f"{LEAVE}[^\x00]*{NOTHING}")  # the last picture stays to be read
     assert terminal.process.wait(WITHIN_S) == 0
     assert termios.tcgetattr(terminal.master) == terminal.before
+    assert terminal.seen.count("\x1b[?25l") <= terminal.seen.count("\x1b[?25h")  # the cursor
 
 
 def test_a_resized_terminal_is_drawn_in_its_new_size(terminal: Terminal) -> None:
-    terminal.read("nothing is received on this bus")
-    terminal.resize(60, 10)
-    pictures = terminal.read(r"\x1b\[H[^\n]{1,75}\r\n[^\x00]*\x1b\[J").split("\x1b[H")
-    assert pictures[-1].count("\n") < 10
+    terminal.read(NOTHING)
+    terminal.resize(40, 14)
+    terminal.process.send_signal(signal.SIGWINCH)  # as the kernel does for a controlling terminal
+    terminal.read(r"\x1b\[14;1H[^\n]*q quit")
 
 
 def test_p_holds_the_picture_until_it_is_pressed_again(terminal: Terminal) -> None:
-    terminal.read("nothing is received on this bus")
-    os.write(terminal.master, b"p")
-    held = re.findall("paused at [0-9:]+", terminal.read("(paused at [^\x00]*){3}"))
-    assert len(set(held)) == 1
-    os.write(terminal.master, b"p")
-    terminal.read(r"listening only   \d")
+    terminal.read(NOTHING)
+    terminal.type("p")
+    terminal.read("paused at [0-9:]+")
+    terminal.type("p")
+    terminal.read(r"listening only")
 
 
 def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> None:
-    terminal.read("nothing is received on this bus")
+    terminal.read(NOTHING)
     os.kill(terminal.process.pid, signal.SIGTSTP)
     terminal.read(LEAVE)
     os.waitpid(terminal.process.pid, os.WUNTRACED)  # until it has stopped
@@ -241,8 +272,39 @@ def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> N
     assert terminal.process.wait(WITHIN_S) == 0
 
 
+def test_a_log_is_moved_in_and_no_color_is_honoured(log: str) -> None:
+    terminal = Terminal(log, "--at", "1", NO_COLOR="1")
+    try:
+        terminal.read("1.0 of 6.0 s")
+        terminal.type("n")
+        terminal.read("AS_DRIVING")
+        terminal.type("q")
+        terminal.read(f"{LEAVE}[^\x00]*3.0 s into the log[^\x00]*AS_DRIVING")
+        assert terminal.process.wait(WITHIN_S) == 0
+        assert terminal.seen[terminal.seen.index("\x1b[?1049l") :].count("\n") < 24
+        assert not re.search(r"\x1b\[([\d;]*;)?[349][0-7](;[\d;]*)?m", terminal.seen)
+    finally:
+        terminal.close()
+
+
+def test_a_terminal_that_goes_away_ends_it(terminal: Terminal) -> None:
+    terminal.read(NOTHING)
+    terminal.process.send_signal(signal.SIGHUP)
+    assert terminal.process.wait(WITHIN_S) == 0
+
+
 def test_a_terminal_that_can_do_nothing_gets_plain_lines(log: str) -> None:
     done = subprocess.run(
         [*VERB, log, "--rate", "0"], capture_output=True, text=True, env={**os.environ, "TERM": "dumb"}
     )
     assert done.returncode == 0 and "\x1b" not in done.stdout and done.stdout.count("\n") == 6
+
+
+def test_a_reader_that_goes_away_is_no_error(log: str) -> None:
+    argv = [*VERB, log, "--rate", "0", "--every", "0.02", "--json"]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(WITHIN_S) == 0

@@ -1,16 +1,26 @@
-"""The live view: what it shows of a moment, what it remembers, what it draws. No bus and no clock."""
+"""The monitor without a terminal: what it shows of a moment, what it remembers, how it moves in a log. No bus."""
 
 from __future__ import annotations
 
+import io
+import itertools
 import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from story_runs import Ended, branch, driving, off, ready
 
+from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.monitor.drawing import plain_line, screen_lines
+from fsai_vcu.diagnostics.monitor.drawing import head, history_row, message_row, overview
+from fsai_vcu.diagnostics.monitor.plain import plain_line
 from fsai_vcu.diagnostics.monitor.snapshot import Freshness, Picture
+from fsai_vcu.diagnostics.monitor.sources import Live, Log
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
 from fsai_vcu.interface.enums import Ami, AsState
@@ -313,75 +323,263 @@ def test_the_revision_is_recognised_or_as_given() -> None:
     assert given.picture(S).revision == "2026"
 
 
+# ---------------------------------------------------------------- what changed
+
+
+def test_a_byte_says_when_and_how_often_it_changed() -> None:
+    steady = every_cycle(0, 2 * S, (0x7AA, "0102"))
+    changed = every_cycle(2 * S, 3 * S, (0x7AA, "0107"))
+    view = View("can0")
+    for part in (steady, changed):
+        view.update(part)
+    now_ns = 2 * S + 500 * MS
+    assert {one.can_id: one.changed for one in view.picture(now_ns).messages}[0x7AA] == (1,)
+    first, second = view.bytes(0x7AA, 3 * S)
+    assert (first.value, first.changes, first.changed_s) == ("01", 0, None)
+    assert (second.value, second.before, second.changes, second.changed_s) == ("07", "02", 1, 1.0)
+    assert {one.can_id: one.changed for one in view.picture(3 * S + 1).messages}[0x7AA] == ()
+
+
+def test_signals_are_picked_by_name_or_message_in_any_case(go_off: Ended) -> None:
+    view = View("can0")
+    view.update(go_off.frames)
+    now_ns = int(go_off.frames.t_ns[-1])
+    assert view.signals(["*"], now_ns) == []  # by which database nobody knows yet
+    view.picture(now_ns)
+    (state,) = view.signals(["as_state"], now_ns)
+    assert (state.name, state.value, state.before) == ("VCU2AI_Status.AS_STATE", "EMERGENCY_BRAKE", "AS_DRIVING")
+    assert state.changed_s == pytest.approx(2.0, abs=0.05)
+    rears = view.signals(["vcu2ai_drive_r.rear_axle_trq_[nm]*", "nothing"], now_ns)
+    assert [one.name for one in rears] == ["VCU2AI_Drive_R.REAR_AXLE_TRQ_Nm", "VCU2AI_Drive_R.REAR_AXLE_TRQ_MAX_Nm"]
+    assert re.fullmatch(r"0 … [\d.]+", rears[0].extent) and rears[0].value.endswith(" Nm")
+
+
+def test_signals_of_a_foreign_database_have_its_words(tmp_path: Path) -> None:
+    path = tmp_path / "lamp.dbc"
+    path.write_text(
+        'VERSION ""\n\nBU_: A\n\nBO_ 419 Lamp: 2 A\n SG_ COLOUR : 0|4@1+ (1,0) [0|15] "" A\n'
+        ' SG_ LEVEL : 8|8@1+ (0.5,0) [0|100] "%" A\n\nVAL_ 419 COLOUR 0 "OFF" 1 "RED";\n'
+    )
+    view = View("can0", databases=load_databases([path]))
+    view.update(every_cycle(0, S, (0x1A3, "0032"), (0x520, status(AsState.AS_OFF))))
+    view.update(every_cycle(S, 2 * S, (0x1A3, "0119"), (0x520, status(AsState.AS_OFF))))
+    view.picture(2 * S)
+    found = {one.name: (one.value, one.before, one.extent) for one in view.signals(["*"], 2 * S)}
+    assert found == {"Lamp.COLOUR": ("RED", "OFF", ""), "Lamp.LEVEL": ("12.5 %", "25 %", "12.5 … 25")}
+
+
+def test_events_are_remembered_an_hour_later_with_times() -> None:
+    run = [
+        every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *AI),
+        every_cycle(S, 2 * S, (0x520, status(AsState.AS_READY)), *AI),
+        every_cycle(2 * S, 3 * S, (0x520, status(AsState.AS_DRIVING, go=True)), *AI),
+        every_cycle(3 * S, 4 * S, (0x520, status(AsState.EMERGENCY_BRAKE, bits=1 << 24 | 1 << 49)), *AI),
+    ]
+    view = View("can0")
+    for part in (*run, *in_chunks(hours(4 * S, 360_000, status(AsState.AS_OFF)), 10 * S)):
+        view.update(part)
+    found = {one.text: one.t_ns for one in view.events()}
+    assert found["AS_STATE AS_OFF → AS_READY"] == S
+    assert found["AS_STATE AS_READY → AS_DRIVING"] == found["Go on"] == 2 * S
+    assert found["Go off"] == found["BMS_FAULT 1"] == 3 * S
+    assert found["AMI_STATE TRACKDRIVE"] == 0
+    assert not any("silent" in text or "missing" in text for text in found)
+
+
+# ---------------------------------------------------------------- a log
+
+
+def pieces(frames: Frames) -> Iterator[Frames]:
+    return iter(in_chunks(frames, 700 * MS))
+
+
+def test_any_moment_of_a_log_is_as_if_it_had_just_come(go_off: Ended) -> None:
+    frames = go_off.frames
+    log = Log(pieces(frames), View("can0"), 0.0, None)
+    begin_ns, end_ns = int(frames.t_ns[0]), int(frames.t_ns[-1])
+    assert (log.begin_ns, log.end_ns, log.position_ns) == (begin_ns, end_ns, begin_ns)
+    for t_ns in (end_ns, begin_ns + S // 3, begin_ns + 700 * MS, end_ns - S, begin_ns + 5 * S):
+        log.seek(t_ns)
+        fresh = View("can0")
+        fresh.update(frames.only(frames.t_ns <= t_ns))
+        assert log.look().picture.as_dict() == fresh.picture(t_ns).as_dict()
+    log.seek(end_ns + S)
+    assert log.position_ns == end_ns and log.ended
+    log.seek(begin_ns - S)
+    assert log.position_ns == begin_ns and not log.ended
+
+
+def test_an_old_emergency_brake_in_a_log_keeps_its_cause(asms_off: Ended) -> None:
+    last = asms_off.frames.only(asms_off.frames.t_ns > asms_off.frames.t_ns[-1] - CYCLE)
+    after = [last.at(last.t_ns + step) for step in range(CYCLE, 2 * LONG_NS, CYCLE)]
+    log = Log(iter([*in_chunks(asms_off.frames), joined(after)]), View("can0"), None, None)
+    assert "ASMS was turned off" in log.look().picture.why_not_driving[0].words
+
+
+def test_a_log_plays_and_pauses_and_begins_again_at_its_end() -> None:
+    log = Log(pieces(every_cycle(0, 3 * S, (0x520, status(AsState.AS_OFF)))), View("can0"), None, 2.0)
+    positions = []
+    for seconds in (0.5, 0.5, 1.0):
+        log.advance(seconds)
+        positions.append(log.position_ns)
+    assert positions == [S, 2 * S, 3 * S - CYCLE] and not log.playing
+    log.pause()
+    assert (log.position_ns, log.playing) == (0, True)
+    log.pause()
+    log.advance(1.0)
+    assert (log.position_ns, log.playing) == (0, False)
+    assert log.clock(1_234 * MS) == "1.234 s"
+
+
+def test_a_log_is_read_only_as_far_as_is_looked() -> None:
+    chunks = pieces(every_cycle(0, 60 * S, (0x520, status(AsState.AS_OFF))))
+    log = Log(chunks, View("can0"), None, 1.0)
+    log.advance(1.0)
+    assert not log.ended and next(chunks).t_ns[0] < 4 * S
+
+
+# ---------------------------------------------------------------- a bus
+
+
+def test_a_held_picture_stays_and_nothing_is_lost_meanwhile() -> None:
+    go_on = threading.Event()
+
+    def chunks() -> Iterator[Frames]:
+        now_ns = time.time_ns()
+        yield every_cycle(now_ns - S, now_ns, (0x520, status(AsState.AS_OFF)))
+        go_on.wait(10.0)
+        yield every_cycle(now_ns, now_ns + 200 * MS, (0x520, status(AsState.AS_READY)))
+
+    live = Live(chunks(), View("can0"))
+    while live.look().picture.as_state is None:
+        pass
+    live.pause()
+    held = live.look()
+    go_on.set()
+    live.wait(10.0)
+    assert live.ended and live.look() is held and held.words.startswith("paused at ")
+    live.pause()
+    assert live.look().picture.as_state == "AS_READY"
+    assert [one.text for one in live.events() if one.topic == "AS state"][-1] == "AS_STATE AS_OFF → AS_READY"
+    live.close()
+
+
+def test_what_ends_the_reading_of_a_bus_is_raised_at_close() -> None:
+    def chunks() -> Iterator[Frames]:
+        yield every_cycle(0, S, (0x520, status(AsState.AS_OFF)))
+        raise OSError("no such bus any more")
+
+    live = Live(chunks(), View("can0"))
+    live.wait(10.0)
+    assert live.ended
+    with pytest.raises(OSError, match="no such bus"):
+        live.close()
+
+
 # ---------------------------------------------------------------- drawing
 
 
-SIZES = [(80, 24), (40, 10), (20, 5), (1, 1), (132, 43), (250, 80)]
+def drawn(picture: Picture, width: int, height: int, *, dark_phase: bool = False, color: bool = False) -> list[str]:
+    console = Console(
+        file=io.StringIO(),
+        width=width,
+        highlight=False,
+        force_terminal=color,
+        color_system="standard" if color else None,
+    )
+    console.print(head(picture, "12:34:56", width))
+    console.print(overview(picture, width, height, dark_phase=dark_phase))
+    assert isinstance(console.file, io.StringIO)
+    return [line.rstrip() for line in console.file.getvalue().splitlines()]
 
 
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_a_picture_never_exceeds_the_terminal(width: int, height: int, go_off: Ended) -> None:
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (40, 10), (20, 5), (132, 43)])
+def test_a_picture_never_is_wider_than_the_terminal(width: int, height: int, go_off: Ended) -> None:
     strange = frames_of([LogFrame(int(go_off.frames.t_ns[-1]), "can0", can_id) for can_id in range(0x700, 0x740)])
     for picture in (
-        seen(go_off.frames),
         seen(go_off.frames, strange),
         seen(go_off.frames, now_ns=int(go_off.frames.t_ns[-1]) + 4000 * S),
         View("can0").picture(0),
     ):
-        lines = screen_lines(picture, width, height, "12:34:56", color=True)
-        assert len(lines) <= height
-        assert all(len(re.sub(r"\x1b\[[\d;]*m", "", line)) <= width for line in lines)
-        plain = screen_lines(picture, width, height, "12:34:56", color=False)
-        assert "\x1b" not in "".join(plain)
-        assert [re.sub(r"\x1b\[[\d;]*m", "", line) for line in lines] == plain
+        assert max(map(len, drawn(picture, width, height))) <= width
+        for row in (message_row(one, width) for one in picture.messages):
+            assert len(row) <= width and "\n" not in row.plain
 
 
 def test_80_by_24_shows_everything_at_once(go_off: Ended) -> None:
-    text = "\n".join(screen_lines(seen(go_off.frames), 80, 24, "12:34:56", color=False))
+    text = "\n".join(drawn(seen(go_off.frames), 79, 24)[:23])
     for part in (
         "EMERGENCY_BRAKE for 2.0 s",
         "mode autonomous",
         "mission ACCELERATION",
         "Go off",
         "ASMS on",
+        "why not driving:",
+        "the remote's Go went off",
         "steering",
         "torque rear",
         "brake front",
         "m/s",
-        "wheels      FL 0",
+        "wheels  FL 0",
         "handshake   answered in",
         "faults      none",
-        "why not driving:",
-        "the remote's Go went off",
         "510 AI2VCU_Status          100/s",
-        "526 VCU2AI_Wheel_counts    100/s",
+        "514 AI2VCU_Brake           100/s",
     ):
         assert part in text, part
 
 
 def test_a_small_screen_keeps_the_reasons_before_the_figures() -> None:
     picture = seen(every_cycle(0, S, (0x520, status(AsState.AS_OFF, asms=False, ami=Ami.NOT_SELECTED)), *AI))
-    lines = screen_lines(picture, 40, 14, color=False)
+    lines = drawn(picture, 39, 14)[:13]
     text = re.sub(r"\s+", " ", "\n".join(lines[lines.index("why not driving:") :]))
     assert len(words(picture)) > 1 and all(f"- {reason}" in text for reason in words(picture)), text
-    assert not any(line.startswith(("steering  ", "handshake")) for line in lines)
-    empty = screen_lines(View("can0").picture(0), 40, 14, color=False)
+    empty = drawn(View("can0").picture(0), 39, 14)
     assert empty[-1] == "! nothing is received on this bus" and len(empty) < 8
 
 
-def test_where_not_all_messages_fit_those_that_are_not_well_do() -> None:
+def test_messages_that_are_not_well_are_shown_first() -> None:
     frames = every_cycle(0, S, (0x520, status(AsState.AS_OFF)), *((i, "01") for i in range(0x700, 0x715)), (0x7FF, ""))
     on = every_cycle(S, 5 * S, (0x520, status(AsState.AS_OFF)), *((i, "01") for i in range(0x700, 0x715)))
-    lines = screen_lines(seen(frames, on), 80, 24, color=False)
-    assert any(re.search(r"7FF in no database .* LOST", line) for line in lines)
-    assert any("… and " in line for line in lines)
+    lines = drawn(seen(frames, on), 80, 24)
+    assert any(re.search(r"7FF in no database .* LOST", line) for line in lines[:24])
 
 
-def test_control_characters_in_names_never_reach_the_terminal() -> None:
+@pytest.mark.parametrize(
+    ("state", "light", "flashes"),
+    [
+        (AsState.AS_READY, "30;43", False),
+        (AsState.AS_DRIVING, "30;43", True),
+        (AsState.EMERGENCY_BRAKE, "37;44", True),
+        (AsState.AS_FINISHED, "37;44", False),
+        (AsState.AS_OFF, "", False),
+    ],
+)
+def test_a_state_has_the_colour_of_the_cars_lights(state: AsState, light: str, flashes: bool) -> None:
+    picture = seen(every_cycle(0, S, (0x520, status(state)), *AI))
+    bright, dark = (drawn(picture, 80, 24, color=True, dark_phase=phase)[1] for phase in (False, True))
+    assert (light in bright.split("m")[0]) and ("4" in bright.split("m")[0]) == bool(light)
+    assert (bright != dark) == flashes
+
+
+def test_changed_bytes_and_values_are_highlighted() -> None:
+    view = View("can0")
+    view.update(every_cycle(0, S, (0x7AA, "0102")))
+    view.update(every_cycle(S, 2 * S, (0x7AA, "0107")))
+    picture = view.picture(S + 100 * MS)
+    row = message_row({one.can_id: one for one in picture.messages}[0x7AA], 80)
+    assert [row.plain[span.start : span.end] for span in row.spans if "reverse" in str(span.style)] == ["07"]
+    now, later = (history_row(view.bytes(0x7AA, t_ns)[1], 80) for t_ns in (S + 100 * MS, 3 * S))
+    marked = [[span for span in each.spans if "reverse" in str(span.style)] for each in (now, later)]
+    assert list(map(len, marked)) == [1, 0] and "100 ms ago, 1×, was 02" in now.plain
+
+
+def test_control_characters_in_names_never_reach_the_terminal(go_off: Ended) -> None:
     view = View("\x1b]0;evil\x07bus")
-    assert all(
-        "\x1b]" not in line and "\x07" not in line for line in screen_lines(view.picture(0), 80, 24, color=False)
-    )
+    view.update(go_off.frames)
+    picture = view.picture(int(go_off.frames.t_ns[-1]))
+    for text in itertools.chain(drawn(picture, 80, 24), [plain_line(picture, "\x1b[2J")]):
+        assert text.isprintable()
 
 
 def test_the_plain_line_is_one_line_with_the_reasons(go_off: Ended) -> None:

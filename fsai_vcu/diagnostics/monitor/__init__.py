@@ -3,8 +3,9 @@
     view = View()                       # view.py: frames in, with their times; knows no clock
     view.update(frames)                 # frames.Frames, as they come
     picture = view.picture(now_ns)      # snapshot.py: everything there is to show, as plain data
-    screen_lines(picture, 80, 24, …)    # drawing.py: as lines of a terminal; plain_line: as one line
-    Screen().draw(lines)                # screen.py: the terminal itself
+    view.signals(["*_TRQ*"], now_ns)    # changes.py: values and when they changed; bytes and events likewise
+    source = Live(chunks, view)         # sources.py: a bus as it is now, or Log: any moment of a log
+    MonitorApp(source, 0.25).run()      # app.py, drawing.py: pages on a terminal; plain.py: one line
 
-`why_not_driving.py` says what stands between now and driving, by the rules of the story of a log.
+`why_not_driving.py` says what stands between now and driving, by the rules that explain a log.
 """

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.statistics.measure import Handshake
 
 
@@ -36,6 +37,12 @@ class MessagePicture:
     age_s: float | None
     freshness: Freshness
     wrong_length: bool  # its newest frames have a length that is not the message's
+    data: bytes = b""
+    changed: tuple[int, ...] = ()  # the bytes that changed within the last second
+
+    @property
+    def key(self) -> int:
+        return self.can_id | (EXTENDED_KEY if self.extended else 0)
 
     @property
     def number(self) -> str:
@@ -50,6 +57,19 @@ class Actuator:
     given: float | None
     limit: float | None
     unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """A signal, or a byte of a message: its newest value, and how it changed within the last 30 s."""
+
+    name: str
+    value: str
+    age_s: float
+    changes: int
+    changed_s: float | None  # since the newest change
+    before: str = ""  # the value before that
+    extent: str = ""  # least and most
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,32 +119,32 @@ class Picture:
     link: tuple[str, ...] = ()  # what is wrong on the bus itself, in sentences
     messages: tuple[MessagePicture, ...] = ()
 
+    @property
+    def response(self) -> str:
+        """How fast the AI computer answers the handshake."""
+        median_ms = self.handshake.response.p50_ms if self.handshake else None
+        return "no answers" if median_ms is None else f"{median_ms:.1f} ms"
+
     def as_dict(self) -> dict[str, Any]:
         """As JSON types, without the time, which is the caller's to name."""
-        found = {each.name: getattr(self, each.name) for each in dataclasses.fields(self) if each.name != "t_ns"}
+        found: dict[str, Any] = _plain({each.name: getattr(self, each.name) for each in dataclasses.fields(self)})
         found["handshake"] = self.handshake.as_dict() if self.handshake else None
-        found["messages"] = [_message_dict(message) for message in self.messages]
-        found["actuators"] = {name: _rounded(dataclasses.asdict(each)) for name, each in self.actuators.items()}
-        found["why_not_driving"] = [dataclasses.asdict(each) for each in self.why_not_driving]
-        for name in ("states", "wheels_rpm"):
-            found[name] = dict(found[name])
-        for name in ("faults", "warnings", "link"):
-            found[name] = list(found[name])
-        return _rounded(found)
+        for message in found["messages"]:
+            message["id"], message["message"] = message.pop("can_id"), message.pop("name")
+        del found["t_ns"]
+        return found
 
 
-def _message_dict(message: MessagePicture) -> dict[str, Any]:
-    return {
-        "id": message.can_id,
-        "extended": message.extended,
-        "message": message.name,
-        "rate_hz": round(message.rate_hz, 2),
-        "expected_hz": message.expected_hz,
-        "age_s": None if message.age_s is None else round(message.age_s, 4),
-        "freshness": message.freshness.value,
-        "wrong_length": message.wrong_length,
-    }
-
-
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: round(value, 4) if isinstance(value, float) else value for name, value in values.items()}
+def _plain(value: Any) -> Any:
+    """Dataclasses, tuples, words and bytes as JSON types; numbers with four digits."""
+    if isinstance(value, float):
+        return round(value, 4)
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, Mapping):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return _plain(dataclasses.asdict(value)) if dataclasses.is_dataclass(value) else value  # type: ignore[arg-type]

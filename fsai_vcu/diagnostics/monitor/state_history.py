@@ -7,6 +7,7 @@ show that there was no pause. Of every other message the newest frame is kept.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from functools import cache
 from typing import Final
@@ -15,18 +16,7 @@ import numpy as np
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.explain.signals import STATUS
-from fsai_vcu.diagnostics.log.frames import (
-    ERROR,
-    EXTENDED,
-    REMOTE,
-    Frames,
-    Ints,
-    LogFrame,
-    Mask,
-    Words,
-    frames_of,
-    joined,
-)
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, LogFrame, Words, frames_of, joined
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.messages import AiStatus, VcuBrake, VcuStatus
 from fsai_vcu.interface.revisions import REVISIONS
@@ -77,13 +67,20 @@ class Memory:
         self._window: list[Frames] = []
         self._states: list[Frames] = []
         self._newest: dict[int, LogFrame] = {}
-        self._state: dict[int, tuple[int, int]] = {}  # by id: (state, heartbeat) of the newest frame
         self._channels: list[str] = []
 
-    def update(self, frames: Frames) -> None:
-        """More frames, in the order in which they came."""
+    def copy(self) -> Memory:
+        """What is remembered now, for frames with times as `update` returned them."""
+        found = copy.copy(self)
+        found._moved_ns = 0
+        found.first_ns, found._newest = dict(self.first_ns), dict(self._newest)
+        found._window, found._states = list(self._window), list(self._states)
+        return found
+
+    def update(self, frames: Frames) -> Frames:
+        """More frames, in the order in which they came; the same with times that never go back."""
         if not len(frames):
-            return
+            return frames
         frames = self._straightened(frames)
         t_ns = frames.t_ns
         self.frames += len(frames)
@@ -103,6 +100,7 @@ class Memory:
             if key >= 0:
                 self.first_ns.setdefault(key, int(t_ns[row]))
                 self._newest[key] = frames.frame(len(frames) - 1 - back)
+        return frames
 
     def _straightened(self, frames: Frames) -> Frames:
         raw = frames.t_ns + self._moved_ns
@@ -115,30 +113,21 @@ class Memory:
 
     def _keep_states(self, frames: Frames) -> None:
         plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
-        kept: Mask = np.zeros(len(frames), np.bool_)
-        earlier: list[LogFrame] = []
         for can_id, states_of in _states_of().items():
             rows: Ints = np.flatnonzero(plain & (frames.can_id == can_id))
             if not len(rows):
                 continue
-            states = states_of(frames.word[rows])
-            beats = frames.t_ns[rows] // HEARTBEAT_NS
             before = self._newest.get(can_id)
-            state, beat = self._state.get(can_id, (-1, -1))
-            new = np.empty(len(rows), np.bool_)
-            new[1:] = (np.diff(states) != 0) | (np.diff(beats) != 0)
-            new[0] = int(states[0]) != state or int(beats[0]) != beat
-            pauses = np.diff(frames.t_ns[rows], prepend=before.t_ns if before else frames.t_ns[rows[0]]) > COMMS_LOST_NS
-            kept[rows[new | pauses]] = True
-            ends = np.flatnonzero(pauses[1:])
-            kept[rows[ends]] = True
-            if pauses[0] and before is not None:
-                earlier.append(before)
-            self._state[can_id] = (int(states[-1]), int(beats[-1]))
-        if earlier:
-            self._states.append(frames_of(sorted(earlier, key=lambda frame: frame.t_ns), self._channels))
-        if kept.any():
-            self._states.append(frames.only(kept))
+            of_message = frames.only(rows)
+            if before is not None:
+                of_message = joined([frames_of([before], list(frames.channels)), of_message])
+            beats = of_message.t_ns // HEARTBEAT_NS
+            pauses = np.diff(of_message.t_ns) > COMMS_LOST_NS
+            kept = np.full(len(of_message), before is None)
+            kept[1:] = (np.diff(states_of(of_message.word)) != 0) | (np.diff(beats) != 0) | pauses
+            kept[:-1] |= pauses
+            if kept.any():
+                self._states.append(of_message.only(kept))
 
     def window(self, now_ns: int, length_ns: int = WINDOW_NS) -> Frames:
         """All frames of the last seconds before `now_ns`, at most LONG_NS of them."""

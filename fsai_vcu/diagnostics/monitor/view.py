@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Iterable, Mapping
 from typing import Final
+
+import numpy as np
 
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.error_frames import error_words
-from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.emergencies import emergencies
-from fsai_vcu.diagnostics.explain.incident import Incident
+from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
 from fsai_vcu.diagnostics.explain.link import ms
 from fsai_vcu.diagnostics.explain.record import Record, Signal, record_of
 from fsai_vcu.diagnostics.explain.signals import label
+from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames
-from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, MessagePicture, Picture
-from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory
+from fsai_vcu.diagnostics.monitor.changes import bytes_of, changed_bytes, signals_of
+from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, keys_of
 from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import MessageStatistics, expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, measure
+from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
@@ -36,22 +42,19 @@ EXPECTED: Final = tuple(
 _UNSUPERVISED_PERIODS: Final = 10  # interface specification v4.0: ten in a row are a loss
 _LATE_PERIODS: Final = 5
 _SLOW_ECHO_S: Final = 0.05  # half of the 100 ms that the VCU grants
+_EVENTFUL: Final = frozenset({0x510, sig.STATUS, 0x524})  # messages all of whose changes are remembered
 _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake are all there
+
+
+def _torque(message: str, axle: str) -> tuple[Signal, Signal]:
+    """What an axle gives, and the most that it may."""
+    return Signal(message, f"{axle}_AXLE_TRQ"), Signal(message, f"{axle}_AXLE_TRQ_MAX")
+
 
 _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "steering": (sig.STEER, sig.ANGLE, sig.ANGLE_MAX, "deg"),
-    "torque front": (
-        sig.TORQUE_F,
-        Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"),
-        Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"),
-        "Nm",
-    ),
-    "torque rear": (
-        sig.TORQUE_R,
-        Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"),
-        Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"),
-        "Nm",
-    ),
+    "torque front": (sig.TORQUE_F, *_torque("VCU2AI_Drive_F", "FRONT"), "Nm"),
+    "torque rear": (sig.TORQUE_R, *_torque("VCU2AI_Drive_R", "REAR"), "Nm"),
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
@@ -69,55 +72,87 @@ class View:
         self._channel = channel
         self._revision = revision
         self._databases = databases
-        self._emergency: Incident | None = None
+        self._decoder: Decoder | None = None
+        self.emergency: Incident | None = None
         self._settled = False
 
-    def update(self, frames: Frames) -> None:
-        """More frames of the bus, in the order in which they came."""
-        self.memory.update(frames)
+    def copy(self) -> View:
+        """As it is now, whatever comes later."""
+        found = copy.copy(self)
+        found.memory = self.memory.copy()
+        return found
+
+    def explain_as(self, other: View) -> None:
+        """Take the causes of the emergency brake that lasts from a view of the time when it began."""
+        self.emergency, self._settled = other.emergency, True
+
+    def update(self, frames: Frames) -> Frames:
+        """More frames of the bus, in the order in which they came; the same with times that never go back."""
+        return self.memory.update(frames)
 
     def picture(self, now_ns: int) -> Picture:
         """What there is to see at `now_ns`, on the clock of the frames."""
-        window = self.memory.window(now_ns)
-        frames = self.memory.condensed(window)
+        frames = self.memory.condensed(self.memory.window(now_ns))
         if not len(frames):
-            named = self._revision.name if self._revision else "2026"
-            return Picture(
-                now_ns, self._channel, named, "nothing received yet", 0, link=("nothing is received on this bus",)
-            )
-        revision, reason = (self._revision, "given") if self._revision else guess_revision(frames)
-        record = record_of(frames, revision, reason, self._databases)
-        self._look_for_emergency(record, now_ns, revision, reason)
-        return _Moment(self.memory, record, window, now_ns).picture(self._emergency, self._channel)
+            named, nothing = self._revision.name if self._revision else "2026", ("nothing is received on this bus",)
+            return Picture(now_ns, self._channel, named, "nothing received yet", 0, link=nothing)
+        record = self._record(frames)
+        self._decoder = record.decoder
+        self._look_for_emergency(record, now_ns)
+        return _Moment(self.memory, record, now_ns).picture(self.emergency, self._channel)
 
-    def _look_for_emergency(self, record: Record, now_ns: int, revision: Revision, reason: str) -> None:
+    def signals(self, patterns: Iterable[str], now_ns: int) -> list[History]:
+        """The signals received whose names, or MESSAGE.SIGNAL, fit one of the patterns; by what the picture showed."""
+        return [] if self._decoder is None else signals_of(self._long(now_ns), self._decoder, patterns, now_ns)
+
+    def bytes(self, key: int, now_ns: int) -> list[History]:
+        """The bytes of a message."""
+        return bytes_of(self._long(now_ns), key, now_ns)
+
+    def events(self) -> list[TimelineEntry]:
+        """What changed in the states of car and AI computer, from the beginning on."""
+        frames = self._long(self.memory.newest_ns or 0)
+        if not len(frames):
+            return []
+        record = self._record(frames)
+        record.silences = ()  # of most messages only the newest frames are there
+        return [one for one in timeline(record) if one.can_id in _EVENTFUL and one.topic != "link"]
+
+    def _long(self, now_ns: int) -> Frames:
+        return self.memory.condensed(self.memory.window(now_ns, LONG_NS))
+
+    def _record(self, frames: Frames) -> Record:
+        revision, reason = (self._revision, "given") if self._revision else guess_revision(frames)
+        return record_of(frames, revision, reason, self._databases)
+
+    def _look_for_emergency(self, record: Record, now_ns: int) -> None:
         """The causes of an emergency brake are found while the frames before it are remembered whole, and kept."""
         span = record.series(sig.AS_STATE).span_at(now_ns)
         if span is None or span.value != sig.EMERGENCY or span.before is None:
-            self._emergency, self._settled = None, False
+            self.emergency, self._settled = None, False
             return
         if self._settled:
             return
-        long = record_of(self.memory.condensed(self.memory.window(now_ns, LONG_NS)), revision, reason, self._databases)
-        found = [one for one in emergencies(long) if one.t_ns == span.begin_ns]
-        self._emergency = found[0] if found else None
+        found = [one for one in emergencies(self._record(self._long(now_ns))) if one.t_ns == span.begin_ns]
+        self.emergency = found[0] if found else None
         self._settled = now_ns - span.begin_ns > _SETTLED_NS
 
 
 class _Moment:
     """One look at a record."""
 
-    def __init__(self, memory: Memory, record: Record, window: Frames, now_ns: int) -> None:
+    def __init__(self, memory: Memory, record: Record, now_ns: int) -> None:
         self._memory = memory
         self._record = record
         self._now_ns = now_ns
-        ours = [number for number, name in enumerate(window.channels) if name == record.channel]
-        self._window = window.only(window.channel == ours[0]) if len(window.channels) > 1 and ours else window
-        measured = measure(self._window, record.decoder, revision=record.revision.name)
-        self._stats = measured[0] if measured else None
+        self._window = record.frames.only(record.frames.t_ns > now_ns - WINDOW_NS)
+        # All figures of all messages would take as long as everything else.
+        both = self._window.only(np.isin(self._window.can_id, (sig.STATUS, 0x510)))
+        measured = measure(both, record.decoder, revision=record.revision.name)
+        self._handshake = measured[0].handshake if measured else None
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
-        record, now_ns, stats = self._record, self._now_ns, self._stats
+        record, now_ns = self._record, self._now_ns
         span = record.series(sig.AS_STATE).span_at(now_ns)
         status = self._fresh(sig.STATUS)
         messages = self._messages()
@@ -149,17 +184,15 @@ class _Moment:
             speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
             speed_actual_kmh=self._value(_CAR_SPEED),
             actuators={
-                name: Actuator(
-                    self._value(asked), self._value(given), self._value(limit) if limit is not None else None, unit
-                )
+                name: Actuator(self._value(asked), self._value(given), limit and self._value(limit), unit)
                 for name, (asked, given, limit, unit) in _ACTUATORS.items()
             },
             faults=tuple(signal.name for signal in sig.FAULTS if self._flag(signal)),
             warnings=tuple(signal.name for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS) if self._flag(signal)),
             shutdown_cause=self._label(sig.SHUTDOWN_CAUSE) if self._flag(sig.SHUTDOWN_CAUSE) else None,
-            handshake=stats.handshake if stats is not None else None,
+            handshake=self._handshake,
             handshake_waiting_s=self._handshake_waiting_s(),
-            load=stats.load if stats is not None else None,
+            load=self._load(),
             link=tuple(self._link(messages)),
             messages=messages,
         )
@@ -204,15 +237,24 @@ class _Moment:
         layout = self._record.decoder.databases.layouts.get(key)
         return expected_period_ns(key, layout, self._record.revision.name)
 
+    def _load(self) -> float | None:
+        if not len(self._window):
+            return None
+        length_ns = int(self._window.t_ns[-1] - self._window.t_ns[0])
+        bitrate = self._record.decoder.databases.baudrate or BITRATE
+        return int(wire_bits(self._window).sum()) * S / (bitrate * length_ns) if length_ns else 0.0
+
     # ------------------------------------------------------------ messages
 
     def _messages(self) -> tuple[MessagePicture, ...]:
-        measured = {} if self._stats is None else {_key(message): message for message in self._stats.messages}
+        found, counted = np.unique(keys_of(self._window), return_counts=True)
+        counts = dict(zip(found.tolist(), counted.tolist(), strict=True))
         order = {message.can_id: place for place, message in enumerate(BUS_TABLE)}
         keys = sorted({*EXPECTED, *self._memory.first_ns}, key=lambda key: (order.get(key, len(order)), key))
-        return tuple(self._message(key, measured.get(key)) for key in keys)
+        changed = changed_bytes(self._window, self._now_ns - S)
+        return tuple(self._message(key, counts.get(key, 0), changed.get(key, ())) for key in keys)
 
-    def _message(self, key: int, measured: MessageStatistics | None) -> MessagePicture:
+    def _message(self, key: int, count: int, changed: tuple[int, ...]) -> MessagePicture:
         layout = self._record.decoder.databases.layouts.get(key)
         newest = self._memory.newest(key)
         expected_ns = self._expected_ns(key)
@@ -221,9 +263,8 @@ class _Moment:
         if newest is None:
             return MessagePicture(key, False, name, 0.0, expected_hz, None, Freshness.NEVER, False)
         listened_ns = min(WINDOW_NS, max(self._now_ns - self._memory.first_ns[key], 1))
-        count = measured.count if measured is not None else 0
         # The first frame begins the time over which the others are counted.
-        rate_hz = max(0, count - (listened_ns < WINDOW_NS)) * S / listened_ns
+        rate_hz = round(max(0, count - (listened_ns < WINDOW_NS)) * S / listened_ns, 2)
         age_ns = max(0, self._now_ns - newest.t_ns)
         freshness = Freshness.FRESH
         if age_ns >= self._lost_after_ns(key):
@@ -231,7 +272,8 @@ class _Moment:
         elif expected_ns and age_ns >= _LATE_PERIODS * expected_ns:
             freshness = Freshness.LATE
         wrong = layout is not None and newest.length != layout.length
-        return MessagePicture(newest.can_id, newest.extended, name, rate_hz, expected_hz, age_ns / S, freshness, wrong)
+        seen = (newest.can_id, newest.extended, name, rate_hz, expected_hz, age_ns / S, freshness, wrong)
+        return MessagePicture(*seen, newest.data, changed)
 
     # ------------------------------------------------------------ the link
 
@@ -272,7 +314,3 @@ class _Moment:
         last = len(errors) - 1
         words = ", ".join(error_words(int(errors.can_id[last]), errors.payload(last)))
         return [f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s, the last: {words}"]
-
-
-def _key(message: MessageStatistics) -> int:
-    return message.can_id | (EXTENDED_KEY if message.extended else 0)

@@ -34,7 +34,7 @@ def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> 
     if span.value == sig.DRIVING:
         return ()
     if span.value == sig.EMERGENCY:
-        return tuple(_braked(record, emergency))
+        return tuple(_braked(emergency))
     if span.value == sig.FINISHED:
         return (Obstacle("the mission is finished (AS_FINISHED)", remedy="ASMS off ends the run"),)
     if span.value == sig.READY:
@@ -75,7 +75,7 @@ def _lost_car(silent_ns: int, state: str) -> Obstacle:
     return Obstacle(f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"the last one was {state}", remedy)
 
 
-def _braked(record: Record, emergency: Incident | None) -> list[Obstacle]:
+def _braked(emergency: Incident | None) -> list[Obstacle]:
     candidates = emergency.candidates if emergency is not None else ()
     found = []
     for one in candidates[:2]:

@@ -1,0 +1,198 @@
+"""Where pictures come from: a bus as it is now, or a log at any of its moments."""
+
+from __future__ import annotations
+
+import math
+import time
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from datetime import datetime
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fsai_vcu.diagnostics.explain.incident import TimelineEntry
+from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.diagnostics.monitor.snapshot import Picture
+from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.interface.units import S
+
+_FAR_OFF_NS: Final = 60 * S  # a stamp so far from now is of a device's own clock
+
+
+class Moment(NamedTuple):
+    """A picture, and the view that it is of. The time as a number for programs (s), and in words."""
+
+    view: View
+    picture: Picture
+    time_s: float
+    words: str
+
+
+class Live:
+    """A bus as it is now: a thread takes its frames. Ages are those of the monotonic clock: a step of the wall clock
+    changes none."""
+
+    is_log: Final = False
+
+    def __init__(self, chunks: Iterator[Frames], view: View) -> None:
+        self.playing = True
+        self._chunks = chunks
+        self._view = view
+        self._waiting: deque[Frames] = deque()
+        self._held: Moment | None = None
+        self._stop = False
+        self._receiving = ThreadPoolExecutor(1).submit(self._receive)
+
+    @property
+    def ended(self) -> bool:
+        return self._receiving.done()
+
+    def advance(self, seconds: float = 0.0) -> None:
+        """Time goes on by itself; what came is taken."""
+        while self._waiting:
+            self._view.update(self._waiting.popleft())
+
+    def wait(self, seconds: float) -> None:
+        """Until that time is over, or the bus."""
+        wait([self._receiving], seconds)
+
+    def pause(self) -> None:
+        """Hold the picture, or go on. Meanwhile nothing is lost."""
+        now = self.look()
+        self.playing = not self.playing
+        self._held = None if self.playing else now._replace(view=now.view.copy(), words=f"paused at {now.words}")
+
+    def look(self) -> Moment:
+        self.advance()
+        if self._held:
+            return self._held
+        picture = self._view.picture(time.monotonic_ns())
+        return Moment(self._view, picture, time.time(), self.clock(picture.t_ns)[:8])
+
+    def clock(self, t_ns: int) -> str:
+        """The time of day."""
+        return datetime.fromtimestamp(time.time() - (time.monotonic_ns() - t_ns) / S).strftime("%H:%M:%S.%f")[:-3]
+
+    def events(self) -> list[TimelineEntry]:
+        """Until now."""
+        return self._view.events()
+
+    def close(self) -> None:
+        """Raises what ended the bus."""
+        self._stop = True
+        self._receiving.result()
+
+    def _receive(self) -> None:
+        for frames in self._chunks:
+            if self._stop:
+                break
+            self._waiting.append(_on_our_clock(frames, time.time_ns(), time.monotonic_ns()))
+
+
+def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
+    """Stamps of the wall clock (or of a device's own) as times of the monotonic clock, none of them in the future."""
+    if not len(frames):
+        return frames
+    newest_ns = int(frames.t_ns.max())
+    reference_ns = wall_ns if abs(wall_ns - newest_ns) < _FAR_OFF_NS else newest_ns
+    return frames.at(np.minimum(frames.t_ns - reference_ns + now_ns, now_ns))
+
+
+class Log:
+    """A log at `position_ns`, read as far as was looked. Before each chunk of it the view is kept: any moment takes one
+    chunk and no more."""
+
+    is_log: Final = True
+
+    def __init__(self, chunks: Iterator[Frames], view: View, at_s: float | None, rate: float | None) -> None:
+        """Plays from its start; where `rate` is None, it stands still at `at_s` or at its end."""
+        self._chunks = chunks
+        self._view = view
+        self._pieces: list[tuple[View, Frames]] = []
+        self._rate = rate
+        self._looked: Moment | None = None
+        self.playing = rate is not None
+        self.empty = not self._read_to(-math.inf)
+        self.begin_ns = self.position_ns = view.memory.begin_ns or 0
+        if rate is None:
+            self.seek(self.end_ns if at_s is None else self.begin_ns + round(at_s * S))
+
+    @property
+    def end_ns(self) -> int:
+        """Of the last frame: for that the whole log is read."""
+        self._read_to(math.inf)
+        return self._view.memory.newest_ns or 0
+
+    @property
+    def ended(self) -> bool:
+        """Nothing comes behind the position."""
+        return not self._read_to(self.position_ns + 1)
+
+    def seek(self, t_ns: int) -> None:
+        """To that time, or to the end that is nearer."""
+        self.position_ns = max(self.begin_ns, t_ns if self._read_to(t_ns) else self.end_ns)
+
+    def advance(self, seconds: float) -> None:
+        """So much of one's own time passes."""
+        if self.playing:
+            self.seek(self.position_ns + round(seconds * (self._rate or 1.0) * S))
+            self.playing = not self.ended
+
+    def wait(self, seconds: float) -> None:
+        """As the rate asks for."""
+        if self._rate:
+            time.sleep(seconds)
+
+    def pause(self) -> None:
+        """Hold the picture, or play on; at the end from the start."""
+        self.playing = not self.playing
+        if self.playing and self.ended:
+            self.seek(self.begin_ns)
+
+    def look(self) -> Moment:
+        if self._looked is None or self._looked.picture.t_ns != self.position_ns:
+            view, picture = self._at(self.position_ns)
+            age_s = picture.as_state_s or 0.0
+            if picture.as_state == "EMERGENCY_BRAKE" and age_s > 1.0 and view.emergency is not None:
+                view.explain_as(self._at(self.position_ns - round((age_s - 1.0) * S))[0])
+                picture = view.picture(self.position_ns)
+            words = f"{(self.position_ns - self.begin_ns) / S:.1f} s into the log"
+            self._looked = Moment(view, picture, self.position_ns / S, words)
+        return self._looked
+
+    def clock(self, t_ns: int) -> str:
+        """Seconds since its first frame."""
+        return f"{(t_ns - self.begin_ns) / S:.3f} s"
+
+    def events(self) -> list[TimelineEntry]:
+        """All of the log."""
+        self._read_to(math.inf)
+        return self._view.events()
+
+    def close(self) -> None:
+        """Nothing to be done."""
+
+    def _at(self, t_ns: int) -> tuple[View, Picture]:
+        place = bisect_right(self._pieces, t_ns, key=lambda piece: int(piece[1].t_ns[0])) - 1
+        before, frames = self._pieces[place]
+        view = before.copy()
+        view.update(frames.head(int(np.searchsorted(frames.t_ns, t_ns, side="right"))))
+        return view, view.picture(t_ns)
+
+    def _read_to(self, t_ns: float) -> bool:
+        """Whether there is a frame at that time or later, as far as reading on tells."""
+        memory = self._view.memory
+        while memory.newest_ns is None or memory.newest_ns < t_ns:
+            frames = next(self._chunks, None)
+            if frames is None:
+                return False
+            if len(frames):
+                before = self._view.copy()
+                self._pieces.append((before, self._view.update(frames)))
+        return True
+
+
+Source = Live | Log

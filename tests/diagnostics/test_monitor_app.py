@@ -1,0 +1,222 @@
+"""The monitor's pages: what keys do, on terminals of two sizes, for a log and a bus."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+import time
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
+
+import pytest
+from story_runs import branch, driving
+from textual.pilot import Pilot
+
+from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.diagnostics.monitor.app import MonitorApp
+from fsai_vcu.diagnostics.monitor.sources import Live, Log, Source
+from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.interface.units import S
+
+LARGE, SMALL = (80, 24), (40, 14)
+Walk = Callable[[MonitorApp, Pilot[None]], Coroutine[Any, Any, None]]
+
+
+@pytest.fixture(scope="module")
+def frames() -> Frames:
+    """A drive that ends with Go off, two seconds before the end."""
+    return branch(driving(), lambda run: run.switch(go=False), 2.0).frames
+
+
+def chunks(frames: Frames) -> Iterator[Frames]:
+    for begin_ns in range(int(frames.t_ns[0]), int(frames.t_ns[-1]) + 1, S):
+        yield frames.only((frames.t_ns >= begin_ns) & (frames.t_ns < begin_ns + S))
+
+
+def log_of(frames: Frames, at_s: float | None = None, rate: float | None = None) -> Log:
+    return Log(chunks(frames), View("run.log"), at_s, rate)
+
+
+def walk(source: Source, size: tuple[int, int], steps: Walk, *, signals: tuple[str, ...] = ()) -> MonitorApp:
+    """The app headless, while `steps` press its keys."""
+    app = MonitorApp(source, 0.25, signals)
+
+    async def run() -> None:
+        async with app.run_test(size=size) as pilot:
+            await pilot.pause()
+            await steps(app, pilot)
+
+    asyncio.run(run())
+    return app
+
+
+def lines(app: MonitorApp) -> list[str]:
+    return [strip.text.rstrip() for strip in app.screen._compositor.render_strips()]
+
+
+def text(app: MonitorApp) -> str:
+    return "\n".join(lines(app))
+
+
+@pytest.mark.parametrize("size", [LARGE, SMALL])
+def test_every_page_fits_and_says_its_keys(size: tuple[int, int], frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        for key, part in (
+            ("1", "why not driving:"),
+            ("tab", "510 "),
+            ("tab", "AS_STATE" if size is SMALL else "AI2VCU_Status.HANDSHAKE"),
+            ("tab", "Go off"),
+            ("tab", "the remote's Go went off"),
+            ("question_mark", "end; the last picture"),
+        ):
+            await pilot.press(key)
+            await pilot.pause()
+            assert part in text(app) or size is SMALL, text(app)
+            assert len(lines(app)) == size[1] and max(map(len, lines(app))) <= size[0]
+            assert lines(app)[0].startswith(" run.log") and lines(app)[0].endswith(" s")
+            assert lines(app)[-1].startswith("q quit ? help p pause Tab page / find")
+
+    walk(log_of(frames), size, steps)
+
+
+def test_on_a_small_screen_the_reason_is_at_the_top(frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        assert "EMERGENCY_BRAKE for 2.0 s" in text(app)
+        shown = [line.rstrip(" ▁▂▃▄▅▆▇█") for line in lines(app)]
+        assert "why not driving:" in shown[:8] and "the remote's Go went off" in " ".join(" ".join(shown).split())
+
+    walk(log_of(frames), SMALL, steps)
+
+
+@pytest.mark.parametrize("size", [LARGE, SMALL])
+def test_keys_move_in_a_log(size: tuple[int, int], frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        log = app._source
+        assert isinstance(log, Log)
+
+        async def after(*keys: str) -> float:
+            await pilot.press(*keys)
+            await pilot.pause()
+            shown = lines(app)[0].split("■")[1].split(" of ")[0]
+            assert float(shown) == pytest.approx((log.position_ns - log.begin_ns) / S, abs=0.051)
+            return float(shown)
+
+        end_s = round((log.end_ns - log.begin_ns) / S, 1)
+        assert await after() == end_s
+        assert await after("left", "left") == pytest.approx(end_s - 2, abs=0.11)
+        assert await after("comma") == pytest.approx(end_s - 12, abs=0.11)
+        assert await after("full_stop", "full_stop") == end_s
+        await after("N")
+        assert app.moment.picture.as_state == "EMERGENCY_BRAKE" and app.moment.picture.as_state_s == 0.0
+        await after("N")
+        assert app.moment.picture.as_state == "AS_DRIVING" and app.moment.picture.as_state_s == 0.0
+        await after("n")
+        assert app.moment.picture.as_state == "EMERGENCY_BRAKE"
+        assert await after("g", *"3.5", "enter") == 3.5
+        assert await after("g", *"q1", "escape") == 3.5
+        assert await after("g", *"1e9", "enter") == end_s
+
+    walk(log_of(frames), size, steps)
+
+
+def test_an_event_is_gone_to(frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        await pilot.press("4")
+        await pilot.pause()
+        assert "AS_STATE AS_DRIVING → EMERGENCY_BRAKE" in text(app)
+        while app._rows[app._list.highlighted or 0][0].plain.split(maxsplit=2)[2] != "Go on":
+            await pilot.press("up")
+        await pilot.press("enter")
+        assert app.moment.picture.as_state == "AS_DRIVING" and app.moment.picture.as_state_s == 0.0
+        assert "driving" in lines(app)
+
+    walk(log_of(frames), LARGE, steps)
+
+
+def test_a_log_plays_at_its_rate_and_pauses(frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        await pilot.pause(0.6)
+        await pilot.press("space")
+        position_s = (app.moment.picture.t_ns - int(frames.t_ns[0])) / S
+        assert position_s >= 2.5
+        await pilot.pause(0.3)
+        assert (app.moment.picture.t_ns - int(frames.t_ns[0])) / S == position_s
+
+    walk(log_of(frames, rate=10.0), LARGE, steps)
+
+
+@pytest.mark.parametrize("size", [LARGE, SMALL])
+def test_a_message_has_a_page_of_bytes_and_signals(size: tuple[int, int], frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        await pilot.press("2", *["down"] * 5, "enter")
+        await pilot.pause()
+        assert lines(app)[1].startswith("520 ") and "byte 7" in text(app)
+        rows = [row.plain for row, _ in app._rows]
+        (state,) = (row for row in rows if row.startswith("AS_STATE"))
+        assert "EMERGENCY_BRAKE" in state
+        assert size is SMALL or "2.0 s ago, 4×, was AS_DRIVING" in state
+        await pilot.press("escape")
+        assert app._page == "messages"
+
+    walk(log_of(frames), size, steps)
+
+
+@pytest.mark.parametrize(
+    ("typed", "first", "count"),
+    [
+        ("as_st", "AS_STATE", 1),
+        ("AS_STATE,go_*", "AS_STATE", 2),
+        ("nothing at all", "no signal received fits *nothing at all*", 1),
+    ],
+)
+def test_signals_are_found_by_a_part_of_their_name(typed: str, first: str, count: int, frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        keys = {" ": "space", "_": "underscore", ",": "comma", "*": "asterisk"}
+        await pilot.press("slash", *(keys.get(char, char) for char in typed), "enter")
+        await pilot.pause()
+        assert len(app._rows) == count
+        assert first in "".join(row.plain for row, _ in app._rows)
+
+    walk(log_of(frames), LARGE, steps)
+
+
+def test_signals_asked_for_are_shown_first(frames: Frames) -> None:
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        assert "VCU2AI_Status.AS_STATE" in text(app) and len(app._rows) == 1
+
+    walk(log_of(frames), LARGE, steps, signals=("AS_STATE",))
+
+
+class Bus:
+    """A bus on which the frames of a run come as fast as they are taken, until `end`."""
+
+    def __init__(self, frames: Frames) -> None:
+        self.end = threading.Event()
+        self._frames = frames
+
+    def chunks(self) -> Iterator[Frames]:
+        now_ns = time.time_ns()
+        yield self._frames.at(self._frames.t_ns - self._frames.t_ns[-1] + now_ns)
+        self.end.wait(20.0)
+        print("fsai-vcu monitor: can0: Network is down", file=sys.stderr)
+
+
+def test_a_lost_bus_ends_it_and_what_was_said_is_kept(frames: Frames) -> None:
+    bus = Bus(frames)
+
+    async def steps(app: MonitorApp, pilot: Pilot[None]) -> None:
+        await pilot.pause(0.3)
+        assert "listening only" in lines(app)[0] and "EMERGENCY_BRAKE" in text(app)
+        await pilot.press("right", "n", "g")  # nothing to be moved in
+        assert "second" not in lines(app)[-1] and not app._input.display
+        await pilot.press("4")
+        await pilot.pause()
+        assert "AS_STATE AS_DRIVING → EMERGENCY_BRAKE" in text(app)
+        bus.end.set()
+        await pilot.pause(0.5)
+
+    app = walk(live := Live(bus.chunks(), View("can0")), LARGE, steps)
+    assert "".join(app.printed) == "fsai-vcu monitor: can0: Network is down\n"
+    assert live.ended and app._exit
+    assert app.moment.picture.as_state_heard == "EMERGENCY_BRAKE"
