@@ -348,7 +348,7 @@ class Bridge:
                 state.command_ns,
                 None if vehicle.steer is None else vehicle.steer.t_rx_ns,
                 state.steering.implausible_since_ns,
-                state.wheels.implausible_since_ns if state.wheels.detail else None,  # a doubt alone is as if missing
+                state.wheels.implausible_since_ns,
                 state.wheels.detail,
                 state.status_doubt,
                 state.speeds_doubt,

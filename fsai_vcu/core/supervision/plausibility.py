@@ -79,13 +79,14 @@ def _towards(angle_deg: float, target_deg: float, step_deg: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class WheelCheck(Immutable):
-    """Since when one wheel has not fitted the others or was not believed, and until when slip explains what."""
+    """Since when one wheel has not fitted the others, and until when slip explains what."""
 
     implausible_since_ns: int | None = None
-    detail: str = ""  # which wheel does not fit
+    detail: str = ""
     spin_until_ns: int = 0  # torque so recently explains a driven wheel that is too fast
     lock_until_ns: int = 0  # brake so recently explains any wheel that is too slow
     drag_until_ns: int = 0  # a motor held by its speed limit explains a driven wheel that is too slow
+    doubted_since_ns: int | None = None  # no reading has been believed since
 
 
 def wheel_factors(car: VehicleParameters, steer_deg: float) -> tuple[float, float, float, float]:
@@ -113,14 +114,14 @@ def check_wheels(
     since then.
     """
     # What we ask for once a wheel is odd (the stop that follows from it brakes) does not explain it afterwards.
-    explains = not check.detail
+    explains = check.implausible_since_ns is None
     until = now_ns + config.slip_memory_ns
     spin_until = until if explains and asked.torque_requested else check.spin_until_ns
     lock_until = until if explains and asked.brake_requested else check.lock_until_ns
     drag_until = check.drag_until_ns
-    since, detail = check.implausible_since_ns, check.detail
+    since, detail, doubted_since = check.implausible_since_ns, check.detail, check.doubted_since_ns
     if doubted:
-        since = now_ns if since is None else since
+        doubted_since = now_ns if doubted_since is None else doubted_since
     elif speeds is not None and now_ns - speeds.t_rx_ns < config.feedback_stale_ns:
         rpm = speeds.all_rpm
         limit_rpm = max(asked.front_motor_speed_max_rpm, asked.rear_motor_speed_max_rpm)
@@ -140,9 +141,10 @@ def check_wheels(
         if wheel is None:
             since, detail = None, ""
         else:
-            since = now_ns if since is None else since
+            since = next(each for each in (since, doubted_since, now_ns) if each is not None)
             detail = f"{WHEEL_NAMES[wheel]} {rpm[wheel]} rpm of {rpm[0]}, {rpm[1]}, {rpm[2]}, {rpm[3]}"
-    return WheelCheck(since, detail, spin_until, lock_until, drag_until)
+        doubted_since = None
+    return WheelCheck(since, detail, spin_until, lock_until, drag_until, doubted_since)
 
 
 def _odd_wheel(
@@ -181,4 +183,4 @@ _NEW_STEERING = SteeringCheck()
 
 def forget_wheels(check: WheelCheck) -> WheelCheck:
     """The same for the wheels, but what explains slip is remembered."""
-    return replace(check, implausible_since_ns=None, detail="")
+    return replace(check, implausible_since_ns=None, detail="", doubted_since_ns=None)
