@@ -515,6 +515,5 @@ class GpsImu(Immutable):
 GPS_FIELD_OF: Final = by_message(GpsImu)
 
 Image = Message
-GpsImage = Image
 MESSAGES: Final[tuple[type[Image], ...]] = (*get_args(AiImage), *VEHICLE_FIELD_OF, *GPS_FIELD_OF)
 """Every message that has a class, those of the AI computer first and in sending order."""

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from typing import Final, get_args
+from typing import Final
 
 from fsai_hil.simulator.car_signals import CarFeedback, limited
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.messages import (
+    GPS_FIELD_OF,
     Acceleration,
     DeviceClock,
     DeviceIo,
@@ -21,12 +22,12 @@ from fsai_vcu.interface.messages import (
     GpsDateTime,
     GpsDilutionA,
     GpsDilutionB,
-    GpsImage,
     GpsLatitude,
     GpsLongitude,
     GpsStatus,
     LogDynamics2,
     MagneticField,
+    Message,
     RotationB,
 )
 from fsai_vcu.interface.units import KMH_PER_MPS, MS, STANDARD_GRAVITY_MPS2, S
@@ -66,9 +67,9 @@ class PcanGps:
     def __init__(self, now_ns: int) -> None:
         self._powered_ns = now_ns
         self._solved_ns: int | None = None
-        self._slow: dict[type[GpsImage], GpsImage] = {}
+        self._slow: dict[type[Message], Message] = {}
 
-    def image(self, kind: type[GpsImage], now_ns: int, car: CarFeedback) -> GpsImage:
+    def image(self, kind: type[Message], now_ns: int, car: CarFeedback) -> Message:
         inertial = _INERTIAL.get(kind)
         if inertial is not None:
             return inertial(now_ns, car)
@@ -77,11 +78,11 @@ class PcanGps:
             self._slow = self._solve(now_ns, car)
         return self._slow[kind]
 
-    def _solve(self, now_ns: int, car: CarFeedback) -> dict[type[GpsImage], GpsImage]:
+    def _solve(self, now_ns: int, car: CarFeedback) -> dict[type[Message], Message]:
         """Everything that changes ten times a second at most."""
         heading = math.radians(car.course_deg)
         utc = UTC_AT_0 + timedelta(microseconds=now_ns // 1000)
-        solved: list[GpsImage] = [
+        solved: list[Message] = [
             MagneticField(FIELD_NORTH_UT * math.cos(heading), FIELD_NORTH_UT * math.sin(heading), -FIELD_DOWN_UT),
             GpsDateTime(utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
             DeviceIo(gps_power=True),
@@ -105,7 +106,7 @@ class PcanGps:
         return {kind: kind() for kind in GPS_IMAGES} | {type(image): image for image in solved}
 
 
-def _acceleration(now_ns: int, car: CarFeedback) -> GpsImage:
+def _acceleration(now_ns: int, car: CarFeedback) -> Message:
     x, y, z = car.accel_xyz_mps2
     return Acceleration(
         limited(x * MILLI_G_PER_MPS2, MILLI_G_MOST),
@@ -118,11 +119,11 @@ def _acceleration(now_ns: int, car: CarFeedback) -> GpsImage:
     )
 
 
-def _rotation_b(now_ns: int, car: CarFeedback) -> GpsImage:
+def _rotation_b(now_ns: int, car: CarFeedback) -> Message:
     return RotationB(math.degrees(car.yaw_rate_radps), now_ns)
 
 
-def _dynamics(now_ns: int, car: CarFeedback) -> GpsImage:
+def _dynamics(now_ns: int, car: CarFeedback) -> Message:
     along, across, _ = car.accel_xyz_mps2
     yaw_rate = math.degrees(car.yaw_rate_radps)
     return LogDynamics2(
@@ -133,12 +134,12 @@ def _dynamics(now_ns: int, car: CarFeedback) -> GpsImage:
     )
 
 
-_INERTIAL: Final[dict[type[GpsImage], Callable[[int, CarFeedback], GpsImage]]] = {
+_INERTIAL: Final[dict[type[Message], Callable[[int, CarFeedback], Message]]] = {
     Acceleration: _acceleration,
     RotationB: _rotation_b,
     LogDynamics2: _dynamics,
 }
 
-GPS_IMAGES: Final[tuple[type[GpsImage], ...]] = tuple(
-    sorted(get_args(GpsImage), key=lambda kind: BY_NAME[kind.dbc_name].can_id)
+GPS_IMAGES: Final[tuple[type[Message], ...]] = tuple(
+    sorted(GPS_FIELD_OF, key=lambda kind: BY_NAME[kind.dbc_name].can_id)
 )

@@ -56,7 +56,6 @@ from fsai_vcu.interface.messages import (
     AiStatus,
     AiSteer,
     Faults,
-    GpsImage,
     Image,
     LogDynamics1,
     LogStatus,
@@ -492,7 +491,7 @@ class SimulatedVcu:
         if kind in BUILDERS:
             return self.codec.encode(BUILDERS[kind](self, t_ns))
         # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
-        image = self._device.image(cast("type[GpsImage]", kind), t_ns, self._feedback)
+        image = self._device.image(kind, t_ns, self._feedback)
         last = self._repeated.get(kind)
         if last is not None and image is last[0]:
             return Frame(last[1].can_id, last[1].data, t_ns)

@@ -107,7 +107,7 @@ static int64_t now_ns(int wall_clock) {
     unsigned current = atomic_load_explicit(&generation, memory_order_acquire);
     struct anchor anchor = anchors[current % 2];
     uint64_t counter = fsai_counter();
-    int64_t elapsed_ns = current ? since(&anchor, counter) : 0;
+    int64_t elapsed_ns = current ? since(&anchor, counter) + *skipped_ns - anchor.skipped_ns : 0;
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&generation, memory_order_relaxed) != current)
       continue;
@@ -119,7 +119,7 @@ static int64_t now_ns(int wall_clock) {
     }
     if (!current) /* another thread is just asking for the first time */
       return kernel_ns(wall_clock ? CLOCK_REALTIME : CLOCK_MONOTONIC);
-    return anchor.monotonic_ns + elapsed_ns + *skipped_ns - anchor.skipped_ns + (wall_clock ? anchor.realtime_ns : 0);
+    return anchor.monotonic_ns + elapsed_ns + (wall_clock ? anchor.realtime_ns : 0);
   }
 }
 
