@@ -227,7 +227,7 @@ class VcuBridge(LifecycleNode):
             return self._failed(str(error))
         self._loop = loop
         self._loop_silent = False
-        self._commands = Input(self, "vehicle_cmd", silent_ns=configured.config.command_stale_ns)
+        self._commands = Input(self, "vehicle_cmd", silent_ns=configured.config.command_stale_ns // 2)
         self._news, self._last_run = News(), None
         self._timers = [
             self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
