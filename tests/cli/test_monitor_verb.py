@@ -26,6 +26,11 @@ from fsai_vcu.interface.frames import Frame
 DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
 OFF = bytes.fromhex("2106013020000000")
 WITHIN_S = 30.0
+HIDDEN = (
+    "NO_COLOR",
+    "COLUMNS",
+    "LINES",
+)  # of those who run the tests: a size in the environment goes before the real one
 VERB = [sys.executable, "-m", "fsai_vcu.cli.main", "monitor"]
 
 
@@ -190,7 +195,7 @@ class Terminal:
             stdout=slave,
             stderr=slave,
             start_new_session=True,
-            env={**{k: v for k, v in os.environ.items() if k != "NO_COLOR"}, "TERM": "xterm", **environment},
+            env={**{k: v for k, v in os.environ.items() if k not in HIDDEN}, "TERM": "xterm", **environment},
         )
         os.close(slave)
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 AHEAD: Final = 3  # tasks waiting per worker
-PRIORITY: Final = 10  # evidence gives way to everything else on the machine
 PROGRESS_EVERY_S: Final = 5.0
 
 PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
@@ -38,7 +37,6 @@ def _begin_worker(parent: int) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(1)
-    os.nice(PRIORITY)
 
 
 def handed_over(pool: Executor, work: Callable[[T], R], tasks: Iterable[T], at_once: int) -> Iterator[R]:
