@@ -35,7 +35,7 @@ from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
 SHORT = ["--full", "0", "--world-seeds", "1", "--window", "1"]
-SAMPLE = 40
+SAMPLE = 25
 ONE_CAR = [*SHORT, "--missions", "acceleration", "--revisions", "2026"]
 
 
