@@ -289,7 +289,10 @@ class Bridge:
         if state.bus_lost is None:
             return
         supervising = supervisor.bus_back(state.supervisor, now_ns)
-        self._state = replace(state, supervisor=supervising, bus_lost=None, last_complete_ns=None, reopened_ns=now_ns)
+        wheels = replace(state.wheels, doubted_since_ns=None)  # nothing was checked meanwhile
+        self._state = replace(
+            state, supervisor=supervising, wheels=wheels, bus_lost=None, last_complete_ns=None, reopened_ns=now_ns
+        )
 
     def loop_fault(self, why: str, now_ns: int) -> None:
         """The loop raised an exception, or missed a deadline by 50 ms."""

@@ -226,6 +226,9 @@ class LinkHandler(logging.handlers.QueueHandler):
     def enqueue(self, record: logging.LogRecord) -> None:
         self._link.send(record)
 
+    def handleError(self, record: logging.LogRecord) -> None:
+        """A line that cannot be handed over is lost: there is nowhere to write it."""
+
 
 def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(values)

@@ -73,6 +73,34 @@ def test_a_run_from_as_off_to_as_finished_reports_no_reason(revision_name: str) 
     assert rig.report.mode == "autonomous"
 
 
+def test_the_next_mission_needs_no_restart() -> None:
+    rig = driven()
+    first_run = rig.report.run.run_id
+    rig.alive = brake_to_rest
+    rig.command = replace(rig.command, mission_finished=True)  # type: ignore[type-var]
+    rig.run_ms(3000)
+    rig.command = VehicleCommand(0, 0)
+    for as_state in (AsState.AS_FINISHED, AsState.AS_OFF):
+        rig.say_state(as_state, go_signal=False)
+        rig.step(2)
+    assert rig.report.run.run_id == first_run + 1
+    assert rig.sent.mission_status is MissionStatus.SELECTED
+    rig.say_state(AsState.AS_OFF, ami=Ami.SKIDPAD)
+    rig.confirming = False
+    rig.step(2)
+    assert rig.report.run.mission is Ami.SKIDPAD and rig.sent.mission_status is MissionStatus.NOT_SELECTED
+    rig.confirming = True
+    rig.step(2)
+    assert rig.sent.mission_status is MissionStatus.SELECTED
+    rig.say_state(AsState.AS_READY)
+    rig.run_ms(5010)
+    rig.say_state(DRIVING, go_signal=True)
+    rig.command = VehicleCommand(0, 0, throttle=0.4, speed_limit_mps=8.0)
+    rig.run_ms(3200)
+    assert rig.sent.torque_requested
+    assert dict(rig.report.reason_counts) == {}
+
+
 def test_planner_memory_and_odometry_begin_anew_with_each_run() -> None:
     rig = driven()
     rig.run_ms(2000)
@@ -137,6 +165,19 @@ def test_a_process_that_only_listens_never_sends() -> None:
     assert rig.log == [] and rig.report.listen_only and "intruder" not in rig.report.reason_counts
     done, message = rig.bridge.emergency_brake("now", rig.now_ns)
     assert not done and "listen_only" in message
+
+
+def test_before_the_car_speaks_nothing_but_zeros_go_out() -> None:
+    rig = Rig()
+    rig.off = True
+    rig.run_ms(1000)
+    assert rig.sent == AiCommand()
+
+
+def test_autonomous_at_power_up_needs_nobody() -> None:
+    rig = Rig(BridgeConfig(autonomous_at_power_up=True))
+    rig.run_ms(800)
+    assert rig.report.autonomous and rig.sent.mission_status is MissionStatus.SELECTED
 
 
 # ---------------------------------------------------------------- the handshake (rule 9)
@@ -204,14 +245,18 @@ def test_what_is_lost_is_answered_in_its_time(lost: type, latencies_ms: dict[Cal
         assert rig.latency_ns(last_good_ns, until) == latency_ms * MS
 
 
-def test_an_active_reason_is_reported_as_a_sentence_with_detail() -> None:
+def test_a_lost_command_stops_the_car_and_ends_in_manual_at_rest() -> None:
     rig = driven(rpm=300)
     rig.command = None
+    rig.alive = brake_to_rest
     rig.run_ms(200)
     assert rig.report.reasons == ("command_stale",)
     assert rig.report.sentences == (
         "the vehicle command is stale: it stopped coming, or the data behind it is too old (no command for 200 ms)",
     )
+    rig.run_ms(3000)
+    assert (rig.sent.mission_status, rig.report.mode) == (MissionStatus.FINISHED, "manual")
+    assert rig.report.emergency is None and rig.report.reason_counts == {"command_stale": 1}
 
 
 def test_a_stuck_steering_stops_the_car_then_is_an_emergency() -> None:
@@ -490,6 +535,12 @@ def test_gaps_of_0x520_are_counted() -> None:
         assert rig.report.vcu_gaps == gaps
 
 
+def test_the_wall_clock_is_nobodys_business() -> None:
+    for start_ns in (1, 10**18):
+        rig = Rig(start_ns=start_ns).driving()
+        assert dict(rig.report.reason_counts) == {}
+
+
 # ---------------------------------------------------------------- the loop and the bus
 
 
@@ -662,8 +713,12 @@ def test_a_restarted_planner_or_controller_does_not_resume(role: str) -> None:
     rig.bridge.on_reset_confirmed(role, rig.bridge.run.run_id)
     rig.step(2)
     assert not rig.sent.torque_requested and rig.sent.brake_requested
+    assert (rig.sent.mission_status, rig.sent.direction) == (MissionStatus.RUNNING, Direction.FORWARD)
     assert rig.report.stopping is not None and role in rig.report.stopping
     assert rig.report.reason_counts == {"stack_restarted": 1}
+    rig.alive = brake_to_rest
+    rig.run_ms(2500)
+    assert rig.sent.mission_status is MissionStatus.FINISHED and not rig.sent.estop_request
 
 
 def test_a_reset_confirmed_by_an_unknown_role_is_only_reported() -> None:

@@ -49,10 +49,9 @@ def assert_clean(track: Track, result: Result) -> None:
     ("track", "eyes", "car"),
     [
         (OVAL, replace(WORN, false_per_look=0.3), ADS_DV_2021),
-        (WINDING, WORN, ADS_DV_2021),
         (WINDING, BLIND_TO_COLOR, ADS_DV_2026),
     ],
-    ids=["oval, false cones", "winding", "winding, no colors"],
+    ids=["oval, false cones", "winding, no colors"],
 )
 def test_a_trackdrive_keeps_to_its_lane_for_all_laps(track: Track, eyes: Eyes, car: VehicleParameters) -> None:
     _, result = driven(track, Ami.TRACKDRIVE, eyes, car=car)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -35,12 +34,12 @@ from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
 SHORT = ["--full", "0", "--world-seeds", "1", "--window", "1"]
-SAMPLE = 25
+EACH = 9
 ONE_CAR = [*SHORT, "--missions", "acceleration", "--revisions", "2026"]
 
 
 def test_faults_of_a_sample_end_as_the_safety_rules_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The short form of the campaign, another one after each change of the sources; `make campaign` has every kind."""
+    """The short form of the campaign: of each sort of fault some; `make campaign` has every kind."""
     runs = []
     for mission, kinds in _by_mission().items():
         if not kinds:
@@ -64,7 +63,7 @@ def test_faults_of_a_sample_end_as_the_safety_rules_demand(tmp_path: Path, capsy
 
 def _by_mission() -> dict[str, list[str]]:
     """The sample, on the car of 2021 that has them all: each mission and car costs drives to its beginning."""
-    sample = random.Random(digest()).sample(ROWS, SAMPLE)
+    sample = ROWS[::EACH]  # alike faults stand together
     return {
         "acceleration": [kind.name for kind in sample if Ami.ACCELERATION in kind.missions],
         "autonomous_demo": [kind.name for kind in sample if Ami.ACCELERATION not in kind.missions],
@@ -199,7 +198,7 @@ def _lines(path: Path) -> int:
 
 def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
-    arguments = ["--runs", "12", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
+    arguments = ["--runs", "8", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0) as run:
         while _lines(record) < 3:
@@ -210,11 +209,11 @@ def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     assert run.returncode == 130
     assert "--resume goes on" in error and "Traceback" not in error
     kept = _lines(record) - 1
-    assert 2 <= kept < 12
+    assert 2 <= kept < 8
     again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert f"{kept} runs are in" in again.stderr
-    assert sorted(run["index"] for run in read(record)[1]) == list(range(12))
+    assert sorted(run["index"] for run in read(record)[1]) == list(range(8))
 
 
 def test_a_record_of_other_sources_is_neither_continued_nor_lost(

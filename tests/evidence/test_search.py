@@ -151,7 +151,7 @@ def test_what_a_state_forgets_changes_nothing_that_is_sent(name: str) -> None:
     states = reached(model, 1000)
     driven = [state for state in states if model.bridge_of(state).gate.torque_running]
     sent = torque = 0
-    for state in (*chance.sample(states, 40), *chance.sample(driven, min(20, len(driven)))):
+    for state in (*chance.sample(states, 80), *chance.sample(driven, min(20, len(driven)))):
         held: State = state
         living._load(state)
         for step in range(12):

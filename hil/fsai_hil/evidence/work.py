@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 AHEAD: Final = 3  # tasks waiting per worker
+NICENESS: Final = 5  # evidence gives way to what else there is to do on the machine
 PROGRESS_EVERY_S: Final = 5.0
 
 PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
@@ -37,6 +38,7 @@ def _begin_worker(parent: int) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(1)
+    os.nice(NICENESS)
 
 
 def handed_over(pool: Executor, work: Callable[[T], R], tasks: Iterable[T], at_once: int) -> Iterator[R]:
@@ -67,8 +69,9 @@ def spread(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterator[R]
     try:
         yield from handed_over(pool, work, tasks, jobs * AHEAD)
     except BaseException:
+        workers = list((pool._processes or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in list((pool._processes or {}).values()):
+        for process in workers:
             process.terminate()
         raise
     pool.shutdown()

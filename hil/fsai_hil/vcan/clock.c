@@ -77,18 +77,18 @@ static void ask_kernel(unsigned current) {
   /* Of three readings the one that was interrupted least. */
   for (int attempt = 0; attempt < 3; attempt++) {
     uint64_t from = fsai_counter();
-    int64_t ns = kernel_ns(CLOCK_MONOTONIC);
+    int64_t ns = kernel_ns(CLOCK_MONOTONIC), skipped = *skipped_ns;
     uint64_t to = fsai_counter();
     if (attempt == 0 || to - from < after - before) {
       before = from;
       after = to;
       kernel = ns;
+      next->skipped_ns = skipped;
     }
   }
   next->counter = before + (after - before) / 2;
   next->monotonic_ns = kernel;
   next->owed_ns = 0;
-  next->skipped_ns = *skipped_ns;
   if (current) {
     const struct anchor *last = &anchors[current % 2];
     int64_t ours = last->monotonic_ns + since(last, next->counter) + next->skipped_ns - last->skipped_ns;

@@ -77,6 +77,11 @@ int timer_settime(timer_t timer, int flags, const struct itimerspec *slow, struc
 
 int sigsuspend(const sigset_t *mask) {
   struct itimerspec left;
+  sigset_t all, before;
+  int status;
+  /* Nothing sets the timer anew between the look at it and the sleep. */
+  sigfillset(&all);
+  sigprocmask(SIG_SETMASK, &all, &before);
   if (skipped_ns != &none_skipped && ticks && timer_gettime(ticking, &left) == 0) {
     int64_t left_ns = nanoseconds(&left.it_value);
     if (left_ns > 0) {
@@ -85,5 +90,7 @@ int sigsuspend(const sigset_t *mask) {
       *skipped_ns += (int64_t)((double)left_ns / pace);
     }
   }
-  return machine_suspend(mask);
+  status = machine_suspend(mask);
+  sigprocmask(SIG_SETMASK, &before, NULL);
+  return status;
 }

@@ -227,6 +227,7 @@ class VcuBridge(LifecycleNode):
             return self._failed(str(error))
         self._loop = loop
         self._loop_silent = False
+        # Stale commands are so by the age of their data: when the loop reports it, less time has passed here.
         self._commands = Input(self, "vehicle_cmd", silent_ns=configured.config.command_stale_ns // 2)
         self._news, self._last_run = News(), None
         self._timers = [
