@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if sources.live:
         source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
     else:
-        source = Log(chunks, view, args.at, (args.rate or None) if drawn else args.rate)
+        source = Log(chunks, view, args.at, (args.rate or None) if drawn else args.rate, keep=drawn)
         if source.empty:
             return sources.status
     if drawn:

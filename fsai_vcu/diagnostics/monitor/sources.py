@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.monitor.snapshot import Picture
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.interface.units import S
 
+_RECENT_CHUNKS: Final = 8
 _FAR_OFF_NS: Final = 60 * S  # a stamp so far from now is of a device's own clock
 
 
@@ -107,8 +108,14 @@ class Log:
 
     is_log: Final = True
 
-    def __init__(self, chunks: Iterator[Frames], view: View, at_s: float | None, rate: float | None) -> None:
-        """Plays from its start; where `rate` is None, it stands still at `at_s` or at its end."""
+    def __init__(
+        self, chunks: Iterator[Frames], view: View, at_s: float | None, rate: float | None, *, keep: bool = True
+    ) -> None:
+        """Plays from its start; where `rate` is None, it stands still at `at_s` or at its end.
+
+        keep: it can be moved back in; else only the newest is held, however long it is.
+        """
+        self._keep = keep
         self._chunks = chunks
         self._view = view
         self._pieces: list[tuple[View, Frames]] = []
@@ -177,7 +184,7 @@ class Log:
 
     def _at(self, t_ns: int) -> tuple[View, Picture]:
         place = bisect_right(self._pieces, t_ns, key=lambda piece: int(piece[1].t_ns[0])) - 1
-        before, frames = self._pieces[place]
+        before, frames = self._pieces[max(0, place)]
         view = before.copy()
         view.update(frames.head(int(np.searchsorted(frames.t_ns, t_ns, side="right"))))
         return view, view.picture(t_ns)
@@ -192,6 +199,8 @@ class Log:
             if len(frames):
                 before = self._view.copy()
                 self._pieces.append((before, self._view.update(frames)))
+                if not self._keep:
+                    del self._pieces[:-_RECENT_CHUNKS]
         return True
 
 
