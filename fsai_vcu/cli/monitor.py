@@ -88,12 +88,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _patterns(names: str | None, decoding: Decoding) -> list[str]:
     """The signals asked for. Raises UserError where a database knows none of them."""
-    from fsai_vcu.diagnostics.monitor.changes import fits
-
     patterns = list(filter(None, (names or "").split(",")))
     layouts = [layout for databases in decoding.possible() for layout in databases.layouts.values()] if patterns else []
     for pattern in patterns:
-        if not any(fits(layout, signal, [pattern]) for layout in layouts for signal in layout.signals):
+        if not any(layout.signals_like([pattern]) for layout in layouts):
             raise UserError(f"no signal {pattern}; fsai-vcu dbc show lists them")
     return patterns
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,8 +72,7 @@ class Databases:
         """The messages that have signals of these names (with * and ?), with no others in them."""
         chosen = {}
         for key, layout in self.layouts.items():
-            signals = tuple(s for s in layout.signals if any(fnmatchcase(s.name, name) for name in names))
-            if signals:  # of a message that cantools decodes all signals are shown
+            if signals := layout.signals_like(names):  # of a message that cantools decodes all signals are shown
                 chosen[key] = layout._replace(signals=signals) if layout.plain else layout
         return Databases(chosen, self.sources, self.baudrate, self._load)
 

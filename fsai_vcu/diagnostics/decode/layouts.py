@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
@@ -48,6 +48,16 @@ class MessageLayout(NamedTuple):
     def is_called(self, name: str) -> bool:
         """Whether that is its name (with * and ?) or its identifier (520 or 0x520)."""
         return fnmatchcase(self.name.lower(), name.lower()) or name.lower().removeprefix("0x") == f"{self.can_id:x}"
+
+    def signals_like(self, patterns: Sequence[str]) -> tuple[SignalLayout, ...]:
+        """The signals that NAME or MESSAGE.NAME means (with * and ?), in any case."""
+        wanted = [pattern.lower() for pattern in patterns]
+
+        def is_wanted(signal: SignalLayout) -> bool:
+            names = (signal.name.lower(), f"{self.name}.{signal.name}".lower())
+            return any(fnmatchcase(name, pattern) for name in names for pattern in wanted)
+
+        return tuple(filter(is_wanted, self.signals))
 
     @property
     def mask(self) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import cache, cached_property
 from typing import Final, NamedTuple
 
@@ -198,12 +197,10 @@ class Record:
         """By unit, (MESSAGE.NAME, series) of all signals in the log that a NAME or MESSAGE.NAME with * and ? means."""
         groups: dict[str, list[tuple[str, Series]]] = {}
         for layout in self.decoder.databases.layouts.values():
-            for signal in layout.signals:
-                full = f"{layout.name}.{signal.name}"
-                if any(fnmatchcase(full if "." in pattern else signal.name, pattern) for pattern in patterns):
-                    series = self.series(Signal(layout.name, signal.name))
-                    if len(series):
-                        groups.setdefault(signal.unit, []).append((full, series))
+            for signal in layout.signals_like(patterns):
+                series = self.series(Signal(layout.name, signal.name))
+                if len(series):
+                    groups.setdefault(signal.unit, []).append((f"{layout.name}.{signal.name}", series))
         return groups
 
     def at(self, signal: Signal, t_ns: int) -> float | None:

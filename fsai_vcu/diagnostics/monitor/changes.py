@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, Numbers, SignalSeries
-from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 from fsai_vcu.diagnostics.log.frames import Frames, Ints
 from fsai_vcu.diagnostics.monitor.snapshot import History
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, keys_of
@@ -43,19 +41,12 @@ def bytes_of(frames: Frames, key: int, now_ns: int) -> list[History]:
     return [_history(f"byte {place}", t_ns, table[:, place], text(place), now_ns) for place in range(width)]
 
 
-def fits(layout: MessageLayout, signal: SignalLayout, patterns: Iterable[str]) -> bool:
-    """Whether NAME or MESSAGE.NAME fits one of the patterns (with * and ?), in any case."""
-    names = (signal.name.lower(), f"{layout.name}.{signal.name}".lower())
-    return any(fnmatchcase(name, pattern.lower()) for name in names for pattern in patterns)
-
-
-def signals_of(frames: Frames, decoder: Decoder, patterns: Iterable[str], now_ns: int) -> list[History]:
+def signals_of(frames: Frames, decoder: Decoder, patterns: Sequence[str], now_ns: int) -> list[History]:
     """The signals that fit one of the patterns and were received, in the order of the databases."""
     wanted = {
         f"{layout.name}.{signal.name}": layout.name
         for layout in decoder.databases.layouts.values()
-        for signal in layout.signals
-        if fits(layout, signal, patterns)
+        for signal in layout.signals_like(patterns)
     }
     tables = decoder.tables(frames, set(wanted.values()))
     return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -101,7 +101,7 @@ class View:
         self._look_for_emergency(record, now_ns)
         return _Moment(self.memory, record, now_ns).picture(self.emergency, self._channel)
 
-    def signals(self, patterns: Iterable[str], now_ns: int) -> list[History]:
+    def signals(self, patterns: Sequence[str], now_ns: int) -> list[History]:
         """The signals received whose names, or MESSAGE.SIGNAL, fit one of the patterns; by what the picture showed."""
         return [] if self._decoder is None else signals_of(self._long(now_ns), self._decoder, patterns, now_ns)
 
