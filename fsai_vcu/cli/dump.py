@@ -53,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signals", metavar="NAME,…", help="only frames with these signals, and only these; with * and ?"
     )
+    parser.add_argument(
+        "--short", action="store_true", help="signals that are not 0 alone: a line of 0x520 in 150 columns"
+    )
     parser.add_argument("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
     add_part_arguments(parser)
@@ -67,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"-T is {args.idle_ms:g}, not a time")
     if args.log_format and (args.ascii_column or args.times == "A"):
         raise WrongUse("-a and -t A do not go with -L, the format of logs")
+    if args.short and (args.json or args.no_signals):
+        raise WrongUse("--short is for signals in lines: without --json and --no-signals")
     decoding = Decoding("dump", args)
     decoding.show_signals(args.signals)
     sources = Sources("dump", args.sources, decoding, part_of(args, decoding))

@@ -167,7 +167,12 @@ class Decoding:
         from fsai_vcu.diagnostics.decode.lines import LineWriter
 
         if self._writer is None:
-            self._writer = LineWriter(self.decoder, as_json=self._args.json, words=not self._args.numbers)
+            self._writer = LineWriter(
+                self.decoder,
+                as_json=self._args.json,
+                words=not self._args.numbers,
+                short=getattr(self._args, "short", False),
+            )
         return self._writer
 
     def possible(self) -> list[Databases]:

@@ -139,6 +139,19 @@ def test_signals_are_those_of_the_logs_own_revision(tmp_path: Path, capsys: pyte
     assert "VCU_STATUS(SM_SYS: " in capsys.readouterr().out
 
 
+def test_in_short_lines_0x520_fits_150_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("(1.000000) vcan0 520#211E333020000000\n(1.010000) vcan0 510#0000000000000000\n")
+    assert main(["dump", "--short", str(path)]) == 0
+    status, nothing = capsys.readouterr().out.splitlines()
+    assert status.split("  ")[-1].split("00 00 00 ")[1] == (
+        "Status HANDSHAKE OP_AUTO AS_SWITCH TS_SWITCH GO STEERING ACTIVE AS_DRIVING AUTOCROSS TS_RUNNING EBS_ARMED"
+    )
+    assert len(status) <= 150
+    assert nothing.endswith("00 Status")
+    assert main(["dump", "--short", "--json", str(path)]) == 2
+
+
 def test_times_with_the_date_are_local_and_read_back(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     text = "\n".join(shown(capsys, log, "-t", "A", "--no-signals"))
     assert re.match(r" \(2015-07-1\d \d\d:\d\d:33\.850870\)  can0  523 ", text)

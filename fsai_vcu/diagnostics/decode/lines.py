@@ -33,13 +33,15 @@ _TABLE_BITS: Final = 16  # a signal of up to so many bits has a table of its val
 class LineWriter:
     """Writes frames with their signals.
 
-    as_json: one object per line. words: names of values instead of numbers, where the database has them.
+    as_json: one object per line. words: names of values instead of numbers, where the database has them. short: what
+    is not 0 alone.
     """
 
-    def __init__(self, decoder: Decoder, *, as_json: bool = False, words: bool = True) -> None:
+    def __init__(self, decoder: Decoder, *, as_json: bool = False, words: bool = True, short: bool = False) -> None:
         self._decoder = decoder
         self._json = as_json
         self._words = words
+        self._short = short
         self._messages: dict[int, MessageText] = {}
         self._tables: dict[str, _Texts] = {}
 
@@ -93,7 +95,9 @@ class LineWriter:
         """What the frames of a plain message say, from their payloads."""
         text = self._messages.get(layout.key)
         if text is None:
-            text = self._messages[layout.key] = MessageText(layout, as_json=self._json, words=self._words)
+            text = self._messages[layout.key] = MessageText(
+                layout, as_json=self._json, words=self._words, short=self._short
+            )
         parts: list[Part] = []
         for before, signal in zip(text.before, text.signals, strict=True):
             table = self._tables.get(signal.kind) or self._tables.setdefault(signal.kind, _Texts(signal))

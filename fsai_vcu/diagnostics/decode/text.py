@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,11 +12,22 @@ from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 
 
 class MessageText:
-    """The text of one plain message: `before[i]` and the text of `signals[i]` for each of them, then `end`."""
+    """The text of one plain message: `before[i]` and the text of `signals[i]` for each of them, then `end`.
 
-    def __init__(self, layout: MessageLayout, *, as_json: bool, words: bool) -> None:
-        self.signals = [SignalText(signal, as_json=as_json, words=words) for signal in layout.signals]
+    short: signals that are not 0 alone, and no name that the word behind it repeats.
+    """
+
+    def __init__(self, layout: MessageLayout, *, as_json: bool, words: bool, short: bool = False) -> None:
         self.before: list[str] = []
+        if short:
+            self.signals: list[SignalText] = [
+                ShortText(signal, as_json=False, words=words) for signal in layout.signals
+            ]
+            name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # who sends to whom is seen from the identifier
+            self.before = [f" {name}", *[""] * (len(layout.signals) - 1)][: len(layout.signals)]
+            self.end = "\n" if layout.signals else f" {name}\n"
+            return
+        self.signals = [SignalText(signal, as_json=as_json, words=words) for signal in layout.signals]
         between = f',"message":{json.dumps(layout.name)},"signals":{{' if as_json else f" :: {layout.name}("
         for signal, text in zip(layout.signals, self.signals, strict=True):
             self.before.append(between + (f"{json.dumps(signal.name)}:" if as_json else f"{signal.name}: "))
@@ -53,6 +65,28 @@ class SignalText:
             pairs = zip(raws, values, strict=True)
             return [self._words.get(raw, f"{value}{self._unit}") for raw, value in pairs]
         return list(map(json_value if self._json else repr, values))
+
+
+class ShortText(SignalText):
+    """The signal with its name; nothing where it is 0."""
+
+    def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool) -> None:
+        super().__init__(layout, as_json=as_json, words=words)
+        self.kind = f"short {layout}"
+        self._name = layout.name
+        for ending in ("_STATUS", "_STATE", "_SIGNAL"):
+            self._name = self._name.removesuffix(ending)
+        self._unit, self.behind = self._unit or self.behind, ""
+        self._flag = layout.length == 1
+        self._alone = layout.name.endswith("_STATE")
+
+    def texts(self, raws: Sequence[float]) -> Sequence[str]:
+        return [self._text(raw, text) if raw else "" for raw, text in zip(raws, super().texts(raws), strict=True)]
+
+    def _text(self, raw: float, text: str) -> str:
+        if raw in self._words:
+            return f" {self._name}" if self._flag else f" {text}" if self._alone else f" {self._name} {text}"
+        return f" {self._name}" if self._flag else f" {self.layout.name} {text}{'' if self._words else self._unit}"
 
 
 def _one_line(text: str) -> str:
