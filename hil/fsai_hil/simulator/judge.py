@@ -20,6 +20,7 @@ from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.tracks import (
     ACCELERATION_STOP_M,
     CIRCUIT_STOP_M,
+    CONE_RADIUS_M,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
     Track,
@@ -180,7 +181,7 @@ class _Surroundings:
         ahead, left = middle.seen(*track.cones_xy_m.T)
         along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
         apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
-        self.hit.update(np.flatnonzero(apart_m < track.cone_radii_m).tolist())
+        self.hit.update(np.flatnonzero(apart_m < CONE_RADIUS_M[track.cone_colors]).tolist())
 
     def _borders(self, pose: Pose, lateral_m: float | None) -> None:
         track, car = self._track, self._car

@@ -182,8 +182,8 @@ class World:
     def _stage(self, mission: Ami) -> Run:
         track = self._first_track
         again = bool(self.runs)
-        if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
-            track = load_track(MISSION_TRACK[mission])
+        if again and (mission not in MISSION_TRACK or check_track(track, mission) is not None):
+            track = load_track(MISSION_TRACK.get(mission, "static"))
         facts = self.car.facts
         patience_s = self.setup.start_timeout_s if self.setup.auto else None
         judge = Judge(track, mission, facts, self.setup.laps, patience_s, self._now_ns, self.setup.start_ns)
