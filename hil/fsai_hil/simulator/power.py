@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, TsState
 from fsai_vcu.interface.immutable import Immutable
@@ -84,93 +84,50 @@ EBS_DISCHARGING_NS: Final = 1000 * MS
 SHUTDOWN_NS: Final = 2000 * MS
 
 
-class TractiveSystem:
-    """High voltage: precharge, activation, running; off again at once when it is not wanted."""
+Step = tuple[bool, tuple[Any, ...], Any, int]  # while it is wanted or not, from these states, to that one, after ns
+TS_LIVE: Final = (TsState.TS_PRECHARGE, TsState.TS_ACTIVATE, TsState.TS_RUNNING)
+# High voltage: precharge, activation, running; off again at once when it is not wanted
+TRACTIVE_SYSTEM: Final[tuple[Step, ...]] = (
+    (True, (TsState.TS_INIT, TsState.TS_SHUTDOWN, TsState.TS_FAULT), TsState.TS_PRECHARGE, 0),
+    (True, (TsState.TS_PRECHARGE,), TsState.TS_ACTIVATE, PRECHARGE_NS),
+    (True, (TsState.TS_ACTIVATE,), TsState.TS_RUNNING, ACTIVATE_NS),
+    (False, TS_LIVE, TsState.TS_SHUTDOWN, 0),
+    (False, (TsState.TS_FAULT,), TsState.TS_INIT, 0),
+)
+# EBS: init, charging, armed; triggered by an emergency, discharged when it is not wanted any more
+EMERGENCY_BRAKE_SYSTEM: Final[tuple[Step, ...]] = (
+    (True, (EbsState.EBS_INIT,), EbsState.EBS_CHARGING, EBS_INIT_NS),
+    (True, (EbsState.EBS_CHARGING,), EbsState.EBS_ARMED, EBS_CHARGING_NS),
+    (True, (EbsState.EBS_DISCHARGING, EbsState.EBS_TRIGGERED, EbsState.EBS_FAULT), EbsState.EBS_INIT, 0),
+    (False, (EbsState.EBS_CHARGING, EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED), EbsState.EBS_DISCHARGING, 0),
+    (False, (EbsState.EBS_DISCHARGING,), EbsState.EBS_INIT, EBS_DISCHARGING_NS),
+    (False, (EbsState.EBS_FAULT,), EbsState.EBS_INIT, 0),
+)
 
-    def __init__(self, now_ns: int) -> None:
-        self.state = TsState.TS_INIT
+
+class Subsystem:
+    """A small machine over time that takes one step at a look."""
+
+    def __init__(self, steps: tuple[Step, ...], now_ns: int) -> None:
+        self._steps = steps
+        self.state: Any = steps[0][1][0]
         self._since_ns = now_ns
-
-    def update(self, now_ns: int, wanted: bool, fault: bool) -> None:
-        state = self.state
-        if fault:
-            self._enter(TsState.TS_FAULT, now_ns)
-        elif not wanted:
-            if self.live:
-                self._enter(TsState.TS_SHUTDOWN, now_ns)
-            elif state is TsState.TS_FAULT:
-                self._enter(TsState.TS_INIT, now_ns)
-        elif state is TsState.TS_PRECHARGE:
-            if now_ns - self._since_ns >= PRECHARGE_NS:
-                self._enter(TsState.TS_ACTIVATE, now_ns)
-        elif state is TsState.TS_ACTIVATE:
-            if now_ns - self._since_ns >= ACTIVATE_NS:
-                self._enter(TsState.TS_RUNNING, now_ns)
-        elif state is not TsState.TS_RUNNING:
-            self._enter(TsState.TS_PRECHARGE, now_ns)
-
-    def _enter(self, state: TsState, now_ns: int) -> None:
-        if state is not self.state:
-            self.state = state
-            self._since_ns = now_ns
-
-    @property
-    def live(self) -> bool:
-        return self.state in (TsState.TS_PRECHARGE, TsState.TS_ACTIVATE, TsState.TS_RUNNING)
-
-    @property
-    def running(self) -> bool:
-        return self.state is TsState.TS_RUNNING
-
-
-class EmergencyBrakeSystem:
-    """EBS: init, charging, armed; triggered by an emergency, discharged when it is not wanted any more."""
-
-    def __init__(self, now_ns: int) -> None:
-        self.state = EbsState.EBS_INIT
-        self._since_ns: int = now_ns
         self._wanted = False
 
-    def update(self, now_ns: int, wanted: bool, fault: bool, triggered: bool) -> None:
-        state = self.state
-        if triggered:
-            self._enter(EbsState.EBS_TRIGGERED, now_ns)
-        elif fault:
-            self._enter(EbsState.EBS_FAULT, now_ns)
-        elif not wanted:
-            if state in (EbsState.EBS_CHARGING, EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED):
-                self._enter(EbsState.EBS_DISCHARGING, now_ns)
-            elif state is EbsState.EBS_FAULT or (
-                state is EbsState.EBS_DISCHARGING and now_ns - self._since_ns >= EBS_DISCHARGING_NS
-            ):
-                self._enter(EbsState.EBS_INIT, now_ns)
-        elif state is EbsState.EBS_INIT:
-            if not self._wanted:
-                self._since_ns = now_ns
-            if now_ns - self._since_ns >= EBS_INIT_NS:
-                self._enter(EbsState.EBS_CHARGING, now_ns)
-        elif state is EbsState.EBS_CHARGING:
-            if now_ns - self._since_ns >= EBS_CHARGING_NS:
-                self._enter(EbsState.EBS_ARMED, now_ns)
-        elif state is not EbsState.EBS_ARMED:
-            self._enter(EbsState.EBS_INIT, now_ns)
-        self._wanted = wanted
-
-    def _enter(self, state: EbsState, now_ns: int) -> None:
-        if state is not self.state:
-            self.state = state
+    def update(self, now_ns: int, wanted: bool, forced: TsState | EbsState | None = None) -> None:
+        """A `forced` state is entered at once."""
+        began, self._wanted = wanted and not self._wanted, wanted
+        if forced is not None:
+            if forced is not self.state:
+                self.state, self._since_ns = forced, now_ns
+            return
+        if began:
             self._since_ns = now_ns
-
-    @property
-    def armed(self) -> bool:
-        return self.state is EbsState.EBS_ARMED
-
-    @property
-    def status(self) -> EbsStatus:
-        """STATUS_EBS of 0x524, which knows fewer states."""
-        return _EBS_STATUS.get(self.state, EbsStatus.UNAVAILABLE)
+        for while_wanted, sources, target, after_ns in self._steps:
+            if while_wanted == wanted and self.state in sources and now_ns - self._since_ns >= after_ns:
+                self.state, self._since_ns = target, now_ns
+                return
 
 
-_EBS_STATUS: Final[Mapping[EbsState, EbsStatus]] = MappingProxyType(
-    {EbsState.EBS_ARMED: EbsStatus.ARMED, EbsState.EBS_TRIGGERED: EbsStatus.TRIGGERED}
-)
+# STATUS_EBS of 0x524, which knows fewer states
+EBS_STATUS: Final = {EbsState.EBS_ARMED: EbsStatus.ARMED, EbsState.EBS_TRIGGERED: EbsStatus.TRIGGERED}
