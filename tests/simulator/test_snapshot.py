@@ -60,7 +60,7 @@ def outcome(lockstep: Lockstep) -> tuple[object, ...]:
     return (
         world.truth,
         world.verdict(),
-        tuple(world.samples),
+        tuple(world.run.samples),
         world.operator.doing,
         world.vcu.switches,
         tuple(world.vcu.transitions),
@@ -116,7 +116,7 @@ def test_a_copy_shares_what_never_changes_and_nothing_else() -> None:
     run = Lockstep(WorldSetup(missions=[Ami.AUTOCROSS]))
     kept = copy.deepcopy(run)
     assert kept.world.codec is run.world.codec
-    assert kept.world.track is run.world.track
+    assert kept.world.run.track is run.world.run.track
     assert kept.bridge is not run.bridge
     assert kept.world.vcu is not run.world.vcu
     assert kept.world.vcu.switches is not run.world.vcu.switches

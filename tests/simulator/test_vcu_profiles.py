@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from vcu_bench import Bench
 
-from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile, profile
+from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR, PROFILES, SPECIFICATION, Profile
 from fsai_vcu.interface.enums import AsState, BrakeStatus, Direction, MissionStatus
 from fsai_vcu.interface.messages import VcuBrake, VcuStatus
 from fsai_vcu.interface.units import MS, S
@@ -23,13 +23,6 @@ def handshakes(bench: Bench, count: int) -> list[bool]:
     del bench.sent[:]
     bench.run(count * 10 * MS)
     return [image.handshake for image in bench.images(VcuStatus)]
-
-
-def test_profiles_are_found_by_name_an_unknown_name_lists_them() -> None:
-    assert profile("specification") is SPECIFICATION
-    assert profile("official-simulator") is OFFICIAL_SIMULATOR
-    with pytest.raises(ValueError, match="specification, official-simulator"):
-        profile("nobody's")
 
 
 def test_the_specification_is_the_default_of_every_difference() -> None:

@@ -39,7 +39,7 @@ def test_cones_are_seen_from_where_the_car_is() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], noise_level=0.0))
     seen = world.see_cones(123)
     pose = world.truth.pose
-    cones = {(round(float(x), 6), round(float(y), 6)) for x, y in world.track.cones_xy_m}
+    cones = {(round(float(x), 6), round(float(y), 6)) for x, y in world.run.track.cones_xy_m}
     assert len(seen.xy_m) > 5
     for x, y in seen.xy_m:
         at = pose.ahead(float(x), float(y))
@@ -58,8 +58,8 @@ def test_another_mission_chosen_moves_the_car_to_its_start() -> None:
     world.advance(SECOND_NS)
     world.vcu.switches.ami = Ami.SKIDPAD
     world.advance(2 * SECOND_NS)
-    assert world.mission is Ami.SKIDPAD
-    assert world.track.name == "skidpad"
+    assert world.run.mission is Ami.SKIDPAD
+    assert world.run.track.name == "skidpad"
     assert world.car.pose.x_m == pytest.approx(-15.0 - world.car.facts.nose_ahead_of_rear_axle_m)
     assert len(world.runs) == 1
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.simulator import plot, process
+from fsai_hil.simulator import process
 from fsai_hil.simulator.ground_truth import TruthReceiver
-from fsai_hil.simulator.plot import PlotError, save_plot
+from fsai_hil.simulator.plot import plotted
 from fsai_hil.simulator.process import VcuProcess, add_arguments, run
 from fsai_hil.simulator.tracks import load_track
 from fsai_hil.simulator.world import World, WorldSetup
@@ -247,20 +247,19 @@ def test_each_status_that_was_sent_tells_how_late_it_was() -> None:
 # ------------------------------------------------------------ pictures
 
 
-def test_a_picture_of_a_run_is_a_png(tmp_path: Path) -> None:
+def test_a_picture_is_a_png_or_one_line_says_why_there_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("matplotlib")
     world = World(WorldSetup(missions=[Ami.ACCELERATION], gps=False))
     world.advance(5_000_000_000)
     path = tmp_path / "run.png"
-    save_plot(path, world.track, world.samples, world.verdict())
+    assert plotted("drive", path, world.run)
     assert path.read_bytes().startswith(b"\x89PNG")
-    save_plot(path, load_track("static"), [])
-    with pytest.raises(PlotError, match="cannot be written"):
-        save_plot(tmp_path / "absent" / "run.png", world.track, world.samples)
-
-
-def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert plotted("drive", path, World(WorldSetup(missions=[Ami.STATIC_INSPECTION_A])).run)
+    assert not plotted("drive", tmp_path / "absent" / "run.png", world.run)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PlotError, match="pip install") as caught:
-        save_plot(tmp_path / "run.png", load_track("static"), [])
-    assert str(caught.value) == plot.MISSING
+    assert not plotted("drive", path, world.run)
+    absent, missing = capsys.readouterr().err.splitlines()
+    assert "absent/run.png cannot be written" in absent
+    assert missing == "drive: no plot: matplotlib is not installed; install it with: pip install 'fsai-vcu[plot]'"

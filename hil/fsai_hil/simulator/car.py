@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.vehicle.parameters import CARS, GRAVITY_MPS2, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.immutable import Immutable
 
 Coordinate = TypeVar("Coordinate", float, Floats)
@@ -74,12 +74,6 @@ class Pose(Immutable):
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
         return dx * c + dy * s, dy * c - dx * s
-
-
-def car_facts(revision: str, official_simulator: bool = False) -> VehicleParameters:
-    """The published facts of the simulated car, which car and AI side share."""
-    facts = CARS[revision]
-    return replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad) if official_simulator else facts
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,22 +34,9 @@ _STATE_COLOR: Final = {
 }
 
 
-class PlotError(RuntimeError):
-    """No picture can be made; the message is one clear line."""
-
-
 def plotted(program: str, path: Path, run: Run) -> bool:
     """Save the picture of a run; where there can be none, print why and return False."""
-    try:
-        save_plot(path, run.track, run.samples, run.judge.verdict())
-    except PlotError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return False
-    return True
-
-
-def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: JudgeVerdict | None = None) -> None:
-    """Write the picture. Raises PlotError where matplotlib is missing or the file cannot be written."""
+    track, samples = run.track, run.samples
     try:
         import matplotlib
 
@@ -57,7 +44,8 @@ def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: 
         from matplotlib import pyplot
         from matplotlib.collections import LineCollection
     except ImportError:
-        raise PlotError(MISSING) from None
+        print(f"{program}: {MISSING}", file=sys.stderr)
+        return False
 
     figure, (plan, time_axis) = pyplot.subplots(
         2, 1, figsize=(9.0, 11.0), height_ratios=(3, 1), layout="constrained", dpi=110
@@ -83,7 +71,7 @@ def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: 
     plan.autoscale_view()
     plan.set_xlabel("x, m")
     plan.set_ylabel("y, m")
-    plan.set_title(_title(track, verdict), fontsize=10)
+    plan.set_title(_title(track, run.judge.verdict()), fontsize=10)
 
     if samples:
         times = [s.t_s for s in samples]
@@ -96,14 +84,14 @@ def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: 
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise PlotError(f"no plot: {path} cannot be written: {error}") from None
+        print(f"{program}: no plot: {path} cannot be written: {error}", file=sys.stderr)
+        return False
     finally:
         pyplot.close(figure)
+    return True
 
 
-def _title(track: Track, verdict: JudgeVerdict | None) -> str:
-    if verdict is None:
-        return track.name
+def _title(track: Track, verdict: JudgeVerdict) -> str:
     title = f"{verdict.mission} on {track.name}: {verdict.result.upper()}"
     if verdict.lap_times_s:
         title += "   laps " + ", ".join(f"{t:.2f} s" for t in verdict.lap_times_s[:6])

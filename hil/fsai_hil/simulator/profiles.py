@@ -70,11 +70,3 @@ OFFICIAL_SIMULATOR: Final = Profile(
 PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(
     {profile.name: profile for profile in (SPECIFICATION, OFFICIAL_SIMULATOR)}
 )
-
-
-def profile(name: str) -> Profile:
-    """The profile of that name; an unknown name raises a ValueError that lists the valid ones."""
-    try:
-        return PROFILES[name]
-    except KeyError:
-        raise ValueError(f"unknown profile {name!r}: choose one of {', '.join(PROFILES)}") from None
