@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from fsai_hil.rules.checker import WireChecker, WireReport
@@ -89,19 +90,16 @@ class Lockstep:
         if limits is not None:
             settings = replace(settings, max_speed_mps=min(settings.max_speed_mps, limits.max_speed_mps))
         self.now_ns = setup.start_ns
-        self._car, self._config, self._limits = car, config, limits
-        self._missions, self._settings = missions, settings
-        self._bridges = 0
-        self.computer = OnboardComputer(
-            self._new_bridge(),
-            self.world.codec,
-            Planner(car, missions=missions),
-            Controller(car, settings, missions),
-            self.now_ns,
-        )
+        codec = self.world.codec
+        self._new_bridge = partial(Bridge, codec, self.world.vcu.revision, car, config, limits)
+        self._new_planner = partial(Planner, car, missions=missions)
+        self._new_controller = partial(Controller, car, settings, missions)
+        self._first_run_id = 1
+        bridge = self._new_bridge(self._first_run_id, now_ns=self.now_ns)
+        self.computer = OnboardComputer(bridge, codec, self._new_planner(), self._new_controller(), self.now_ns)
         # Nothing is in flight in lockstep: what the car has sent, the bridge has received before it sends.
         self.wire = WireChecker(
-            self.world.codec,
+            codec,
             in_flight_ns=STEP_NS,
             handshake_in_flight_ns=STEP_NS,
             clock_slack_ns=0,
@@ -123,32 +121,20 @@ class Lockstep:
         """The bridge in hand: a restart brings another one."""
         return self.computer.bridge
 
-    def _new_bridge(self) -> Bridge:
-        # On the car a new process draws a first run id that no earlier one can have used.
-        first_run_id = 1 + RUNS_OF_A_PROCESS * self._bridges
-        self._bridges += 1
-        return Bridge(
-            self.world.codec,
-            self.world.vcu.revision,
-            self._car,
-            self._config,
-            self._limits,
-            first_run_id,
-            now_ns=self.now_ns,
-        )
-
     def start_bridge(self) -> None:
         """The bridge's process is started anew: it knows nothing, and is in manual mode."""
-        self.computer.start_bridge(self._new_bridge(), self.now_ns)
+        # On the car a new process draws a first run id that no earlier one can have used.
+        self._first_run_id += RUNS_OF_A_PROCESS
+        self.computer.start_bridge(self._new_bridge(self._first_run_id, now_ns=self.now_ns), self.now_ns)
         self.wire.restarted()
 
     def start_planner(self) -> None:
         """The planner's process is started anew."""
-        self.computer.start_planner(Planner(self._car, missions=self._missions))
+        self.computer.start("planner", self._new_planner())
 
     def start_controller(self) -> None:
         """The controller's process is started anew."""
-        self.computer.start_controller(Controller(self._car, self._settings, self._missions))
+        self.computer.start("controller", self._new_controller())
 
     def intrude(self, frame: Frame) -> None:
         """Somebody else's frame is on the bus: everybody receives it."""
