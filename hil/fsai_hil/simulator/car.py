@@ -178,15 +178,7 @@ class Car:
         return max(self._rpm) < 0.5 and self._vx < STANDSTILL_MPS
 
     def truth(self) -> CarTruth:
-        return CarTruth(
-            self.t_ns,
-            self.pose,
-            self._vx,
-            self._yaw_rate,
-            self._road_deg,
-            self._rpm,
-            self._distance,
-        )
+        return CarTruth(self.t_ns, self.pose, self._vx, self._yaw_rate, self._road_deg, self._rpm, self._distance)
 
     def feedback(self) -> CarFeedback:
         per_rev = self.facts.wheel_pulses_per_rev
@@ -194,15 +186,10 @@ class Car:
         if self._stopped_ns is not None and self.t_ns - self._stopped_ns < RPM_REST_NS:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
             rpm = (max(rpm[0], RPM_REST), max(rpm[1], RPM_REST), max(rpm[2], RPM_REST), max(rpm[3], RPM_REST))
-        fl, fr, rl, rr = self._pulse_revs
+        fl, fr, rl, rr = (int(revs * per_rev) & 0xFFFF for revs in self._pulse_revs)
         return CarFeedback(
             rpm,
-            (
-                int(fl * per_rev) & 0xFFFF,
-                int(fr * per_rev) & 0xFFFF,
-                int(rl * per_rev) & 0xFFFF,
-                int(rr * per_rev) & 0xFFFF,
-            ),
+            (fl, fr, rl, rr),
             self._road_deg,
             self._front.torque_nm,
             self._rear.torque_nm,

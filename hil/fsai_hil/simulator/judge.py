@@ -141,7 +141,8 @@ class _Route:
         apart = self._points(indices) - (x, y)
         return indices[int(np.argmin((apart * apart).sum(axis=1)))]
 
-    def follow(self, x: float, y: float) -> None:
+    def follow(self, x: float, y: float) -> float:
+        """How far left of it the car is now."""
         closed, count = self._track.closed, len(self._track.centreline_m)  # type: ignore[arg-type]
         if self._index is None or (closed and abs(self.lateral_m) > self.LOST_M):
             # found anew: no progress is credited for the way here. An open route is entered at its first pass
@@ -155,6 +156,7 @@ class _Route:
         length = math.hypot(bx - ax, by - ay)
         across = (bx - ax) * (y - py) - (by - ay) * (x - px)
         self.lateral_m = across / length if length else math.hypot(x - px, y - py)
+        return self.lateral_m
 
 
 class _Surroundings:
@@ -168,30 +170,17 @@ class _Surroundings:
         self._off = False
 
     def look(self, pose: Pose, lateral_m: float | None) -> None:
-        self._cones(pose)
-        self._borders(pose, lateral_m)
-
-    def _cones(self, pose: Pose) -> None:
         track, car = self._track, self._car
         middle = Pose(*pose.ahead(car.nose_ahead_of_rear_axle_m - car.length_m / 2.0), pose.yaw_rad)
         ahead, left = middle.seen(*track.cones_xy_m.T)
         along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
         apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
         self.hit.update(np.flatnonzero(apart_m < CONE_RADIUS_M[track.cone_colors]).tolist())
-
-    def _borders(self, pose: Pose, lateral_m: float | None) -> None:
-        track, car = self._track, self._car
-        if not track.lane:
-            return
-        if lateral_m is not None and abs(lateral_m) < 1.2:  # no lane is narrower than 3 m; spares the exact look
-            self._off = False
-            return
         half = car.track_m / 2.0
-        off = not any(
-            track.on_lane(*pose.ahead(along, across)) for along in (0.0, car.wheelbase_m) for across in (half, -half)
-        )
-        if off and not self._off:
-            self.off_course += 1
+        wheels = ((along, across) for along in (0.0, car.wheelbase_m) for across in (half, -half))
+        near = lateral_m is not None and abs(lateral_m) < 1.2  # no lane is narrower than 3 m; spares the exact look
+        off = not near and not any(track.on_lane(*pose.ahead(*wheel)) for wheel in wheels)
+        self.off_course += off and not self._off
         self._off = off
 
 
@@ -557,9 +546,7 @@ class Judge:
 
     def _watch_drive(self, truth: CarTruth) -> None:
         pose = truth.pose
-        if self._route is not None:
-            self._route.follow(pose.x_m, pose.y_m)
-        lateral = self._route.lateral_m if self._route is not None else None
+        lateral = self._route.follow(pose.x_m, pose.y_m) if self._route is not None else None
         self._referee.watch(truth, pose.ahead(self._car.nose_ahead_of_rear_axle_m), self._route)
         self._surroundings.look(pose, lateral)
         speed = truth.speed_mps

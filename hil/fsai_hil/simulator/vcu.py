@@ -529,16 +529,12 @@ class SimulatedVcu:
         )
 
     def _drive_front_image(self, t_ns: int) -> VcuDriveFront:
-        request = min(AXLE_TORQUE_MAX_NM, self._link.drive_front.torque_nm)
-        return VcuDriveFront(
-            limited(self._feedback.front_torque_nm, AXLE_TORQUE_MAX_NM), request, self.torque_max_nm[0], t_ns
-        )
+        measured, asked, most = self._feedback.front_torque_nm, self._link.drive_front.torque_nm, AXLE_TORQUE_MAX_NM
+        return VcuDriveFront(limited(measured, most), min(most, asked), self.torque_max_nm[0], t_ns)
 
     def _drive_rear_image(self, t_ns: int) -> VcuDriveRear:
-        request = min(AXLE_TORQUE_MAX_NM, self._link.drive_rear.torque_nm)
-        return VcuDriveRear(
-            limited(self._feedback.rear_torque_nm, AXLE_TORQUE_MAX_NM), request, self.torque_max_nm[1], t_ns
-        )
+        measured, asked, most = self._feedback.rear_torque_nm, self._link.drive_rear.torque_nm, AXLE_TORQUE_MAX_NM
+        return VcuDriveRear(limited(measured, most), min(most, asked), self.torque_max_nm[1], t_ns)
 
     def _steer_image(self, t_ns: int) -> VcuSteer:
         most = self.revision.steer_limit_deg
@@ -568,12 +564,10 @@ class SimulatedVcu:
         return BrakeStatus.SHUTDOWN_COMPLETE if self.shut_down else BrakeStatus.SHUTTING_DOWN
 
     def _speeds_image(self, t_ns: int) -> WheelSpeeds:
-        fl, fr, rl, rr = (round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm)
-        return WheelSpeeds(fl, fr, rl, rr, t_ns)
+        return WheelSpeeds(*(round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm), t_ns)
 
     def _counts_image(self, t_ns: int) -> WheelCounts:
-        fl, fr, rl, rr = (count & 0xFFFF for count in self._feedback.pulses)
-        return WheelCounts(fl, fr, rl, rr, t_ns)
+        return WheelCounts(*(count & 0xFFFF for count in self._feedback.pulses), t_ns)
 
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
         link = self._link
