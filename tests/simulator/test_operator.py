@@ -71,11 +71,12 @@ def test_the_operator_takes_the_car_from_off_through_a_mission(name: str, order:
     drive(bench, Driver(bench), done)
     assert seen == order
     assert states(bench)[: len(off) + 4] == off + ONE_RUN
+    assert "AS_READY -> AS_DRIVING: Go" in [str(transition) for transition in bench.vcu.transitions]
     assert not (switches.asms or switches.tsms or switches.lvms or switches.go)
     assert bench.operator.doing == "nothing left to do"
 
 
-def test_go_comes_after_yellow_and_blue_and_again_if_without_effect() -> None:
+def test_go_comes_after_yellow_and_blue_and_again_if_useless() -> None:
     bench = Bench()
     driver = Driver(bench)
     bench.operator = Operator.auto("2021", [Ami.SKIDPAD])

@@ -91,16 +91,6 @@ def test_what_never_came_is_lost_100_ms_after_the_first_ai_data(leave_out: type 
 # ---------------------------------------------------------------- on the VCU
 
 
-def test_a_prompt_ai_computer_has_one_response_time_per_cycle() -> None:
-    bench = Bench().power_up()
-    bench.answer_ns = 2 * MS
-    bench.run(20 * MS)
-    del bench.vcu.response_times_ns[:]
-    bench.run(S)
-    assert len(bench.vcu.response_times_ns) == 100
-    assert set(bench.vcu.response_times_ns) == {2 * MS}
-
-
 @pytest.mark.parametrize(
     ("loss", "value", "least_ms", "most_ms"), [("silent_ids", {0x513}, 90, 101), ("echoes", False, 100, 112)]
 )

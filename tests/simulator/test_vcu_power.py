@@ -115,17 +115,6 @@ def test_the_car_does_not_come_up_with_an_open_shutdown_circuit(name: str) -> No
     assert bench.vcu.mission_selectable
 
 
-def test_2021_a_second_mission_needs_asms_off_and_on_only() -> None:
-    bench = Bench("2021").to_finished()
-    bench.switches.asms = bench.switches.go = False
-    bench.say(mission_status=MissionStatus.NOT_SELECTED)
-    bench.run(S)
-    bench.switches.asms = True
-    bench.say(mission_status=MissionStatus.SELECTED)
-    bench.run_until(lambda: bench.state is AsState.AS_READY, 10 * S)
-    assert bench.vcu.power_cycles == 0
-
-
 def test_2026_a_second_mission_needs_all_switches_off_and_on() -> None:
     bench = Bench("2026").to_finished()
     bench.switches.asms = bench.switches.go = False

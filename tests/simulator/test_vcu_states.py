@@ -60,13 +60,6 @@ ROWS_OF_THE_SPECIFICATION: list[tuple[AsState, AsState, dict[str, Any]]] = [
     (DRIVING, EMERGENCY, {"sdc_open": True}),
     (DRIVING, EMERGENCY, {"asms": False}),
     (DRIVING, EMERGENCY, {"go": False}),
-    (DRIVING, EMERGENCY, {"estop_request": True}),
-    (DRIVING, EMERGENCY, {"mission_status": MissionStatus.FINISHED}),
-    (DRIVING, EMERGENCY, {"direction": Direction.NEUTRAL}),
-    (DRIVING, EMERGENCY, {"comms_lost": True}),
-    (DRIVING, EMERGENCY, {"brake_requested": True}),
-    (DRIVING, EMERGENCY, {"bms_fault": True}),
-    (DRIVING, EMERGENCY, {"ebs_armed": False}),
     (DRIVING, FINISHED, {"mission_status": MissionStatus.FINISHED, "fastest_wheel_rpm": 9.9, "slowest_wheel_rpm": 0.0}),
     (FINISHED, OFF, {"asms": False}),
     (FINISHED, EMERGENCY, {"sdc_open": True}),
@@ -157,6 +150,7 @@ def test_finished_needs_wheels_under_10_rpm_at_10_is_no_fault(rpm: float, finish
         ({"offboard_charger_fault": True, "sdc_open": True}, "offboard_charger", ShutdownCause.OFFBOARD_CHARGER_FAULT),
         ({"charge_procedure_fault": True, "sdc_open": True}, "charge_procedure", ShutdownCause.CHARGE_PROCEDURE_FAULT),
         ({"bms_fault": True, "sdc_open": True}, "bms", ShutdownCause.BMS_FAULT),
+        ({"bms_fault": True}, "bms", ShutdownCause.BMS_FAULT),
     ],
     ids=named,
 )
@@ -170,15 +164,6 @@ def test_a_fault_in_as_driving_brings_its_fault_bit_and_cause(
 
 
 # ---------------------------------------------------------------- the same, on the VCU
-
-
-def test_a_whole_run_goes_through_the_states_in_their_order() -> None:
-    bench = Bench().to_finished()
-    bench.switches.asms = False
-    bench.run(10 * MS)
-    states = [state for _, state in bench.vcu.history]
-    assert states == [OFF, READY, DRIVING, FINISHED, OFF]
-    assert [str(t) for t in bench.vcu.transitions][1] == "AS_READY -> AS_DRIVING: Go"
 
 
 def test_go_at_5_s_in_as_ready_starts_and_1_ns_before_is_lost() -> None:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from fsai_hil.simulator.tracks import small_oval
+from fsai_hil.simulator.tracks import skidpad_track, small_oval
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.frames import Frame
@@ -78,7 +78,8 @@ def test_the_official_simulator_profile_brings_its_own_car() -> None:
         (WorldSetup(missions=[Ami.TRACKDRIVE], revision="2019"), "2019"),
         (WorldSetup(missions=[Ami.TRACKDRIVE], profile="lenient"), "lenient"),
         (WorldSetup(missions=[Ami.SKIDPAD], track=small_oval()), "needs a track of kind skidpad"),
-        (WorldSetup(missions=[Ami.TRACKDRIVE], noise_level=-1.0), "noise_level"),
+        (WorldSetup(missions=[Ami.TRACKDRIVE], track=skidpad_track()), "needs a track of kind circuit"),
+        *((WorldSetup(missions=[Ami.SKIDPAD], noise_level=x), "noise_level") for x in (-1.0, math.nan, math.inf)),
         (WorldSetup(missions=[Ami.TRACKDRIVE], laps=0), "laps is 0"),
     ],
 )

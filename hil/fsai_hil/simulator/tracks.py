@@ -137,12 +137,6 @@ def _array(points: Sequence[Point]) -> Floats:
 # ---------------------------------------------------------------- built-in tracks
 
 
-def static_track() -> Track:
-    """Open ground without cones."""
-    xy, colors = _cones(())
-    return Track("static", TrackKind.STATIC, xy, colors, source="static")
-
-
 def acceleration_track() -> Track:
     """75 m straight from the start line at x = 0, and 100 m of exit lane to stop in."""
     half = LANE_M / 2.0
@@ -378,7 +372,7 @@ AUTOCROSS_SEED: Final = 4
 TRACKDRIVE_SEED: Final = 11
 
 BUILT_IN: Final[Mapping[str, Callable[[], Track]]] = {
-    "static": static_track,
+    "static": lambda: Track("static", TrackKind.STATIC, *_cones(()), source="static"),  # open ground
     "acceleration": acceleration_track,
     "skidpad": skidpad_track,
     "autocross": lambda: random_circuit(AUTOCROSS_SEED, "autocross", 230.0),
