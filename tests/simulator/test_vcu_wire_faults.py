@@ -98,7 +98,7 @@ def test_faults_add_up_in_their_order_and_can_be_taken_away() -> None:
 
 
 @pytest.mark.parametrize("late_ms", [0, 7])
-def test_each_cycle_has_a_response_time_longer_by_the_wires_delay(late_ms: int) -> None:
+def test_each_cycle_has_a_response_time_with_the_wires_delay(late_ms: int) -> None:
     bench = Bench().power_up()
     bench.answer_ns = 2 * MS
     bench.vcu.incoming.add(Delay(ALL, delay_ns=late_ms * MS))
