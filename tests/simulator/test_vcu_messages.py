@@ -115,7 +115,7 @@ def test_switches_mission_and_go_are_reported() -> None:
     assert status.warning and status.warn_batt_temp_high and not status.warn_batt_soc_low
     assert not status.fault
     bench.switches.remote_radio_ok = False
-    assert not bench.status().go_signal, "without its radio the remote's Go is not heard"
+    assert not bench.status().go_signal, "without its radio the remote's Go is not received"
 
 
 def test_outside_as_driving_ai_faults_are_warnings_of_0x120() -> None:
@@ -129,7 +129,7 @@ def test_outside_as_driving_ai_faults_are_warnings_of_0x120() -> None:
     assert bench.state is AsState.AS_OFF
 
 
-def test_the_logging_frames_tell_the_run() -> None:
+def test_the_logging_frames_report_the_run() -> None:
     bench = Bench("2021").to_driving(Ami.SKIDPAD)
     bench.car = replace(bench.car, speed_mps=10.0, steer_deg=3.3, front_brake_pct=0.0, rear_torque_nm=97.5)
     bench.deliver(
@@ -180,11 +180,11 @@ def test_the_inertial_messages_follow_the_car() -> None:
     assert dynamics.yaw_rate_degps == pytest.approx(28.65, abs=0.01)
 
 
-def test_the_gps_tells_the_time_of_the_virtual_clock() -> None:
+def test_the_gps_sends_the_time_of_the_virtual_clock() -> None:
     bench = Bench("2026", gps=True).power_up()
     bench.run(60 * S - bench.now_ns + 300 * MS)
-    told = bench.images(GpsDateTime)[-1]
-    assert (told.year, told.hour, told.minute, told.second) == (26, 9, 1, 0)
+    sent = bench.images(GpsDateTime)[-1]
+    assert (sent.year, sent.hour, sent.minute, sent.second) == (26, 9, 1, 0)
 
 
 def test_readings_far_beyond_any_car_do_not_silence_a_message() -> None:

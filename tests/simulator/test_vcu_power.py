@@ -50,15 +50,15 @@ def test_2021_the_vcu_stays_in_aux_until_ai_data_arrives(missing: str) -> None:
     assert bench.vcu.system_state is SystemState.AUX
     setattr(owner, missing, True)
     bench.run(5 * S)
-    said = bench.images(VcuSystemStatus)
-    assert distinct([image.sm_sys for image in said]) == [
+    sent = bench.images(VcuSystemStatus)
+    assert distinct([image.sm_sys for image in sent]) == [
         SystemState.POWER_ON_SELF_TEST,
         SystemState.AUX,
         SystemState.POWERTRAIN_ENABLE,
         SystemState.DRIVE_AUTONOMOUS,
     ]
     assert bench.vcu.mission_selectable
-    assert {image.sm_as for image in said} == {AsState.AS_OFF}
+    assert {image.sm_as for image in sent} == {AsState.AS_OFF}
 
 
 def test_2026_ts_and_ebs_come_up_when_valid_can_data_arrives() -> None:
@@ -74,19 +74,19 @@ def test_2026_ts_and_ebs_come_up_when_valid_can_data_arrives() -> None:
     assert status.op_state is OpState.OP_AUTO
     bench.silent_ids = set()
     bench.run(5 * S)
-    said = bench.images(VcuStatus)
-    assert distinct([image.ts_state for image in said]) == [
+    sent = bench.images(VcuStatus)
+    assert distinct([image.ts_state for image in sent]) == [
         TsState.TS_INIT,
         TsState.TS_PRECHARGE,
         TsState.TS_ACTIVATE,
         TsState.TS_RUNNING,
     ]
-    assert distinct([image.ebs_state for image in said]) == [
+    assert distinct([image.ebs_state for image in sent]) == [
         EbsState.EBS_INIT,
         EbsState.EBS_CHARGING,
         EbsState.EBS_ARMED,
     ]
-    for image in said:
+    for image in sent:
         up = image.ts_state is TsState.TS_RUNNING and image.ebs_state is EbsState.EBS_ARMED
         assert image.as_state is (AsState.AS_OFF if up else AsState.AS_INIT)
 
@@ -189,7 +189,7 @@ def test_an_unknown_revision_is_refused_by_name() -> None:
         SimulatedVcu(codec("2021"), Revision("2031", (), 21.0))
 
 
-# ---------------------------------------------------------------- what people see and hear
+# ---------------------------------------------------------------- what people see
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def _neutral_with_three_wheels_turning(bench: Bench) -> None:
     bench.deliver(direction=Direction.NEUTRAL)
 
 
-def _said(**changes: Any) -> Callable[[Bench], None]:
+def _sends(**changes: Any) -> Callable[[Bench], None]:
     return lambda bench: bench.deliver(**changes)
 
 
@@ -82,19 +82,19 @@ DRIVING, EMERGENCY, OFF = AsState.AS_DRIVING, AsState.EMERGENCY_BRAKE, AsState.A
 QUIRKS: list[tuple[str, Callable[[Bench], None], Callable[[Bench], object], object, object]] = [
     ("to_ready", _late_go, _in(DRIVING), True, False),  # it starts only while SELECTED is sent
     *(
-        (way, _said(rear_brake_pct=0.5), _in(EMERGENCY), False, True)
+        (way, _sends(rear_brake_pct=0.5), _in(EMERGENCY), False, True)
         for way in ("to_ready", "to_driving", "to_finished")
     ),
-    ("power_up", _said(estop_request=True), _in(EMERGENCY), False, True),
+    ("power_up", _sends(estop_request=True), _in(EMERGENCY), False, True),
     ("to_driving", _neutral_with_three_wheels_turning, _in(DRIVING), False, True),
     ("to_driving", _go_off, _in(DRIVING), False, True),
     *(
-        (way, _said(mission_status=MissionStatus.NOT_SELECTED), _in(OFF), False, True)
+        (way, _sends(mission_status=MissionStatus.NOT_SELECTED), _in(OFF), False, True)
         for way in ("to_ready", "to_driving", "to_finished")
     ),
-    ("to_driving", _said(direction=Direction.NEUTRAL), _orders("rear_brake_pct"), 0.0, 100.0),
-    ("to_driving", _said(steer_deg=7.6), _orders("steer_deg"), 7.6, 8.0),
-    ("to_driving", _said(front_torque_nm=30.0), _orders("front_torque_nm"), 30.0, 0.0),
+    ("to_driving", _sends(direction=Direction.NEUTRAL), _orders("rear_brake_pct"), 0.0, 100.0),
+    ("to_driving", _sends(steer_deg=7.6), _orders("steer_deg"), 7.6, 8.0),
+    ("to_driving", _sends(front_torque_nm=30.0), _orders("front_torque_nm"), 30.0, 0.0),
 ]
 
 

@@ -26,7 +26,7 @@ def test_time_may_be_handed_over_in_any_portions() -> None:
     assert len(sent[0]) > 100
 
 
-def test_due_times_lie_ahead_and_nothing_is_said_before_them() -> None:
+def test_due_times_lie_ahead_and_nothing_is_sent_before_them() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], gps=False))
     for _ in range(3000):
         due = world.next_due_ns()

@@ -32,7 +32,7 @@ def arguments(*argv: str) -> argparse.Namespace:
 
 
 class FakeBus:
-    """A bus nobody else is on; it breaks when it is told to."""
+    """A bus nobody else is on; it breaks on demand."""
 
     def __init__(self) -> None:
         self.sent: list[Frame] = []
@@ -109,7 +109,7 @@ def test_a_lost_bus_is_waited_for_while_the_car_lives_on(monkeypatch: pytest.Mon
     sends = second.send
 
     def last_words(frame: Frame) -> bool:
-        vcu.stop("heard enough")
+        vcu.stop("received enough")
         return sends(frame)
 
     monkeypatch.setattr(second, "send", last_words)
@@ -156,9 +156,9 @@ def test_a_held_up_process_lets_the_cars_time_stand_still(monkeypatch: pytest.Mo
 )
 def test_bad_input_gets_one_clear_line(argv: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(arguments(*argv)) == 1
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert printed.count("\n") == 1
 
 
 def test_a_run_out_of_time_fails_and_is_printed_if_not_saved(capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,13 +184,13 @@ def test_the_process_sends_frames_and_truth_and_ends_cleanly(tmp_path: Path) -> 
             assert child.stdin is not None
             child.stdin.write("on\nami skidpad\n")
             child.stdin.flush()
-            heard: set[int] = set()
+            received: set[int] = set()
             until = time.monotonic() + 30.0
-            while not {0x520, 0x525} <= heard and time.monotonic() < until:
+            while not {0x520, 0x525} <= received and time.monotonic() < until:
                 frame = bus.recv(0.5)
                 if frame is not None:
-                    heard.add(frame.can_id)
-            assert {0x520, 0x525} <= heard
+                    received.add(frame.can_id)
+            assert {0x520, 0x525} <= received
             truth = receiver.latest()
             assert truth is not None
             assert truth.track == "skidpad"

@@ -1,6 +1,6 @@
 """The PCAN-GPS on the car's bus: accelerometer, gyroscope, magnetometer, satellite receiver and clock.
 
-Pure: what it says follows from the car's motion and the time. The device's axes are the car's (ISO 8855).
+Pure: what it sends follows from the car's motion and the time. The device's axes are the car's (ISO 8855).
 """
 
 from __future__ import annotations

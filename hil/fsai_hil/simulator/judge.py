@@ -54,7 +54,7 @@ LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is
 
 @dataclass(frozen=True, slots=True)
 class JudgeVerdict(Immutable):
-    """What the judge says at the end, or would say if the run ended now. Times in s since the world began."""
+    """What the judge reports at the end, or would report if the run ended now. Times in s since the world began."""
 
     mission: str
     result: str  # 'pass' or 'fail'
@@ -592,7 +592,7 @@ class Judge:
         if why not in self._reasons:
             self._reasons.append(why)
 
-    # ------------------------------------------------------------ what it says
+    # ------------------------------------------------------------ what it reports
 
     @property
     def laps(self) -> int:

@@ -2,7 +2,7 @@
 
 One thread waits on the bus until the car next has something to send. Frames that wait are read before time moves on,
 and a process that was held up for long lets the car's time stand still meanwhile: it must not take its own slowness for
-the AI computer's. It needs no AI computer: without one it says what a car says, and waits.
+the AI computer's. It needs no AI computer: without one it sends what a car sends, and waits.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ class VcuProcess:
         return time.monotonic_ns() - self.held_up_ns
 
     def _listen(self, until_ns: int) -> None:
-        """Hear what arrives until then; always what has arrived already."""
+        """Receive what arrives until then; always what has arrived already."""
         bus = self._bus
         if bus is None:
             time.sleep(max(0, until_ns - self._now_ns()) / 1e9)

@@ -83,7 +83,7 @@ class Run:
 class World:
     """Composes everything on the car's side.
 
-    Give it the AI computer's frames, let it `advance`, pass on what the car says, ask it for cones.
+    Give it the AI computer's frames, let it `advance`, pass on what the car sends, ask it for cones.
     Raises ValueError (TrackError is one) for a setup that cannot be built.
     """
 
