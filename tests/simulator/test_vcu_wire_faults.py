@@ -85,12 +85,12 @@ def test_wrong_values_are_written_by_the_fields_of_the_image() -> None:
 def test_faults_add_up_in_their_order_and_can_be_taken_away() -> None:
     wire = FaultyWire()
     freeze, flip = Freeze(ALL), FlipBits(ALL, mask=b"\x80")
-    wire.add(freeze)
-    wire.add(flip)
+    wire.faults.append(freeze)
+    wire.faults.append(flip)
     assert [frame.data[0] for frame in wire.through(frames(0x520, 3), S)] == [0x80] * 3
-    wire.remove(freeze)
+    wire.faults.remove(freeze)
     assert [frame.data[0] for frame in wire.through(frames(0x520, 2), S)] == [0x80, 0x81]
-    wire.remove(flip)
+    wire.faults.remove(flip)
     assert [frame.data[0] for frame in wire.through(frames(0x520, 2), S)] == [0, 1]
 
 
@@ -101,7 +101,7 @@ def test_faults_add_up_in_their_order_and_can_be_taken_away() -> None:
 def test_each_cycle_has_a_response_time_with_the_wires_delay(late_ms: int) -> None:
     bench = Bench().power_up()
     bench.answer_ns = 2 * MS
-    bench.vcu.incoming.add(Delay(ALL, delay_ns=late_ms * MS))
+    bench.vcu.incoming.faults.append(Delay(ALL, delay_ns=late_ms * MS))
     bench.run(100 * MS)
     del bench.vcu.response_times_ns[:]
     bench.run(S)
@@ -110,7 +110,7 @@ def test_each_cycle_has_a_response_time_with_the_wires_delay(late_ms: int) -> No
 
 def test_a_frozen_status_freezes_the_handshake_and_stops_the_car() -> None:
     bench = Bench().to_driving()
-    bench.vcu.outgoing.add(Freeze(frozenset({0x520})))
+    bench.vcu.outgoing.faults.append(Freeze(frozenset({0x520})))
     bench.run(S)
     assert bench.state is AsState.EMERGENCY_BRAKE
     assert bench.images(VcuStatus)[-1].as_state is AsState.AS_DRIVING

@@ -41,12 +41,9 @@ class PowerUp(Immutable):
     """What differs between the cars of two interface revisions while they are switched on and off."""
 
     first_state: AsState
-    switches_on: tuple[str, ...]  # fields of Switches in the order in which they are switched on
-    switches_off: tuple[str, ...]  # after a mission
-    power_cycle_after_mission: bool
-    ai_master_switch: bool  # AIMS feeds the AI computer
+    switches_on: tuple[str, ...]  # fields of Switches in the order of power-up; AIMS, if any, feeds the AI computer
+    switches_off: tuple[str, ...]  # after a mission; with LVMS among them only a power cycle leads to the next one
     sends_op_states: bool  # OP_STATE, TS_STATE and EBS_STATE in 0x520
-    front_axle_driven: bool
 
 
 # a new interface revision is one more entry
@@ -56,19 +53,13 @@ POWER_UP: Final[Mapping[str, PowerUp]] = MappingProxyType(
             first_state=AsState.AS_OFF,
             switches_on=("aims", "asms", "tsms", "lvms"),
             switches_off=("asms",),
-            power_cycle_after_mission=False,
-            ai_master_switch=True,
             sends_op_states=False,
-            front_axle_driven=True,
         ),
         "2026": PowerUp(
             first_state=AsState.AS_INIT,
             switches_on=("lvms", "asms", "tsms"),
             switches_off=("asms", "tsms", "lvms"),
-            power_cycle_after_mission=True,
-            ai_master_switch=False,
             sends_op_states=True,
-            front_axle_driven=False,
         ),
     }
 )

@@ -35,6 +35,7 @@ from fsai_hil.simulator.power import (
 )
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.switches import ASSI, READY_BLUE_NS, SWITCH_NAMES, Assi, Switches
+from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (
@@ -155,7 +156,7 @@ class SimulatedVcu:
     def _receive(self, frame: Frame) -> None:
         if not self.powered or frame.can_id not in AI_IDS:
             return
-        if self.power_up.ai_master_switch and not self.switches.aims:
+        if "aims" in self.power_up.switches_on and not self.switches.aims:
             return  # an AI computer without power sends nothing
         image = self.codec.decode(frame).image
         if image is None:
@@ -271,7 +272,7 @@ class SimulatedVcu:
             self.shutdown_cause = row.fault.cause
         if row.target is AsState.EMERGENCY_BRAKE:
             self.power_cycle_needed = True
-        if self.state is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
+        if self.state is AsState.AS_FINISHED and "lvms" in self.power_up.switches_off:
             self.power_cycle_needed = True
         if row.reset:
             self._latched.clear()
@@ -412,7 +413,7 @@ class SimulatedVcu:
             return 0.0, 0.0
         derated = self.switches.torque_limit_nm
         most = AXLE_TORQUE_MAX_NM if derated is None else limited(derated, AXLE_TORQUE_MAX_NM, 0.0)
-        return (most if self.power_up.front_axle_driven else 0.0), most
+        return (most if CARS[self.revision.name].driven_front else 0.0), most
 
     @property
     def steer_max_deg(self) -> float:
