@@ -492,7 +492,7 @@ class Judge:
         self._still_ns: int | None = None
         self._top_mps = 0.0
         self._worst_m = 0.0
-        self._begin_m: float | None = None
+        self._begin_m = 0.0
         self._distance_m = 0.0
         self._cause: ShutdownCause | None = None
         self._last_ns = now_ns
@@ -520,11 +520,10 @@ class Judge:
         self._states.append((state, now))
         pose = truth.pose
         self._stay = None if state is AsState.EMERGENCY_BRAKE else (pose.x_m, pose.y_m, now)
-        if state is AsState.AS_DRIVING:
-            if self._driving_ns is not None:
-                self._blame("drove a second time without a new run")
-            self._driving_ns = self._driving_ns or now
-            self._begin_m = truth.distance_m if self._begin_m is None else self._begin_m
+        if state is AsState.AS_DRIVING and self._driving_ns is not None:
+            self._blame("drove a second time without a new run")
+        elif state is AsState.AS_DRIVING:
+            self._driving_ns, self._begin_m = now, truth.distance_m
         elif self._driving_ns is not None and self._over_ns is None:
             self._over_ns = now
 
@@ -553,7 +552,7 @@ class Judge:
         if lateral is not None and speed > 0.1:
             self._worst_m = max(self._worst_m, abs(lateral))
         self._top_mps = max(self._top_mps, speed)
-        self._distance_m = truth.distance_m - (self._begin_m or 0.0)
+        self._distance_m = truth.distance_m - self._begin_m
         if speed > 0.1:
             self._moved_ns = self._moved_ns or truth.t_ns
             self._still_ns = truth.t_ns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -103,14 +104,10 @@ def _title(track: Track, verdict: JudgeVerdict) -> str:
 def _shade_states(axis: object, samples: Sequence[PathSample]) -> None:
     """Colour the background by AS state, each named once."""
     named: set[AsState] = set()
-    begin = 0
-    for i in range(1, len(samples) + 1):
-        if i < len(samples) and samples[i].as_state == samples[begin].as_state:
-            continue
-        state = AsState(samples[begin].as_state)
-        end_s = samples[min(i, len(samples) - 1)].t_s
+    changes = [i for i in range(1, len(samples)) if samples[i].as_state != samples[i - 1].as_state]
+    for begin, end in pairwise([0, *changes, len(samples) - 1]):
+        state, span_s = AsState(samples[begin].as_state), (samples[begin].t_s, samples[end].t_s)
         label = "_" if state in named else state.label
-        axis.axvspan(samples[begin].t_s, end_s, color=_STATE_COLOR[state], alpha=0.6, label=label, zorder=0)  # type: ignore[attr-defined]
+        axis.axvspan(*span_s, color=_STATE_COLOR[state], alpha=0.6, label=label, zorder=0)  # type: ignore[attr-defined]
         named.add(state)
-        begin = i
     axis.legend(fontsize=7, loc="upper left", ncols=3)  # type: ignore[attr-defined]
