@@ -76,9 +76,15 @@ SHUTDOWN_NS: Final = 2000 * MS
 
 
 Step = tuple[bool, tuple[Any, ...], Any, int]  # while it is wanted or not, from these states, to that one, after ns
+
+
+def _by_state(*steps: Step) -> dict[tuple[bool, Any], tuple[Any, int]]:
+    return {(wanted, source): (target, after) for wanted, sources, target, after in steps for source in sources}
+
+
 TS_LIVE: Final = (TsState.TS_PRECHARGE, TsState.TS_ACTIVATE, TsState.TS_RUNNING)
 # High voltage: precharge, activation, running; off again at once when it is not wanted
-TRACTIVE_SYSTEM: Final[tuple[Step, ...]] = (
+_TRACTIVE_SYSTEM: Final = _by_state(
     (True, (TsState.TS_INIT, TsState.TS_SHUTDOWN, TsState.TS_FAULT), TsState.TS_PRECHARGE, 0),
     (True, (TsState.TS_PRECHARGE,), TsState.TS_ACTIVATE, PRECHARGE_NS),
     (True, (TsState.TS_ACTIVATE,), TsState.TS_RUNNING, ACTIVATE_NS),
@@ -86,7 +92,7 @@ TRACTIVE_SYSTEM: Final[tuple[Step, ...]] = (
     (False, (TsState.TS_FAULT,), TsState.TS_INIT, 0),
 )
 # EBS: init, charging, armed; triggered by an emergency, discharged when it is not wanted any more
-EMERGENCY_BRAKE_SYSTEM: Final[tuple[Step, ...]] = (
+_EMERGENCY_BRAKE_SYSTEM: Final = _by_state(
     (True, (EbsState.EBS_INIT,), EbsState.EBS_CHARGING, EBS_INIT_NS),
     (True, (EbsState.EBS_CHARGING,), EbsState.EBS_ARMED, EBS_CHARGING_NS),
     (True, (EbsState.EBS_DISCHARGING, EbsState.EBS_TRIGGERED, EbsState.EBS_FAULT), EbsState.EBS_INIT, 0),
@@ -99,9 +105,10 @@ EMERGENCY_BRAKE_SYSTEM: Final[tuple[Step, ...]] = (
 class Subsystem:
     """A small machine over time that takes one step at a look."""
 
-    def __init__(self, steps: tuple[Step, ...], now_ns: int) -> None:
-        self._steps = steps
-        self.state: Any = steps[0][1][0]
+    STEPS: Final = {TsState: _TRACTIVE_SYSTEM, EbsState: _EMERGENCY_BRAKE_SYSTEM}
+
+    def __init__(self, first: TsState | EbsState, now_ns: int) -> None:
+        self.state: Any = first
         self._since_ns = now_ns
         self._wanted = False
 
@@ -114,10 +121,9 @@ class Subsystem:
             return
         if began:
             self._since_ns = now_ns
-        for while_wanted, sources, target, after_ns in self._steps:
-            if while_wanted == wanted and self.state in sources and now_ns - self._since_ns >= after_ns:
-                self.state, self._since_ns = target, now_ns
-                return
+        step = self.STEPS[type(self.state)].get((wanted, self.state))
+        if step is not None and now_ns - self._since_ns >= step[1]:
+            self.state, self._since_ns = step[0], now_ns
 
 
 # STATUS_EBS of 0x524, which knows fewer states

@@ -22,12 +22,10 @@ from fsai_hil.simulator.faults import FaultyWire
 from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
 from fsai_hil.simulator.power import (
     EBS_STATUS,
-    EMERGENCY_BRAKE_SYSTEM,
     INITIAL_ACTIONS_NS,
     POWER_UP,
     SELF_TEST_NS,
     SHUTDOWN_NS,
-    TRACTIVE_SYSTEM,
     TS_LIVE,
     Subsystem,
     SystemAction,
@@ -201,8 +199,8 @@ class SimulatedVcu:
         self._link = AiLink(self.profile)
         self._link.response_times_ns = self.response_times_ns
         self._comms_were_lost = False
-        self._tractive_system = Subsystem(TRACTIVE_SYSTEM, now_ns)
-        self._ebs = Subsystem(EMERGENCY_BRAKE_SYSTEM, now_ns)
+        self._tractive_system = Subsystem(TsState.TS_INIT, now_ns)
+        self._ebs = Subsystem(EbsState.EBS_INIT, now_ns)
         self._device = PcanGps(now_ns)
         self._situation = Situation()
         self._latched: set[str] = set()
@@ -340,7 +338,9 @@ class SimulatedVcu:
     @property
     def _broken(self) -> bool:
         """A critical fault of the VCU or the battery."""
-        return any(fault.when(self.switches) for fault in CAR_FAULTS)
+        s = self.switches
+        charging = s.offboard_charger_fault or s.charge_procedure_fault
+        return s.hvil_open or s.hvil_short or s.ebs_fault or s.bms_fault or charging
 
     @property
     def _ts_running(self) -> bool:
