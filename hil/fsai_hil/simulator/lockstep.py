@@ -92,11 +92,12 @@ class Lockstep:
         self.now_ns = setup.start_ns
         codec = self.world.codec
         self._new_bridge = partial(Bridge, codec, self.world.vcu.revision, car, config, limits)
-        self._new_planner = partial(Planner, car, missions=missions)
-        self._new_controller = partial(Controller, car, settings, missions)
+        new_planner = partial(Planner, car, missions=missions)
+        new_controller = partial(Controller, car, settings, missions)
+        self._new = {"planner": new_planner, "controller": new_controller}
         self._first_run_id = 1
         bridge = self._new_bridge(self._first_run_id, now_ns=self.now_ns)
-        self.computer = OnboardComputer(bridge, codec, self._new_planner(), self._new_controller(), self.now_ns)
+        self.computer = OnboardComputer(bridge, codec, new_planner(), new_controller(), self.now_ns)
         # Nothing is in flight in lockstep: what the car has sent, the bridge has received before it sends.
         self.wire = WireChecker(
             codec,
@@ -128,13 +129,9 @@ class Lockstep:
         self.computer.start_bridge(self._new_bridge(self._first_run_id, now_ns=self.now_ns), self.now_ns)
         self.wire.restarted()
 
-    def start_planner(self) -> None:
-        """The planner's process is started anew."""
-        self.computer.start("planner", self._new_planner())
-
-    def start_controller(self) -> None:
-        """The controller's process is started anew."""
-        self.computer.start("controller", self._new_controller())
+    def start(self, process: str) -> None:
+        """The planner's or the controller's process is started anew."""
+        self.computer.start(process, self._new[process]())
 
     def intrude(self, frame: Frame) -> None:
         """Somebody else's frame is on the bus: everybody receives it."""

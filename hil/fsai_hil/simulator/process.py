@@ -16,7 +16,6 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import FrameType
@@ -96,10 +95,16 @@ def run(args: argparse.Namespace) -> int:
         return 1
     # A car is never late: this one is not either, where that is allowed. But the bridge under test goes first.
     go_real_time(FIFO_PRIORITY - 10)
+
+    def end(number: int, frame: FrameType | None) -> None:
+        process.stop(f"ended by {signal.Signals(number).name}")
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with _signals(process.stop):
-            process.loop()
+        process.loop()
     finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
         process.close()
     return _finish(process, args)
 
@@ -381,21 +386,6 @@ class VcuProcess:
             return "go: off and on again"
         setattr(switches, verb, flag)
         return f"{verb}: {'on' if flag else 'off'}"
-
-
-@contextlib.contextmanager
-def _signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """Ctrl-C and a polite kill end the loop properly."""
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        stop(f"ended by {signal.Signals(number).name}")
-
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
 
 
 # ---------------------------------------------------------------- the end

@@ -489,7 +489,7 @@ def restarted(*processes: str) -> Injection:
 
         def end(end_ns: int) -> None:
             for name in processes:
-                getattr(rig, f"start_{name}")()
+                rig.start_bridge() if name == "bridge" else rig.start(name)
 
         return Injected(end)
 
