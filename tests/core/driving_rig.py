@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fsai_hil.simulator import tracks
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
-from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
+from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
@@ -213,7 +213,7 @@ class Rig:
         rear = car.nose_ahead_of_rear_axle_m - car.length_m
         out_u = np.maximum(np.maximum(rear - u, u - car.nose_ahead_of_rear_axle_m), 0.0)
         out_v = np.maximum(np.abs(v) - 0.5 * car.width_m, 0.0)
-        radius = np.array([tracks.CONE_RADIUS_M[ConeColor(color)] for color in self.track.color])
+        radius = tracks.CONE_RADIUS_M[self.track.color]
         for index in np.flatnonzero(np.hypot(out_u, out_v) < radius):
             if int(index) not in self.result.hits:
                 self.result.hits.add(int(index))

@@ -44,18 +44,18 @@ def say(can_id: int, **values: object) -> Act:
 
 
 def car_drops(*ids: int) -> Act:
-    return lambda run: run.lockstep.world.vcu.outgoing.add(Drop(frozenset(ids)))
+    return lambda run: run.lockstep.world.vcu.outgoing.faults.append(Drop(frozenset(ids)))
 
 
 def car_is_silent_for_300_ms(run: Run) -> None:
     wire, silence = run.lockstep.world.vcu.outgoing, Drop(frozenset({0x520}))
-    wire.add(silence)
+    wire.faults.append(silence)
     run.go_on(0.3)
-    wire.remove(silence)
+    wire.faults.remove(silence)
 
 
 def vcu_misses(*ids: int) -> Act:
-    return lambda run: run.lockstep.world.vcu.incoming.add(Drop(frozenset(ids)))
+    return lambda run: run.lockstep.world.vcu.incoming.faults.append(Drop(frozenset(ids)))
 
 
 def sense(change: Callable[[CarFeedback], CarFeedback]) -> Act:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -395,21 +394,3 @@ def demo(sweep_deg: float = 15.0, fast_m: float = 6.0, stop_m: float = 14.0, sec
 def test_the_demonstration_fails_where_it_falls_short(changes: dict[str, float], words: str) -> None:
     verdict = demo(**changes)
     assert verdict.passed is (not words) and words in why(verdict)
-
-
-# ------------------------------------------------------------ bad questions
-
-
-@pytest.mark.parametrize(
-    ("make", "mission", "words"),
-    [
-        (small_oval, Ami.SKIDPAD, "needs a track of kind skidpad"),
-        (skidpad_track, Ami.TRACKDRIVE, "needs a track of kind circuit"),
-        (small_oval, Ami.NOT_SELECTED, "is no mission"),
-    ],
-)
-def test_a_mission_on_the_wrong_track_is_refused_in_one_line(
-    make: Callable[[], Track], mission: Ami, words: str
-) -> None:
-    with pytest.raises(ValueError, match=words):
-        Judge(make(), mission, CAR)

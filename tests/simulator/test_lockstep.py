@@ -81,7 +81,7 @@ def test_operational_limits_are_never_exceeded() -> None:
     def watch(command: VehicleCommand, now_ns: int) -> VehicleCommand:
         sent = lockstep.bridge.report(now_ns).command
         asked.append((sent.rear_torque_nm, abs(sent.steer_deg), lockstep.world.car.speed_mps))
-        return replace(command, speed_limit_mps=20.0)  # whoever drives does not care
+        return replace(command, speed_limit_mps=20.0)  # the driver does not keep to it
 
     lockstep.computer.command_filter = watch
     drive_until(lockstep, 2.0)

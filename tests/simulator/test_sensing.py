@@ -95,9 +95,3 @@ def test_far_colours_are_sometimes_unknown_and_seldom_wrong() -> None:
 def test_a_track_without_cones_is_no_error() -> None:
     seen = ConeSensor(load_track("static"), PERFECT).see(Pose(), 3)
     assert seen.xy_m.shape == (0, 2)
-
-
-@pytest.mark.parametrize("level", [-1.0, math.nan, math.inf])
-def test_an_impossible_noise_level_is_refused(level: float) -> None:
-    with pytest.raises(ValueError, match="noise_level"):
-        SensorSettings(noise_level=level)

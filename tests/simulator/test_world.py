@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from fsai_hil.simulator.tracks import small_oval
+from fsai_hil.simulator.tracks import skidpad_track, small_oval
 from fsai_hil.simulator.world import World, WorldSetup, mission_named
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.frames import Frame
@@ -26,7 +26,7 @@ def test_time_may_be_handed_over_in_any_portions() -> None:
     assert len(sent[0]) > 100
 
 
-def test_due_times_lie_ahead_and_nothing_is_said_before_them() -> None:
+def test_due_times_lie_ahead_and_nothing_is_sent_before_them() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], gps=False))
     for _ in range(3000):
         due = world.next_due_ns()
@@ -39,7 +39,7 @@ def test_cones_are_seen_from_where_the_car_is() -> None:
     world = World(WorldSetup(missions=[Ami.TRACKDRIVE], noise_level=0.0))
     seen = world.see_cones(123)
     pose = world.truth.pose
-    cones = {(round(float(x), 6), round(float(y), 6)) for x, y in world.track.cones_xy_m}
+    cones = {(round(float(x), 6), round(float(y), 6)) for x, y in world.run.track.cones_xy_m}
     assert len(seen.xy_m) > 5
     for x, y in seen.xy_m:
         at = pose.ahead(float(x), float(y))
@@ -58,8 +58,8 @@ def test_another_mission_chosen_moves_the_car_to_its_start() -> None:
     world.advance(SECOND_NS)
     world.vcu.switches.ami = Ami.SKIDPAD
     world.advance(2 * SECOND_NS)
-    assert world.mission is Ami.SKIDPAD
-    assert world.track.name == "skidpad"
+    assert world.run.mission is Ami.SKIDPAD
+    assert world.run.track.name == "skidpad"
     assert world.car.pose.x_m == pytest.approx(-15.0 - world.car.facts.nose_ahead_of_rear_axle_m)
     assert len(world.runs) == 1
 
@@ -78,7 +78,8 @@ def test_the_official_simulator_profile_brings_its_own_car() -> None:
         (WorldSetup(missions=[Ami.TRACKDRIVE], revision="2019"), "2019"),
         (WorldSetup(missions=[Ami.TRACKDRIVE], profile="lenient"), "lenient"),
         (WorldSetup(missions=[Ami.SKIDPAD], track=small_oval()), "needs a track of kind skidpad"),
-        (WorldSetup(missions=[Ami.TRACKDRIVE], noise_level=-1.0), "noise_level"),
+        (WorldSetup(missions=[Ami.TRACKDRIVE], track=skidpad_track()), "needs a track of kind circuit"),
+        *((WorldSetup(missions=[Ami.SKIDPAD], noise_level=x), "noise_level") for x in (-1.0, math.nan, math.inf)),
         (WorldSetup(missions=[Ami.TRACKDRIVE], laps=0), "laps is 0"),
     ],
 )

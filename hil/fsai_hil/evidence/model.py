@@ -559,7 +559,6 @@ class Composition:
         s.go_rising = choice.go and not v.go_before
         v.go_before = choice.go
         s.ebs_armed = s.tractive_system_running = up
-        s.ebs_unavailable = not up
         s.power_cycle_needed = v.needs_power_cycle
         s.slowest_wheel_rpm, s.fastest_wheel_rpm = min(choice.rpm), max(choice.rpm)
         s.bms_fault = choice.fault

@@ -17,7 +17,7 @@ from functools import partial
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
-from fsai_vcu.core.driving import ConeObservation, Motion, Plan
+from fsai_vcu.core.driving import ConeObservation, Motion, Plan, Run
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.vehicle.odometry import MotionHistory
@@ -47,8 +47,7 @@ class OnboardComputer:
         self._engine = Engine(bridge, codec, self._send, now_ns)
         self._seen: deque[ConeObservation] = deque()
         self._next_control_ns = now_ns
-        self._planner_run_id: int | None = None
-        self._controller_run_id: int | None = None
+        self._run_ids: dict[str, int] = {}  # of the run that a process has begun
         self._history = MotionHistory()
 
         # Fault injection sits between the parts, where a real wire or topic would be.
@@ -94,7 +93,7 @@ class OnboardComputer:
         self._out = []
         while self._seen and self._seen[0].t_ns + PERCEPTION_DELAY_NS <= now_ns:
             observation = self._seen.popleft()
-            if self._planner_run_id is not None and self.planner_running:
+            if "planner" in self._run_ids and self.planner_running:
                 self._confined("planner", partial(self._plan, observation, now_ns))
         if now_ns >= self._next_control_ns:
             self._next_control_ns += CONTROL_PERIOD_NS
@@ -231,17 +230,21 @@ class OnboardComputer:
 
     # ------------------------------------------------------------ planner and controller
 
-    def start_planner(self, planner: Planner) -> None:
-        """A new process of the planner begins; it knows nothing of the run in hand."""
-        self.planner = planner
-        self.planner_running = True
-        self._planner_run_id = None
+    def start(self, process: str, part: Planner | Controller) -> None:
+        """A new process of the planner or the controller begins; it knows nothing of the run in hand."""
+        setattr(self, process, part)
+        setattr(self, f"{process}_running", True)
+        self._run_ids.pop(process, None)
 
-    def start_controller(self, controller: Controller) -> None:
-        """A new process of the controller begins."""
-        self.controller = controller
-        self.controller_running = True
-        self._controller_run_id = None
+    def _begin(self, process: str, run: Run) -> bool:
+        """Whether this run is a new one to a process, which begins it then."""
+        if self._run_ids.get(process) == run.run_id:
+            return False
+        getattr(self, process).reset(run)
+        self.plan = None
+        self._run_ids[process] = run.run_id
+        self.bridge.on_reset_confirmed(process, run.run_id)
+        return True
 
     def _plan(self, observation: ConeObservation, now_ns: int) -> None:
         plan = self.planner.on_cones(observation, self._history.at(observation.t_ns) or Motion())
@@ -257,25 +260,15 @@ class OnboardComputer:
     def _inform_planner(self, report: BridgeReport) -> None:
         if not self.planner_running:
             return
-        run = report.run
-        if run.run_id != self._planner_run_id:
-            self.planner.reset(run)
-            self.plan = None
+        if self._begin("planner", report.run):
             self._history.clear()
-            self._planner_run_id = run.run_id
-            self.bridge.on_reset_confirmed("planner", run.run_id)
-        self.planner.on_run(run)
+        self.planner.on_run(report.run)
         self._history.add(report.motion)
 
     def _command(self, report: BridgeReport, now_ns: int) -> None:
         if not self.controller_running:
             return
-        run = report.run
-        if run.run_id != self._controller_run_id:
-            self.controller.reset(run)
-            self.plan = None
-            self._controller_run_id = run.run_id
-            self.bridge.on_reset_confirmed("controller", run.run_id)
+        self._begin("controller", report.run)
         speeds, steer = report.vehicle.speeds, report.vehicle.steer
         command = self.controller.command(
             self.plan,
@@ -283,7 +276,7 @@ class OnboardComputer:
             report.standing,
             speeds.all_rpm if speeds is not None else (0, 0, 0, 0),
             steer.angle_deg if steer is not None else 0.0,
-            run,
+            report.run,
             now_ns,
         )
         self.commanded = command

@@ -36,7 +36,6 @@ class Situation:
     # the car
     sdc_open: bool = False
     ebs_armed: bool = False
-    ebs_unavailable: bool = True
     tractive_system_running: bool = False
     power_cycle_needed: bool = False
     slowest_wheel_rpm: float = 0.0
@@ -137,9 +136,7 @@ CAR_FAULTS: Final[tuple[Fault, ...]] = (
     Fault("bms", Cause.BMS_FAULT, lambda s: s.bms_fault, "BMS fault"),
 )
 
-_EBS_UNAVAILABLE: Final = Fault(
-    "ebs", Cause.EBS_FAULT, lambda s: s.ebs_unavailable, "the EBS is not available any more"
-)
+_EBS_UNAVAILABLE: Final = Fault("ebs", Cause.EBS_FAULT, lambda s: not s.ebs_armed, "the EBS is not available any more")
 
 
 @dataclass(frozen=True, slots=True)

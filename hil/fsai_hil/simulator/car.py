@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_vcu.core.arrays import Floats
-from fsai_vcu.core.vehicle.parameters import CARS, GRAVITY_MPS2, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
 from fsai_vcu.interface.immutable import Immutable
 
 Coordinate = TypeVar("Coordinate", float, Floats)
@@ -74,12 +74,6 @@ class Pose(Immutable):
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
         return dx * c + dy * s, dy * c - dx * s
-
-
-def car_facts(revision: str, official_simulator: bool = False) -> VehicleParameters:
-    """The published facts of the simulated car, which car and AI side share."""
-    facts = CARS[revision]
-    return replace(CARS["official-simulator"], steer_max_rad=facts.steer_max_rad) if official_simulator else facts
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,15 +178,7 @@ class Car:
         return max(self._rpm) < 0.5 and self._vx < STANDSTILL_MPS
 
     def truth(self) -> CarTruth:
-        return CarTruth(
-            self.t_ns,
-            self.pose,
-            self._vx,
-            self._yaw_rate,
-            self._road_deg,
-            self._rpm,
-            self._distance,
-        )
+        return CarTruth(self.t_ns, self.pose, self._vx, self._yaw_rate, self._road_deg, self._rpm, self._distance)
 
     def feedback(self) -> CarFeedback:
         per_rev = self.facts.wheel_pulses_per_rev
@@ -200,15 +186,10 @@ class Car:
         if self._stopped_ns is not None and self.t_ns - self._stopped_ns < RPM_REST_NS:
             # missions.md, the car: a reading may rest at 9 rpm for a second, so "stopped" is under 10, never equal to 0
             rpm = (max(rpm[0], RPM_REST), max(rpm[1], RPM_REST), max(rpm[2], RPM_REST), max(rpm[3], RPM_REST))
-        fl, fr, rl, rr = self._pulse_revs
+        fl, fr, rl, rr = (int(revs * per_rev) & 0xFFFF for revs in self._pulse_revs)
         return CarFeedback(
             rpm,
-            (
-                int(fl * per_rev) & 0xFFFF,
-                int(fr * per_rev) & 0xFFFF,
-                int(rl * per_rev) & 0xFFFF,
-                int(rr * per_rev) & 0xFFFF,
-            ),
+            (fl, fr, rl, rr),
             self._road_deg,
             self._front.torque_nm,
             self._rear.torque_nm,

@@ -149,22 +149,15 @@ class FaultyWire:
     """A wire with faults on it, in the order in which a frame meets them."""
 
     def __init__(self, faults: Sequence[FrameFault] = ()) -> None:
-        self._faults = list(faults)
+        self.faults = list(faults)  # what one has delayed arrives even when it is taken away
         self._waiting: list[Frame] = []
-
-    def add(self, fault: FrameFault) -> None:
-        self._faults.append(fault)
-
-    def remove(self, fault: FrameFault) -> None:
-        """Take a fault away; what it has delayed still arrives."""
-        self._faults.remove(fault)
 
     def through(self, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
         """What arrives up to `now_ns`, in the order of time, when `frames` are sent."""
         under_way = list(frames)
-        if not self._faults and not self._waiting:
+        if not self.faults and not self._waiting:
             return under_way
-        for fault in self._faults:
+        for fault in self.faults:
             under_way = [out for frame in under_way for out in fault.frames(frame)]
         under_way = self._waiting + under_way
         self._waiting = [frame for frame in under_way if frame.t_ns > now_ns]

@@ -1,12 +1,11 @@
 """The PCAN-GPS on the car's bus: accelerometer, gyroscope, magnetometer, satellite receiver and clock.
 
-Pure: what it says follows from the car's motion and the time. The device's axes are the car's (ISO 8855).
+Pure: what it sends follows from the car's motion and the time. The device's axes are the car's (ISO 8855).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
@@ -70,9 +69,14 @@ class PcanGps:
         self._slow: dict[type[Message], Message] = {}
 
     def image(self, kind: type[Message], now_ns: int, car: CarFeedback) -> Message:
-        inertial = _INERTIAL.get(kind)
-        if inertial is not None:
-            return inertial(now_ns, car)
+        if kind is Acceleration:
+            xyz_mg = (limited(mps2 * MILLI_G_PER_MPS2, MILLI_G_MOST) for mps2 in car.accel_xyz_mps2)
+            return Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0, now_ns)
+        if kind is RotationB:
+            return RotationB(math.degrees(car.yaw_rate_radps), now_ns)
+        if kind is LogDynamics2:
+            along, across, _ = (limited(mps2, DYNAMICS_MOST_MPS2) for mps2 in car.accel_xyz_mps2)
+            return LogDynamics2(along, across, limited(math.degrees(car.yaw_rate_radps), DYNAMICS_MOST_DEGPS), now_ns)
         if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
             self._solved_ns = now_ns
             self._slow = self._solve(now_ns, car)
@@ -105,40 +109,6 @@ class PcanGps:
         # Without a fix there is no position; and a flat track and a stiff car neither roll nor pitch.
         return {kind: kind() for kind in GPS_IMAGES} | {type(image): image for image in solved}
 
-
-def _acceleration(now_ns: int, car: CarFeedback) -> Message:
-    x, y, z = car.accel_xyz_mps2
-    return Acceleration(
-        limited(x * MILLI_G_PER_MPS2, MILLI_G_MOST),
-        limited(y * MILLI_G_PER_MPS2, MILLI_G_MOST),
-        limited(z * MILLI_G_PER_MPS2, MILLI_G_MOST),
-        TEMPERATURE_DEGC,
-        VERTICAL_AXIS_Z,
-        0,
-        now_ns,
-    )
-
-
-def _rotation_b(now_ns: int, car: CarFeedback) -> Message:
-    return RotationB(math.degrees(car.yaw_rate_radps), now_ns)
-
-
-def _dynamics(now_ns: int, car: CarFeedback) -> Message:
-    along, across, _ = car.accel_xyz_mps2
-    yaw_rate = math.degrees(car.yaw_rate_radps)
-    return LogDynamics2(
-        limited(along, DYNAMICS_MOST_MPS2),
-        limited(across, DYNAMICS_MOST_MPS2),
-        limited(yaw_rate, DYNAMICS_MOST_DEGPS),
-        now_ns,
-    )
-
-
-_INERTIAL: Final[dict[type[Message], Callable[[int, CarFeedback], Message]]] = {
-    Acceleration: _acceleration,
-    RotationB: _rotation_b,
-    LogDynamics2: _dynamics,
-}
 
 GPS_IMAGES: Final[tuple[type[Message], ...]] = tuple(
     sorted(GPS_FIELD_OF, key=lambda kind: BY_NAME[kind.dbc_name].can_id)

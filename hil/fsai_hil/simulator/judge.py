@@ -9,8 +9,10 @@ car has stopped itself, the cause on its display. Rules: general FS rules for dr
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import zip_longest
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -20,11 +22,13 @@ from fsai_hil.simulator.car import CarTruth, Pose
 from fsai_hil.simulator.tracks import (
     ACCELERATION_STOP_M,
     CIRCUIT_STOP_M,
+    CONE_RADIUS_M,
     SKIDPAD_CENTRES_APART_M,
     SKIDPAD_STOP_M,
     Track,
     TrackKind,
 )
+from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.immutable import Immutable
@@ -50,7 +54,7 @@ LAP_TIMEOUT_S: Final = 180.0  # each lap of a circuit; a car slower than that is
 
 @dataclass(frozen=True, slots=True)
 class JudgeVerdict(Immutable):
-    """What the judge says at the end, or would say if the run ended now. Times in s since the world began."""
+    """What the judge reports at the end, or would report if the run ended now. Times in s since the world began."""
 
     mission: str
     result: str  # 'pass' or 'fail'
@@ -114,11 +118,6 @@ class _Crossing:
         return earlier + (t_ns - earlier) * before / (before - ahead)
 
 
-@dataclass(frozen=True, slots=True)
-class _Centreline(Immutable):
-    points: tuple[tuple[float, float], ...]
-
-
 class _Route:
     """Follows the car along the centreline, so that progress is driven and never jumped."""
 
@@ -126,38 +125,38 @@ class _Route:
     LOST_M = 8.0
 
     def __init__(self, track: Track) -> None:
-        line = track.centreline_m
-        assert line is not None  # callers ask only for tracks that have one
-        self._line = _Centreline(tuple((float(x), float(y)) for x, y in line))
-        self._closed = track.closed
+        assert track.centreline_m is not None  # callers ask only for tracks that have one
+        self._track = track
         self._index: int | None = None
-        self.step_m = track.length_m / max(1, len(line) - (0 if track.closed else 1))
+        self.step_m = track.length_m / max(1, len(track.centreline_m) - (0 if track.closed else 1))
         self.progress_m = 0.0  # along the centreline since the run began
         self.lateral_m = 0.0  # positive: left of it
 
-    def follow(self, x: float, y: float) -> None:
-        points = self._line.points
-        count = len(points)
+    def _points(self, indices: range) -> Floats:
+        """A closed line has no ends; an open one stays at them."""
+        line: Any = self._track.centreline_m
+        return np.asarray(line.take(indices, axis=0, mode="wrap" if self._track.closed else "clip"))
 
-        def apart2(index: int) -> float:
-            px, py = points[index % count]
-            return (px - x) * (px - x) + (py - y) * (py - y)
+    def _nearest(self, indices: range, x: float, y: float) -> int:
+        apart = self._points(indices) - (x, y)
+        return indices[int(np.argmin((apart * apart).sum(axis=1)))]
 
-        if self._index is None or (self._closed and abs(self.lateral_m) > self.LOST_M):
+    def follow(self, x: float, y: float) -> float:
+        """How far left of it the car is now."""
+        closed, count = self._track.closed, len(self._track.centreline_m)  # type: ignore[arg-type]
+        if self._index is None or (closed and abs(self.lateral_m) > self.LOST_M):
             # found anew: no progress is credited for the way here. An open route is entered at its first pass
-            self._index = min(range(count), key=apart2)
-        first = self._index
-        low, high = first - self.BACK, first + self.ON
-        if not self._closed:
-            low, high = max(0, low), min(count - 1, high)
-        nearest = min(range(low, high + 1), key=apart2)
-        self.progress_m += (nearest - first) * self.step_m
-        self._index = best = nearest % count
-        ax, ay = points[(best - 1) % count if self._closed else max(0, best - 1)]
-        bx, by = points[(best + 1) % count if self._closed else min(count - 1, best + 1)]
+            self._index = self._nearest(range(count), x, y)
+        best = self._nearest(range(self._index - self.BACK, self._index + self.ON + 1), x, y)
+        if not closed:
+            best = max(0, best)
+        self.progress_m += (best - self._index) * self.step_m
+        self._index = best % count
+        (ax, ay), (px, py), (bx, by) = self._points(range(self._index - 1, self._index + 2)).tolist()
         length = math.hypot(bx - ax, by - ay)
-        px, py = points[best]
-        self.lateral_m = ((bx - ax) * (y - py) - (by - ay) * (x - px)) / length if length else math.sqrt(apart2(best))
+        across = (bx - ax) * (y - py) - (by - ay) * (x - px)
+        self.lateral_m = across / length if length else math.hypot(x - px, y - py)
+        return self.lateral_m
 
 
 class _Surroundings:
@@ -171,30 +170,17 @@ class _Surroundings:
         self._off = False
 
     def look(self, pose: Pose, lateral_m: float | None) -> None:
-        self._cones(pose)
-        self._borders(pose, lateral_m)
-
-    def _cones(self, pose: Pose) -> None:
         track, car = self._track, self._car
         middle = Pose(*pose.ahead(car.nose_ahead_of_rear_axle_m - car.length_m / 2.0), pose.yaw_rad)
         ahead, left = middle.seen(*track.cones_xy_m.T)
         along, across = np.abs(ahead) - car.length_m / 2.0, np.abs(left) - car.width_m / 2.0
         apart_m = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
-        self.hit.update(np.flatnonzero(apart_m < track.cone_radii_m).tolist())
-
-    def _borders(self, pose: Pose, lateral_m: float | None) -> None:
-        track, car = self._track, self._car
-        if not track.lane:
-            return
-        if lateral_m is not None and abs(lateral_m) < 1.2:  # no lane is narrower than 3 m; spares the exact look
-            self._off = False
-            return
+        self.hit.update(np.flatnonzero(apart_m < CONE_RADIUS_M[track.cone_colors]).tolist())
         half = car.track_m / 2.0
-        off = not any(
-            track.on_lane(*pose.ahead(along, across)) for along in (0.0, car.wheelbase_m) for across in (half, -half)
-        )
-        if off and not self._off:
-            self.off_course += 1
+        wheels = ((along, across) for along in (0.0, car.wheelbase_m) for across in (half, -half))
+        near = lateral_m is not None and abs(lateral_m) < 1.2  # no lane is narrower than 3 m; spares the exact look
+        off = not near and not any(track.on_lane(*pose.ahead(*wheel)) for wheel in wheels)
+        self.off_course += off and not self._off
         self._off = off
 
 
@@ -219,15 +205,12 @@ class _Referee:
     def complaints(self) -> list[str]:
         raise NotImplementedError
 
-    def _stopped_late(self, most_m: float) -> list[str]:
-        distance_m = self.stop_distance_m or 0.0
-        if distance_m <= most_m:
-            return []
-        return [f"stopped {distance_m:.1f} m after the finish line, allowed are {most_m:g} m"]
-
 
 class _TimedReferee(_Referee):
     """Of a mission that is timed from a line on."""
+
+    LINE = "start"
+    STOP_M: float  # how far beyond the finish line the car may stop
 
     _crossed_ns: float | None = None  # the start line, for the lap in hand
     _crossed_at_m = 0.0
@@ -242,8 +225,24 @@ class _TimedReferee(_Referee):
             self.lap_times_s.append((crossed_ns - self._crossed_ns) / S)
         self._crossed_ns, self._crossed_at_m = crossed_ns, at_m
 
+    def complaints(self) -> list[str]:
+        if self._crossed_ns is None:
+            return [f"the {self.LINE} line was never crossed"]
+        if unfinished := self._unfinished():
+            return [unfinished]
+        distance_m = self.stop_distance_m or 0.0
+        if distance_m <= self.STOP_M:
+            return []
+        return [f"stopped {distance_m:.1f} m after the finish line, allowed are {self.STOP_M:g} m"]
+
+    def _unfinished(self) -> str | None:
+        """What was not driven."""
+        raise NotImplementedError
+
 
 class _AccelerationReferee(_TimedReferee):
+    STOP_M = ACCELERATION_STOP_M
+
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         started, finished = self._start.watch(truth.t_ns, *nose), self._finish.watch(truth.t_ns, *nose)
         if self._crossed_ns is None:
@@ -253,17 +252,14 @@ class _AccelerationReferee(_TimedReferee):
         if self.laps:
             self.stop_distance_m = self._finish.line.seen(*nose)[0]
 
-    def complaints(self) -> list[str]:
-        if self._crossed_ns is None:
-            return ["the start line was never crossed"]
-        if self.stop_distance_m is None:
-            return ["the finish line was never crossed"]
-        return self._stopped_late(ACCELERATION_STOP_M)
+    def _unfinished(self) -> str | None:
+        return None if self.laps else "the finish line was never crossed"
 
 
 class _SkidpadReferee(_TimedReferee):
     """Counts the turns round both centres between one crossing of the timing line and the next."""
 
+    LINE, STOP_M = "timing", SKIDPAD_STOP_M
     ORDER = ("right", "right", "left", "left")
 
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
@@ -295,154 +291,119 @@ class _SkidpadReferee(_TimedReferee):
             return "right"
         return "left" if self._turned["left"] > nearly else "no circle"
 
-    def complaints(self) -> list[str]:
-        if self._crossed_ns is None:
-            return ["the timing line was never crossed"]
+    def _unfinished(self) -> str | None:
         if tuple(self.sequence) != self.ORDER:
-            return [f"laps driven: {', '.join(self.sequence) or 'none'}; asked for: {', '.join(self.ORDER)}"]
-        if self.stop_distance_m is None or self.stop_distance_m < 0.0:
-            return ["did not leave the skidpad through the exit lane"]
-        return self._stopped_late(SKIDPAD_STOP_M)
+            return f"laps driven: {', '.join(self.sequence) or 'none'}; asked for: {', '.join(self.ORDER)}"
+        left = self.stop_distance_m is not None and self.stop_distance_m >= 0.0
+        return None if left else "did not leave the skidpad through the exit lane"
 
 
 class _CircuitReferee(_TimedReferee):
     """Laps: a crossing of the line counts when the track before it was really driven."""
 
+    STOP_M = CIRCUIT_STOP_M
     SHARE_OF_LAP = 0.85
     LEAST_LAP_M = 30.0  # where no centreline is known
 
     _finished_at_m = 0.0
 
-    def _is_lap(self, driven_m: float) -> bool:
-        return driven_m > (self.track.length_m * self.SHARE_OF_LAP if self.track.closed else self.LEAST_LAP_M)
-
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         at_m = route.progress_m if route is not None else truth.distance_m
+        least_m = self.track.length_m * self.SHARE_OF_LAP if self.track.closed else self.LEAST_LAP_M
         crossed = self._start.watch(truth.t_ns, *nose)
-        if crossed is not None and (self._crossed_ns is None or self._is_lap(at_m - self._crossed_at_m)):
+        if crossed is not None and (self._crossed_ns is None or at_m - self._crossed_at_m > least_m):
             self._cross(crossed, at_m)
             if self.laps == self.wanted:
                 self._finished_at_m = truth.distance_m
         if self.laps >= self.wanted:
             self.stop_distance_m = truth.distance_m - self._finished_at_m
 
-    def complaints(self) -> list[str]:
-        if self._crossed_ns is None:
-            return ["the start line was never crossed"]
+    def _unfinished(self) -> str | None:
         if self.laps < self.wanted:
-            return [f"{self.laps} of {self.wanted} laps driven"]
-        if self.laps > self.wanted:
-            return [f"{self.laps} laps driven where {self.wanted} were asked for"]
-        return self._stopped_late(CIRCUIT_STOP_M)
+            return f"{self.laps} of {self.wanted} laps driven"
+        return f"{self.laps} laps driven where {self.wanted} were asked for" if self.laps > self.wanted else None
 
 
 class _StandReferee(_Referee):
-    """What is asked of a car that is judged without a track: how far it steers, and how fast its driven wheels turn."""
+    """Of a mission that needs no track: how the car steers, moves, and turns its driven wheels."""
 
-    left_deg = right_deg = steer_deg = top_rpm = 0.0
+    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
+        super().__init__(track, car, laps)
+        self._looks = array("d")
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
-        self.top_rpm = max(self.top_rpm, self._driven_rpm(truth))
-
-    def _sweep(self, truth: CarTruth) -> None:
-        self.steer_deg = truth.steer_deg
-        self.left_deg = max(self.left_deg, self.steer_deg)
-        self.right_deg = min(self.right_deg, self.steer_deg)
-
-    def _swept_too_little(self, least_deg: float) -> list[str]:
-        return [
-            f"steered {deg:.1f} deg to the {side}, asked for are {least_deg:.1f} deg"
-            for side, deg in (("left", self.left_deg), ("right", -self.right_deg))
-            if deg < least_deg
-        ]
-
-    def _driven_rpm(self, truth: CarTruth) -> float:
-        """The slowest driven wheel."""
         fl, fr, rl, rr = truth.wheel_rpm
-        car = self.car
-        return min(min(fl, fr) if car.driven_front else math.inf, min(rl, rr) if car.driven_rear else math.inf)
+        driven = (fl, fr) * self.car.driven_front + (rl, rr) * self.car.driven_rear
+        self._looks.extend(
+            (truth.t_ns, truth.distance_m, truth.speed_mps, truth.steer_deg, min(driven), max(truth.wheel_rpm))
+        )
 
-    def _too_slow(self, wanted_rpm: float) -> list[str]:
-        return [f"driven wheels reached {self.top_rpm:.0f} of {wanted_rpm:.0f} rpm"]
+    def _seen(self) -> Floats:
+        """Of all looks: time, distance, speed, steering, rpm of the slowest driven wheel and of the fastest wheel."""
+        return np.array(self._looks).reshape(-1, 6).T
+
+
+def _swept_too_little(steer_deg: Floats, least_deg: float) -> list[str]:
+    return [
+        f"steered {deg:.1f} deg to the {side}, asked for are {least_deg:.1f} deg"
+        for side, deg in (("left", steer_deg.max(initial=0.0)), ("right", -steer_deg.min(initial=0.0)))
+        if deg < least_deg
+    ]
+
+
+def _too_slow(rpm: Floats, wanted_rpm: float) -> list[str]:
+    reached = rpm.max()
+    if reached >= wanted_rpm * RPM_TOLERANCE:
+        return []
+    return [f"driven wheels reached {reached:.0f} of {wanted_rpm:.0f} rpm"]
 
 
 class _InspectionAReferee(_StandReferee):
-    _began_ns: int | None = None  # a driven wheel turns
-    _reached_ns: int | None = None
-    _left_ns: int | None = None  # last seen at the wheel speed asked for
-    _rest_ns: int | None = None
-
-    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
-        super().watch(truth, nose, route)
-        self._sweep(truth)
-        rpm = self._driven_rpm(truth)
-        if self._began_ns is None and rpm > STANDING_RPM:
-            self._began_ns = truth.t_ns
-        if rpm >= INSPECTION_A_RPM * RPM_TOLERANCE:
-            self._reached_ns = self._reached_ns or truth.t_ns
-            self._left_ns, self._rest_ns = truth.t_ns, None
-        elif self._left_ns is not None and self._rest_ns is None and max(truth.wheel_rpm) < STANDING_RPM:
-            self._rest_ns = truth.t_ns
-
     def complaints(self) -> list[str]:
-        found = self._swept_too_little(math.degrees(self.car.steer_max_rad) - SWEEP_TOLERANCE_DEG)
-        if abs(self.steer_deg) > SWEEP_TOLERANCE_DEG:
-            found.append(f"steering ended at {self.steer_deg:.1f} deg instead of straight")
-        if self._began_ns is None or self._reached_ns is None or self._left_ns is None:
-            return [*found, *self._too_slow(INSPECTION_A_RPM)]
-        up_s = (self._reached_ns - self._began_ns) / S
+        t_ns, _, _, steer_deg, rpm, fastest_rpm = self._seen()
+        found = _swept_too_little(steer_deg, math.degrees(self.car.steer_max_rad) - SWEEP_TOLERANCE_DEG)
+        if abs(steer_deg[-1]) > SWEEP_TOLERANCE_DEG:
+            found.append(f"steering ended at {steer_deg[-1]:.1f} deg instead of straight")
+        if too_slow := _too_slow(rpm, INSPECTION_A_RPM):
+            return found + too_slow
+        began, reached = np.argmax(rpm > STANDING_RPM), np.flatnonzero(rpm >= INSPECTION_A_RPM * RPM_TOLERANCE)
+        up_s = (t_ns[reached[0]] - t_ns[began]) / S
         if up_s > INSPECTION_A_SPIN_UP_S:
             found.append(f"driven wheels took {up_s:.1f} s to reach {INSPECTION_A_RPM:.0f} rpm")
-        if self._rest_ns is None:
+        at_rest_ns = t_ns[reached[-1] :][fastest_rpm[reached[-1] :] < STANDING_RPM]
+        if not len(at_rest_ns):
             found.append("the wheels did not come to rest")
-        elif (down_s := (self._rest_ns - self._left_ns) / S) > INSPECTION_A_SPIN_DOWN_S:
+        elif (down_s := (at_rest_ns[0] - t_ns[reached[-1]]) / S) > INSPECTION_A_SPIN_DOWN_S:
             found.append(f"the wheels took {down_s:.1f} s to come to rest")
         return found
 
 
 class _InspectionBReferee(_StandReferee):
     def complaints(self) -> list[str]:
-        return [] if self.top_rpm >= INSPECTION_B_RPM * RPM_TOLERANCE else self._too_slow(INSPECTION_B_RPM)
+        return _too_slow(self._seen()[4], INSPECTION_B_RPM)
 
 
 class _DemoReferee(_StandReferee):
     """Sweep, accelerate, stop, accelerate: each step begins where the last one ended."""
 
-    def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
-        super().__init__(track, car, laps)
-        self._legs: list[tuple[float, float | None]] = []  # (where it pulled away, where it reached the speed)
-        self._stops: list[float] = []
-        self._moving = False
-        self._straight_deg = 0.0  # steering when it pulled away first
-
-    def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
-        at = truth.distance_m
-        if not self._moving and truth.speed_mps > 0.2:
-            self._moving = True
-            if not self._legs:
-                self._straight_deg = truth.steer_deg
-            self._legs.append((at, None))
-        elif self._moving and truth.speed_mps < 0.02:
-            self._moving = False
-            self._stops.append(at)
-        if not self._legs:
-            self._sweep(truth)
-        elif self._moving and self._legs[-1][1] is None and truth.speed_mps * KMH_PER_MPS >= DEMO_SPEED_KMH:
-            self._legs[-1] = (self._legs[-1][0], at)
-
     def complaints(self) -> list[str]:
-        found = self._swept_too_little(DEMO_SWEEP_DEG)
-        if abs(self._straight_deg) > 3.0:
-            found.append(f"pulled away with the steering at {self._straight_deg:.1f} deg instead of straight")
-        for number, (begin, fast) in enumerate(self._legs[:2], 1):
-            if fast is None:
+        _, at_m, speed_mps, steer_deg, _, _ = self._seen()
+        known = np.flatnonzero((speed_mps > 0.2) | (speed_mps < 0.02))
+        changes = known[np.flatnonzero(np.diff(speed_mps[known] > 0.2, prepend=False))]
+        begins, stops = changes[::2], changes[1::2]
+        found = _swept_too_little(steer_deg[: begins[0]] if len(begins) else steer_deg, DEMO_SWEEP_DEG)
+        if len(begins) and abs(straight_deg := steer_deg[begins[0]]) > 3.0:
+            found.append(f"pulled away with the steering at {straight_deg:.1f} deg instead of straight")
+        for number, (begin, stop) in enumerate(zip_longest(begins[:2], stops[:2]), 1):
+            fast = np.flatnonzero(speed_mps[begin:stop] * KMH_PER_MPS >= DEMO_SPEED_KMH)
+            if not len(fast):
                 found.append(f"acceleration {number} did not reach {DEMO_SPEED_KMH:g} km/h")
-            elif fast - begin > DEMO_ACCELERATE_M:
-                found.append(f"acceleration {number} took {fast - begin:.1f} m to {DEMO_SPEED_KMH:g} km/h")
-        if len(self._legs) != 2:
-            found.append(f"{len(self._legs)} accelerations instead of 2")
-        if self._legs and self._stops:
-            length, most = self._stops[0] - self._legs[0][0], DEMO_ACCELERATE_M + DEMO_STOP_M
+            elif (took_m := at_m[begin + fast[0]] - at_m[begin]) > DEMO_ACCELERATE_M:
+                found.append(f"acceleration {number} took {took_m:.1f} m to {DEMO_SPEED_KMH:g} km/h")
+        if len(begins) != 2:
+            found.append(f"{len(begins)} accelerations instead of 2")
+        if len(stops):
+            length, most = at_m[stops[0]] - at_m[begins[0]], DEMO_ACCELERATE_M + DEMO_STOP_M
             if length > most:
                 found.append(f"the first stop came after {length:.1f} m, allowed are {most:g} m")
         return found
@@ -531,7 +492,7 @@ class Judge:
         self._still_ns: int | None = None
         self._top_mps = 0.0
         self._worst_m = 0.0
-        self._begin_m: float | None = None
+        self._begin_m = 0.0
         self._distance_m = 0.0
         self._cause: ShutdownCause | None = None
         self._last_ns = now_ns
@@ -559,11 +520,10 @@ class Judge:
         self._states.append((state, now))
         pose = truth.pose
         self._stay = None if state is AsState.EMERGENCY_BRAKE else (pose.x_m, pose.y_m, now)
-        if state is AsState.AS_DRIVING:
-            if self._driving_ns is not None:
-                self._blame("drove a second time without a new run")
-            self._driving_ns = self._driving_ns or now
-            self._begin_m = truth.distance_m if self._begin_m is None else self._begin_m
+        if state is AsState.AS_DRIVING and self._driving_ns is not None:
+            self._blame("drove a second time without a new run")
+        elif state is AsState.AS_DRIVING:
+            self._driving_ns, self._begin_m = now, truth.distance_m
         elif self._driving_ns is not None and self._over_ns is None:
             self._over_ns = now
 
@@ -585,16 +545,14 @@ class Judge:
 
     def _watch_drive(self, truth: CarTruth) -> None:
         pose = truth.pose
-        if self._route is not None:
-            self._route.follow(pose.x_m, pose.y_m)
-        lateral = self._route.lateral_m if self._route is not None else None
+        lateral = self._route.follow(pose.x_m, pose.y_m) if self._route is not None else None
         self._referee.watch(truth, pose.ahead(self._car.nose_ahead_of_rear_axle_m), self._route)
         self._surroundings.look(pose, lateral)
         speed = truth.speed_mps
         if lateral is not None and speed > 0.1:
             self._worst_m = max(self._worst_m, abs(lateral))
         self._top_mps = max(self._top_mps, speed)
-        self._distance_m = truth.distance_m - (self._begin_m or 0.0)
+        self._distance_m = truth.distance_m - self._begin_m
         if speed > 0.1:
             self._moved_ns = self._moved_ns or truth.t_ns
             self._still_ns = truth.t_ns
@@ -633,7 +591,7 @@ class Judge:
         if why not in self._reasons:
             self._reasons.append(why)
 
-    # ------------------------------------------------------------ what it says
+    # ------------------------------------------------------------ what it reports
 
     @property
     def laps(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from fsai_hil.rules.checker import WireChecker, WireReport
@@ -20,9 +21,7 @@ from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
-from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.units import S
 
 STEP_NS = 1_000_000  # the bus is looked at every millisecond
@@ -82,30 +81,26 @@ class Lockstep:
         Raises ValueError for a setup that cannot be built.
         """
         self.world = World(setup)
-        chosen = revision(setup.revision)
-        car = CARS[setup.revision]
+        car = self.world.car.facts
         config = BridgeConfig()
         if setup.profile == "official-simulator":
-            car = CARS["official-simulator"].with_steer_limit(chosen.steer_limit_deg)
             config = official_simulator(config)
         missions = MissionSettings() if setup.laps is None else MissionSettings(trackdrive_laps=setup.laps)
         settings = controller or ControllerSettings()
         if limits is not None:
             settings = replace(settings, max_speed_mps=min(settings.max_speed_mps, limits.max_speed_mps))
-        self._now_ns = setup.start_ns
-        self._revision, self._car, self._config, self._limits = chosen, car, config, limits
-        self._missions, self._settings = missions, settings
-        self._bridges = 0
-        self.computer = OnboardComputer(
-            self._new_bridge(),
-            self.world.codec,
-            Planner(car, missions=missions),
-            Controller(car, settings, missions),
-            self._now_ns,
-        )
+        self.now_ns = setup.start_ns
+        codec = self.world.codec
+        self._new_bridge = partial(Bridge, codec, self.world.vcu.revision, car, config, limits)
+        new_planner = partial(Planner, car, missions=missions)
+        new_controller = partial(Controller, car, settings, missions)
+        self._new = {"planner": new_planner, "controller": new_controller}
+        self._first_run_id = 1
+        bridge = self._new_bridge(self._first_run_id, now_ns=self.now_ns)
+        self.computer = OnboardComputer(bridge, codec, new_planner(), new_controller(), self.now_ns)
         # Nothing is in flight in lockstep: what the car has sent, the bridge has received before it sends.
         self.wire = WireChecker(
-            self.world.codec,
+            codec,
             in_flight_ns=STEP_NS,
             handshake_in_flight_ns=STEP_NS,
             clock_slack_ns=0,
@@ -117,40 +112,26 @@ class Lockstep:
         )
         self.on_frame = on_frame
         self.watch: Callable[[Frame], None] | None = None  # sees what `on_frame` sees, but for an intruder's frames
-        self._next_cones_ns = self._now_ns
+        self._next_cones_ns = self.now_ns
         self._asked_autonomous = False
         self.detector: Callable[[ConeObservation], ConeObservation] = confident
         self.detects = True  # False: the detector has stopped
-
-    @property
-    def now_ns(self) -> int:
-        return self._now_ns
 
     @property
     def bridge(self) -> Bridge:
         """The bridge in hand: a restart brings another one."""
         return self.computer.bridge
 
-    def _new_bridge(self) -> Bridge:
-        # On the car a new process draws a first run id that no earlier one can have used.
-        first_run_id = 1 + RUNS_OF_A_PROCESS * self._bridges
-        self._bridges += 1
-        return Bridge(
-            self.world.codec, self._revision, self._car, self._config, self._limits, first_run_id, now_ns=self._now_ns
-        )
-
     def start_bridge(self) -> None:
         """The bridge's process is started anew: it knows nothing, and is in manual mode."""
-        self.computer.start_bridge(self._new_bridge(), self._now_ns)
+        # On the car a new process draws a first run id that no earlier one can have used.
+        self._first_run_id += RUNS_OF_A_PROCESS
+        self.computer.start_bridge(self._new_bridge(self._first_run_id, now_ns=self.now_ns), self.now_ns)
         self.wire.restarted()
 
-    def start_planner(self) -> None:
-        """The planner's process is started anew."""
-        self.computer.start_planner(Planner(self._car, missions=self._missions))
-
-    def start_controller(self) -> None:
-        """The controller's process is started anew."""
-        self.computer.start_controller(Controller(self._car, self._settings, self._missions))
+    def start(self, process: str) -> None:
+        """The planner's or the controller's process is started anew."""
+        self.computer.start(process, self._new[process]())
 
     def intrude(self, frame: Frame) -> None:
         """Somebody else's frame is on the bus: everybody receives it."""
@@ -161,7 +142,7 @@ class Lockstep:
 
     def step(self) -> None:
         """One millisecond."""
-        self._now_ns = now_ns = self._now_ns + STEP_NS
+        self.now_ns = now_ns = self.now_ns + STEP_NS
         for frame in self.world.advance(now_ns):
             self._see(frame)
             self.computer.on_frame(frame)
@@ -192,16 +173,16 @@ class Lockstep:
     ) -> LockstepResult:
         """Drive until the judge has seen every mission. `progress` is called twice a simulated second."""
         began = time.monotonic()
-        start_ns = self._now_ns
+        start_ns = self.now_ns
         next_progress_ns = start_ns
         while not self.world.done:
             self.step()
-            if self._now_ns >= next_progress_ns:
+            if self.now_ns >= next_progress_ns:
                 next_progress_ns += PROGRESS_PERIOD_NS
                 if progress is not None:
                     progress(self.world, self.computer.report())
             if realtime:
-                ahead_s = (self._now_ns - start_ns) / S - (time.monotonic() - began)
+                ahead_s = (self.now_ns - start_ns) / S - (time.monotonic() - began)
                 if ahead_s > 0:
                     time.sleep(ahead_s)
         report = self.computer.report()
@@ -209,10 +190,10 @@ class Lockstep:
             self.world.verdict(),
             self.wire.report(),
             report,
-            (self._now_ns - start_ns) / S,
+            (self.now_ns - start_ns) / S,
             time.monotonic() - began,
             self.world.setup.seed,
-            self.world.faults(),
+            self.world.vcu.faults.names,
         )
 
 

@@ -40,8 +40,8 @@ class Await(Immutable):
     patience_ns: int | None = None
 
 
-# What the hands do, given whether the last thing awaited was seen, and what that adds to the script right here
-Do = Callable[[Switches, bool], "Script"]
+# A switch and what it is set to; or, given whether the last thing awaited was seen, what the script goes on with here
+Do = tuple[str, Any] | Callable[[Switches, bool], "Script"]
 Script = Sequence[Await | Do]
 
 
@@ -94,7 +94,12 @@ class Operator:
     def _go_on(self, now_ns: int, switches: Switches, seen: bool) -> None:
         """Do what is to be done before the next thing to wait for."""
         while self._ahead and not isinstance(step := self._ahead[0], Await):
-            self._ahead = (*step(switches, seen), *self._ahead[1:])
+            more: Script = ()
+            if isinstance(step, tuple):
+                setattr(switches, *step)
+            else:
+                more = step(switches, seen)
+            self._ahead = (*more, *self._ahead[1:])
         self._await_since_ns = now_ns
         self._seen_ns = None
 
@@ -115,7 +120,7 @@ def drive_missions(power_up: PowerUp, missions: Sequence[Ami]) -> Script:
             script.append(partial(_power_on_again, power_up))
         script += (
             Await("waiting until the display offers the missions", lambda car: car.mission_selectable, REACTION_NS),
-            _put("ami", mission),
+            ("ami", mission),
             _asms_on_again,  # the mission before may have ended with it
             Await(
                 "waiting for yellow and blue: 5 s in AS_READY",
@@ -135,11 +140,11 @@ def power_on(power_up: PowerUp) -> Script:
     """The switches in the order of this car's power-up."""
     return (
         Await("checking the dongle, the E-stops and the remote", delay_ns=OFF_NS),
-        _put("dongle", True),
-        _put("remote_estop", False),
-        _put("car_estop", False),
-        _put("remote_radio_ok", True),
-        _put("go", False),
+        ("dongle", True),
+        ("remote_estop", False),
+        ("car_estop", False),
+        ("remote_radio_ok", True),
+        ("go", False),
         *(step for name in power_up.switches_on for step in _turn(name, True)),
     )
 
@@ -152,14 +157,14 @@ def power_down(names: Iterable[str]) -> Script:
             script.append(Await("waiting until the car has shut down", lambda car: car.shut_down))
         script += _turn(name, False)
         if name == "lvms":
-            script.append(_put("ami", Ami.NOT_SELECTED))  # the display forgets
+            script.append(("ami", Ami.NOT_SELECTED))  # the display forgets
     return script
 
 
 def give_go() -> Script:
     """Go; off and on again as long as the car stays ready and does not start."""
     return (
-        _put("go", True),
+        ("go", True),
         Await("giving Go", lambda car: car.assi not in READY, delay_ns=0, patience_ns=GO_PATIENCE_NS),
         _again_unless_started,
     )
@@ -168,17 +173,8 @@ def give_go() -> Script:
 # ---------------------------------------------------------------- what hands do
 
 
-def _put(switch: str, value: Any) -> Do:
-    return partial(_put_now, switch, value)
-
-
 def _turn(switch: str, on: bool) -> Script:
-    return Await(f"turning {switch.upper()} {'on' if on else 'off'}"), _put(switch, on)
-
-
-def _put_now(switch: str, value: Any, switches: Switches, seen: bool) -> Script:
-    setattr(switches, switch, value)
-    return ()
+    return Await(f"turning {switch.upper()} {'on' if on else 'off'}"), (switch, on)
 
 
 def _power_on_again(power_up: PowerUp, switches: Switches, seen: bool) -> Script:
@@ -196,7 +192,7 @@ def _go_unless_emergency(switches: Switches, emergency: bool) -> Script:
 def _again_unless_started(switches: Switches, started: bool) -> Script:
     if started:
         return ()
-    return _put("go", False), Await("taking Go back", delay_ns=REACTION_NS), *give_go()
+    return ("go", False), Await("taking Go back", delay_ns=REACTION_NS), *give_go()
 
 
 def _let_it_end(power_up: PowerUp, last: bool, switches: Switches, emergency: bool) -> Script:
@@ -206,6 +202,6 @@ def _let_it_end(power_up: PowerUp, last: bool, switches: Switches, emergency: bo
         Await("waiting until the siren falls silent", lambda car: not car.siren)
         if emergency
         else Await("letting the car stand", delay_ns=FINISHED_NS),
-        _put("go", False),
+        ("go", False),
         *off,
     )

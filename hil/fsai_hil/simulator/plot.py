@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -34,22 +35,9 @@ _STATE_COLOR: Final = {
 }
 
 
-class PlotError(RuntimeError):
-    """No picture can be made; the message is one clear line."""
-
-
 def plotted(program: str, path: Path, run: Run) -> bool:
     """Save the picture of a run; where there can be none, print why and return False."""
-    try:
-        save_plot(path, run.track, run.samples, run.judge.verdict())
-    except PlotError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return False
-    return True
-
-
-def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: JudgeVerdict | None = None) -> None:
-    """Write the picture. Raises PlotError where matplotlib is missing or the file cannot be written."""
+    track, samples = run.track, run.samples
     try:
         import matplotlib
 
@@ -57,7 +45,8 @@ def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: 
         from matplotlib import pyplot
         from matplotlib.collections import LineCollection
     except ImportError:
-        raise PlotError(MISSING) from None
+        print(f"{program}: {MISSING}", file=sys.stderr)
+        return False
 
     figure, (plan, time_axis) = pyplot.subplots(
         2, 1, figsize=(9.0, 11.0), height_ratios=(3, 1), layout="constrained", dpi=110
@@ -83,7 +72,7 @@ def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: 
     plan.autoscale_view()
     plan.set_xlabel("x, m")
     plan.set_ylabel("y, m")
-    plan.set_title(_title(track, verdict), fontsize=10)
+    plan.set_title(_title(track, run.judge.verdict()), fontsize=10)
 
     if samples:
         times = [s.t_s for s in samples]
@@ -96,14 +85,14 @@ def save_plot(path: Path, track: Track, samples: Sequence[PathSample], verdict: 
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise PlotError(f"no plot: {path} cannot be written: {error}") from None
+        print(f"{program}: no plot: {path} cannot be written: {error}", file=sys.stderr)
+        return False
     finally:
         pyplot.close(figure)
+    return True
 
 
-def _title(track: Track, verdict: JudgeVerdict | None) -> str:
-    if verdict is None:
-        return track.name
+def _title(track: Track, verdict: JudgeVerdict) -> str:
     title = f"{verdict.mission} on {track.name}: {verdict.result.upper()}"
     if verdict.lap_times_s:
         title += "   laps " + ", ".join(f"{t:.2f} s" for t in verdict.lap_times_s[:6])
@@ -115,14 +104,10 @@ def _title(track: Track, verdict: JudgeVerdict | None) -> str:
 def _shade_states(axis: object, samples: Sequence[PathSample]) -> None:
     """Colour the background by AS state, each named once."""
     named: set[AsState] = set()
-    begin = 0
-    for i in range(1, len(samples) + 1):
-        if i < len(samples) and samples[i].as_state == samples[begin].as_state:
-            continue
-        state = AsState(samples[begin].as_state)
-        end_s = samples[min(i, len(samples) - 1)].t_s
+    changes = [i for i in range(1, len(samples)) if samples[i].as_state != samples[i - 1].as_state]
+    for begin, end in pairwise([0, *changes, len(samples) - 1]):
+        state, span_s = AsState(samples[begin].as_state), (samples[begin].t_s, samples[end].t_s)
         label = "_" if state in named else state.label
-        axis.axvspan(samples[begin].t_s, end_s, color=_STATE_COLOR[state], alpha=0.6, label=label, zorder=0)  # type: ignore[attr-defined]
+        axis.axvspan(*span_s, color=_STATE_COLOR[state], alpha=0.6, label=label, zorder=0)  # type: ignore[attr-defined]
         named.add(state)
-        begin = i
     axis.legend(fontsize=7, loc="upper left", ncols=3)  # type: ignore[attr-defined]

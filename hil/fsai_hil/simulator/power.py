@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from fsai_vcu.interface.enums import AsState, EbsState, EbsStatus, TsState
 from fsai_vcu.interface.immutable import Immutable
@@ -41,12 +41,9 @@ class PowerUp(Immutable):
     """What differs between the cars of two interface revisions while they are switched on and off."""
 
     first_state: AsState
-    switches_on: tuple[str, ...]  # fields of Switches in the order in which they are switched on
-    switches_off: tuple[str, ...]  # after a mission
-    power_cycle_after_mission: bool
-    ai_master_switch: bool  # AIMS feeds the AI computer
+    switches_on: tuple[str, ...]  # fields of Switches in the order of power-up; AIMS, if any, feeds the AI computer
+    switches_off: tuple[str, ...]  # after a mission; with LVMS among them only a power cycle leads to the next one
     sends_op_states: bool  # OP_STATE, TS_STATE and EBS_STATE in 0x520
-    front_axle_driven: bool
 
 
 # a new interface revision is one more entry
@@ -56,19 +53,13 @@ POWER_UP: Final[Mapping[str, PowerUp]] = MappingProxyType(
             first_state=AsState.AS_OFF,
             switches_on=("aims", "asms", "tsms", "lvms"),
             switches_off=("asms",),
-            power_cycle_after_mission=False,
-            ai_master_switch=True,
             sends_op_states=False,
-            front_axle_driven=True,
         ),
         "2026": PowerUp(
             first_state=AsState.AS_INIT,
             switches_on=("lvms", "asms", "tsms"),
             switches_off=("asms", "tsms", "lvms"),
-            power_cycle_after_mission=True,
-            ai_master_switch=False,
             sends_op_states=True,
-            front_axle_driven=False,
         ),
     }
 )
@@ -84,93 +75,56 @@ EBS_DISCHARGING_NS: Final = 1000 * MS
 SHUTDOWN_NS: Final = 2000 * MS
 
 
-class TractiveSystem:
-    """High voltage: precharge, activation, running; off again at once when it is not wanted."""
+Step = tuple[bool, tuple[Any, ...], Any, int]  # while it is wanted or not, from these states, to that one, after ns
 
-    def __init__(self, now_ns: int) -> None:
-        self.state = TsState.TS_INIT
+
+def _by_state(*steps: Step) -> dict[tuple[bool, Any], tuple[Any, int]]:
+    return {(wanted, source): (target, after) for wanted, sources, target, after in steps for source in sources}
+
+
+TS_LIVE: Final = (TsState.TS_PRECHARGE, TsState.TS_ACTIVATE, TsState.TS_RUNNING)
+# High voltage: precharge, activation, running; off again at once when it is not wanted
+_TRACTIVE_SYSTEM: Final = _by_state(
+    (True, (TsState.TS_INIT, TsState.TS_SHUTDOWN, TsState.TS_FAULT), TsState.TS_PRECHARGE, 0),
+    (True, (TsState.TS_PRECHARGE,), TsState.TS_ACTIVATE, PRECHARGE_NS),
+    (True, (TsState.TS_ACTIVATE,), TsState.TS_RUNNING, ACTIVATE_NS),
+    (False, TS_LIVE, TsState.TS_SHUTDOWN, 0),
+    (False, (TsState.TS_FAULT,), TsState.TS_INIT, 0),
+)
+# EBS: init, charging, armed; triggered by an emergency, discharged when it is not wanted any more
+_EMERGENCY_BRAKE_SYSTEM: Final = _by_state(
+    (True, (EbsState.EBS_INIT,), EbsState.EBS_CHARGING, EBS_INIT_NS),
+    (True, (EbsState.EBS_CHARGING,), EbsState.EBS_ARMED, EBS_CHARGING_NS),
+    (True, (EbsState.EBS_DISCHARGING, EbsState.EBS_TRIGGERED, EbsState.EBS_FAULT), EbsState.EBS_INIT, 0),
+    (False, (EbsState.EBS_CHARGING, EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED), EbsState.EBS_DISCHARGING, 0),
+    (False, (EbsState.EBS_DISCHARGING,), EbsState.EBS_INIT, EBS_DISCHARGING_NS),
+    (False, (EbsState.EBS_FAULT,), EbsState.EBS_INIT, 0),
+)
+
+
+class Subsystem:
+    """A small machine over time that takes one step at a look."""
+
+    STEPS: Final = {TsState: _TRACTIVE_SYSTEM, EbsState: _EMERGENCY_BRAKE_SYSTEM}
+
+    def __init__(self, first: TsState | EbsState, now_ns: int) -> None:
+        self.state: Any = first
         self._since_ns = now_ns
-
-    def update(self, now_ns: int, wanted: bool, fault: bool) -> None:
-        state = self.state
-        if fault:
-            self._enter(TsState.TS_FAULT, now_ns)
-        elif not wanted:
-            if self.live:
-                self._enter(TsState.TS_SHUTDOWN, now_ns)
-            elif state is TsState.TS_FAULT:
-                self._enter(TsState.TS_INIT, now_ns)
-        elif state is TsState.TS_PRECHARGE:
-            if now_ns - self._since_ns >= PRECHARGE_NS:
-                self._enter(TsState.TS_ACTIVATE, now_ns)
-        elif state is TsState.TS_ACTIVATE:
-            if now_ns - self._since_ns >= ACTIVATE_NS:
-                self._enter(TsState.TS_RUNNING, now_ns)
-        elif state is not TsState.TS_RUNNING:
-            self._enter(TsState.TS_PRECHARGE, now_ns)
-
-    def _enter(self, state: TsState, now_ns: int) -> None:
-        if state is not self.state:
-            self.state = state
-            self._since_ns = now_ns
-
-    @property
-    def live(self) -> bool:
-        return self.state in (TsState.TS_PRECHARGE, TsState.TS_ACTIVATE, TsState.TS_RUNNING)
-
-    @property
-    def running(self) -> bool:
-        return self.state is TsState.TS_RUNNING
-
-
-class EmergencyBrakeSystem:
-    """EBS: init, charging, armed; triggered by an emergency, discharged when it is not wanted any more."""
-
-    def __init__(self, now_ns: int) -> None:
-        self.state = EbsState.EBS_INIT
-        self._since_ns: int = now_ns
         self._wanted = False
 
-    def update(self, now_ns: int, wanted: bool, fault: bool, triggered: bool) -> None:
-        state = self.state
-        if triggered:
-            self._enter(EbsState.EBS_TRIGGERED, now_ns)
-        elif fault:
-            self._enter(EbsState.EBS_FAULT, now_ns)
-        elif not wanted:
-            if state in (EbsState.EBS_CHARGING, EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED):
-                self._enter(EbsState.EBS_DISCHARGING, now_ns)
-            elif state is EbsState.EBS_FAULT or (
-                state is EbsState.EBS_DISCHARGING and now_ns - self._since_ns >= EBS_DISCHARGING_NS
-            ):
-                self._enter(EbsState.EBS_INIT, now_ns)
-        elif state is EbsState.EBS_INIT:
-            if not self._wanted:
-                self._since_ns = now_ns
-            if now_ns - self._since_ns >= EBS_INIT_NS:
-                self._enter(EbsState.EBS_CHARGING, now_ns)
-        elif state is EbsState.EBS_CHARGING:
-            if now_ns - self._since_ns >= EBS_CHARGING_NS:
-                self._enter(EbsState.EBS_ARMED, now_ns)
-        elif state is not EbsState.EBS_ARMED:
-            self._enter(EbsState.EBS_INIT, now_ns)
-        self._wanted = wanted
-
-    def _enter(self, state: EbsState, now_ns: int) -> None:
-        if state is not self.state:
-            self.state = state
+    def update(self, now_ns: int, wanted: bool, forced: TsState | EbsState | None = None) -> None:
+        """A `forced` state is entered at once."""
+        began, self._wanted = wanted and not self._wanted, wanted
+        if forced is not None:
+            if forced is not self.state:
+                self.state, self._since_ns = forced, now_ns
+            return
+        if began:
             self._since_ns = now_ns
-
-    @property
-    def armed(self) -> bool:
-        return self.state is EbsState.EBS_ARMED
-
-    @property
-    def status(self) -> EbsStatus:
-        """STATUS_EBS of 0x524, which knows fewer states."""
-        return _EBS_STATUS.get(self.state, EbsStatus.UNAVAILABLE)
+        step = self.STEPS[type(self.state)].get((wanted, self.state))
+        if step is not None and now_ns - self._since_ns >= step[1]:
+            self.state, self._since_ns = step[0], now_ns
 
 
-_EBS_STATUS: Final[Mapping[EbsState, EbsStatus]] = MappingProxyType(
-    {EbsState.EBS_ARMED: EbsStatus.ARMED, EbsState.EBS_TRIGGERED: EbsStatus.TRIGGERED}
-)
+# STATUS_EBS of 0x524, which knows fewer states
+EBS_STATUS: Final = {EbsState.EBS_ARMED: EbsStatus.ARMED, EbsState.EBS_TRIGGERED: EbsStatus.TRIGGERED}

@@ -2,7 +2,7 @@
 
 One thread waits on the bus until the car next has something to send. Frames that wait are read before time moves on,
 and a process that was held up for long lets the car's time stand still meanwhile: it must not take its own slowness for
-the AI computer's. It needs no AI computer: without one it says what a car says, and waits.
+the AI computer's. It needs no AI computer: without one it sends what a car sends, and waits.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TextIO
 
 from fsai_hil.rules.response import ResponseTimes
 from fsai_hil.simulator.ground_truth import TruthSender
-from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.power import POWER_UP
 from fsai_hil.simulator.profiles import PROFILES
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
@@ -97,10 +95,16 @@ def run(args: argparse.Namespace) -> int:
         return 1
     # A car is never late: this one is not either, where that is allowed. But the bridge under test goes first.
     go_real_time(FIFO_PRIORITY - 10)
+
+    def end(number: int, frame: FrameType | None) -> None:
+        process.stop(f"ended by {signal.Signals(number).name}")
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with _signals(process.stop):
-            process.loop()
+        process.loop()
     finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
         process.close()
     return _finish(process, args)
 
@@ -122,16 +126,8 @@ def _setup(args: argparse.Namespace) -> WorldSetup:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Mark:
-    """Where a measurement of response times begins in everything that is counted."""
-
-    name: str
-    t_ns: int  # of the monotonic clock
-    answered: int
-    sent: int
-    comms_losses: int
-    held_up_ns: int
+# Monotonic time and time held up, in ns, losses of the AI computer, response times and times of 0x520 so far
+Counts = tuple[int, int, int, int, int]
 
 
 class VcuProcess:
@@ -140,9 +136,7 @@ class VcuProcess:
     def __init__(self, world: World, bus: CanBus, args: argparse.Namespace) -> None:
         self.world = world
         self._bus: CanBus | None = bus
-        self._spec: str = args.interface
-        self._auto: bool = args.auto
-        self._quiet: bool = args.quiet
+        self._args = args
         self._timeout_ns = None if args.timeout is None else world.now_ns + int(args.timeout * 1e9)
         self._truth = None if args.truth is None else TruthSender(args.truth)
         offset_ns = time.time_ns() - time.monotonic_ns()
@@ -157,7 +151,7 @@ class VcuProcess:
         self.late_max_ns = 0
         self.held_up_ns = 0  # by so much the car's time is behind the monotonic clock
         self.status_late_ns: list[int] = []  # of each 0x520: from when it was due until it had been sent
-        self._marks: list[_Mark] = []
+        self._marks: list[tuple[str, Counts]] = []  # where measurements begin
         self._wake_ns = world.now_ns
 
     def stop(self, why: str) -> None:
@@ -171,7 +165,8 @@ class VcuProcess:
         start = world.now_ns
         next_truth = next_progress = next_commands = start
         end_ns: int | None = None
-        self._say(f"simulated car on {self._spec}: {world.setup.revision}, {world.setup.profile}, {world.track.name}")
+        setup, track = world.setup, world.run.track.name
+        self._say(f"simulated car on {self._args.interface}: {setup.revision}, {setup.profile}, {track}")
         while self.interrupted is None:
             self._listen(self._wake_ns)
             now = self._now_ns()
@@ -193,8 +188,9 @@ class VcuProcess:
                 self._obey()
             if now >= next_progress:
                 next_progress += PROGRESS_NS
-                self._progress(now - start)
-            if self._auto and world.done:
+                if not self._args.quiet:
+                    print(f"[{(now - start) / 1e9:6.1f} s] {self.describe()}", file=sys.stderr, flush=True)
+            if self._args.auto and world.done:
                 end_ns = end_ns or now + LINGER_NS
                 if now >= end_ns:
                     self.why_ended = "the mission is over"
@@ -209,7 +205,7 @@ class VcuProcess:
         return time.monotonic_ns() - self.held_up_ns
 
     def _listen(self, until_ns: int) -> None:
-        """Hear what arrives until then; always what has arrived already."""
+        """Receive what arrives until then; always what has arrived already."""
         bus = self._bus
         if bus is None:
             time.sleep(max(0, until_ns - self._now_ns()) / 1e9)
@@ -260,7 +256,7 @@ class VcuProcess:
             return
         self._reopen_ns = now + REOPEN_NS
         with contextlib.suppress(BusError):  # still gone: asked again in a moment
-            self._bus = open_bus(self._spec, receive=AI_IDS)
+            self._bus = open_bus(self._args.interface, receive=AI_IDS)
             self._say("bus is back", important=True)
 
     def close(self) -> None:
@@ -274,13 +270,8 @@ class VcuProcess:
     # ------------------------------------------------------------ people
 
     def _say(self, text: str, important: bool = False) -> None:
-        if important or not self._quiet:
+        if important or not self._args.quiet:
             print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
-
-    def _progress(self, since_ns: int) -> None:
-        if self._quiet:
-            return
-        print(f"[{since_ns / 1e9:6.1f} s] {self.describe()}", file=sys.stderr, flush=True)
 
     def describe(self) -> str:
         """The car in one line."""
@@ -289,7 +280,7 @@ class VcuProcess:
         words = [
             f"{vcu.state.label:<15}",
             f"{world.car.speed_mps:5.1f} m/s",
-            f"lap {world.judge.laps}/{world.judge.laps_wanted}",
+            f"lap {world.run.judge.laps}/{world.run.judge.laps_wanted}",
             f"ASSI {vcu.assi}",
         ]
         if not vcu.powered:
@@ -300,7 +291,7 @@ class VcuProcess:
             words.append("AI computer lost")
         if vcu.state is AsState.EMERGENCY_BRAKE:
             words.append(f"cause {vcu.shutdown_cause.label}")
-        if self._auto and not world.operator.done:
+        if self._args.auto and not world.operator.done:
             words.append(world.operator.doing)
         if self.dropped:
             words.append(f"{self.dropped} frames dropped")
@@ -331,24 +322,23 @@ class VcuProcess:
             if answer:
                 print(answer, flush=True)
 
-    def _mark(self, name: str) -> _Mark:
-        vcu = self.world.vcu
-        answered, sent = len(vcu.response_times_ns), len(self.status_late_ns)
-        return _Mark(name, time.monotonic_ns(), answered, sent, vcu.comms_losses, self.held_up_ns)
+    def _counts(self) -> Counts:
+        vcu, now_ns = self.world.vcu, time.monotonic_ns()
+        return now_ns, self.held_up_ns, vcu.comms_losses, len(vcu.response_times_ns), len(self.status_late_ns)
 
     def measurements(self) -> list[dict[str, Any]]:
         """Response times, and how late this process itself was, from each `measure` to the next."""
         found = []
-        for begin, end in itertools.pairwise([*self._marks, self._mark("end")]):
-            response_ns = self.world.vcu.response_times_ns[begin.answered : end.answered]
+        for (name, begin), (_, end) in itertools.pairwise([*self._marks, ("end", self._counts())]):
+            lasted_ns, held_up_ns, losses = (end[i] - begin[i] for i in range(3))
             found.append(
                 {
-                    "name": begin.name,
-                    "seconds": round((end.t_ns - begin.t_ns) / 1e9, 3),
-                    "response": ResponseTimes(response_ns).as_dict(),
-                    "status_late": ResponseTimes(self.status_late_ns[begin.sent : end.sent]).as_dict(),
-                    "comms_losses": end.comms_losses - begin.comms_losses,
-                    "held_up_ms": round((end.held_up_ns - begin.held_up_ns) / 1e6, 3),
+                    "name": name,
+                    "seconds": round(lasted_ns / 1e9, 3),
+                    "response": ResponseTimes(self.world.vcu.response_times_ns[begin[3] : end[3]]).as_dict(),
+                    "status_late": ResponseTimes(self.status_late_ns[begin[4] : end[4]]).as_dict(),
+                    "comms_losses": losses,
+                    "held_up_ms": round(held_up_ns / 1e6, 3),
                 }
             )
         return found
@@ -369,8 +359,9 @@ class VcuProcess:
         if verb == "status":
             return self.describe()
         if verb == "measure":
-            self._marks.append(self._mark(" ".join(rest) or str(len(self._marks) + 1)))
-            return f"measuring: {self._marks[-1].name}"
+            name = " ".join(rest) or str(len(self._marks) + 1)
+            self._marks.append((name, self._counts()))
+            return f"measuring: {name}"
         if verb in ("on", "off"):
             names = power_up.switches_on if verb == "on" else ("go", *reversed(power_up.switches_on))
             for name in names:
@@ -397,43 +388,26 @@ class VcuProcess:
         return f"{verb}: {'on' if flag else 'off'}"
 
 
-@contextlib.contextmanager
-def _signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """Ctrl-C and a polite kill end the loop properly."""
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        stop(f"ended by {signal.Signals(number).name}")
-
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
-
-
 # ---------------------------------------------------------------- the end
 
 
 def result_of(process: VcuProcess) -> dict[str, Any]:
     """What a program wants to know of the session."""
     world = process.world
-    verdict = world.verdict()
-    verdicts = world.verdicts if world.verdicts else [verdict]
+    verdict, setup = world.verdict(), world.setup
     return {
         **verdict.as_dict(),
-        "result": "pass" if _passed(process) else "fail",
-        "missions": [each.as_dict() for each in verdicts],
+        "result": "pass" if _passed(world) else "fail",
+        "missions": [each.as_dict() for each in world.verdicts or [verdict]],
         "ended": process.why_ended,
-        "track": world.track.name,
-        "revision": world.setup.revision,
-        "profile": world.setup.profile,
-        "seed": world.setup.seed,
-        "sim_time_s": round((world.now_ns - world.setup.start_ns) / 1e9, 3),
-        "faults": list(world.faults()),
+        "track": world.run.track.name,
+        "revision": setup.revision,
+        "profile": setup.profile,
+        "seed": setup.seed,
+        "sim_time_s": round((world.now_ns - setup.start_ns) / 1e9, 3),
+        "faults": list(world.vcu.faults.names),
         "transitions": [
-            {"t_s": round((each.t_ns - world.setup.start_ns) / 1e9, 3), "text": str(each)}
-            for each in world.vcu.transitions
+            {"t_s": round((each.t_ns - setup.start_ns) / 1e9, 3), "text": str(each)} for each in world.vcu.transitions
         ],
         "handshake": world.handshake(),
         "measurements": process.measurements(),
@@ -446,25 +420,22 @@ def result_of(process: VcuProcess) -> dict[str, Any]:
     }
 
 
-def _passed(process: VcuProcess) -> bool:
-    world = process.world
+def _passed(world: World) -> bool:
     return world.done and all(verdict.passed for verdict in world.verdicts)
 
 
 def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
-    world = process.world
-    saved_all = True
-    verdicts: list[JudgeVerdict] = world.verdicts if world.verdicts else [world.verdict()]
-    result = result_of(process)
+    world, result, saved_all = process.world, result_of(process), True
+    first = world.runs[0]
     if args.result:
-        track = world.runs[0].track
+        track = first.track
         saved = {
             **result,
             "cones": [
                 [round(float(x), 3), round(float(y), 3), int(color)]
                 for (x, y), color in zip(track.cones_xy_m, track.cone_colors, strict=True)
             ],
-            "path": [asdict(sample) for sample in world.runs[0].samples],
+            "path": [asdict(sample) for sample in first.samples],
         }
         try:
             Path(args.result).write_text(json.dumps(saved) + "\n", encoding="utf-8")
@@ -474,14 +445,14 @@ def _finish(process: VcuProcess, args: argparse.Namespace) -> int:
     if args.plot:
         from fsai_hil.simulator.plot import plotted
 
-        saved_all &= plotted(PROGRAM, Path(args.plot), world.runs[0])
+        saved_all &= plotted(PROGRAM, Path(args.plot), first)
     if args.auto or world.verdicts:
-        for verdict in verdicts:
+        for verdict in world.verdicts or [world.verdict()]:
             print(verdict.summary(), file=sys.stderr if args.json else sys.stdout, flush=True)
     if args.json:
         print(json.dumps(result), flush=True)
     if not saved_all:
         return 1
-    if not args.auto:
+    if not args.auto or _passed(world):
         return 0
-    return 0 if _passed(process) else 130 if process.interrupted == "ended by SIGINT" else 1
+    return 130 if process.interrupted == "ended by SIGINT" else 1

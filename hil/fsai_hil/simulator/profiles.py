@@ -34,7 +34,7 @@ class Profile(Immutable):
     neutral_fault_needs_all_wheels: bool = False
     asms_off_resets: bool = False  # ASMS off leads to AS_OFF from everywhere, and clears what was latched
     go_off_ignored_in_driving: bool = False
-    ready_without_acknowledgement: bool = False  # AS_READY whatever MISSION_STATUS says
+    ready_without_acknowledgement: bool = False  # AS_READY with any MISSION_STATUS
     not_selected_is_as_off: bool = False
 
     # what is sent and done
@@ -70,11 +70,3 @@ OFFICIAL_SIMULATOR: Final = Profile(
 PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(
     {profile.name: profile for profile in (SPECIFICATION, OFFICIAL_SIMULATOR)}
 )
-
-
-def profile(name: str) -> Profile:
-    """The profile of that name; an unknown name raises a ValueError that lists the valid ones."""
-    try:
-        return PROFILES[name]
-    except KeyError:
-        raise ValueError(f"unknown profile {name!r}: choose one of {', '.join(PROFILES)}") from None

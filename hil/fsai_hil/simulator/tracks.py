@@ -11,10 +11,11 @@ from __future__ import annotations
 import csv
 import math
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
@@ -44,13 +45,7 @@ STAGED_BEFORE_LINE_M: Final[Mapping[Ami, float]] = {
 }
 CIRCUIT_LANE_M: Final = 3.5
 CIRCUIT_MIN_RADIUS_M: Final = 6.0
-CONE_RADIUS_M: Final[Mapping[ConeColor, float]] = {
-    ConeColor.UNKNOWN: 0.114,
-    ConeColor.BLUE: 0.114,
-    ConeColor.YELLOW: 0.114,
-    ConeColor.ORANGE: 0.114,
-    ConeColor.BIG_ORANGE: 0.1425,
-}
+CONE_RADIUS_M: Final = np.array([0.114, 0.114, 0.114, 0.114, 0.1425])  # by ConeColor
 
 
 class TrackError(ValueError):
@@ -92,10 +87,6 @@ class Track(Immutable):
     lane: tuple[Rings, ...] = ()
     source: str = field(default="", compare=False)  # the file or the name from which load_track makes it again
 
-    @cached_property
-    def cone_radii_m(self) -> Floats:
-        return np.array([CONE_RADIUS_M[ConeColor(int(color))] for color in self.cone_colors], dtype=np.float64)
-
     @property
     def length_m(self) -> float:
         """Length of the centreline; 0 where none is known."""
@@ -134,14 +125,9 @@ def _inside(rings: Rings, x: float, y: float) -> bool:
     return inside
 
 
-def _cones(groups: Iterable[tuple[ConeColor, Iterable[Point]]]) -> tuple[Floats, Ints]:
-    xy: list[Point] = []
-    colors: list[int] = []
-    for color, points in groups:
-        for point in points:
-            xy.append(point)
-            colors.append(int(color))
-    return np.array(xy, dtype=np.float64).reshape(-1, 2), np.array(colors, dtype=np.int64)
+def _cones(groups: Sequence[tuple[ConeColor, Sequence[Point]]]) -> tuple[Floats, Ints]:
+    colors = [int(color) for color, points in groups for _ in points]
+    return _array([point for _, points in groups for point in points]), np.array(colors, dtype=np.int64)
 
 
 def _array(points: Sequence[Point]) -> Floats:
@@ -149,12 +135,6 @@ def _array(points: Sequence[Point]) -> Floats:
 
 
 # ---------------------------------------------------------------- built-in tracks
-
-
-def static_track() -> Track:
-    """Open ground without cones."""
-    xy, colors = _cones(())
-    return Track("static", TrackKind.STATIC, xy, colors, source="static")
 
 
 def acceleration_track() -> Track:
@@ -392,7 +372,7 @@ AUTOCROSS_SEED: Final = 4
 TRACKDRIVE_SEED: Final = 11
 
 BUILT_IN: Final[Mapping[str, Callable[[], Track]]] = {
-    "static": static_track,
+    "static": lambda: Track("static", TrackKind.STATIC, *_cones(()), source="static"),  # open ground
     "acceleration": acceleration_track,
     "skidpad": skidpad_track,
     "autocross": lambda: random_circuit(AUTOCROSS_SEED, "autocross", 230.0),
@@ -405,21 +385,13 @@ MISSION_TRACK: Final[Mapping[Ami, str]] = {
     Ami.SKIDPAD: "skidpad",
     Ami.AUTOCROSS: "autocross",
     Ami.TRACKDRIVE: "trackdrive",
-    Ami.STATIC_INSPECTION_A: "static",
-    Ami.STATIC_INSPECTION_B: "static",
-    Ami.AUTONOMOUS_DEMO: "static",
-}
+}  # the others need no track: "static"
 
 
 # ---------------------------------------------------------------- files
 
 
-TAGS: Final[Mapping[str, ConeColor]] = {
-    "blue": ConeColor.BLUE,
-    "yellow": ConeColor.YELLOW,
-    "orange": ConeColor.ORANGE,
-    "big_orange": ConeColor.BIG_ORANGE,
-}
+TAGS: Final = {color.name.lower(): color for color in ConeColor if color is not ConeColor.UNKNOWN}
 FURTHEST_M: Final = 10_000.0  # no event's track is as large; degrees times 1e7 or millimetres look like this
 UNUSED_TAGS: Final = frozenset({"midpoint", "inactive"})  # some public files have them; they are no cones
 
@@ -455,7 +427,8 @@ def parse_track(text: str, source: str) -> Track:
     if header[:3] != ["tag", "x", "y"]:
         found = ",".join(header)[:60] or "nothing"
         raise TrackError(f"{source}: line 1: the header must begin with tag,x,y but is {found!r}")
-    points: list[tuple[ConeColor, Point]] = []
+    points: list[Point] = []
+    colors: list[ConeColor] = []
     start: Pose | None = None
     for row in reader:
         if not row or (len(row) == 1 and not row[0].strip()):
@@ -472,16 +445,17 @@ def parse_track(text: str, source: str) -> Track:
                 raise TrackError(f"{at}: a second car_start")
             start = Pose(x, y, _number(row, 3, "direction", at) if len(row) > 3 else 0.0)
         elif tag in TAGS:
-            points.append((TAGS[tag], (x, y)))
+            points.append((x, y))
+            colors.append(TAGS[tag])
         elif tag not in UNUSED_TAGS:
             raise TrackError(f"{at}: unknown tag {tag!r}; known are {', '.join(TAGS)} and car_start")
     if not points:
         raise TrackError(f"{source}: no cones")
     if start is None:
         raise TrackError(f"{source}: no car_start, so nobody knows where the car begins and which way it points")
-    xy, colors = _cones((color, [point]) for color, point in points)
-    track = Track(Path(source).stem, TrackKind.CIRCUIT, xy, colors, car_start=start, source=source)
-    return _measured(track, points, start)
+    colored = np.array(colors, dtype=np.int64)
+    track = Track(Path(source).stem, TrackKind.CIRCUIT, _array(points), colored, car_start=start, source=source)
+    return _measured(track, start)
 
 
 def _number(row: Sequence[str], column: int, name: str, at: str) -> float:
@@ -495,13 +469,13 @@ def _number(row: Sequence[str], column: int, name: str, at: str) -> float:
     return value
 
 
-def _measured(track: Track, points: Sequence[tuple[ConeColor, Point]], start: Pose) -> Track:
+def _measured(track: Track, start: Pose) -> Track:
     """Find out what kind of track the cones make, its lines and its borders."""
-    gates = _gates([p for color, p in points if color is ConeColor.BIG_ORANGE], start)
-    if gates and _skidpad_like(points, _middle(gates[0]), start.yaw_rad):
-        return _with_skidpad(track, start, gates[0])
-    line = Pose(*_middle(gates[0]), start.yaw_rad) if gates else start
-    if (walked := _walk(points, start)) is not None:
+    gates = _gates(track, start)
+    line = Pose(*gates[0].mean(axis=0).tolist(), start.yaw_rad) if gates else start
+    if gates and _skidpad_like(track, line):
+        return _with_skidpad(track, line, gates[0])
+    if (walked := _walk(track, start)) is not None:
         left, right, middle = walked
         middle = _smoothed(_resampled(middle, 0.25), 2.0)
         nearest = int(np.argmin(np.hypot(middle[:, 0] - line.x_m, middle[:, 1] - line.y_m)))
@@ -510,136 +484,98 @@ def _measured(track: Track, points: Sequence[tuple[ConeColor, Point]], start: Po
         line = Pose(float(middle[0, 0]), float(middle[0, 1]), math.atan2(toward[1], toward[0]))
         return _with_circuit(track, line, middle, left, right)
     if len(gates) >= 2:
-        first, finish = _middle(gates[0]), _middle(gates[-1])
-        along = Pose(*first, start.yaw_rad)
-        run = math.dist(first, finish)
-        seen = [along.seen(x, y) for _, (x, y) in points]
-        width = [abs(left_m) for ahead_m, left_m in seen if 0 < ahead_m < run]
-        half = float(np.median(width)) if width else LANE_M / 2.0
+        first, finish = (line.x_m, line.y_m), gates[-1].mean(axis=0).tolist()
+        ahead_m, left_m = line.seen(*track.cones_xy_m.T)
+        beside = (ahead_m > 0.0) & (ahead_m < math.dist(first, finish))
+        half = float(np.median(np.abs(left_m[beside]))) if beside.any() else LANE_M / 2.0
         return _with_straight(replace(track, kind=TrackKind.ACCELERATION), first, finish, half)
     # cones that make no circuit which can be walked: it can be driven and timed, but nothing is off course
     return _with_line(track, line)
 
 
-def _gates(big: Sequence[Point], start: Pose) -> list[tuple[Point, ...]]:
+def _gates(track: Track, start: Pose) -> list[Floats]:
     """Big orange cones in groups no more than 8 m apart along the starting direction: those in front of the car."""
-
-    def ahead_m(cone: Point) -> float:
-        return start.seen(*cone)[0]
-
-    groups: list[list[Point]] = []
-    for cone in sorted(big, key=ahead_m):
-        if groups and ahead_m(cone) - ahead_m(groups[-1][-1]) < 8.0:
-            groups[-1].append(cone)
-        else:
-            groups.append([cone])
-    return [tuple(group) for group in groups if ahead_m(group[-1]) > 0.0]
+    big = track.cones_xy_m[track.cone_colors == ConeColor.BIG_ORANGE]
+    ahead_m = start.seen(*big.T)[0]
+    order = np.argsort(ahead_m, kind="stable")
+    breaks = np.flatnonzero(np.diff(ahead_m[order]) >= 8.0) + 1
+    return [big[group] for group in np.split(order, breaks) if len(group) and ahead_m[group[-1]] > 0.0]
 
 
-def _middle(gate: Sequence[Point]) -> Point:
-    return sum(p[0] for p in gate) / len(gate), sum(p[1] for p in gate) / len(gate)
-
-
-def _skidpad_like(points: Sequence[tuple[ConeColor, Point]], middle: Point, heading_rad: float) -> bool:
+def _skidpad_like(track: Track, gate: Pose) -> bool:
     """Two rings of blue and yellow cones to the left and to the right of the first gate."""
     apart, inner = SKIDPAD_CENTRES_APART_M / 2.0, SKIDPAD_INNER_DIAMETER_M / 2.0
     for side, color in ((1.0, ConeColor.BLUE), (-1.0, ConeColor.YELLOW)):
-        centre = Pose(*middle, heading_rad).ahead(0.0, side * apart)
-        near = [p for c, p in points if c is color and abs(math.dist(p, centre) - inner) < 0.75]
-        if len(near) < 10:
+        from_centre = track.cones_xy_m[track.cone_colors == color] - gate.ahead(0.0, side * apart)
+        if np.count_nonzero(np.abs(np.hypot(*from_centre.T) - inner) < 0.75) < 10:
             return False
     return True
 
 
-def _with_skidpad(track: Track, start: Pose, gate: Sequence[Point]) -> Track:
+def _with_skidpad(track: Track, line: Pose, gate: Floats) -> Track:
     """The rules' skidpad, laid over the cones of a file."""
     ideal = skidpad_track()
     # the gate's own direction: across is from its rightmost to its leftmost cone, so that a start askew does no harm
-    middle, heading = _middle(gate), start.yaw_rad
-    line = Pose(*middle, heading)
-    left = [p for p in gate if line.seen(*p)[1] > 0.0]
-    right = [p for p in gate if line.seen(*p)[1] <= 0.0]
-    if left and right:
-        (x_left, y_left), (x_right, y_right) = _middle(left), _middle(right)
-        heading = math.atan2(y_left - y_right, x_left - x_right) - math.pi / 2.0
-    origin = Pose(*middle, heading)
+    on_left = line.seen(*gate.T)[1] > 0.0
+    heading = line.yaw_rad
+    if on_left.any() and not on_left.all():
+        x, y = gate[on_left].mean(axis=0) - gate[~on_left].mean(axis=0)
+        heading = math.atan2(y, x) - math.pi / 2.0
+    origin = Pose(line.x_m, line.y_m, heading)
     assert ideal.centreline_m is not None  # skidpad_track always has one
     route = _array([origin.ahead(float(x), float(y)) for x, y in ideal.centreline_m])
     lane = tuple(tuple(tuple(origin.ahead(x, y) for x, y in ring) for ring in rings) for rings in ideal.lane)
     return _with_line(replace(track, kind=TrackKind.SKIDPAD, centreline_m=route, lane=lane), origin)
 
 
-def _walk(points: Sequence[tuple[ConeColor, Point]], start: Pose) -> tuple[Floats, Floats, Floats] | None:
+def _walk(track: Track, start: Pose) -> tuple[Floats, Floats, Floats] | None:
     """Walk the lane from triangle to triangle through the edges that join a left cone to a right one.
 
     In a triangulation of all cones each triangle inside the lane has exactly two such edges, so the way on is always
     the other one. Left border, right border (the cones passed on either side) and the middle between them; None where
     the walk does not come back to its beginning.
     """
-    sides: list[int] = []
-    xy: list[Point] = []
-    for color, point in points:
-        side = {ConeColor.BLUE: 1, ConeColor.YELLOW: -1}.get(color, 0)
-        ahead_m, left_m = start.seen(*point)
-        if color is ConeColor.BIG_ORANGE and ahead_m > -15.0:
-            side = 1 if left_m > 0.0 else -1
-        if side:
-            sides.append(side)
-            xy.append(point)
-    if sides.count(1) < 3 or sides.count(-1) < 3:
+    colors = track.cone_colors
+    ahead_m, left_m = start.seen(*track.cones_xy_m.T)
+    sides = (colors == ConeColor.BLUE).astype(int) - (colors == ConeColor.YELLOW)
+    gate = (colors == ConeColor.BIG_ORANGE) & (ahead_m > -15.0)
+    sides[gate] = np.where(left_m[gate] > 0.0, 1, -1)
+    xy, ahead_m, left_m, sides = (each[sides != 0] for each in (track.cones_xy_m, ahead_m, left_m, sides))
+    if min(np.count_nonzero(sides > 0), np.count_nonzero(sides < 0)) < 3:
         return None
     from scipy.spatial import Delaunay, QhullError  # type: ignore[import-untyped]  # slow to import, for files only
 
     try:
-        mesh = Delaunay(np.array(xy))
+        triangles = Delaunay(xy).simplices
     except QhullError:
         return None
-    triangles, neighbours = mesh.simplices, mesh.neighbors
-    # the first edge: the left-right edge in front of the car which its axis crosses first
-    best: tuple[float, int, int] | None = None
-    for index, triangle in enumerate(triangles):
-        for corner in range(3):
-            a, b = int(triangle[(corner + 1) % 3]), int(triangle[(corner + 2) % 3])
-            if sides[a] == sides[b]:
+    onward: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)  # the edges with a triangle in common
+    begin: tuple[float, tuple[int, int], tuple[int, int]] | None = None  # the edge which the car's axis crosses first
+    for triangle in triangles.tolist():
+        edges = [(a, b) for a in triangle if sides[a] > 0 for b in triangle if sides[b] < 0]
+        for (a, b), following in zip(edges, reversed(edges), strict=True):
+            onward[a, b].append(following)
+            if left_m[a] * left_m[b] > 0.0 or abs(left_m[a]) + abs(left_m[b]) > 8.0:
                 continue
-            (ahead_a, beside_a), (ahead_b, beside_b) = start.seen(*xy[a]), start.seen(*xy[b])
-            if beside_a * beside_b > 0.0 or abs(beside_a) + abs(beside_b) > 8.0:
-                continue
-            share = beside_a / (beside_a - beside_b) if beside_a != beside_b else 0.5
-            crossing = (1.0 - share) * ahead_a + share * ahead_b
-            opposite, _ = start.seen(*xy[int(triangle[corner])])
-            forward = opposite > crossing  # this triangle lies behind the edge as the car sees it
-            if crossing > 0.0 and forward and (best is None or crossing < best[0]):
-                best = (crossing, index, corner)
-    if best is None:
+            share = left_m[a] / (left_m[a] - left_m[b]) if left_m[a] != left_m[b] else 0.5
+            crossing = (1.0 - share) * ahead_m[a] + share * ahead_m[b]
+            (opposite,) = {*triangle} - {a, b}
+            # this triangle lies behind the edge as the car sees it
+            if 0.0 < crossing < ahead_m[opposite] and (begin is None or crossing < begin[0]):
+                begin = (crossing, (a, b), following)
+    if begin is None:
         return None
-    _, index, corner = best
-    first = (index, corner)
-    left: list[int] = []
-    right: list[int] = []
-    middle: list[Point] = []
-    for _ in range(4 * len(xy)):
-        triangle = triangles[index]
-        a, b = int(triangle[(corner + 1) % 3]), int(triangle[(corner + 2) % 3])
-        l, r = (a, b) if sides[a] > 0 else (b, a)  # noqa: E741
-        if not left or left[-1] != l:
-            left.append(l)
-        if not right or right[-1] != r:
-            right.append(r)
-        middle.append(((xy[l][0] + xy[r][0]) / 2.0, (xy[l][1] + xy[r][1]) / 2.0))
-        third = int(triangle[corner])
-        leave = l if sides[third] > 0 else r  # the corner that is left behind
-        out = int(np.flatnonzero(triangle == leave)[0])
-        onward = int(neighbours[index][out])
-        if onward < 0:
+    _, before, edge = begin
+    walked = [before]
+    while edge != walked[0]:
+        walked.append(edge)
+        further = [other for other in onward[edge] if other != before]
+        if not further:
             return None
-        came_from = index
-        index = onward
-        corner = int(np.flatnonzero(neighbours[index] == came_from)[0])
-        if (index, corner) == first:
-            if left[0] == left[-1]:
-                left.pop()
-            if right[0] == right[-1]:
-                right.pop()
-            return _array([xy[i] for i in left]), _array([xy[i] for i in right]), _array(middle)
-    return None
+        before, edge = edge, further[0]
+    borders = [[cone for cone, _ in groupby(side)] for side in zip(*walked, strict=True)]
+    for border in borders:
+        if border[0] == border[-1]:
+            border.pop()
+    passed = np.array(walked)
+    return xy[borders[0]], xy[borders[1]], (xy[passed[:, 0]] + xy[passed[:, 1]]) / 2.0

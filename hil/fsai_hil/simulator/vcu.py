@@ -12,7 +12,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from operator import attrgetter
 from types import MappingProxyType
 from typing import Final, cast
 
@@ -22,17 +21,19 @@ from fsai_hil.simulator.car_signals import Actuation, CarFeedback, limited
 from fsai_hil.simulator.faults import FaultyWire
 from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
 from fsai_hil.simulator.power import (
+    EBS_STATUS,
     INITIAL_ACTIONS_NS,
     POWER_UP,
     SELF_TEST_NS,
     SHUTDOWN_NS,
-    EmergencyBrakeSystem,
+    TS_LIVE,
+    Subsystem,
     SystemAction,
     SystemState,
-    TractiveSystem,
 )
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_hil.simulator.switches import ASSI, READY_BLUE_NS, SWITCH_NAMES, Assi, Switches
+from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import (
@@ -40,10 +41,12 @@ from fsai_vcu.interface.enums import (
     BrakeStatus,
     Direction,
     EbsState,
+    EbsStatus,
     MissionStatus,
     OpState,
     ShutdownCause,
     SteeringStatus,
+    TsState,
 )
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import Immutable
@@ -117,7 +120,6 @@ class SimulatedVcu:
             raise ValueError("a decimation is 1 or more")
         self.codec = codec
         self.revision = revision
-        self.profile = profile
         self.power_up = POWER_UP[revision.name]
         self.switches = Switches()
         self.incoming = FaultyWire()
@@ -129,11 +131,10 @@ class SimulatedVcu:
         self.power_cycles = 0
         self._now_ns = now_ns
         self._feedback = CarFeedback()
-        self._table = transition_table(profile)
-        self._ai_faults = ai_faults(profile)
+        self.behave(profile)
         self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
         self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS sent last
-        self._powered = False
+        self.powered = False  # low voltage is on: the VCU runs and sends
         self._ebs_closed_itself = False
         self._begin(now_ns)
 
@@ -151,9 +152,9 @@ class SimulatedVcu:
             self._receive(arrived)
 
     def _receive(self, frame: Frame) -> None:
-        if not self._powered or frame.can_id not in AI_IDS:
+        if not self.powered or frame.can_id not in AI_IDS:
             return
-        if self.power_up.ai_master_switch and not self.switches.aims:
+        if "aims" in self.power_up.switches_on and not self.switches.aims:
             return  # an AI computer without power sends nothing
         image = self.codec.decode(frame).image
         if image is None:
@@ -171,14 +172,14 @@ class SimulatedVcu:
         for arrived in self.incoming.through((), now_ns):
             self._receive(arrived)
         self._now_ns = now_ns
-        if self.switches.lvms != self._powered:
+        if self.switches.lvms != self.powered:
             if self.switches.lvms:
                 self._begin(now_ns)
-                self._powered = True
+                self.powered = True
             else:
                 self._power_off(now_ns)
         sent: list[Frame] = []
-        if self._powered:
+        if self.powered:
             self._look(now_ns)
             due = self._due
             while due and due[0][0] <= now_ns:
@@ -190,7 +191,7 @@ class SimulatedVcu:
 
     def next_due_ns(self) -> int:
         """When the next frame is due; a millisecond from now while the VCU has no power."""
-        return self._due[0][0] if self._powered else self._now_ns + MS
+        return self._due[0][0] if self.powered else self._now_ns + MS
 
     def _begin(self, now_ns: int) -> None:
         """Everything as it is when low voltage comes on."""
@@ -198,16 +199,16 @@ class SimulatedVcu:
         self._link = AiLink(self.profile)
         self._link.response_times_ns = self.response_times_ns
         self._comms_were_lost = False
-        self._tractive_system = TractiveSystem(now_ns)
-        self._ebs = EmergencyBrakeSystem(now_ns)
+        self._tractive_system = Subsystem(TsState.TS_INIT, now_ns)
+        self._ebs = Subsystem(EbsState.EBS_INIT, now_ns)
         self._device = PcanGps(now_ns)
         self._situation = Situation()
         self._latched: set[str] = set()
         self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
-        self._state = self.power_up.first_state
+        self.state = self.power_up.first_state
         self._state_since_ns = now_ns
         self._go_before = True  # a Go that is on while the VCU starts is no rising edge
-        self._power_cycle_needed = False
+        self.power_cycle_needed = False  # the car will not get ready again before LVMS has been off
         self._activated = False
         self._tsms_was_on = False
         self._shutdown_since_ns: int | None = None
@@ -219,7 +220,7 @@ class SimulatedVcu:
     def _power_off(self, now_ns: int) -> None:
         """Low voltage goes: an EBS under pressure closes the brakes by itself, until it is armed anew."""
         self._ebs_closed_itself |= self._ebs.state in (EbsState.EBS_ARMED, EbsState.EBS_TRIGGERED)
-        self._powered = False
+        self.powered = False
         self.power_cycles += 1
         self._change(now_ns, self.power_up.first_state, "LVMS off")
 
@@ -245,10 +246,9 @@ class SimulatedVcu:
         s.go_rising = s.go and not self._go_before
         self._go_before = s.go
         s.sdc_open = sdc_open
-        s.ebs_armed = self._ebs.armed
-        s.ebs_unavailable = not s.ebs_armed
-        s.tractive_system_running = self._tractive_system.running
-        s.power_cycle_needed = self._power_cycle_needed
+        s.ebs_armed = self._ebs.state is EbsState.EBS_ARMED
+        s.tractive_system_running = self._ts_running
+        s.power_cycle_needed = self.power_cycle_needed
         s.comms_lost = comms_lost
         s.estop_request, s.direction = link.status.estop_request, link.status.direction
         s.torque_requested = link.drive_front.torque_nm > 0.0 or link.drive_rear.torque_nm > 0.0
@@ -260,7 +260,7 @@ class SimulatedVcu:
         s.ready_wait_over = in_state_ns >= self.profile.ready_wait_ns
         s.emergency_timer_over = in_state_ns >= self.profile.emergency_timer_ns
 
-        row = taken(self._table, self._state, s)
+        row = taken(self._table, self.state, s)
         if row is not None:
             self._take(row, now_ns)
 
@@ -269,25 +269,25 @@ class SimulatedVcu:
             self._latched.add(row.fault.name)
             self.shutdown_cause = row.fault.cause
         if row.target is AsState.EMERGENCY_BRAKE:
-            self._power_cycle_needed = True
-        if self._state is AsState.AS_FINISHED and self.power_up.power_cycle_after_mission:
-            self._power_cycle_needed = True
+            self.power_cycle_needed = True
+        if self.state is AsState.AS_FINISHED and "lvms" in self.power_up.switches_off:
+            self.power_cycle_needed = True
         if row.reset:
             self._latched.clear()
             self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
-            self._power_cycle_needed = False
-        if self._state is AsState.AS_DRIVING:
+            self.power_cycle_needed = False
+        if self.state is AsState.AS_DRIVING:
             self._held_steer_deg = self._steer_target_deg()
-        elif self._state is AsState.AS_READY:
+        elif self.state is AsState.AS_READY:
             self._held_steer_deg = 0.0
         self._change(now_ns, row.target, row.why)
         self._follow_power(now_ns, self.sdc_open)
 
     def _change(self, now_ns: int, target: AsState, why: str) -> None:
-        if target is not self._state:
-            self.transitions.append(Transition(now_ns, self._state, target, why))
+        if target is not self.state:
+            self.transitions.append(Transition(now_ns, self.state, target, why))
             self.history.append((now_ns, target))
-        self._state = target
+        self.state = target
         self._state_since_ns = now_ns
 
     def _follow_power(self, now_ns: int, sdc_open: bool) -> None:
@@ -299,32 +299,25 @@ class SimulatedVcu:
             self._shutdown_since_ns = now_ns
         if not self._activated:
             self._activated = not self._booting(now_ns) and self._link.valid(now_ns)
-        emergency = self._state is AsState.EMERGENCY_BRAKE
+        emergency = self.state is AsState.EMERGENCY_BRAKE
         alive = (
             self._activated
             and switches.tsms
             and self._shutdown_since_ns is None
             and not sdc_open
             and not emergency
-            and not self._power_cycle_needed
+            and not self.power_cycle_needed
         )
-        self._tractive_system.update(now_ns, alive, switches.bms_fault or switches.hvil_open or switches.hvil_short)
-        self._ebs.update(now_ns, alive and switches.asms, switches.ebs_fault, emergency)
-        self._ebs_closed_itself &= not self._ebs.armed
+        ts_fault = switches.bms_fault or switches.hvil_open or switches.hvil_short
+        self._tractive_system.update(now_ns, alive, TsState.TS_FAULT if ts_fault else None)
+        ebs_forced = EbsState.EBS_TRIGGERED if emergency else EbsState.EBS_FAULT if switches.ebs_fault else None
+        self._ebs.update(now_ns, alive and switches.asms, ebs_forced)
+        self._ebs_closed_itself &= self._ebs.state is not EbsState.EBS_ARMED
 
     def _booting(self, now_ns: int) -> bool:
         return now_ns - self._powered_ns < INITIAL_ACTIONS_NS + SELF_TEST_NS
 
     # ------------------------------------------------------------ what can be read
-
-    @property
-    def powered(self) -> bool:
-        """Low voltage is on: the VCU runs and speaks."""
-        return self._powered
-
-    @property
-    def state(self) -> AsState:
-        return self._state
 
     @property
     def in_state_ns(self) -> int:
@@ -345,12 +338,22 @@ class SimulatedVcu:
     @property
     def _broken(self) -> bool:
         """A critical fault of the VCU or the battery."""
-        return any(_critical_faults(self.switches))
+        s = self.switches
+        charging = s.offboard_charger_fault or s.charge_procedure_fault
+        return s.hvil_open or s.hvil_short or s.ebs_fault or s.bms_fault or charging
+
+    @property
+    def _ts_running(self) -> bool:
+        return self._tractive_system.state is TsState.TS_RUNNING
+
+    @property
+    def _ebs_status(self) -> EbsStatus:
+        return EBS_STATUS.get(self._ebs.state, EbsStatus.UNAVAILABLE)
 
     @property
     def comms_lost(self) -> bool:
         """AI_COMMS_LOST now."""
-        return self._powered and self._link.lost(self._now_ns)
+        return self.powered and self._link.lost(self._now_ns)
 
     @property
     def faults(self) -> Faults:
@@ -359,11 +362,6 @@ class SimulatedVcu:
         if self.comms_lost:
             shown |= {AI_COMMS_LOST.name}
         return Faults(**{name: name in shown for name in FAULT_NAMES})
-
-    @property
-    def power_cycle_needed(self) -> bool:
-        """The car will not get ready again before LVMS has been off."""
-        return self._power_cycle_needed
 
     @property
     def system_state(self) -> SystemState:
@@ -377,24 +375,19 @@ class SimulatedVcu:
             return SystemState.SHUTDOWN_OFF if self.shut_down else SystemState.SHUTDOWN
         if not self._activated:
             return SystemState.AUX
-        if self._tractive_system.running or self._state is not AsState.AS_OFF or self._power_cycle_needed:
+        if self._ts_running or self.state is not AsState.AS_OFF or self.power_cycle_needed:
             return SystemState.DRIVE_AUTONOMOUS
         return SystemState.POWERTRAIN_ENABLE
 
     @property
     def mission_selectable(self) -> bool:
         """The display offers the missions: the VCU is ready to drive autonomously and no mission is under way."""
-        return (
-            self._powered
-            and self._state is AsState.AS_OFF
-            and self._tractive_system.running
-            and self._shutdown_since_ns is None
-        )
+        return self.powered and self.state is AsState.AS_OFF and self._ts_running and self._shutdown_since_ns is None
 
     @property
     def shut_down(self) -> bool:
         """SHUTDOWN_OFF: the low-voltage master switch may be turned off."""
-        return not self._powered or (
+        return not self.powered or (
             self._shutdown_since_ns is not None and self._now_ns - self._shutdown_since_ns >= SHUTDOWN_NS
         )
 
@@ -402,25 +395,25 @@ class SimulatedVcu:
     def assi(self) -> Assi:
         """The light of the AS state, dark without low voltage."""
         over_ns = self.in_state_ns - self.profile.ready_wait_ns
-        if self._state is AsState.AS_READY and 0 <= over_ns < READY_BLUE_NS:
+        if self.state is AsState.AS_READY and 0 <= over_ns < READY_BLUE_NS:
             return Assi.YELLOW_AND_BLUE
-        return ASSI[self._state]
+        return ASSI[self.state]
 
     @property
     def siren(self) -> bool:
         """The siren sounds in an emergency."""
-        return self._state is AsState.EMERGENCY_BRAKE and self.in_state_ns < self.profile.emergency_timer_ns
+        return self.state is AsState.EMERGENCY_BRAKE and self.in_state_ns < self.profile.emergency_timer_ns
 
     # ------------------------------------------------------------ what it orders
 
     @property
     def torque_max_nm(self) -> tuple[float, float]:
         """FRONT_ and REAR_AXLE_TRQ_MAX: nothing without the tractive system or without a motor."""
-        if not (self._powered and self._tractive_system.running):
+        if not (self.powered and self._ts_running):
             return 0.0, 0.0
         derated = self.switches.torque_limit_nm
         most = AXLE_TORQUE_MAX_NM if derated is None else limited(derated, AXLE_TORQUE_MAX_NM, 0.0)
-        return (most if self.power_up.front_axle_driven else 0.0), most
+        return (most if CARS[self.revision.name].driven_front else 0.0), most
 
     @property
     def steer_max_deg(self) -> float:
@@ -439,15 +432,15 @@ class SimulatedVcu:
         Torque and steering requests count only in AS_DRIVING. Before it the wheels are held straight; after it, where
         they were. The brake request counts always; the EBS closes the brakes whatever is asked.
         """
-        if not self._powered:
+        if not self.powered:
             return Actuation(steer_deg=self._held_steer_deg, ebs_engaged=self._ebs_closed_itself)
-        link, state, profile = self._link, self._state, self.profile
+        link, state, profile = self._link, self.state, self.profile
         closed = self._ebs_closed_itself or state is AsState.EMERGENCY_BRAKE
         brake = link.brake
         front_brake, rear_brake = brake.front_pct, brake.rear_pct
         if closed or (profile.brakes_fully_when_neutral and link.status.direction is Direction.NEUTRAL):
             front_brake = rear_brake = 100.0
-        live = self._tractive_system.live
+        live = self._tractive_system.state in TS_LIVE
         if state is not AsState.AS_DRIVING:
             steer = 0.0 if state is AsState.AS_READY else self._held_steer_deg
             return Actuation(steer, 0.0, 0.0, 0, 0, front_brake, rear_brake, closed, live)
@@ -477,15 +470,14 @@ class SimulatedVcu:
     ) -> tuple[tuple[type[Image], int], ...]:
         """Everything that is sent in this revision and its period in ns, 0x520 first."""
         decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
-        if gps:
-            decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
-        messages: list[tuple[type[Image], int]] = []
-        for kind in (*BUILDERS, *(GPS_IMAGES if gps else ())):
-            message = BY_NAME[kind.dbc_name]
-            if self.revision.name not in message.period_ns or not self.codec.knows(message.can_id):
-                continue
-            messages.append((kind, message.period_ns[self.revision.name] * decimation.get(kind, 1)))
-        return tuple(messages)
+        decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
+        name, kinds = self.revision.name, (*BUILDERS, *(GPS_IMAGES if gps else ()))
+        messages = [(kind, BY_NAME[kind.dbc_name]) for kind in kinds]
+        return tuple(
+            (kind, message.period_ns[name] * decimation.get(kind, 1))
+            for kind, message in messages
+            if name in message.period_ns and self.codec.knows(message.can_id)
+        )
 
     def _frame(self, kind: type[Image], t_ns: int) -> Frame:
         if kind in BUILDERS:
@@ -493,15 +485,9 @@ class SimulatedVcu:
         # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
         image = self._device.image(kind, t_ns, self._feedback)
         last = self._repeated.get(kind)
-        if last is not None and image is last[0]:
-            return Frame(last[1].can_id, last[1].data, t_ns)
-        encoded = self.codec.encode(image)
-        self._repeated[kind] = (image, encoded)
-        return encoded if encoded.t_ns == t_ns else Frame(encoded.can_id, encoded.data, t_ns)
-
-    def _warnings(self) -> dict[str, bool]:
-        """The AI computer's faults where they do not stop the car: outside AS_DRIVING they are warnings."""
-        return {fault.name: fault.when(self._situation) for fault in self._ai_faults}
+        if last is None or image is not last[0]:
+            last = self._repeated[kind] = image, self.codec.encode(image)
+        return Frame(last[1].can_id, last[1].data, t_ns)
 
     def _status_image(self, t_ns: int) -> VcuStatus:
         s, profile = self.switches, self.profile
@@ -515,7 +501,7 @@ class SimulatedVcu:
             ts_switch=s.tsms,
             go_signal=self.go_signal,
             steering_status=SteeringStatus.ACTIVE if self._steering_active() else SteeringStatus.OFF,
-            as_state=AsState.AS_INIT if hidden else self._state,
+            as_state=AsState.AS_INIT if hidden else self.state,
             ami=s.ami,
             fault=bool(self._latched) or self.comms_lost or self._broken,
             warning=s.batt_temp_high or s.batt_soc_low,
@@ -539,21 +525,17 @@ class SimulatedVcu:
         return (
             self.switches.asms
             and not self.switches.steering_fault
-            and self._tractive_system.running
-            and self._state is not AsState.EMERGENCY_BRAKE
+            and self._ts_running
+            and self.state is not AsState.EMERGENCY_BRAKE
         )
 
     def _drive_front_image(self, t_ns: int) -> VcuDriveFront:
-        request = min(AXLE_TORQUE_MAX_NM, self._link.drive_front.torque_nm)
-        return VcuDriveFront(
-            limited(self._feedback.front_torque_nm, AXLE_TORQUE_MAX_NM), request, self.torque_max_nm[0], t_ns
-        )
+        measured, asked, most = self._feedback.front_torque_nm, self._link.drive_front.torque_nm, AXLE_TORQUE_MAX_NM
+        return VcuDriveFront(limited(measured, most), min(most, asked), self.torque_max_nm[0], t_ns)
 
     def _drive_rear_image(self, t_ns: int) -> VcuDriveRear:
-        request = min(AXLE_TORQUE_MAX_NM, self._link.drive_rear.torque_nm)
-        return VcuDriveRear(
-            limited(self._feedback.rear_torque_nm, AXLE_TORQUE_MAX_NM), request, self.torque_max_nm[1], t_ns
-        )
+        measured, asked, most = self._feedback.rear_torque_nm, self._link.drive_rear.torque_nm, AXLE_TORQUE_MAX_NM
+        return VcuDriveRear(limited(measured, most), min(most, asked), self.torque_max_nm[1], t_ns)
 
     def _steer_image(self, t_ns: int) -> VcuSteer:
         most = self.revision.steer_limit_deg
@@ -569,7 +551,7 @@ class SimulatedVcu:
             limited(self._feedback.rear_brake_pct, 100.0, 0.0),
             limited(requested.rear_pct, 100.0, 0.0),
             self._brake_status(t_ns) if known else BrakeStatus.INITIALISING,  # 0 on the wire
-            self._ebs.status if known else None,
+            self._ebs_status if known else None,
             t_ns,
         )
 
@@ -583,15 +565,15 @@ class SimulatedVcu:
         return BrakeStatus.SHUTDOWN_COMPLETE if self.shut_down else BrakeStatus.SHUTTING_DOWN
 
     def _speeds_image(self, t_ns: int) -> WheelSpeeds:
-        fl, fr, rl, rr = (round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm)
-        return WheelSpeeds(fl, fr, rl, rr, t_ns)
+        return WheelSpeeds(*(round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm), t_ns)
 
     def _counts_image(self, t_ns: int) -> WheelCounts:
-        fl, fr, rl, rr = (count & 0xFFFF for count in self._feedback.pulses)
-        return WheelCounts(fl, fr, rl, rr, t_ns)
+        return WheelCounts(*(count & 0xFFFF for count in self._feedback.pulses), t_ns)
 
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
-        link, warned = self._link, self._warnings()
+        link = self._link
+        # the AI computer's faults do not stop the car outside AS_DRIVING: there they are warnings
+        warned = {fault.name: fault.when(self._situation) for fault in self._ai_faults}
         state = self.system_state
         if state <= SystemState.AUX:
             action = SystemAction.INITIALISE
@@ -600,7 +582,7 @@ class SimulatedVcu:
             action = SystemAction.SHUTDOWN if ending else SystemAction.DRIVE_AUTO
         return VcuSystemStatus(
             sm_sys=state,
-            sm_as=self._state,
+            sm_as=self.state,
             sys_action_state=action,
             status_timeout=link.missing(AiStatus, t_ns),
             drive_front_timeout=link.missing(AiDriveFront, t_ns),
@@ -635,8 +617,8 @@ class SimulatedVcu:
         braking = max(self._feedback.front_brake_pct, self._feedback.rear_brake_pct) > 0.0
         ready = self._brake_status(t_ns) is BrakeStatus.READY
         return LogStatus(
-            assi=max(int(self._state), int(AsState.AS_OFF)),
-            ebs=self._ebs.status,
+            assi=max(int(self.state), int(AsState.AS_OFF)),
+            ebs=self._ebs_status,
             ami=self.switches.ami,
             steering=int(self._steering_active()),
             service_brake=LOG_BRAKE_ENGAGED if braking else LOG_BRAKE_AVAILABLE if ready else LOG_BRAKE_DISENGAGED,
@@ -662,9 +644,6 @@ BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = Ma
     }
 )
 
-_critical_faults: Final = attrgetter(
-    "hvil_open", "hvil_short", "ebs_fault", "offboard_charger_fault", "charge_procedure_fault", "bms_fault"
-)
 SEEN_OF_THE_SWITCHES: Final = tuple(
     field.name for field in fields(Situation) if field.name in SWITCH_NAMES and field.name != "go"
 )

@@ -11,16 +11,17 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.simulator.car import Car, car_facts
+from fsai_hil.simulator.car import Car
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.ground_truth import Truth
 from fsai_hil.simulator.judge import Judge, JudgeVerdict, check_track
 from fsai_hil.simulator.operator import Operator
-from fsai_hil.simulator.profiles import profile as profile_named
+from fsai_hil.simulator.profiles import PROFILES
 from fsai_hil.simulator.sensing import ConeSensor, SensorSettings
 from fsai_hil.simulator.tracks import MISSION_TRACK, Track, load_track
 from fsai_hil.simulator.vcu import SimulatedVcu
 from fsai_vcu.core.driving import ConeObservation
+from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState
 from fsai_vcu.interface.frames import Frame
@@ -82,7 +83,7 @@ class Run:
 class World:
     """Composes everything on the car's side.
 
-    Give it the AI computer's frames, let it `advance`, pass on what the car says, ask it for cones.
+    Give it the AI computer's frames, let it `advance`, pass on what the car sends, ask it for cones.
     Raises ValueError (TrackError is one) for a setup that cannot be built.
     """
 
@@ -93,18 +94,23 @@ class World:
             raise ValueError(f"laps is {setup.laps}, but must be 1 or more")
         if setup.seed < 0:
             raise ValueError(f"seed is {setup.seed}, but must be 0 or more")
+        if setup.profile not in PROFILES:
+            raise ValueError(f"unknown profile {setup.profile!r}: choose one of {', '.join(PROFILES)}")
         self.setup = setup
-        profile = profile_named(setup.profile)
+        profile = PROFILES[setup.profile]
         revision = revision_named(setup.revision)
         self.codec = Codec(revision)
         self.vcu = SimulatedVcu(
             self.codec, revision, profile, setup.start_ns, setup.gps, setup.gps_decimation, setup.log_decimation
         )
-        self.car = Car(car_facts(setup.revision, profile.simulators_car), now_ns=setup.start_ns)
+        car = CARS[setup.revision]
+        if profile.simulators_car:
+            car = CARS["official-simulator"].with_steer_limit(revision.steer_limit_deg)
+        self.car = Car(car, now_ns=setup.start_ns)
         self.operator = Operator.auto(setup.revision, setup.missions) if setup.auto else Operator()
         self._sensor_settings = SensorSettings(noise_level=setup.noise_level)
         self._first_track = setup.track or load_track(MISSION_TRACK.get(setup.missions[0], "static"))
-        self._now_ns = setup.start_ns
+        self.now_ns = setup.start_ns  # the last step: the instant of everything that can be seen
         self._next_look_ns = setup.start_ns
         self._next_sample_ns = setup.start_ns
         self.verdicts: list[JudgeVerdict] = []  # of the runs that are over
@@ -113,7 +119,7 @@ class World:
         # Between what the VCU orders and what the actuators do, and between what is true and what the sensors read.
         self.actuator_faults: list[Callable[[Actuation, int], Actuation]] = []
         self.sensor_faults: list[Callable[[CarFeedback, int], CarFeedback]] = []
-        self._run = self._stage(setup.missions[0])
+        self.run = self._stage(setup.missions[0])  # the present one
 
     # ------------------------------------------------------------ what goes in
 
@@ -128,9 +134,9 @@ class World:
         The world moves in steps of a fixed grid, so it does not matter in what portions time is handed over.
         """
         sent: list[Frame] = []
-        now = self._now_ns + STEP_NS
+        now = self.now_ns + STEP_NS
         while now <= to_ns:
-            self._now_ns = now
+            self.now_ns = now
             if now >= self._next_look_ns or self._spoken_to or self.vcu.next_due_ns() <= now:
                 self._spoken_to = False
                 self._step(now, sent)
@@ -152,41 +158,35 @@ class World:
 
     def _look(self, now: int) -> None:
         self.operator.act(now, self.vcu)
-        state = self.vcu.state
-        run = self._run
+        run, state, car = self.run, self.vcu.state, self.car.truth()
         if now >= self._next_sample_ns or (run.samples and run.samples[-1].as_state != state):
             self._next_sample_ns = now + SAMPLE_NS
-            self._sample(now, state)
+            t_s, pose = (now - self.setup.start_ns) / 1e9, car.pose
+            run.samples.append(PathSample(t_s, pose.x_m, pose.y_m, car.speed_mps, car.steer_deg, int(state)))
         if not run.judge.done:
-            run.judge.observe(self.car.truth(), state, self.vcu.shutdown_cause)
+            run.judge.observe(car, state, self.vcu.shutdown_cause)
             if run.judge.done:
                 self.verdicts.append(run.judge.verdict())
         self._follow_display(state)
-
-    def _sample(self, now: int, state: AsState) -> None:
-        pose = self.car.pose
-        t_s = (now - self.setup.start_ns) / 1e9
-        point = PathSample(t_s, pose.x_m, pose.y_m, self.car.speed_mps, self.car.truth().steer_deg, int(state))
-        self._run.samples.append(point)
 
     def _follow_display(self, state: AsState) -> None:
         """People bring the car to its start when it is off: for a mission newly chosen on the display, and after a run
         (the same mission may be driven twice)."""
         if state not in OFF_LIKE or not self.car.standing:
             return
-        run, ami = self._run, self.vcu.switches.ami
+        run, ami = self.run, self.vcu.switches.ami
         over = run.judge.done and not (self.setup.auto and self.done)
         if over or (ami is not run.mission and ami is not Ami.NOT_SELECTED and not run.judge.done):
-            self._run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
+            self.run = self._stage(run.mission if ami is Ami.NOT_SELECTED else ami)
 
     def _stage(self, mission: Ami) -> Run:
         track = self._first_track
         again = bool(self.runs)
-        if again and (check_track(track, mission) is not None or MISSION_TRACK[mission] == "static"):
-            track = load_track(MISSION_TRACK[mission])
+        if again and (mission not in MISSION_TRACK or check_track(track, mission) is not None):
+            track = load_track(MISSION_TRACK.get(mission, "static"))
         facts = self.car.facts
         patience_s = self.setup.start_timeout_s if self.setup.auto else None
-        judge = Judge(track, mission, facts, self.setup.laps, patience_s, self._now_ns, self.setup.start_ns)
+        judge = Judge(track, mission, facts, self.setup.laps, patience_s, self.now_ns, self.setup.start_ns)
         sensor = ConeSensor(track, self._sensor_settings, self.setup.seed + 1000 * len(self.runs))
         self.car.place(track.staging(mission, facts.nose_ahead_of_rear_axle_m), mission in STATIC_INSPECTIONS)
         run = Run(mission, track, judge, sensor)
@@ -197,37 +197,15 @@ class World:
 
     # ------------------------------------------------------------ what can be seen
 
-    @property
-    def now_ns(self) -> int:
-        """The last step: the instant of everything that can be seen."""
-        return self._now_ns
-
     def next_due_ns(self) -> int:
         """When the car next has something to say or to do, as things stand: advance at the latest then."""
         due_ns = min(self.vcu.next_due_ns(), self._next_look_ns)
-        steps = max(1, -((self._now_ns - due_ns) // STEP_NS))
-        return self._now_ns + steps * STEP_NS
+        steps = max(1, -((self.now_ns - due_ns) // STEP_NS))
+        return self.now_ns + steps * STEP_NS
 
     def see_cones(self, t_ns: int) -> ConeObservation:
         """What the cone sensor reports of the present instant: raw, noisy, in the vehicle frame, stamped `t_ns`."""
-        return self._run.sensor.see(self.car.pose, t_ns)
-
-    @property
-    def track(self) -> Track:
-        return self._run.track
-
-    @property
-    def mission(self) -> Ami:
-        return self._run.mission
-
-    @property
-    def judge(self) -> Judge:
-        return self._run.judge
-
-    @property
-    def samples(self) -> Sequence[PathSample]:
-        """The path driven in the present run."""
-        return self._run.samples
+        return self.run.sensor.see(self.car.pose, t_ns)
 
     @property
     def truth(self) -> Truth:
@@ -241,10 +219,10 @@ class World:
             yaw_rate_radps=car.yaw_rate_radps,
             steer_deg=car.steer_deg,
             as_state=self.vcu.state.label,
-            mission=self._run.mission.name.lower(),
-            track=self._run.track.source,
+            mission=self.run.mission.name.lower(),
+            track=self.run.track.source,
             seed=self.setup.seed,
-            laps=self._run.judge.laps,
+            laps=self.run.judge.laps,
         )
 
     @property
@@ -254,26 +232,16 @@ class World:
 
     def verdict(self) -> JudgeVerdict:
         """The latest run's verdict: of the run in hand, or of the last one while none has begun anew."""
-        if not self._run.judge.done and self._run.judge.waiting and self.verdicts:
+        if not self.run.judge.done and self.run.judge.waiting and self.verdicts:
             return self.verdicts[-1]
-        return self._run.judge.verdict()
+        return self.run.judge.verdict()
 
     def handshake(self) -> dict[str, Any]:
         """How fast the AI computer echoed the handshake, as scrutineering measures it."""
         times = ResponseTimes(self.vcu.response_times_ns).as_dict()
-        if not times["count"]:
-            return {"echoes": 0}
-        return {
-            "echoes": times["count"],
-            "median_ms": times["p50_ms"],
-            "p99_ms": times["p99_ms"],
-            "p999_ms": times["p999_ms"],
-            "max_ms": times["max_ms"],
-        }
-
-    def faults(self) -> tuple[str, ...]:
-        """The fault bits that the car shows now, by name."""
-        return self.vcu.faults.names
+        found = {"echoes": times["count"], "median_ms": times["p50_ms"]}
+        found |= {name: times[name] for name in ("p99_ms", "p999_ms", "max_ms")}
+        return found if times["count"] else {"echoes": 0}
 
 
 def mission_named(name: str) -> Ami:

@@ -21,7 +21,6 @@ from fsai_hil.simulator.faults import (
     Changed,
     Delay,
     Drop,
-    FaultyWire,
     FlipBits,
     FrameFault,
     Freeze,
@@ -153,18 +152,13 @@ _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
 }
 
 
-def _wired(wire: FaultyWire, made: FrameFault) -> Injected:
-    wire.add(made)
-    return Injected(lambda end_ns: wire.remove(made))
-
-
 def from_car(ids: Iterable[int], fault: str) -> Injection:
     """On what the car says: on those of `ids` (all, but for the one that a parameter `message` names)."""
     chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
 
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         ids = frozenset({int(p["message"], 16)}) if "message" in p else chosen
-        return _wired(rig.world.vcu.outgoing, make(ids, p))
+        return _listed(rig.world.vcu.outgoing.faults, make(ids, p))
 
     return begin
 
@@ -172,13 +166,13 @@ def from_car(ids: Iterable[int], fault: str) -> Injection:
 def to_car(ids: Iterable[int], fault: str) -> Injection:
     """On what the car receives of the AI computer; the bus itself shows what was sent."""
     chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
-    return lambda rig, p, now_ns: _wired(rig.world.vcu.incoming, make(chosen, p))
+    return lambda rig, p, now_ns: _listed(rig.world.vcu.incoming.faults, make(chosen, p))
 
 
 def status_shows(values: Callable[[Params], Mapping[str, Any]]) -> Injection:
     """Fields of 0x520 say something else."""
     ids = frozenset({STATUS})
-    return lambda rig, p, now_ns: _wired(rig.world.vcu.outgoing, WrongValues(ids, rig.world.codec, values(p)))
+    return lambda rig, p, now_ns: _listed(rig.world.vcu.outgoing.faults, WrongValues(ids, rig.world.codec, values(p)))
 
 
 def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
@@ -190,7 +184,7 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             return frame
         return replace(frame, data=bytes((frame.data[0] ^ 1, *frame.data[1:])))
 
-    return _wired(rig.world.vcu.outgoing, Changed(frozenset({STATUS}), change))
+    return _listed(rig.world.vcu.outgoing.faults, Changed(frozenset({STATUS}), change))
 
 
 def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
@@ -208,7 +202,7 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         spike = 1250 if getattr(image, name) < 600 else 0
         return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)  # type: ignore[arg-type]
 
-    return _wired(rig.world.vcu.outgoing, Changed(frozenset({SPEEDS}), change))
+    return _listed(rig.world.vcu.outgoing.faults, Changed(frozenset({SPEEDS}), change))
 
 
 def intruder(rig: Lockstep, p: Params, now_ns: int) -> Injected:
@@ -495,7 +489,7 @@ def restarted(*processes: str) -> Injection:
 
         def end(end_ns: int) -> None:
             for name in processes:
-                getattr(rig, f"start_{name}")()
+                rig.start_bridge() if name == "bridge" else rig.start(name)
 
         return Injected(end)
 

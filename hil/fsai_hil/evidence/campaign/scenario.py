@@ -125,7 +125,7 @@ class Scenario:
             if since_ns is not None and now_ns - since_ns >= case.after_ms * MS:
                 self.fault_ns = now_ns
                 self.seen.speed_mps = round(rig.world.car.speed_mps, 2)
-                self._left_course = rig.world.judge.verdict().off_course
+                self._left_course = rig.world.run.judge.verdict().off_course
                 self._begun = case.kind.begin(rig, case.params, now_ns)
         if self._begun is not None and self.fault_ns is not None:
             if self._begun.tick is not None:
@@ -175,7 +175,7 @@ class Scenario:
     def verdict(self) -> CaseVerdict:
         rig, seen = self.rig, self.seen
         seen.ran_out = rig.now_ns - self._began_ns >= self._longest_ms * MS
-        seen.left_course = max(0, rig.world.judge.verdict().off_course - self._left_course)
+        seen.left_course = max(0, rig.world.run.judge.verdict().off_course - self._left_course)
         crashes = [f"the {process}'s process ended: {what}" for _, process, what in rig.computer.failures]
         return judge(self.case, seen, self.fault_ns, rig.wire.violations, crashes)
 
