@@ -91,7 +91,7 @@ class ScenarioNarrator:
                     continue  # a driver changes pedals all the time: the first few tell what the reaction was
             zero_ns = 0 if fault_ns is None else fault_ns
             lines.append(f"{(t_ns - zero_ns) / MS:+9.0f} ms  {text}")
-        lines.append(f"demanded: {self.case.kind.demanded}")
+        lines.append(f"demanded: {self.case.kind.must.demanded}")
         if not verdict.applies:
             lines.append(
                 "(here no reaction is demanded: not in AS_DRIVING after its first 3 s, or the mission was over)"

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 import random
 import struct
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeVar
+from functools import partial, reduce
+from typing import Any, Final
 
 import numpy as np
 
@@ -39,18 +41,12 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS
 
-T = TypeVar("T")
-
-
-def _nothing(now_ns: int) -> None:
-    return None
-
 
 @dataclass(frozen=True, slots=True)
 class Injected:
     """A fault under way: `tick` is called every millisecond until `end`."""
 
-    end: Callable[[int], None] = _nothing
+    end: Callable[[], object] = lambda: None
     tick: Callable[[int], None] | None = None
 
 
@@ -60,25 +56,38 @@ Injection = Callable[[Lockstep, Params, int], Injected]
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """An instant of a fault under way: its parameters, its chance, and when."""
+    """An instant of a fault under way: its parameters, its chance, when, and what it keeps from one to the next."""
 
     p: Params
     rng: random.Random
     since_ns: int  # the fault began
     t_ns: int
+    kept: dict[str, Any]
 
 
 def _put(owner: Any, name: str, value: object) -> Injected:
     """`owner.name` is `value` until the fault ends."""
     before = getattr(owner, name)
     setattr(owner, name, value)
-    return Injected(lambda end_ns: setattr(owner, name, before))
+    return Injected(lambda: setattr(owner, name, before))
 
 
-def _listed(items: list[T], item: T) -> Injected:
+def put(part: str, value: object) -> Injection:
+    """`part` of the run, by its dotted name, is `value` until the fault ends."""
+    *owners, name = part.split(".")
+    return lambda rig, p, now_ns: _put(reduce(getattr, owners, rig), name, value)
+
+
+def _listed(items: list[Any], item: object) -> Injected:
     """`item` is among `items` until the fault ends."""
     items.append(item)
-    return Injected(lambda end_ns: items.remove(item))
+    return Injected(lambda: items.remove(item))
+
+
+def _filter(change: Callable[[Any, At], Any], p: Params, now_ns: int) -> Callable[[Any, int], Any]:
+    """`change` of a value, with the instant of the fault that began at `now_ns`."""
+    rng, kept = random.Random(p["chance"]), dict[str, Any]()
+    return lambda value, t_ns: change(value, At(p, rng, t_ns - now_ns, t_ns, kept))
 
 
 def together(*parts: Injection) -> Injection:
@@ -87,9 +96,9 @@ def together(*parts: Injection) -> Injection:
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         begun = [part(rig, p, now_ns) for part in parts]
 
-        def end(end_ns: int) -> None:
+        def end() -> None:
             for one in begun:
-                one.end(end_ns)
+                one.end()
 
         def tick(t_ns: int) -> None:
             for one in begun:
@@ -155,24 +164,22 @@ _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
 
 def _wired(wire: FaultyWire, made: FrameFault) -> Injected:
     wire.add(made)
-    return Injected(lambda end_ns: wire.remove(made))
+    return Injected(lambda: wire.remove(made))
 
 
-def from_car(ids: Iterable[int], fault: str) -> Injection:
-    """On what the car says: on those of `ids` (all, but for the one that a parameter `message` names)."""
-    chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
+def _on_the_wire(side: str, ids: Iterable[int], fault: str) -> Injection:
+    """On one side of the VCU, on those of `ids` (all, but for the one that a parameter `message` names)."""
+    make = _ON_THE_WIRE[fault]
 
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        ids = frozenset({int(p["message"], 16)}) if "message" in p else chosen
-        return _wired(rig.world.vcu.outgoing, make(ids, p))
+        chosen = frozenset({int(p["message"], 16)} if "message" in p else ids)
+        return _wired(getattr(rig.world.vcu, side), make(chosen, p))
 
     return begin
 
 
-def to_car(ids: Iterable[int], fault: str) -> Injection:
-    """On what the car receives of the AI computer; the bus itself shows what was sent."""
-    chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
-    return lambda rig, p, now_ns: _wired(rig.world.vcu.incoming, make(chosen, p))
+from_car = partial(_on_the_wire, "outgoing")  # what the car says
+to_car = partial(_on_the_wire, "incoming")  # what it receives; the bus itself shows what was sent
 
 
 def status_shows(values: Callable[[Params], Mapping[str, Any]]) -> Injection:
@@ -217,14 +224,10 @@ def intruder(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     can_id = int(p["message"], 16)
     length = BY_ID[can_id].dlc
     payload = bytes(length) if p["payload"] == "zeros" else rng.randbytes(length)
-    left = p["frames"]
-    next_ns = now_ns
 
     def tick(t_ns: int) -> None:
-        nonlocal left, next_ns
-        if left and t_ns >= next_ns:
-            left -= 1
-            next_ns += p["period"] * MS
+        turn, rest_ns = divmod(t_ns - now_ns, p["period"] * MS)
+        if not rest_ns and turn < p["frames"]:
             rig.intrude(Frame(can_id, payload, t_ns))
 
     return Injected(tick=tick)
@@ -249,19 +252,24 @@ def stranger(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     return Injected(tick=tick)
 
 
-# ---------------------------------------------------------------- sensors
+# ---------------------------------------------------------------- sensors and actuators
 
-# What a reading becomes: of its value, its value at the fault's beginning, and the instant.
-Change = Callable[[Any, Any, At], Any]
+TORQUES: Final = ("front_torque_nm", "rear_torque_nm")
+BRAKES: Final = ("front_brake_pct", "rear_brake_pct")
 
-
-CHANGES: Final[Mapping[str, Change]] = {
+# What a reading or an order becomes: of its value, its value at the fault's beginning, and the instant.
+CHANGES: Final[Mapping[str, Callable[[Any, Any, At], Any]]] = {
     "stuck": lambda value, before, at: before,
     "dead": lambda value, before, at: 0.0,
     "drifting": lambda value, before, at: value + float(at.p["rate"]) * (at.since_ns / 1e9),
     "noisy": lambda value, before, at: value + at.rng.gauss(0.0, at.p["size"]),
     "offset": lambda value, before, at: value + float(at.p["size"]),
     "scaled": lambda value, before, at: value * float(at.p["factor"]),
+    "inverted": lambda value, before, at: -value,
+    "runs on": lambda value, before, at: max(value, at.p["torque"]),
+    "late": lambda value, before, at: _late(value, 0.0, at),
+    "slow": lambda value, before, at: _slow(value, before, at),
+    "builds up": lambda value, before, at: _slow(value, before, at, falls=True),
     "stuck or noise": lambda value, before, at: before if at.p["way"] == "stuck" else at.rng.uniform(0.0, 100.0),
     "wrong pulses": lambda value, before, at: _wrong_pulses(value, before, at),
 }
@@ -280,28 +288,63 @@ def _wrong_pulses(count: int, before: int, at: At) -> int:
             return at.rng.randrange(0x10000)
 
 
+def _late(value: object, first: object, at: At) -> Any:
+    """The value of `delay` ms ago; `first` before there was one."""
+    waiting = at.kept.setdefault("waiting", deque())
+    waiting.append((at.t_ns + at.p["delay"] * MS, value))
+    while waiting and waiting[0][0] <= at.t_ns:
+        at.kept["due"] = waiting.popleft()[1]
+    return at.kept.get("due", first)
+
+
+def _slow(value: float, before: float, at: At, *, falls: bool = False) -> float:
+    """It changes by `rate` a second only (none: it sticks); one that `falls` does so at once."""
+    was, t_ns = at.kept.get("slow", (before, at.t_ns - at.since_ns))
+    most = at.p.get("rate", 0.0) * (at.t_ns - t_ns) / 1e9
+    now = min(value, was + most) if falls else was + min(most, max(-most, value - was))
+    at.kept["slow"] = now, at.t_ns
+    return now
+
+
+def _fields(fault: str, names: tuple[str, ...], before: object, p: Params, now_ns: int) -> Callable[[Any, int], Any]:
+    """What `fault` makes of fields; of four wheels of the one that a parameter `wheel` names, or of all."""
+    change, rng, kept = CHANGES[fault], random.Random(p["chance"]), {name: dict[str, Any]() for name in names}
+    chosen = [p.get("wheel", wheel) == wheel for wheel in WHEELS]
+
+    def changed(real: Any, t_ns: int) -> Any:
+        fields: dict[str, Any] = {}
+        for name in names:
+            value, then, at = getattr(real, name), getattr(before, name), At(p, rng, t_ns - now_ns, t_ns, kept[name])
+            if isinstance(value, tuple):
+                wheels = zip(value, then, chosen, strict=True)
+                fields[name] = tuple(max(change(one, old, at), 0) if is_it else one for one, old, is_it in wheels)
+            else:
+                fields[name] = change(value, then, at)
+        return replace(real, **fields)
+
+    return changed
+
+
 def reading(fault: str, *names: str) -> Injection:
-    """What the car's sensors read, by their fields; of four wheels the one that a parameter `wheel` names, or all."""
-    change = CHANGES[fault]
+    """What the car's sensors read, by their fields."""
 
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        rng = random.Random(p["chance"])
-        before = rig.world.car.feedback()
-        chosen = [p.get("wheel", wheel) == wheel for wheel in WHEELS]
+        return _listed(rig.world.sensor_faults, _fields(fault, names, rig.world.car.feedback(), p, now_ns))
 
-        def read(real: CarFeedback, t_ns: int) -> CarFeedback:
-            at = At(p, rng, t_ns - now_ns, t_ns)
-            changed: dict[str, Any] = {}
-            for name in names:
-                value, then = getattr(real, name), getattr(before, name)
-                if isinstance(value, tuple):
-                    wheels = zip(value, then, chosen, strict=True)
-                    changed[name] = tuple(max(change(one, old, at), 0) if is_it else one for one, old, is_it in wheels)
-                else:
-                    changed[name] = change(value, then, at)
-            return replace(real, **changed)
+    return begin
 
-        return _listed(rig.world.sensor_faults, read)
+
+def ordered(fault: str, *names: str) -> Injection:
+    """What reaches actuators of their orders, by their fields; the EBS has its own way to the brakes."""
+
+    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+        before = replace(rig.world.vcu.actuation, steer_deg=rig.world.car.truth().steer_deg)
+        change = _fields(fault, names, before, p, now_ns)
+
+        def order(real: Actuation, t_ns: int) -> Any:
+            return real if real.ebs_engaged and names[0] in BRAKES else change(real, t_ns)
+
+        return _listed(rig.world.actuator_faults, order)
 
     return begin
 
@@ -321,79 +364,7 @@ def swapped_wheels(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     return _listed(rig.world.sensor_faults, read)
 
 
-# ---------------------------------------------------------------- actuators
-
-TORQUES: Final = ("front_torque_nm", "rear_torque_nm")
-BRAKES: Final = ("front_brake_pct", "rear_brake_pct")
-
-
-def ordered(change: Callable[[float, Params], float], *names: str) -> Injection:
-    """What reaches actuators of their orders, by their fields; the EBS has its own way to the brakes."""
-
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        def order(real: Actuation, t_ns: int) -> Actuation:
-            if real.ebs_engaged and names[0] in BRAKES:
-                return real
-            changed: dict[str, Any] = {name: change(getattr(real, name), p) for name in names}
-            return replace(real, **changed)
-
-        return _listed(rig.world.actuator_faults, order)
-
-    return begin
-
-
-def slow_steering(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """The actuator turns at `rate` deg/s only; without a rate it sticks."""
-    at_deg, then_ns = rig.world.car.truth().steer_deg, now_ns
-
-    def order(real: Actuation, t_ns: int) -> Actuation:
-        nonlocal at_deg, then_ns
-        most = p.get("rate", 0.0) * (t_ns - then_ns) / 1e9
-        then_ns = t_ns
-        at_deg += min(most, max(-most, real.steer_deg - at_deg))
-        return replace(real, steer_deg=at_deg)
-
-    return _listed(rig.world.actuator_faults, order)
-
-
-def slow_brake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """Pressure builds up at `rate` %/s only."""
-    at_pct, then_ns = rig.world.vcu.actuation.front_brake_pct, now_ns
-
-    def order(real: Actuation, t_ns: int) -> Actuation:
-        nonlocal at_pct, then_ns
-        at_pct = min(real.front_brake_pct, at_pct + p["rate"] * (t_ns - then_ns) / 1e9)
-        then_ns = t_ns
-        return real if real.ebs_engaged else replace(real, front_brake_pct=at_pct, rear_brake_pct=at_pct)
-
-    return _listed(rig.world.actuator_faults, order)
-
-
-def late_motor(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """Torque comes and goes `delay` ms late."""
-    waiting: list[tuple[int, float, float]] = []
-
-    def order(real: Actuation, t_ns: int) -> Actuation:
-        waiting.append((t_ns + p["delay"] * MS, real.front_torque_nm, real.rear_torque_nm))
-        while len(waiting) > 1 and waiting[1][0] <= t_ns:
-            waiting.pop(0)
-        front, rear = waiting[0][1:] if waiting[0][0] <= t_ns else (0.0, 0.0)
-        return replace(real, front_torque_nm=front, rear_torque_nm=rear)
-
-    return _listed(rig.world.actuator_faults, order)
-
-
 # ---------------------------------------------------------------- people and the car's electrics
-
-
-def switched(name: str, value: object = True) -> Injection:
-    """A switch, a button or a part of the car changes; it changes back at the end."""
-    return lambda rig, p, now_ns: _put(rig.world.vcu.switches, name, value)
-
-
-def without(owner: Callable[[Lockstep], object], name: str) -> Injection:
-    """Something of the run stands still, and goes on at the end as if nothing had been."""
-    return lambda rig, p, now_ns: _put(owner(rig), name, False)
 
 
 def derated(rig: Lockstep, p: Params, now_ns: int) -> Injected:
@@ -422,12 +393,7 @@ def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
 
 def _filtered(name: str, change: Callable[[Any, At], Any]) -> Injection:
     """What a filter of the AI computer makes of what passes it; None takes its place."""
-
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        rng = random.Random(p["chance"])
-        return _put(rig.computer, name, lambda value, t_ns: change(value, At(p, rng, t_ns - now_ns, t_ns)))
-
-    return begin
+    return lambda rig, p, now_ns: _put(rig.computer, name, _filter(change, p, now_ns))
 
 
 def commands(change: Callable[[VehicleCommand, At], VehicleCommand | None]) -> Injection:
@@ -440,10 +406,8 @@ def commanded(fields: Callable[[VehicleCommand, At], Mapping[str, Any]]) -> Inje
     return commands(lambda command, at: replace(command, **fields(command, at)))
 
 
-def frozen_command(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """The controller repeats one command for ever, stamp and all."""
-    kept: dict[str, VehicleCommand] = {}
-    return commands(lambda command, at: kept.setdefault("first", command))(rig, p, now_ns)
+def full_throttle(command: VehicleCommand, at: At) -> Mapping[str, Any]:
+    return {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0}
 
 
 def clock_step(command: VehicleCommand, at: At) -> Mapping[str, Any]:
@@ -493,7 +457,7 @@ def restarted(*processes: str) -> Injection:
             else:
                 setattr(rig.computer, f"{name}_running", False)
 
-        def end(end_ns: int) -> None:
+        def end() -> None:
             for name in processes:
                 getattr(rig, f"start_{name}")()
 
@@ -505,14 +469,12 @@ def restarted(*processes: str) -> Injection:
 def insisting_operator(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """The bridge is killed and started again, and somebody asks for autonomous mode all the while."""
     begun = restarted("bridge")(rig, p, now_ns)
-    started = False
 
     def tick(t_ns: int) -> None:
-        nonlocal started
-        if not started and t_ns - now_ns >= p["gone"] * MS:
-            started = True
-            begun.end(t_ns)
-        if started:
+        gone_ns = t_ns - now_ns - p["gone"] * MS
+        if gone_ns == 0:
+            begun.end()
+        if gone_ns >= 0:
             rig.bridge.set_mode("autonomous", t_ns)
 
     return Injected(tick=tick)
@@ -525,17 +487,8 @@ def plans(change: Callable[[Plan, At], Plan | None]) -> Injection:
 
 def late_plans(rig: Lockstep, p: Params, now_ns: int) -> Injected:
     """Each plan comes `delay` ms later, with the stamp of its data."""
-    waiting: list[tuple[int, Plan | None]] = []
-    last: Plan | None = rig.computer.plan
-
-    def change(plan: Plan | None, at: At) -> Plan | None:
-        nonlocal last
-        waiting.append((at.t_ns + p["delay"] * MS, plan))
-        while waiting and waiting[0][0] <= at.t_ns:
-            last = waiting.pop(0)[1]
-        return last
-
-    return _filtered("plan_filter", change)(rig, p, now_ns)
+    first = rig.computer.plan
+    return _filtered("plan_filter", lambda plan, at: _late(plan, first, at))(rig, p, now_ns)
 
 
 def absurd_plan(plan: Plan, at: At) -> Plan:
@@ -561,12 +514,8 @@ def cones(change: Callable[[ConeObservation, At], ConeObservation]) -> Injection
     """What the detector makes of what it sees."""
 
     def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        rng = random.Random(p["chance"])
-
-        def detector(seen: ConeObservation) -> ConeObservation:
-            return change(confident(seen), At(p, rng, seen.t_ns - now_ns, seen.t_ns))
-
-        return _put(rig, "detector", detector)
+        detector = _filter(change, p, now_ns)
+        return _put(rig, "detector", lambda seen: detector(confident(seen), seen.t_ns))
 
     return begin
 

@@ -133,7 +133,7 @@ class Scenario:
             lasts_ms = self._duration_ms
             if self.fault_over_ns is None and lasts_ms is not None and now_ns >= self.fault_ns + lasts_ms * MS:
                 self.fault_over_ns = now_ns
-                self._begun.end(now_ns)
+                self._begun.end()
         rig.step()
         self._observer.look()
 

@@ -128,7 +128,7 @@ def _row(name: str, runs: Sequence[Run]) -> str:
     what = kind.what + (f" ({parameters})" if parameters else "")
     slowest = f"{_ms(max(reactions, default=None))} | {_ms(statistics.median(safe) if safe else None)}"
     return (
-        f"| `{name}` | {what} | {kind.demanded} | {_seen(runs)} | {len(runs)} | {slowest} |"
+        f"| `{name}` | {what} | {kind.must.demanded} | {_seen(runs)} | {len(runs)} | {slowest} |"
         f" {_ms(max(safe, default=None))} | {_left(runs)} | {len(failures(runs))} |"
     )
 

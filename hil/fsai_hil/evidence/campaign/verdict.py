@@ -46,7 +46,7 @@ def _supervised(case: Case) -> bool:
 
 def demand_of(case: Case) -> Demand:
     """What the rules demand of a case."""
-    return case.kind.demand(case.params) if _supervised(case) else ANY
+    return case.kind.must.demand(case.params) if _supervised(case) else ANY
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def judge(
             wrong += _implausible_too_long(seen, found, demand, streaks)
     elif end is End.UNSAFE:
         wrong.append(end.value)
-    if applies and demand is NOTHING and seen.left_course:
+    if applies and demand == NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
     return CaseVerdict(end, reaction, _ms(reaction_ns, onset_ns), _ms(safe_ns, onset_ns), demand, applies, tuple(wrong))
 
