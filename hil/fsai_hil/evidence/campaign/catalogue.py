@@ -6,6 +6,7 @@ lie in bands clear of those times: what happens exactly at a limit is for the ex
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -48,16 +49,21 @@ class Draw:
         return round(rng.uniform(low, high), 3)
 
     def parsed(self, text: str) -> Any:
-        """The value in `text`; ValueError says what it may be."""
+        """The value in `text`; ValueError: what it may be."""
         if self.words:
             if text not in self.words:
                 raise ValueError(f"{self.name} is {text!r}: choose one of {', '.join(self.words)}")
             return text
         whole = all(isinstance(bound, int) for band in self.bands for bound in band)
+        of_0 = min(low for low, _ in self.bands) >= 0
         try:
-            return int(text) if whole else float(text)
+            value = int(text) if whole else float(text)
         except ValueError:
-            raise ValueError(f"{self.name} is {text!r}, but must be a {'whole ' if whole else ''}number") from None
+            value = math.nan
+        if math.isnan(value) or (of_0 and value < 0):
+            number = f"{'whole ' if whole else ''}number{' of 0 or more' if of_0 else ''}"
+            raise ValueError(f"{self.name} is {text!r}, but must be a {number}")
+        return value
 
     def __str__(self) -> str:
         if self.words:
@@ -91,6 +97,10 @@ class FaultKind:
     revisions: tuple[str, ...] = BOTH
     gps: bool = False
     from_start: bool = False  # there from power-up on: such a run begins there, and the demand holds for all of it
+
+    @property
+    def parameters(self) -> str:
+        return "; ".join(str(draw) for draw in self.draws)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +167,6 @@ def restart_within(torque_ms: float, brake_ms: float) -> Must:
     return Computed("it never drives on by itself: service-brake stop", demand)
 
 
-ASK_MANUAL = i.done(lambda rig, p, t_ns: rig.bridge.set_mode("manual", t_ns))
 EACH_WHEEL = one_of("wheel", *i.WHEELS)
 BUS_LOST = "commands are dropped, and the bus is opened again with growing pauses"
 SWINGS = between("period", (50, 500))
@@ -195,7 +204,7 @@ def _message(
     late, cut = between("delay", *late_ms), between("length", (0, BY_ID[can_id].dlc - 1))
     times, bits = between("times", (2, 5)), between("bits", (1, 8))
     return tuple(
-        Fault(f"{prefix}_{name}", f"{of} (0x{can_id:03X}){', as the car hears it,' if ours else ''} {does}").by(
+        Fault(f"{prefix}_{name}", f"{of} (0x{can_id:03X}){', as the car receives it,' if ours else ''} {does}").by(
             on_wire(fault), must, *draws
         )
         for name, does, fault, must, *draws in (
@@ -231,7 +240,7 @@ _incoming_torque = partial(_incoming, lost=AI_SILENT_TORQUE)
 
 
 ROWS: Final[tuple[FaultKind, ...]] = (
-    # ---------------------------------------------------------------- what the car says
+    # ---------------------------------------------------------------- what the car sends
     *_message(
         "status",
         i.STATUS,
@@ -332,10 +341,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("everything_thinned", "each frame of the car is lost by chance").by(
         i.from_car(i.FROM_CAR, "thinned"), d.NOTHING, between("share", (0.01, 0.12))
     ),
-    Fault("car_silent", "we hear nothing of the car, it hears us").by(
+    Fault("car_silent", "we receive nothing of the car, it receives us").by(
         i.from_car(i.FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
-    Fault("vcu_hangs", "the VCU neither speaks nor hears for a while").by(
+    Fault("vcu_hangs", "the VCU neither sends nor receives for a while").by(
         i.together(i.from_car(i.FROM_CAR, "lost"), i.to_car(AI_IDS, "lost")), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
     *(
@@ -353,7 +362,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("corrupted", "bits of the PCAN-GPS's frames are flipped", "flipped", between("bits", (1, 12))),
         )
     ),
-    # ---------------------------------------------------------------- what the car hears
+    # ---------------------------------------------------------------- what the car receives
     *_incoming("ai_status", i.AI_STATUS, "our state", frozen=SILENT),
     *_incoming_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
     *_incoming_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
@@ -423,8 +432,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         "pulses_running_on",
         "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
     ).by(
-        i.together(i.reading("wrong pulses", "pulses"), ASK_MANUAL),
-        replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)), note="it never says FINISHED"),
+        i.together(i.reading("wrong pulses", "pulses"), i.manual_asked),
+        replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)), note="it never sends FINISHED"),
         one_of("way", "running"),
         between("rate", (30, 400)),
     ),
@@ -477,11 +486,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.ordered("late", *i.TORQUES), d.NOTHING, between("delay", (20, 200))
     ),
     Fault("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
-        i.together(i.ordered("runs on", "rear_torque_nm"), ASK_MANUAL), INEFFECTIVE, between("torque", (20.0, 150.0))
+        i.together(i.ordered("runs on", "rear_torque_nm"), i.manual_asked),
+        INEFFECTIVE,
+        between("torque", (20.0, 150.0)),
     ),
     *(
         Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(
-            i.together(i.ordered(change, *brakes), ASK_MANUAL), must, *draws
+            i.together(i.ordered(change, *brakes), i.manual_asked), must, *draws
         )
         for name, what, change, brakes, must, *draws in (
             ("failing", "the service brake does nothing", "dead", i.BRAKES, NO_BRAKE),
@@ -528,10 +539,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("ami_changed", "somebody turns the AMI in AS_DRIVING: it is latched").by(
         i.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), d.NOTHING, missions=ROAD_MISSIONS
     ),
-    Fault("steering_status_off", "STEERING_STATUS says off: reported, no interlock of ours").by(
+    Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock of ours").by(
         i.put("world.vcu.switches.steering_fault", True), d.NOTHING
     ),
-    Fault("brake_status_fault", "STATUS_BRK says fault: reported, no interlock of ours").by(
+    Fault("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock of ours").by(
         i.put("world.vcu.switches.brake_fault", True), d.NOTHING
     ),
     Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
@@ -551,20 +562,20 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         ),
         lasts((5, 2000)),
     ),
-    Fault("manual_asked", "manual mode is asked for while it drives").by(ASK_MANUAL, d.stop(0)),
+    Fault("manual_asked", "manual mode is asked for while it drives").by(i.manual_asked, d.stop(0)),
     Fault("emergency_asked", "the emergency brake is asked for").by(
-        i.done(lambda rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns)), d.estop(0)
+        lambda fault, rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns), d.estop(0)
     ),
     Fault("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives: all refused").by(
         i.together(
-            i.done(lambda rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns)),
-            i.done(lambda rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns)),
-            i.done(lambda rig, p, t_ns: rig.bridge.reset(t_ns)),
+            lambda fault, rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns),
+            lambda fault, rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns),
+            lambda fault, rig, p, t_ns: rig.bridge.reset(t_ns),
         ),
         d.NOTHING,
     ),
     Fault("software_stopped", "this software is stopped in order while the car drives").by(
-        i.done(lambda rig, p, t_ns: rig.bridge.begin_stop(t_ns)),
+        lambda fault, rig, p, t_ns: rig.bridge.begin_stop(t_ns),
         ends(
             *(End.ESTOP, End.SELF, End.STOP),
             no_torque_ms=d.SLACK_MS,
@@ -588,10 +599,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("planner_restarted_unneeded", "the same where nobody needs its paths").by(
         i.restarted("planner"),
-        Computed(
-            "service-brake stop once it is back, for it knows nothing of the run",
-            lambda p: d.stop(p["duration"] + d.CONTROL_MS),
-        ),
+        restart_within(math.inf, math.inf),
         lasts((0, 2000)),
         missions=EVERY_MISSION - PATH_MISSIONS,
     ),
@@ -610,7 +618,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             ("nan", "NaN or infinity in the planner's path", i.nan_plan),
         )
     ),
-    Fault("planner_finishes_early", "the planner says that the mission is over, at full speed").by(
+    Fault("planner_finishes_early", "the planner reports that the mission is over, at full speed").by(
         i.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
         replace(d.stop(d.PLAN_MS + d.CONTROL_MS), own_word=False),
         missions=PATH_MISSIONS,
@@ -685,7 +693,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("controller_gives_up", "the controller asks for the emergency brake").by(
         i.commanded(lambda command, at: {"estop_request": True}), d.estop(d.CONTROL_MS)
     ),
-    Fault("controller_finishes_early", "the controller says that the mission is over, at full speed").by(
+    Fault("controller_finishes_early", "the controller reports that the mission is over, at full speed").by(
         i.commanded(lambda command, at: {"mission_finished": True}), d.stop(d.CONTROL_MS)
     ),
     *(
@@ -693,7 +701,11 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         for name, what, change, *draws in (
             ("absurd", "commands of random numbers, each in range", i.absurd),
             ("swinging", "steering from lock to lock", i.swinging, between("period", (20, 400))),
-            ("full_throttle", "full throttle for ever", i.full_throttle),
+            (
+                "full_throttle",
+                "full throttle for ever",
+                lambda command, at: {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0},
+            ),
             ("pumping", "full throttle and full brake by turns", i.pumping, between("period", (20, 80))),
         )
     ),
@@ -721,7 +733,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.restarted("bridge", "planner", "controller"), SILENT_OURS, lasts((0, 3000))
     ),
     Fault("bridge_hung", "the loop's process stands still for a while, and the car's frames wait for it").by(
-        i.done(lambda rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS)),
+        lambda fault, rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS),
         Computed(
             "a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
             lambda p: Graded(((50, d.estop(p["hang"], 0)), (100, SILENT_OURS)), "hang").demand(p),
@@ -729,12 +741,12 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         between("hang", (5, 35), (70, 82), (130, 2500)),
     ),
     Fault("edge_hung", "the process between ROS and the loop stands still for a while: no command comes through").by(
-        i.done(lambda rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS)),
+        lambda fault, rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS),
         replace(LOST_COMMAND, of="hang"),
         between("hang", *COMMAND_BANDS),
     ),
     Fault("edge_killed", "the process between ROS and the loop is killed").by(
-        i.done(lambda rig, p, t_ns: rig.computer.kill_edge()),
+        lambda fault, rig, p, t_ns: rig.computer.kill_edge(),
         replace(
             COMMAND_STOP,
             ends=frozenset((End.STOP, End.SELF)),
@@ -742,7 +754,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         ),
     ),
     Fault("loop_late", "the loop misses one deadline by so many ms").by(
-        i.done(lambda rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS)),
+        lambda fault, rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS),
         Graded(((50, d.estop(51 + 15, 15)),), "late"),
         between("late", (49, 49), (51, 51)),
     ),

@@ -46,7 +46,7 @@ class End(Enum):
     SELF = "the car stops itself"
     OFF = "falls back to AS_OFF"
     NOT_STARTED = "does not start to drive"
-    UNSAFE = "does not end: moves where it must stand, or never says FINISHED"
+    UNSAFE = "does not end: moves where it must stand, or never sends FINISHED"
 
 
 class Onset(Enum):
@@ -65,7 +65,7 @@ class Demand:
     `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (for good where the run must
     end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so;
     ESTOP_REQUEST also where the car stops itself meanwhile. `safe_ms`: the car stands, or its EBS acts.
-    `own_word`: that the controller says the mission is over is no fault, and ends the run as it should.
+    `own_word`: that the controller reports that the mission is over is no fault, and ends the run as it should.
     `note`: why, or what the rules on the wire hold besides.
     """
 

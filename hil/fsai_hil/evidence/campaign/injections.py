@@ -1,7 +1,8 @@
 """How each fault is done to a run in lockstep: on the wire, to sensors, actuators, people, or the AI computer itself.
 
-An `Injection` takes the run, the drawn parameters and the instant; it begins the fault and returns how it goes on and
-ends. What a fault draws by chance comes from its own `chance`, so that a case is the same wherever it runs.
+An `Injection` takes the fault, the run, the drawn parameters and the instant: it begins the fault, and notes in it how
+it goes on and ends. What a fault draws by chance comes from its own `chance`, so that a case is the same wherever it
+runs.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import random
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any, Final
@@ -42,16 +44,31 @@ from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS
 
 
-@dataclass(frozen=True, slots=True)
-class Injected:
-    """A fault under way: `tick` is called every millisecond until `end`."""
+class Ongoing:
+    """A fault under way: what takes it back at its end, and what it does every millisecond until then."""
 
-    end: Callable[[], object] = lambda: None
-    tick: Callable[[int], None] | None = None
+    def __init__(self) -> None:
+        self.end = ExitStack()
+        self.ticks: list[Callable[[int], None]] = []
+
+    def put(self, owner: object, name: str, value: object) -> None:
+        """`owner.name` is `value` until the fault ends."""
+        self.end.callback(setattr, owner, name, getattr(owner, name))
+        setattr(owner, name, value)
+
+    def listed(self, items: list[Any], item: object) -> None:
+        """`item` is among `items` until the fault ends."""
+        self.end.callback(items.remove, item)
+        items.append(item)
+
+    def wired(self, wire: FaultyWire, made: FrameFault) -> None:
+        """`made` is on the wire until the fault ends."""
+        self.end.callback(wire.remove, made)
+        wire.add(made)
 
 
 Ids = frozenset[int]
-Injection = Callable[[Lockstep, Params, int], Injected]
+Injection = Callable[[Ongoing, Lockstep, Params, int], object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,23 +82,10 @@ class At:
     kept: dict[str, Any]
 
 
-def _put(owner: Any, name: str, value: object) -> Injected:
-    """`owner.name` is `value` until the fault ends."""
-    before = getattr(owner, name)
-    setattr(owner, name, value)
-    return Injected(lambda: setattr(owner, name, before))
-
-
 def put(part: str, value: object) -> Injection:
     """`part` of the run, by its dotted name, is `value` until the fault ends."""
     *owners, name = part.split(".")
-    return lambda rig, p, now_ns: _put(reduce(getattr, owners, rig), name, value)
-
-
-def _listed(items: list[Any], item: object) -> Injected:
-    """`item` is among `items` until the fault ends."""
-    items.append(item)
-    return Injected(lambda: items.remove(item))
+    return lambda fault, rig, p, now_ns: fault.put(reduce(getattr, owners, rig), name, value)
 
 
 def _filter(change: Callable[[Any, At], Any], p: Params, now_ns: int) -> Callable[[Any, int], Any]:
@@ -93,29 +97,9 @@ def _filter(change: Callable[[Any, At], Any], p: Params, now_ns: int) -> Callabl
 def together(*parts: Injection) -> Injection:
     """Several faults at the same instant."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        begun = [part(rig, p, now_ns) for part in parts]
-
-        def end() -> None:
-            for one in begun:
-                one.end()
-
-        def tick(t_ns: int) -> None:
-            for one in begun:
-                if one.tick is not None:
-                    one.tick(t_ns)
-
-        return Injected(end, tick)
-
-    return begin
-
-
-def done(what: Callable[[Lockstep, Params, int], object]) -> Injection:
-    """Something happens once, and is not taken back: a request of the operator, a process that is killed."""
-
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        what(rig, p, now_ns)
-        return Injected()
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        for part in parts:
+            part(fault, rig, p, now_ns)
 
     return begin
 
@@ -162,33 +146,30 @@ _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
 }
 
 
-def _wired(wire: FaultyWire, made: FrameFault) -> Injected:
-    wire.add(made)
-    return Injected(lambda: wire.remove(made))
-
-
-def _on_the_wire(side: str, ids: Iterable[int], fault: str) -> Injection:
+def _on_the_wire(side: str, ids: Iterable[int], how: str) -> Injection:
     """On one side of the VCU, on those of `ids` (all, but for the one that a parameter `message` names)."""
-    make = _ON_THE_WIRE[fault]
+    make = _ON_THE_WIRE[how]
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         chosen = frozenset({int(p["message"], 16)} if "message" in p else ids)
-        return _wired(getattr(rig.world.vcu, side), make(chosen, p))
+        fault.wired(getattr(rig.world.vcu, side), make(chosen, p))
 
     return begin
 
 
-from_car = partial(_on_the_wire, "outgoing")  # what the car says
+from_car = partial(_on_the_wire, "outgoing")  # what the car sends
 to_car = partial(_on_the_wire, "incoming")  # what it receives; the bus itself shows what was sent
 
 
 def status_shows(values: Callable[[Params], Mapping[str, Any]]) -> Injection:
-    """Fields of 0x520 say something else."""
+    """Fields of 0x520 show something else."""
     ids = frozenset({STATUS})
-    return lambda rig, p, now_ns: _wired(rig.world.vcu.outgoing, WrongValues(ids, rig.world.codec, values(p)))
+    return lambda fault, rig, p, now_ns: fault.wired(
+        rig.world.vcu.outgoing, WrongValues(ids, rig.world.codec, values(p))
+    )
 
 
-def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def wild_handshake(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """HANDSHAKE on the wire is not what the VCU means: inverted, or thrown like a coin."""
     rng = random.Random(p["chance"])
 
@@ -197,10 +178,10 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             return frame
         return replace(frame, data=bytes((frame.data[0] ^ 1, *frame.data[1:])))
 
-    return _wired(rig.world.vcu.outgoing, Changed(frozenset({STATUS}), change))
+    fault.wired(rig.world.vcu.outgoing, Changed(frozenset({STATUS}), change))
 
 
-def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def spiking_speed(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Every so many frames one wheel speed jumps by more than any tyre can follow, for that one frame."""
     codec = rig.world.codec
     name = f"{p['wheel']}_rpm"
@@ -213,12 +194,12 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         if seen % p["every"] or image is None:
             return frame
         spike = 1250 if getattr(image, name) < 600 else 0
-        return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)  # type: ignore[arg-type]
+        return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)
 
-    return _wired(rig.world.vcu.outgoing, Changed(frozenset({SPEEDS}), change))
+    fault.wired(rig.world.vcu.outgoing, Changed(frozenset({SPEEDS}), change))
 
 
-def intruder(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def intruder(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Somebody else sends on one of the AI computer's ids."""
     rng = random.Random(p["chance"])
     can_id = int(p["message"], 16)
@@ -230,10 +211,10 @@ def intruder(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         if not rest_ns and turn < p["frames"]:
             rig.intrude(Frame(can_id, payload, t_ns))
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
-def stranger(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def stranger(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Somebody sends frames which are nobody's: unknown ids, extended and remote ones, error frames."""
     rng = random.Random(p["chance"])
 
@@ -249,7 +230,7 @@ def stranger(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         else:
             rig.intrude(Frame(0x004, bytes(8), t_ns, error=True))
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
 # ---------------------------------------------------------------- sensors and actuators
@@ -303,12 +284,12 @@ def _slow(value: float, before: float, at: At, *, falls: bool = False) -> float:
     most = at.p.get("rate", 0.0) * (at.t_ns - t_ns) / 1e9
     now = min(value, was + most) if falls else was + min(most, max(-most, value - was))
     at.kept["slow"] = now, at.t_ns
-    return now
+    return float(now)
 
 
-def _fields(fault: str, names: tuple[str, ...], before: object, p: Params, now_ns: int) -> Callable[[Any, int], Any]:
-    """What `fault` makes of fields; of four wheels of the one that a parameter `wheel` names, or of all."""
-    change, rng, kept = CHANGES[fault], random.Random(p["chance"]), {name: dict[str, Any]() for name in names}
+def _fields(how: str, names: tuple[str, ...], before: object, p: Params, now_ns: int) -> Callable[[Any, int], Any]:
+    """What `how` makes of fields; of four wheels of the one that a parameter `wheel` names, or of all."""
+    change, rng, kept = CHANGES[how], random.Random(p["chance"]), {name: dict[str, Any]() for name in names}
     chosen = [p.get("wheel", wheel) == wheel for wheel in WHEELS]
 
     def changed(real: Any, t_ns: int) -> Any:
@@ -325,31 +306,31 @@ def _fields(fault: str, names: tuple[str, ...], before: object, p: Params, now_n
     return changed
 
 
-def reading(fault: str, *names: str) -> Injection:
+def reading(how: str, *names: str) -> Injection:
     """What the car's sensors read, by their fields."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        return _listed(rig.world.sensor_faults, _fields(fault, names, rig.world.car.feedback(), p, now_ns))
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        fault.listed(rig.world.sensor_faults, _fields(how, names, rig.world.car.feedback(), p, now_ns))
 
     return begin
 
 
-def ordered(fault: str, *names: str) -> Injection:
+def ordered(how: str, *names: str) -> Injection:
     """What reaches actuators of their orders, by their fields; the EBS has its own way to the brakes."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         before = replace(rig.world.vcu.actuation, steer_deg=rig.world.car.truth().steer_deg)
-        change = _fields(fault, names, before, p, now_ns)
+        change = _fields(how, names, before, p, now_ns)
 
         def order(real: Actuation, t_ns: int) -> Any:
             return real if real.ebs_engaged and names[0] in BRAKES else change(real, t_ns)
 
-        return _listed(rig.world.actuator_faults, order)
+        fault.listed(rig.world.actuator_faults, order)
 
     return begin
 
 
-def swapped_wheels(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def swapped_wheels(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Speeds and pulses of two wheels are exchanged."""
     one, other = (WHEELS.index(name) for name in p["wheels"].split("-"))
     order = list(range(4))
@@ -361,23 +342,27 @@ def swapped_wheels(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         }
         return replace(real, **changed)
 
-    return _listed(rig.world.sensor_faults, read)
+    fault.listed(rig.world.sensor_faults, read)
 
 
 # ---------------------------------------------------------------- people and the car's electrics
 
 
-def derated(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def manual_asked(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+    rig.bridge.set_mode("manual", now_ns)
+
+
+def derated(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """The car lowers a limit of its own while it drives."""
-    return _put(rig.world.vcu.switches, p["limit"], p["value"])
+    fault.put(rig.world.vcu.switches, p["limit"], p["value"])
 
 
 def vcu_differs(**differences: Any) -> Injection:
-    """The VCU's state machine differs from the specification's, by fields of `Profile`."""
-    return done(lambda rig, p, now_ns: rig.world.vcu.behave(replace(rig.world.vcu.profile, **differences)))
+    """The VCU's state machine differs from the specification's, by fields of `Profile`; it stays so."""
+    return lambda fault, rig, p, now_ns: rig.world.vcu.behave(replace(rig.world.vcu.profile, **differences))
 
 
-def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def hasty_go(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Go comes `ready` ms after AS_READY began."""
     vcu = rig.world.vcu
 
@@ -385,7 +370,7 @@ def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         if vcu.state is AsState.AS_READY and vcu.in_state_ns >= p["ready"] * MS:
             vcu.switches.go = True
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
 # ---------------------------------------------------------------- planner, controller, detector
@@ -393,21 +378,15 @@ def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
 
 def _filtered(name: str, change: Callable[[Any, At], Any]) -> Injection:
     """What a filter of the AI computer makes of what passes it; None takes its place."""
-    return lambda rig, p, now_ns: _put(rig.computer, name, _filter(change, p, now_ns))
+    return lambda fault, rig, p, now_ns: fault.put(rig.computer, name, _filter(change, p, now_ns))
 
 
-def commands(change: Callable[[VehicleCommand, At], VehicleCommand | None]) -> Injection:
-    """What becomes of the controller's commands on their way."""
-    return _filtered("command_filter", change)
+commands = partial(_filtered, "command_filter")  # what becomes of the controller's commands on their way
 
 
 def commanded(fields: Callable[[VehicleCommand, At], Mapping[str, Any]]) -> Injection:
     """Fields of the controller's commands are others."""
     return commands(lambda command, at: replace(command, **fields(command, at)))
-
-
-def full_throttle(command: VehicleCommand, at: At) -> Mapping[str, Any]:
-    return {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0}
 
 
 def clock_step(command: VehicleCommand, at: At) -> Mapping[str, Any]:
@@ -450,34 +429,32 @@ def pumping(command: VehicleCommand, at: At) -> Mapping[str, Any]:
 def restarted(*processes: str) -> Injection:
     """Processes end and are started again after the duration."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         for name in processes:
             if name == "bridge":
                 rig.computer.kill_bridge()
             else:
                 setattr(rig.computer, f"{name}_running", False)
 
-        def end() -> None:
-            for name in processes:
-                getattr(rig, f"start_{name}")()
-
-        return Injected(end)
+        for name in processes:
+            fault.end.callback(getattr(rig, f"start_{name}"))
 
     return begin
 
 
-def insisting_operator(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def insisting_operator(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """The bridge is killed and started again, and somebody asks for autonomous mode all the while."""
-    begun = restarted("bridge")(rig, p, now_ns)
+    gone = Ongoing()
+    restarted("bridge")(gone, rig, p, now_ns)
 
     def tick(t_ns: int) -> None:
         gone_ns = t_ns - now_ns - p["gone"] * MS
         if gone_ns == 0:
-            begun.end()
+            gone.end.close()
         if gone_ns >= 0:
             rig.bridge.set_mode("autonomous", t_ns)
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
 def plans(change: Callable[[Plan, At], Plan | None]) -> Injection:
@@ -485,10 +462,10 @@ def plans(change: Callable[[Plan, At], Plan | None]) -> Injection:
     return _filtered("plan_filter", lambda plan, at: None if plan is None else change(plan, at))
 
 
-def late_plans(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def late_plans(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Each plan comes `delay` ms later, with the stamp of its data."""
     first = rig.computer.plan
-    return _filtered("plan_filter", lambda plan, at: _late(plan, first, at))(rig, p, now_ns)
+    fault.put(rig.computer, "plan_filter", _filter(lambda plan, at: _late(plan, first, at), p, now_ns))
 
 
 def absurd_plan(plan: Plan, at: At) -> Plan:
@@ -513,9 +490,9 @@ def swinging_plan(plan: Plan, at: At) -> Plan:
 def cones(change: Callable[[ConeObservation, At], ConeObservation]) -> Injection:
     """What the detector makes of what it sees."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         detector = _filter(change, p, now_ns)
-        return _put(rig, "detector", lambda seen: detector(confident(seen), seen.t_ns))
+        fault.put(rig, "detector", lambda seen: detector(confident(seen), seen.t_ns))
 
     return begin
 
@@ -558,19 +535,19 @@ def swapped_colours(seen: ConeObservation, at: At) -> ConeObservation:
 # ---------------------------------------------------------------- the bridge's bus
 
 
-def full_queue(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def full_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """The transmit queue takes no frame (or only the first few of a cycle)."""
     taken = AI_IDS[: p.get("taken", 0)]
-    return _put(rig.computer, "takes_frame", lambda frame: frame.can_id in taken)
+    fault.put(rig.computer, "takes_frame", lambda frame: frame.can_id in taken)
 
 
-def busy_queue(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def busy_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Each frame finds the transmit queue full by chance."""
     rng = random.Random(p["chance"])
-    return _put(rig.computer, "takes_frame", lambda frame: rng.random() >= float(p["share"]))
+    fault.put(rig.computer, "takes_frame", lambda frame: rng.random() >= float(p["share"]))
 
 
-def lost_bus(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def lost_bus(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
     rig.computer.lose_bus(p["why"], now_ns)
     rig.wire.on_bus_lost()
@@ -586,4 +563,4 @@ def lost_bus(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             pause_ns = min(2 * pause_ns, 1000 * MS)
             try_ns += pause_ns
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
