@@ -38,8 +38,8 @@ class Since(Enum):
 
 
 # What a fault by hand is given besides its own parameters.
-SINCE: Final = Draw("since", words=tuple(moment.value for moment in Since))
-AFTER, CHANCE = (Draw(name, ((0, CHANCES),)) for name in ("after", "chance"))
+SINCE: Final = Draw("since", *(moment.value for moment in Since))
+AFTER, CHANCE = (Draw(name, (0, CHANCES)) for name in ("after", "chance"))
 
 # Snapshots: so long in AS_DRIVING, in ms. A mission is under way for at least LEG_MS after its last one.
 LEG_MS: Final = 6000

@@ -32,13 +32,13 @@ BOTH: Final = ("2021", "2026")
 Bands = tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True)
 class Draw:
     """One parameter: a number from one of several bands, or one of several words."""
 
-    name: str
-    bands: Bands = ()
-    words: tuple[str, ...] = ()
+    def __init__(self, name: str, *of: tuple[float, float] | str) -> None:
+        self.name = name
+        self.words = [one for one in of if isinstance(one, str)]
+        self.bands = [one for one in of if not isinstance(one, str)]
 
     def drawn(self, rng: random.Random) -> Any:
         if self.words:
@@ -71,17 +71,7 @@ class Draw:
         return f"{self.name} {', '.join(f'{low:g}…{high:g}' for low, high in self.bands)}"
 
 
-def between(name: str, *bands: tuple[float, float]) -> Draw:
-    return Draw(name, bands)
-
-
-def lasts(*bands: tuple[float, float]) -> Draw:
-    """How long, in ms."""
-    return Draw("duration", bands)
-
-
-def one_of(name: str, *words: str) -> Draw:
-    return Draw(name, words=words)
+lasts = partial(Draw, "duration")  # how long, in ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +157,9 @@ def restart_within(torque_ms: float, brake_ms: float) -> Must:
     return Computed("it never drives on by itself: service-brake stop", demand)
 
 
-EACH_WHEEL = one_of("wheel", *i.WHEELS)
+EACH_WHEEL = Draw("wheel", *i.WHEELS)
 BUS_LOST = "commands are dropped, and the bus is opened again with growing pauses"
-SWINGS = between("period", (50, 500))
+SWINGS = Draw("period", (50, 500))
 SHOWN = lasts((15, 1500))
 UPSET = lasts((100, 4000))
 OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
@@ -201,8 +191,8 @@ def _message(
     ours = can_id in AI_IDS
     on_wire = partial(i.to_car if ours else i.from_car, {can_id})
     no_message = "has too few bytes: no believable message comes"
-    late, cut = between("delay", *late_ms), between("length", (0, BY_ID[can_id].dlc - 1))
-    times, bits = between("times", (2, 5)), between("bits", (1, 8))
+    late, cut = Draw("delay", *late_ms), Draw("length", (0, BY_ID[can_id].dlc - 1))
+    times, bits = Draw("times", (2, 5)), Draw("bits", (1, 8))
     return tuple(
         Fault(f"{prefix}_{name}", f"{of} (0x{can_id:03X}){', as the car receives it,' if ours else ''} {does}").by(
             on_wire(fault), must, *draws
@@ -252,13 +242,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         frozen_ms=((10, 60), (150, 3000)),
     ),
     Fault("status_jittering", "0x520 comes at irregular times, in order").by(
-        i.from_car({i.STATUS}, "jittering"), d.NOTHING, between("delay", (1, 25))
+        i.from_car({i.STATUS}, "jittering"), d.NOTHING, Draw("delay", (1, 25))
     ),
     Fault("status_falls_back", "0x520 shows another AS state for a while, the car drives").by(
         i.status_shows(lambda p: {"as_state": AsState[p["state"]]}),
         ends(End.STOP, End.SELF, End.ESTOP, no_torque_ms=10 + d.SLACK_MS, note="back in AS_DRIVING it brakes to rest"),
         SHOWN,
-        one_of("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
+        Draw("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
     ),
     Fault("status_go_off", "0x520 shows GO_SIGNAL 0, the car drives").by(
         i.status_shows(lambda p: {"go_signal": False}), EDGE, SHOWN
@@ -270,7 +260,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.from_car({i.STATUS}, "undefined AS_STATE"),
         Graded(((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))),
         lasts((10, 40), (60, 86), (130, 2500)),
-        between("state", (6, 15)),
+        Draw("state", (6, 15)),
     ),
     *(
         Fault(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
@@ -284,20 +274,20 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 "one_fault_bit",
                 "one fault bit",
                 lambda p: {"faults": Faults(**{field: name == p["bit"] for field, name in FAULT_NAMES.items()})},
-                one_of("bit", *FAULT_NAMES.values()),
+                Draw("bit", *FAULT_NAMES.values()),
             ),
             (
                 "shutdown_cause",
                 "a SHUTDOWN_CAUSE",
                 lambda p: {"shutdown_cause": ShutdownCause[p["cause"]]},
-                one_of("cause", *(cause.name for cause in ShutdownCause if cause)),
+                Draw("cause", *(cause.name for cause in ShutdownCause if cause)),
             ),
         )
     ),
     Fault(
         "status_old_marks",
         "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits or a SHUTDOWN_CAUSE since before the run",
-    ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), d.NOTHING, one_of("mark", *OLD_MARKS), from_start=True),
+    ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), d.NOTHING, Draw("mark", *OLD_MARKS), from_start=True),
     Fault("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
         i.together(
             i.status_shows(lambda p: {"ami": Ami.NOT_SELECTED}), i.vcu_differs(ready_without_acknowledgement=True)
@@ -308,26 +298,26 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("vcu_hasty", "the VCU takes Go so many ms after AS_READY began, not after 5 s").by(
         i.together(i.vcu_differs(ready_wait_ns=MS), i.hasty_go),
         NO_DRIVE,
-        between("ready", (20, 60), (500, 4700)),
+        Draw("ready", (20, 60), (500, 4700)),
         from_start=True,
     ),
     Fault("vcu_shows_go_all_along", "0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen").by(
         i.status_shows(lambda p: {"go_signal": True}), NO_DRIVE, from_start=True
     ),
     Fault("handshake_inverted", "HANDSHAKE toggles wrong on its way: inverted").by(
-        i.wild_handshake, NO_ECHO, lasts((10, 60), (150, 3000)), one_of("way", "inverted")
+        i.wild_handshake, NO_ECHO, lasts((10, 60), (150, 3000)), Draw("way", "inverted")
     ),
     Fault("handshake_random", "HANDSHAKE toggles wrong on its way: by chance").by(
-        i.wild_handshake, d.MAY_STOP_ITSELF, lasts((10, 3000)), one_of("way", "random")
+        i.wild_handshake, d.MAY_STOP_ITSELF, lasts((10, 3000)), Draw("way", "random")
     ),
     Fault("handshake_stuck", "HANDSHAKE stands still on its way").by(
         i.status_shows(lambda p: {"handshake": p["bit"] == "1"}),
         NO_ECHO,
         lasts((10, 60), (150, 3000)),
-        one_of("bit", "0", "1"),
+        Draw("bit", "0", "1"),
     ),
     Fault("handshake_slow", "our echo reaches the car late, within its patience").by(
-        i.to_car({i.AI_STATUS}, "late"), d.NOTHING, between("delay", (20, 70))
+        i.to_car({i.AI_STATUS}, "late"), d.NOTHING, Draw("delay", (20, 70))
     ),
     *_limit("front_limit", i.DRIVE_F, "the front axle's torque limit"),
     *_limit("rear_limit", i.DRIVE_R, "the rear axle's torque limit"),
@@ -336,10 +326,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_feedback("speeds", i.SPEEDS, "wheel speeds", frozen=d.ANY),
     *_needless("counts", i.COUNTS, "wheel pulses", frozen=COUNTS_OFF),
     Fault("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
-        i.from_car(i.LOGS, "flipped"), d.NOTHING, lasts((20, 4000)), between("bits", (1, 12))
+        i.from_car(i.LOGS, "flipped"), d.NOTHING, lasts((20, 4000)), Draw("bits", (1, 12))
     ),
     Fault("everything_thinned", "each frame of the car is lost by chance").by(
-        i.from_car(i.FROM_CAR, "thinned"), d.NOTHING, between("share", (0.01, 0.12))
+        i.from_car(i.FROM_CAR, "thinned"), d.NOTHING, Draw("share", (0.01, 0.12))
     ),
     Fault("car_silent", "we receive nothing of the car, it receives us").by(
         i.from_car(i.FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
@@ -355,11 +345,11 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 "nan",
                 "NaN, infinity or a huge number in a float of the PCAN-GPS",
                 "no number",
-                one_of("message", "0x610", "0x611", "0x621", "0x622", "0x623", "0x624", "0x625", "0x626"),
-                one_of("value", "nan", "inf", "huge"),
+                Draw("message", "0x610", "0x611", "0x621", "0x622", "0x623", "0x624", "0x625", "0x626"),
+                Draw("value", "nan", "inf", "huge"),
             ),
             ("frozen", "the PCAN-GPS repeats one payload", "frozen"),
-            ("corrupted", "bits of the PCAN-GPS's frames are flipped", "flipped", between("bits", (1, 12))),
+            ("corrupted", "bits of the PCAN-GPS's frames are flipped", "flipped", Draw("bits", (1, 12))),
         )
     ),
     # ---------------------------------------------------------------- what the car receives
@@ -369,15 +359,15 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     *_incoming("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
     *_incoming_torque("ai_brake", i.AI_BRAKE, "our brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)),
     Fault("ai_thinned", "each of our frames is lost on its way by chance").by(
-        i.to_car(AI_IDS, "thinned"), d.MAY_STOP_ITSELF, between("share", (0.01, 0.12))
+        i.to_car(AI_IDS, "thinned"), d.MAY_STOP_ITSELF, Draw("share", (0.01, 0.12))
     ),
     Fault("intruder", "somebody else sends on one of our ids").by(
         i.intruder,
         ends(End.ESTOP, End.SELF, no_torque_ms=d.SLACK_MS, estop_ms=d.SLACK_MS, safe_ms=60),
-        one_of("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
-        between("frames", (1, 50)),
-        between("period", (1, 20)),
-        one_of("payload", "zeros", "random"),
+        Draw("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
+        Draw("frames", (1, 50)),
+        Draw("period", (1, 20)),
+        Draw("payload", "zeros", "random"),
     ),
     Fault("stranger", "unknown, extended, remote and error frames every millisecond").by(
         i.stranger, d.NOTHING, lasts((20, 1500))
@@ -390,34 +380,34 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         for name, what, change, must, *draws in (
             ("dead", "reads 0", "dead", WHEEL_OFF),
             ("stuck", "stands still", "stuck", WHEEL_OFF),
-            ("drifting", "drifts, in rpm/s", "drifting", WHEEL_OFF, between("rate", (-300, -60), (60, 300))),
-            ("very_noisy", "is noisy, sigma in rpm", "noisy", WHEEL_OFF, between("size", (80, 300))),
-            ("offset", "is too high by so many rpm", "offset", WHEEL_OFF, between("size", (150, 600))),
-            ("scaled", "reads a multiple", "scaled", WHEEL_OFF, between("factor", (0.2, 0.6), (1.6, 3.0))),
-            ("noisy", "is a little noisy, sigma in rpm", "noisy", d.NOTHING, between("size", (1, 8))),
+            ("drifting", "drifts, in rpm/s", "drifting", WHEEL_OFF, Draw("rate", (-300, -60), (60, 300))),
+            ("very_noisy", "is noisy, sigma in rpm", "noisy", WHEEL_OFF, Draw("size", (80, 300))),
+            ("offset", "is too high by so many rpm", "offset", WHEEL_OFF, Draw("size", (150, 600))),
+            ("scaled", "reads a multiple", "scaled", WHEEL_OFF, Draw("factor", (0.2, 0.6), (1.6, 3.0))),
+            ("noisy", "is a little noisy, sigma in rpm", "noisy", d.NOTHING, Draw("size", (1, 8))),
         )
     ),
     Fault("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
         i.from_car({i.SPEEDS}, "impossible speeds"),
         LOST_FEEDBACK,
         lasts(*FEEDBACK_BANDS),
-        one_of("wheel", *i.WHEELS, "all"),
-        one_of("rpm", "1251", "1300", "65535"),
+        Draw("wheel", *i.WHEELS, "all"),
+        Draw("rpm", "1251", "1300", "65535"),
     ),
     Fault(
         "wheel_spiking",
         "one wheel speed jumps in every so many frames by more than any tyre can follow: such a frame is not believed",
-    ).by(i.spiking_speed, d.NOTHING, EACH_WHEEL, between("every", (2, 6))),
+    ).by(i.spiking_speed, d.NOTHING, EACH_WHEEL, Draw("every", (2, 6))),
     Fault(
         "wheels_jumping",
         "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there: not believed",
-    ).by(i.reading("offset", "wheel_rpm"), LOST_FEEDBACK.steps[-1][1], between("size", (400, 800))),
+    ).by(i.reading("offset", "wheel_rpm"), LOST_FEEDBACK.steps[-1][1], Draw("size", (400, 800))),
     Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading("stuck", "wheel_rpm"), d.ANY, UPSET),
     Fault("wheels_dead", "all wheel speeds read 0").by(i.reading("dead", "wheel_rpm"), COUNTS_OFF, UPSET),
     Fault("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
         i.swapped_wheels,
         ends(End.ON, End.STOP, End.ESTOP, note="curves may make them implausible"),
-        one_of("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
+        Draw("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
         missions=ROAD_MISSIONS,
     ),
     Fault("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
@@ -426,7 +416,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             f"{d.NOTHING.demanded}; where they stand still: {COUNTS_OFF.demanded}",
             lambda p: COUNTS_OFF if p["way"] == "stuck" else d.NOTHING,
         ),
-        one_of("way", "stuck", "double", "random"),
+        Draw("way", "stuck", "double", "random"),
     ),
     Fault(
         "pulses_running_on",
@@ -434,8 +424,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ).by(
         i.together(i.reading("wrong pulses", "pulses"), i.manual_asked),
         replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)), note="it never sends FINISHED"),
-        one_of("way", "running"),
-        between("rate", (30, 400)),
+        Draw("way", "running"),
+        Draw("rate", (30, 400)),
     ),
     *(
         Fault(f"steering_sensor_{name}", f"the steering angle measured {what}").by(
@@ -443,22 +433,22 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
         for name, what, change, must, *draws in (
             ("stuck", "stands still", "stuck", STEERING_OFF),
-            ("offset", "is off by so many deg", "offset", STEERING_OFF, between("size", (-15.0, -4.0), (4.0, 15.0))),
-            ("drifting", "drifts, in deg/s", "drifting", STEERING_OFF, between("rate", (-6.0, -1.0), (1.0, 6.0))),
-            ("noisy", "is noisy, sigma in deg", "noisy", STEERING_OFF, between("size", (0.1, 5.0))),
-            ("slightly_off", "is off by up to 1 deg", "offset", d.NOTHING, between("size", (-1.0, 1.0))),
+            ("offset", "is off by so many deg", "offset", STEERING_OFF, Draw("size", (-15.0, -4.0), (4.0, 15.0))),
+            ("drifting", "drifts, in deg/s", "drifting", STEERING_OFF, Draw("rate", (-6.0, -1.0), (1.0, 6.0))),
+            ("noisy", "is noisy, sigma in deg", "noisy", STEERING_OFF, Draw("size", (0.1, 5.0))),
+            ("slightly_off", "is off by up to 1 deg", "offset", d.NOTHING, Draw("size", (-1.0, 1.0))),
         )
     ),
     Fault("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
-        i.reading("stuck or noise", *i.BRAKES), d.NOTHING, one_of("way", "stuck", "noise")
+        i.reading("stuck or noise", *i.BRAKES), d.NOTHING, Draw("way", "stuck", "noise")
     ),
     *(
         Fault(f"gyro_{change}", f"the yaw rate of the PCAN-GPS {what}").by(
             i.reading(change, "yaw_rate_radps"), d.NOTHING, draw, missions=ROAD_MISSIONS, gps=True
         )
         for change, what, draw in (
-            ("drifting", "drifts, in rad/s2", between("rate", (-0.5, 0.5))),
-            ("noisy", "is noisy, sigma in rad/s", between("size", (0.05, 1.0))),
+            ("drifting", "drifts, in rad/s2", Draw("rate", (-0.5, 0.5))),
+            ("noisy", "is noisy, sigma in rad/s", Draw("size", (0.05, 1.0))),
         )
     ),
     # ---------------------------------------------------------------- actuators
@@ -467,9 +457,9 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         for name, what, change, *draws in (
             ("stuck_rack", "sticks", "slow"),
             ("free", "does not follow: it returns to straight", "dead"),
-            ("slow", "turns too slowly, in deg/s", "slow", between("rate", (2.0, 12.0))),
-            ("weak", "reaches a part of its request only", "scaled", between("factor", (0.2, 0.7))),
-            ("offset", "is off by so many deg", "offset", between("size", (-12.0, -5.0), (5.0, 12.0))),
+            ("slow", "turns too slowly, in deg/s", "slow", Draw("rate", (2.0, 12.0))),
+            ("weak", "reaches a part of its request only", "scaled", Draw("factor", (0.2, 0.7))),
+            ("offset", "is off by so many deg", "offset", Draw("size", (-12.0, -5.0), (5.0, 12.0))),
             ("inverted", "turns the wrong way", "inverted"),
         )
     ),
@@ -477,18 +467,18 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.ordered("dead", *i.TORQUES), ends(End.ON, note="as far as it rolls")
     ),
     Fault("motor_weak", "the motors give a part of the torque").by(
-        i.ordered("scaled", *i.TORQUES), d.NOTHING, between("factor", (0.1, 0.7))
+        i.ordered("scaled", *i.TORQUES), d.NOTHING, Draw("factor", (0.1, 0.7))
     ),
     Fault("motor_one_axle", "one of the two driven axles gives no torque").by(
         i.ordered("dead", "front_torque_nm"), d.NOTHING, revisions=("2021",)
     ),
     Fault("motor_late", "torque comes and goes late, in ms").by(
-        i.ordered("late", *i.TORQUES), d.NOTHING, between("delay", (20, 200))
+        i.ordered("late", *i.TORQUES), d.NOTHING, Draw("delay", (20, 200))
     ),
     Fault("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
         i.together(i.ordered("runs on", "rear_torque_nm"), i.manual_asked),
         INEFFECTIVE,
-        between("torque", (20.0, 150.0)),
+        Draw("torque", (20.0, 150.0)),
     ),
     *(
         Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(
@@ -502,7 +492,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 "scaled",
                 i.BRAKES,
                 INEFFECTIVE,
-                between("factor", (0.02, 0.6)),
+                Draw("factor", (0.02, 0.6)),
             ),
             (
                 "slow",
@@ -510,7 +500,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 "builds up",
                 i.BRAKES,
                 INEFFECTIVE,
-                between("rate", (5.0, 100.0)),
+                Draw("rate", (5.0, 100.0)),
             ),
             ("front_only", "the rear brakes do nothing", "dead", i.BRAKES[1:], INEFFECTIVE),
             ("rear_only", "the front brakes do nothing", "dead", i.BRAKES[:1], INEFFECTIVE),
@@ -546,10 +536,10 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.put("world.vcu.switches.brake_fault", True), d.NOTHING
     ),
     Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
-        i.derated, WITHIN_LIMIT, one_of("limit", "torque_limit_nm"), between("value", (0.0, 120.0))
+        i.derated, WITHIN_LIMIT, Draw("limit", "torque_limit_nm"), Draw("value", (0.0, 120.0))
     ),
     Fault("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
-        i.derated, WITHIN_LIMIT, one_of("limit", "steer_limit_deg"), between("value", (2.0, 20.0))
+        i.derated, WITHIN_LIMIT, Draw("limit", "steer_limit_deg"), Draw("value", (2.0, 20.0))
     ),
     Fault("vcu_reboots", "the VCU loses its power for a moment and starts anew").by(
         i.put("world.vcu.switches.lvms", False),
@@ -606,7 +596,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("planner_late", "each plan comes late, with the stamp of its data").by(
         i.late_plans,
         replace(OLD_DATA, of="delay"),
-        between("delay", (20, 200), (950, 1500)),
+        Draw("delay", (20, 200), (950, 1500)),
         missions=PATH_MISSIONS,
     ),
     *(
@@ -637,25 +627,25 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.commanded(i.no_number),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        one_of("field", "steering_rad", "throttle", "brake"),
-        one_of("value", "nan", "inf", "beyond", "negative"),
+        Draw("field", "steering_rad", "throttle", "brake"),
+        Draw("value", "nan", "inf", "beyond", "negative"),
     ),
     Fault("controller_other_run", "commands for another run: they count as no command").by(
         i.commanded(lambda command, at: {"run_id": command.run_id + at.p["off"]}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        between("off", (-3, -1), (1, 3)),
+        Draw("off", (-3, -1), (1, 3)),
     ),
     Fault("controller_old_stamps", "commands carry a stamp that is too old").by(
         i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
         Graded(((600, d.stop(d.CONTROL_MS)),), "age"),
-        between("age", (20, 180), (950, 3000)),
+        Draw("age", (20, 180), (950, 3000)),
     ),
     Fault("controller_future_stamps", "commands carry a stamp of the future: they are refused whole").by(
         i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        between("ahead", (30, 5000)),
+        Draw("ahead", (30, 5000)),
     ),
     Fault(
         "controller_fixed_future_stamp",
@@ -664,7 +654,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns - at.since_ns + at.p["ahead"] * MS}),
         LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        between("ahead", (450, 6000)),
+        Draw("ahead", (450, 6000)),
     ),
     Fault(
         "sensor_clock_fast",
@@ -678,7 +668,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 FAST_CLOCK_MS / p["gain"] + d.COMMAND_STALE_MS + d.CONTROL_MS,
             ),
         ),
-        between("gain", (0.2, 3.0)),
+        Draw("gain", (0.2, 3.0)),
     ),
     Fault("controller_frozen", "one command is repeated, stamp and all").by(
         i.commands(lambda command, at: at.kept.setdefault("first", command)), OLD_DATA, lasts((50, 280), (950, 3000))
@@ -687,8 +677,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
         Graded(((0, d.held(d.CONTROL_MS)), (100, d.estop(d.BOTH_PEDALS_MS + d.CONTROL_MS, d.CONTROL_MS)))),
         lasts((10, 50), (160, 2000)),
-        between("throttle", (0.05, 1.0)),
-        between("brake", (0.05, 1.0)),
+        Draw("throttle", (0.05, 1.0)),
+        Draw("brake", (0.05, 1.0)),
     ),
     Fault("controller_gives_up", "the controller asks for the emergency brake").by(
         i.commanded(lambda command, at: {"estop_request": True}), d.estop(d.CONTROL_MS)
@@ -700,13 +690,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         Fault(f"controller_{name}", what).by(i.commanded(change), ROUGH, UPSET, *draws)
         for name, what, change, *draws in (
             ("absurd", "commands of random numbers, each in range", i.absurd),
-            ("swinging", "steering from lock to lock", i.swinging, between("period", (20, 400))),
+            ("swinging", "steering from lock to lock", i.swinging, Draw("period", (20, 400))),
             (
                 "full_throttle",
                 "full throttle for ever",
                 lambda command, at: {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0},
             ),
-            ("pumping", "full throttle and full brake by turns", i.pumping, between("period", (20, 80))),
+            ("pumping", "full throttle and full brake by turns", i.pumping, Draw("period", (20, 80))),
         )
     ),
     *(
@@ -715,9 +705,9 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
         for name, what, change, *draws in (
             ("blind", "sees no cone", i.blind),
-            ("inventing", "sees cones that are not there", i.invented, between("count", (1, 40))),
-            ("shifted", "sees every cone beside its place, in m", i.shifted, between("size", (-3.0, 3.0))),
-            ("nan", "gives NaN and infinity as places", i.nan_cones, between("share", (0.05, 1.0))),
+            ("inventing", "sees cones that are not there", i.invented, Draw("count", (1, 40))),
+            ("shifted", "sees every cone beside its place, in m", i.shifted, Draw("size", (-3.0, 3.0))),
+            ("nan", "gives NaN and infinity as places", i.nan_cones, Draw("share", (0.05, 1.0))),
             ("colour_blind", "takes blue for yellow and yellow for blue", i.swapped_colours),
         )
     ),
@@ -727,7 +717,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         i.restarted("bridge"), SILENT_OURS, lasts((0, 3000))
     ),
     Fault("bridge_restarted_and_asked", "the same, and somebody asks for autonomous all the while").by(
-        i.insisting_operator, SILENT_OURS, between("gone", (0, 3000))
+        i.insisting_operator, SILENT_OURS, Draw("gone", (0, 3000))
     ),
     Fault("everything_restarted", "bridge, planner and controller end and are started again together").by(
         i.restarted("bridge", "planner", "controller"), SILENT_OURS, lasts((0, 3000))
@@ -738,12 +728,12 @@ ROWS: Final[tuple[FaultKind, ...]] = (
             "a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
             lambda p: Graded(((50, d.estop(p["hang"], 0)), (100, SILENT_OURS)), "hang").demand(p),
         ),
-        between("hang", (5, 35), (70, 82), (130, 2500)),
+        Draw("hang", (5, 35), (70, 82), (130, 2500)),
     ),
     Fault("edge_hung", "the process between ROS and the loop stands still for a while: no command comes through").by(
         lambda fault, rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS),
         replace(LOST_COMMAND, of="hang"),
-        between("hang", *COMMAND_BANDS),
+        Draw("hang", *COMMAND_BANDS),
     ),
     Fault("edge_killed", "the process between ROS and the loop is killed").by(
         lambda fault, rig, p, t_ns: rig.computer.kill_edge(),
@@ -756,7 +746,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("loop_late", "the loop misses one deadline by so many ms").by(
         lambda fault, rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS),
         Graded(((50, d.estop(51 + 15, 15)),), "late"),
-        between("late", (49, 49), (51, 51)),
+        Draw("late", (49, 49), (51, 51)),
     ),
     Fault(
         "clock_stepped",
@@ -764,7 +754,7 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ).by(
         i.commanded(i.clock_step),
         ends(End.ON, note="only monotonic time is used"),
-        between("step", (-50, -1), (1, 50)),
+        Draw("step", (-50, -1), (1, 50)),
         missions=PATH_MISSIONS,
     ),
     *(
@@ -785,13 +775,13 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
         for name, what, *draws in (
             ("bus_full", "the transmit queue is full (ENOBUFS)"),
-            ("bus_full_partly", "each cycle fits into the queue only partly", between("taken", (1, 4))),
+            ("bus_full_partly", "each cycle fits into the queue only partly", Draw("taken", (1, 4))),
         )
     ),
     Fault("bus_busy", "each frame finds the queue full by chance").by(
         i.busy_queue,
         ends(End.ON, End.STOP, End.SELF, note="dropped cycles are tried again"),
-        between("share", (0.002, 0.15)),
+        Draw("share", (0.002, 0.15)),
     ),
     *(
         Fault(name, what).by(
@@ -800,8 +790,8 @@ ROWS: Final[tuple[FaultKind, ...]] = (
                 ((0, ends(End.STOP, End.SELF, no_torque_ms=0, safe_ms=3000 + 200, note=BUS_LOST)), (100, SILENT_OURS)),
                 "gone",
             ),
-            between("gone", (1, 45), (130, 3000)),
-            one_of("why", why),
+            Draw("gone", (1, 45), (130, 3000)),
+            Draw("why", why),
         )
         for name, what, why in (
             ("bus_off", "the controller goes bus-off and comes back", "bus-off"),
