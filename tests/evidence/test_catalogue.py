@@ -15,7 +15,7 @@ from fsai_hil.evidence.campaign.cases import LEGS_MS, CampaignPlan, Since, case_
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS, FaultKind
 from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.injections import At, Ongoing, no_number
-from fsai_hil.simulator.faults import Delay, Drop, FlipBits, Freeze, Repeat, WrongLength
+from fsai_hil.simulator.faults import Delay, Drop, FaultyWire, FlipBits, Freeze, Repeat, WrongLength
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.interface.enums import Ami
 
@@ -74,25 +74,15 @@ def test_full_length_cases_begin_their_faults_in_every_phase() -> None:
     assert any(case.since is Since.DRIVING and case.after_ms < 3000 for case in cases)
 
 
-class Wire:
-    """Where a fault between car and AI computer is put."""
-
-    def __init__(self) -> None:
-        self.faults: list[Any] = []
-
-    def add(self, fault: Any) -> None:
-        self.faults.append(fault)
-
-
 def on_the_wire(kind: FaultKind) -> list[tuple[type, frozenset[int], bool]]:
-    """What a kind does to messages: how, which, and whether as the car hears them."""
-    said, heard = Wire(), Wire()
-    vcu = SimpleNamespace(outgoing=said, incoming=heard)
+    """What a kind does to messages: how, which, and whether as the car receives them."""
+    sent, received = FaultyWire(), FaultyWire()
+    vcu = SimpleNamespace(outgoing=sent, incoming=received)
     try:
         kind.begin(Ongoing(), SimpleNamespace(world=SimpleNamespace(vcu=vcu)), drawn(kind, random.Random(1)), 0)  # type: ignore[arg-type]
     except AttributeError:
         return []  # it is done to something else than messages
-    faults = [(fault, wire is heard) for wire in (said, heard) for fault in wire.faults]
+    faults = [(fault, wire is received) for wire in (sent, received) for fault in wire._faults]
     return [(type(fault), fault.ids, car) for fault, car in faults]
 
 
@@ -101,8 +91,8 @@ def test_every_message_gets_every_kind_of_bus_fault(can_id: int) -> None:
     done = {
         how
         for kind in ROWS
-        for how, ids, heard_by_car in on_the_wire(kind)
-        if ids == frozenset({can_id}) and heard_by_car is (can_id < 0x520)
+        for how, ids, by_car in on_the_wire(kind)
+        if ids == frozenset({can_id}) and by_car is (can_id < 0x520)
     }
     assert {Drop, Delay, Freeze, Repeat, FlipBits, WrongLength} <= done
 

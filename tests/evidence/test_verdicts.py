@@ -129,7 +129,7 @@ def test_a_car_that_drives_again_by_itself_is_worse_than_allowed() -> None:
     assert not verdict.ok and "torque 20 Nm" in verdict.faults[0]
 
 
-def test_broken_rules_and_ended_processes_are_worse_whatever_the_end() -> None:
+def test_broken_rules_and_ended_processes_are_always_worse() -> None:
     seen = observed(**STOPPED, **FINISHED)
     verdict = judge(SILENT, seen, FAULT_NS, ["1.0 s: rule 1: both"], ["the bridge's process ended: KeyError: 5"])
     assert verdict.faults == ("on the wire: 1.0 s: rule 1: both", "the bridge's process ended: KeyError: 5")
