@@ -58,7 +58,7 @@ def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
         raise RecordError(f"{path} is not the record of a fault campaign")
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
-    return first, list(runs.values())
+    return {"sources": "unknown", **first}, list(runs.values())
 
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
