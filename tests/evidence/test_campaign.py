@@ -163,7 +163,7 @@ def _lines(path: Path) -> int:
 
 def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
-    arguments = ["--runs", "8", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
+    arguments = ["--runs", "16", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0) as run:
         while _lines(record) < 3:
@@ -174,11 +174,11 @@ def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     assert run.returncode == 130
     assert "--resume goes on" in error and "Traceback" not in error
     kept = _lines(record) - 1
-    assert 2 <= kept < 8
+    assert 2 <= kept < 16
     again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert f"{kept} runs are in" in again.stderr
-    assert sorted(run["index"] for run in read(record)[1]) == list(range(8))
+    assert sorted(run["index"] for run in read(record)[1]) == list(range(16))
 
 
 def test_a_record_of_other_sources_is_neither_continued_nor_lost(
