@@ -18,18 +18,17 @@ from typing import Any
 import pytest
 
 from fsai_hil.evidence.campaign import runner
-from fsai_hil.evidence.campaign.cases import Case, case_from_spec
+from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, case_from_spec
 from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.record import digest, read
-from fsai_hil.evidence.campaign.runner import CampaignPlan, ClusterError, on_cluster
+from fsai_hil.evidence.campaign.runner import ClusterError, header_of, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS, Patches
 from fsai_vcu.cli.main import main
 from fsai_vcu.core.planning.planner import Planner
 from fsai_vcu.core.supervision import supervisor
-from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.core.supervision.supervisor import REACTIONS, Asked, Consequence, Step
+from fsai_vcu.core.supervision.supervisor import Asked
 from fsai_vcu.interface.enums import Ami
 
 CAMPAIGN = [sys.executable, "-m", "fsai_vcu.cli.main", "campaign"]
@@ -39,35 +38,22 @@ ONE_CAR = [*SHORT, "--missions", "acceleration", "--revisions", "2026"]
 
 
 def test_faults_of_a_sample_end_as_the_safety_rules_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The short form of the campaign: of each sort of fault some; `make campaign` has every kind."""
-    runs = []
-    for mission, kinds in _by_mission().items():
-        if not kinds:
-            continue
-        out = tmp_path / mission
-        chosen = ["--missions", mission, "--runs", str(len(kinds)), "--faults", ",".join(kinds)]
-        status = main(["campaign", *SHORT, "--revisions", "2021", "--jobs", "2", "--out", str(out), *chosen])
-        told = capsys.readouterr().out
-        assert status == 0, told
-        assert "every run ended as the rules demand" in told
-        runs += read(out / "record.jsonl")[1]
-    assert sorted(run["fault"] for run in runs) == sorted(name for kinds in _by_mission().values() for name in kinds)
-    table = tmp_path / "faults.md"
-    assert main(["campaign", "--table", str(tmp_path / "acceleration/record.jsonl"), "-o", str(table)]) == 0
+    """The short form of the campaign, of each sort of fault some: `make campaign` has every kind.
+
+    On the car of 2021, which has them all; each mission and car costs drives to its beginning.
+    """
+    kinds = [kind.name for kind in ROWS[::EACH] if Ami.ACCELERATION in kind.missions]  # alike faults stand together
+    chosen = ["--missions", "acceleration", "--runs", str(len(kinds)), "--faults", ",".join(kinds)]
+    status = main(["campaign", *SHORT, "--revisions", "2021", "--jobs", "2", "--out", str(tmp_path), *chosen])
+    printed = capsys.readouterr().out
+    assert status == 0 and "every run ended as the rules demand" in printed, printed
+    record, table = tmp_path / "record.jsonl", tmp_path / "faults.md"
+    assert sorted(run["fault"] for run in read(record)[1]) == sorted(kinds)
+    assert main(["campaign", "--table", str(record), "-o", str(table)]) == 0
     text = table.read_text()
-    kinds = _by_mission()["acceleration"]
     assert all(f"| `{name}` |" in text for name in kinds)
     assert f"Worse than the rules allow: 0 of {len(kinds)} runs" in text
     assert f"signal databases): `{digest()}`." in text
-
-
-def _by_mission() -> dict[str, list[str]]:
-    """The sample, on the car of 2021 that has them all: each mission and car costs drives to its beginning."""
-    sample = ROWS[::EACH]  # alike faults stand together
-    return {
-        "acceleration": [kind.name for kind in sample if Ami.ACCELERATION in kind.missions],
-        "autonomous_demo": [kind.name for kind in sample if Ami.ACCELERATION not in kind.missions],
-    }
 
 
 # ---------------------------------------------------------------- it can fail
@@ -90,10 +76,6 @@ def _fails(*_: object) -> Any:
     raise ZeroDivisionError("of the wheel speeds")
 
 
-def _only_the_clock(config: Any, state: Any, stop: Any, now_ns: int) -> Any:
-    return state, now_ns - stop.since_ns >= config.stop_timeout_ns and state.fastest_rpm >= config.standstill_rpm
-
-
 def _stops_for_anything_else(original: Callable[..., Any]) -> Callable[..., Any]:
     def begin_stop(state: Any, cause: object, *rest: Any) -> Any:
         return state if cause is Asked.MISSION_DONE else original(state, cause, *rest)
@@ -105,12 +87,8 @@ def _seed(name: str) -> Patches:
     return next(seed.patches for seed in SEEDS if seed.name == name)
 
 
-def _reaction(reason: Reason, *steps: Step) -> Patches:
-    return ((supervisor, "REACTIONS", {**REACTIONS, reason: steps}),)
-
-
-_LATE_STOP = (Step("command_stale_ns", Consequence.HOLD), Step("implausible_lost_ns", Consequence.STOP_MANUAL))
-# One defect of each way in which a run can be worse than the rules allow: `make verify` and the fuzz find many more.
+# One defect of each way in which a run can be worse than the rules allow, where it takes a run to see it: how late is
+# too late is in test_verdicts.py, and `make verify` and the fuzz find many more.
 SEEDED: dict[str, tuple[str, Patches]] = {
     "no reaction": ("speeds_lost:duration=1500", _seed("lost wheel speeds are only reported")),
     "no ESTOP_REQUEST": (
@@ -123,20 +101,7 @@ SEEDED: dict[str, tuple[str, Patches]] = {
     ),
     "implausible counts": ("wheels_dead:duration=2000", _seed("a pulse count contradicts no wheel speed")),
     "an implausible wheel": ("wheel_offset:wheel=fl,size=290", _seed("odd wheels never ask for the emergency")),
-    "a refused command counts": (
-        "controller_nan:field=throttle,value=nan,duration=1500",
-        _seed("no command is out of order"),
-    ),
     "a rule of the bus": ("controller_pumping:duration=2000,period=40", _seed("torque rises right after the brake")),
-    "a stop too late": ("controller_silent:duration=1500", _reaction(Reason.COMMAND_STALE, *_LATE_STOP)),
-    "ESTOP_REQUEST too late": (
-        "brakes_failing",
-        ((supervisor, "_stop_ineffective", _only_the_clock),),
-    ),
-    "a stop that nothing asks for": (
-        "status_lost:duration=70",
-        _reaction(Reason.VCU_SILENT, Step("vcu_stale_ns", Consequence.STOP)),
-    ),
     "driving on by itself": ("planner_restarted:duration=100", ((supervisor, "confirm", _old_confirm),)),
     "the end of the mission is missed": (
         "planner_finishes_early",
@@ -180,13 +145,13 @@ def test_a_failed_campaign_prints_the_line_that_replays_the_run(
     with patched(supervisor, "ask_emergency", lambda state, *rest: state):
         chosen = ["--runs", "2", "--jobs", "1", "--faults", "emergency_asked"]
         status = main(["campaign", *chosen, "--out", str(tmp_path), *ONE_CAR])
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert status == 1
     worse = [run for run in read(tmp_path / "record.jsonl")[1] if run["verdict"] == "worse"]
     assert len(worse) == 2
-    assert all(f"worse: {run['replay']}" in told for run in worse)
-    assert "drives on, where the rules demand: EMERGENCY_BRAKE by our ESTOP_REQUEST" in told
-    assert "2 worse than the rules allow" in told
+    assert all(f"worse: {run['replay']}" in printed for run in worse)
+    assert "drives on, where the rules demand: EMERGENCY_BRAKE by our ESTOP_REQUEST" in printed
+    assert "2 worse than the rules allow" in printed
 
 
 # ---------------------------------------------------------------- killed, interrupted, resumed
@@ -198,7 +163,7 @@ def _lines(path: Path) -> int:
 
 def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
-    arguments = ["--runs", "8", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
+    arguments = ["--runs", "16", "--faults", "go_off,emergency_asked", "--jobs", "2", *ONE_CAR]
     command = [*CAMPAIGN, *arguments, "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0) as run:
         while _lines(record) < 3:
@@ -209,11 +174,11 @@ def test_an_interrupted_campaign_continues_where_it_was(tmp_path: Path) -> None:
     assert run.returncode == 130
     assert "--resume goes on" in error and "Traceback" not in error
     kept = _lines(record) - 1
-    assert 2 <= kept < 8
+    assert 2 <= kept < 16
     again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert f"{kept} runs are in" in again.stderr
-    assert sorted(run["index"] for run in read(record)[1]) == list(range(8))
+    assert sorted(run["index"] for run in read(record)[1]) == list(range(16))
 
 
 def test_a_record_of_other_sources_is_neither_continued_nor_lost(
@@ -231,7 +196,7 @@ def test_a_record_of_other_sources_is_neither_continued_nor_lost(
     assert main([*chosen, "--resume", "--renew"]) == 0
     assert "is now record-before-1.jsonl: it is of other sources" in capsys.readouterr().err
     assert (tmp_path / "record-before-1.jsonl").read_text() == before
-    assert read(tmp_path / "record.jsonl")[0].sources == "other"
+    assert read(tmp_path / "record.jsonl")[0]["sources"] == "other"
     assert main([*chosen, "--resume", "--renew"]) == 0, "the same sources go on"
     assert not (tmp_path / "record-before-2.jsonl").exists()
     assert main(chosen) == 0
@@ -255,10 +220,10 @@ def test_a_dask_cluster_drives_the_same_campaign(cluster: str, tmp_path: Path) -
     assert main([*arguments, "--dask", cluster, "--out", str(tmp_path / "there")]) == 0
     assert main([*arguments, "--jobs", "1", "--out", str(tmp_path / "here")]) == 0
     there, here = (read(tmp_path / place / "record.jsonl")[1] for place in ("there", "here"))
-    assert _told(there) == _told(here)
+    assert _untimed(there) == _untimed(here)
 
 
-def _told(runs: list[dict[str, Any]]) -> list[str]:
+def _untimed(runs: list[dict[str, Any]]) -> list[str]:
     kept = [{name: value for name, value in run.items() if name != "wall_s"} for run in runs]
     return sorted(json.dumps(run) for run in kept)
 
@@ -274,8 +239,8 @@ def test_without_dask_one_line_says_what_to_install(
 
 def test_a_cluster_of_other_sources_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = CampaignPlan(1, 1)
-    other = replace(plan.header(), sources="other")
-    monkeypatch.setattr(CampaignPlan, "header", lambda plan: other)
+    other = {**header_of(plan), "sources": "other"}
+    monkeypatch.setattr(runner, "header_of", lambda plan: other)
     with pytest.raises(ClusterError, match=f"has other sources \\({digest()}, here are other\\)"):
         next(on_cluster(plan, plan.tasks(), cluster))
 

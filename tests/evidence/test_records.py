@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.evidence.campaign.cases import Selection
-from fsai_hil.evidence.campaign.record import RecordError, Writer, files, put_aside, read
-from fsai_hil.evidence.campaign.runner import CampaignPlan, batches
+from fsai_hil.evidence.campaign.cases import CampaignPlan
+from fsai_hil.evidence.campaign.record import RecordError, Writer, files, read
+from fsai_hil.evidence.campaign.runner import batches, header_of
 
 
 def plan(seed: int = 1) -> CampaignPlan:
-    return CampaignPlan(seed, runs=20, full=3, selection=Selection(("go_off", "status_lost")))
+    return CampaignPlan(seed, runs=20, full=3, faults=("go_off", "status_lost"))
 
 
 def line(index: int, full: bool = False) -> dict[str, object]:
@@ -21,46 +21,32 @@ def line(index: int, full: bool = False) -> dict[str, object]:
 
 
 def test_what_was_written_is_read_again(tmp_path: Path) -> None:
-    with Writer(tmp_path / "record.jsonl", plan().header(), resume=False) as writer:
+    with Writer(tmp_path / "record.jsonl", header_of(plan())) as writer:
         writer.add(line(3))
         writer.add(line(3, full=True))
     header, runs = read(tmp_path / "record.jsonl")
-    assert header == plan().header()
+    assert header == header_of(plan())
     assert [(run["full"], run["index"]) for run in runs] == [(False, 3), (True, 3)]
 
 
 def test_a_line_cut_short_by_a_kill_is_left_out_and_driven_again(tmp_path: Path) -> None:
     path = tmp_path / "record.jsonl"
-    with Writer(path, plan().header(), resume=False) as writer:
+    with Writer(path, header_of(plan())) as writer:
         writer.add(line(0))
         writer.add(line(1))
     path.write_bytes(path.read_bytes()[:-10])
-    with Writer(path, plan().header(), resume=True) as writer:
+    with Writer(path, header_of(plan())) as writer:
         assert writer.done == {(False, 0)}
         writer.add(line(1))
     assert [run["index"] for run in read(path)[1]] == [0, 1]
     assert all(json.loads(text) for text in path.read_text().splitlines())
 
 
-@pytest.mark.parametrize(
-    ("seed", "resume", "complaint"), [(1, False, "--resume goes on with it"), (2, True, "another campaign")]
-)
-def test_a_record_is_not_overwritten_nor_mixed_by_accident(
-    seed: int, resume: bool, complaint: str, tmp_path: Path
-) -> None:
+def test_a_record_is_not_mixed_by_accident(tmp_path: Path) -> None:
     path = tmp_path / "record.jsonl"
-    Writer(path, plan(1).header(), resume=False).close()
-    with pytest.raises(RecordError, match=complaint):
-        Writer(path, plan(seed).header(), resume=resume)
-
-
-def test_a_record_that_is_put_aside_keeps_a_name_of_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
-    assert put_aside(path) is None
-    for number in (1, 2):
-        path.write_text(f"{number}\n")
-        assert put_aside(path) == tmp_path / f"record-before-{number}.jsonl"
-    assert (tmp_path / "record-before-1.jsonl").read_text() == "1\n"
+    Writer(path, header_of(plan(1))).close()
+    with pytest.raises(RecordError, match="another campaign"):
+        Writer(path, header_of(plan(2)))
 
 
 def test_the_digest_covers_the_code_that_decides_a_run() -> None:
@@ -68,12 +54,14 @@ def test_the_digest_covers_the_code_that_decides_a_run() -> None:
         "fsai_vcu/core/supervision/gate.py",
         "fsai_vcu/interface/codec.py",
         "fsai_vcu/runtime/engine.py",
+        "fsai_vcu/diagnostics/log/reader.py",
+        "fsai_vcu/diagnostics/statistics/quantiles.py",
         "fsai_hil/rules/checker.py",
         "fsai_hil/simulator/lockstep.py",
         "fsai_hil/evidence/campaign/catalogue.py",
         "ads_dv_2026.dbc",
     } <= set(files())
-    assert not [name for name in files() if {"cli", "mutation", "fuzz.py"} & set(Path(name).parts)]
+    assert not [name for name in files() if {"cli", "mutation", "fuzz.py", "measure.py"} & set(Path(name).parts)]
 
 
 def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from fsai_hil.evidence.campaign.cases import Case, Selection, Since, case_of
-from fsai_hil.evidence.campaign.runner import CampaignPlan, drive_batch
+from fsai_hil.evidence.campaign.cases import CampaignPlan, Case, Since
+from fsai_hil.evidence.campaign.runner import drive_batch
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots, drive_to, power_up, run_case
 from fsai_vcu.cli.main import main
 from fsai_vcu.interface.enums import Ami
@@ -27,7 +27,7 @@ def case(fault: str, mission: Ami = Ami.ACCELERATION, after_ms: int = 3500, **pa
 def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up(snapshots: Snapshots) -> None:
     one = case("detector_inventing", Ami.AUTOCROSS, duration=800, count=12)  # chance of detector, planner and fault
     copied = [Scenario(one, snapshots.rig(one), 1000) for _ in range(2)]
-    rig = power_up(one)
+    rig = power_up(one.world)
     assert one.leg_ms is not None
     drive_to(rig, one.leg_ms)
     whole = Scenario(one, rig, 1000)
@@ -41,14 +41,14 @@ def test_a_run_from_a_copied_snapshot_is_the_run_from_power_up(snapshots: Snapsh
 
 
 def test_the_order_in_which_cases_are_driven_changes_nothing() -> None:
-    selection = Selection(("steering_sensor_noisy", "wheel_very_noisy"), (Ami.ACCELERATION,), ("2026",), 1)
-    plan = CampaignPlan(5, 2, selection=selection, window_ms=1000)
+    faults = ("steering_sensor_noisy", "wheel_very_noisy")
+    plan = CampaignPlan(5, 2, 0, faults, (Ami.ACCELERATION,), ("2026",), 1, 1000)
     forward = drive_batch(plan, [(False, 0), (False, 1)])
     backward = drive_batch(plan, [(False, 1), (False, 0)])
-    assert [_told(line) for line in forward] == [_told(line) for line in reversed(backward)]
+    assert [_untimed(line) for line in forward] == [_untimed(line) for line in reversed(backward)]
 
 
-def _told(line: dict[str, Any]) -> dict[str, Any]:
+def _untimed(line: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in line.items() if name != "wall_s"}
 
 
@@ -66,28 +66,26 @@ def test_a_full_length_run_goes_from_power_up_to_the_end(snapshots: Snapshots) -
 
 
 def test_a_replay_is_the_recorded_run(capsys: pytest.CaptureFixture[str], snapshots: Snapshots) -> None:
-    selection = Selection(("manual_asked",), (Ami.ACCELERATION,), ("2026",), 1)
-    recorded = run_case(case_of(1, 0, selection), snapshots)
+    plan = CampaignPlan(1, 1, 0, ("manual_asked",), (Ami.ACCELERATION,), ("2026",), 1)
+    recorded = run_case(plan.case(0), snapshots)
     arguments = recorded["replay"].split()[1:]
     assert main([*arguments, "--json"]) == 0
     replayed = json.loads(capsys.readouterr().out)
     assert replayed == {name: value for name, value in recorded.items() if name in replayed}
 
 
-def test_the_story_says_what_the_bridge_saw_and_did_and_when(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_has_what_the_bridge_saw_did_and_when(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec, log = "controller_silent:after=5000,duration=1500", tmp_path / "bus.log"
     assert main(["drive", "--mission", "acceleration", "--fault", spec, "--log", str(log)]) == 0
     assert " 513#" in log.read_text()
-    told = capsys.readouterr().out
-    assert "--fault controller_silent:since=driving,after=5000,duration=1500" in told
-    assert "demanded: " in told and "as the safety rules demand" in told
-    assert "bridge sees: the vehicle command is stale" in told
-    assert "bridge: AS_DRIVING, torque 0 until what is stale is fresh again" in told
-    assert "bridge stops the car because the vehicle command is stale" in told
-    assert "car: AS_FINISHED (mission FINISHED at rest)" in told
-    assert "seen: service-brake stop, FINISHED" in told
+    printed = capsys.readouterr().out
+    assert "--fault controller_silent:since=driving,after=5000,duration=1500" in printed
+    assert "demanded: " in printed and "as the safety rules demand" in printed
+    assert "bridge sees: the vehicle command is stale" in printed
+    assert "bridge: AS_DRIVING, torque 0 until what is stale is fresh again" in printed
+    assert "bridge stops the car because the vehicle command is stale" in printed
+    assert "car: AS_FINISHED (mission FINISHED at rest)" in printed
+    assert "seen: service-brake stop, FINISHED" in printed
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from fsai_hil.evidence.search import Move, explore
 from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
 from fsai_hil.rules.checker import RULES
 from fsai_hil.rules.numbers import CYCLE_NS
-from fsai_hil.rules.violation import Violation
+from fsai_hil.rules.seen import Violation
 from fsai_vcu.core.bridge import BridgeConfig
 
 

@@ -25,6 +25,8 @@ def observed(
     rest_from_ms: int | None = None,
     then: tuple[int, AsState] | None = None,
     finished_from_ms: int | None = None,
+    over_ms: int | None = None,
+    left_course: int = 0,
     until_ms: int = 10_000,
 ) -> Observation:
     """A drive with cycles every 10 ms; times are ms after the fault, which is at 5 s of AS_DRIVING."""
@@ -44,7 +46,8 @@ def observed(
         seen.moving.append((t_ns, rest_from_ms is None or t_ms < rest_from_ms))
     if then is not None:
         seen.states.append((FAULT_NS + then[0] * MS, then[1]))
-    seen.ended_ns = FAULT_NS + until_ms * MS
+    seen.ended_ns, seen.left_course = FAULT_NS + until_ms * MS, left_course
+    seen.mission_over_ns = None if over_ms is None else FAULT_NS + over_ms * MS
     return seen
 
 
@@ -57,6 +60,13 @@ STOPPED: dict[str, Any] = {"brake_from_ms": 310, "torque_until_ms": 100, "rest_f
 FINISHED: dict[str, Any] = {"then": (2100, AsState.AS_FINISHED), "finished_from_ms": 2090}
 SHORT = case("controller_silent", duration=40)
 ASKED = case("emergency_asked")
+FAILING = case("brakes_failing")
+INTRUDER = case("intruder", message="0x510", frames=5, period=1, payload="zeros")
+EARLY = case("planner_finishes_early")
+DERATED = case("steering_derated", limit="steer_limit_deg", value=5.0)
+DOUBLE = case("pulses_wrong", way="double")
+BRAKED: dict[str, Any] = {"torque_until_ms": 10, "brake_from_ms": 20}
+ROLLS: dict[str, Any] = {"torque_until_ms": 1500, "rest_from_ms": 7000}
 
 
 def emergency(estop_ms: int | None, at_ms: int) -> dict[str, Any]:
@@ -78,6 +88,26 @@ def emergency(estop_ms: int | None, at_ms: int) -> dict[str, Any]:
         (ASKED, emergency(20, 24), End.ESTOP, ""),
         (ASKED, emergency(40, 44), End.ESTOP, "ESTOP_REQUEST came"),
         (case("go_off"), emergency(None, 12), End.SELF, ""),
+        (SHORT, {**ROLLS, "over_ms": 6800}, End.ON, ""),
+        (SHORT, ROLLS, End.HELD, "stays in AS_DRIVING, torque 0"),
+        (FAILING, {**emergency(519, 523), **BRAKED}, End.ESTOP, ""),
+        (FAILING, {**emergency(700, 704), **BRAKED}, End.ESTOP, "ESTOP_REQUEST came"),
+        (FAILING, {**emergency(3010, 3014), **BRAKED}, End.ESTOP, "ESTOP_REQUEST came"),
+        (INTRUDER, emergency(10, 0), End.SELF, ""),
+        (INTRUDER, emergency(20, 4), End.SELF, ""),
+        (INTRUDER, emergency(40, 0), End.SELF, "ESTOP_REQUEST came"),
+        (INTRUDER, emergency(None, 4), End.SELF, "ESTOP_REQUEST never came"),
+        (EARLY, {**STOPPED, **FINISHED, "brake_from_ms": 60, "over_ms": 40}, End.STOP, ""),
+        (
+            EARLY,
+            {"torque_until_ms": 60, "rest_from_ms": 1500, "over_ms": 40},
+            End.HELD,
+            "stays in AS_DRIVING, torque 0",
+        ),
+        (DERATED, {}, End.ON, ""),
+        (DERATED, {**STOPPED, **FINISHED}, End.STOP, "where the rules demand"),
+        (DOUBLE, {"left_course": 1}, End.ON, "left the course"),
+        (case("detector_blind", duration=500), {"left_course": 1}, End.ON, ""),
     ],
 )
 def test_a_reaction_must_come_and_come_in_time(one: Case, what: dict[str, Any], end: End, wrong: str) -> None:
@@ -92,16 +122,6 @@ def test_reaction_and_safe_state_are_timed_from_the_fault() -> None:
     assert judge(case("go_off"), observed(**emergency(None, 12)), FAULT_NS, ()).safe_ms == 12
 
 
-@pytest.mark.parametrize("over", [True, False])
-def test_braking_to_the_missions_end_counts_as_driving_on(over: bool) -> None:
-    seen = observed(torque_until_ms=1500, rest_from_ms=7000)
-    if over:
-        seen.mission_over_ns = FAULT_NS + 6800 * MS
-    verdict = judge(SHORT, seen, FAULT_NS, ())
-    assert verdict.end is (End.ON if over else End.HELD)
-    assert verdict.ok is over
-
-
 def test_a_car_that_drives_again_by_itself_is_worse_than_allowed() -> None:
     seen = observed(**STOPPED, **FINISHED)
     seen.cycles[-5].torque_nm = 20.0
@@ -109,16 +129,14 @@ def test_a_car_that_drives_again_by_itself_is_worse_than_allowed() -> None:
     assert not verdict.ok and "torque 20 Nm" in verdict.faults[0]
 
 
-def test_a_broken_bus_rule_is_worse_whatever_the_end() -> None:
+def test_broken_rules_and_ended_processes_are_always_worse() -> None:
     seen = observed(**STOPPED, **FINISHED)
-    verdict = judge(SILENT, seen, FAULT_NS, ["1.0 s: rule 1: torque and brake together"])
-    assert verdict.faults == ("on the wire: 1.0 s: rule 1: torque and brake together",)
+    verdict = judge(SILENT, seen, FAULT_NS, ["1.0 s: rule 1: both"], ["the bridge's process ended: KeyError: 5"])
+    assert verdict.faults == ("on the wire: 1.0 s: rule 1: both", "the bridge's process ended: KeyError: 5")
 
 
 def test_a_mission_that_was_over_before_asks_for_no_reaction() -> None:
-    seen = observed(**STOPPED, **FINISHED)
-    seen.mission_over_ns = FAULT_NS + 20 * MS
-    verdict = judge(SILENT, seen, FAULT_NS, ())
+    verdict = judge(SILENT, observed(**STOPPED, **FINISHED, over_ms=20), FAULT_NS, ())
     assert verdict.ok and not verdict.applies
 
 
@@ -164,62 +182,6 @@ def test_a_run_that_exceeds_the_longest_time_is_unsafe(name: str, ran_out: bool)
 def test_a_fault_never_injected_does_not_excuse_a_moving_car() -> None:
     verdict = judge(SILENT, observed(then=(100, AsState.AS_OFF)), None, ())
     assert not verdict.ok and verdict.end is End.UNSAFE
-
-
-@pytest.mark.parametrize(("fault", "worse"), [("pulses_wrong", True), ("detector_blind", False)])
-def test_leaving_the_course_is_worse_where_nothing_may_change(fault: str, worse: bool) -> None:
-    seen = observed()
-    seen.left_course = 1
-    verdict = judge(case(fault, way="double", duration=500), seen, FAULT_NS, ())
-    assert verdict.ok is not worse
-    assert not worse or "left the course" in verdict.faults[0]
-
-
-def test_a_process_ended_by_an_exception_is_worse_than_allowed() -> None:
-    seen = observed(torque_until_ms=10, then=(12, AsState.EMERGENCY_BRAKE))
-    assert judge(case("go_off"), seen, FAULT_NS, ()).ok
-    verdict = judge(case("go_off"), seen, FAULT_NS, (), ["the bridge's process ended: KeyError: 5"])
-    assert verdict.faults == ("the bridge's process ended: KeyError: 5",)
-
-
-INTRUDER = case("intruder", message="0x510", frames=5, period=1, payload="zeros")
-
-
-@pytest.mark.parametrize("emergency_ms", [0, 4])
-@pytest.mark.parametrize(("estop_ms", "ok"), [(10, True), (20, True), (40, False), (None, False)])
-def test_an_intruder_demands_estop_request_even_if_the_car_stops(
-    estop_ms: int | None, ok: bool, emergency_ms: int
-) -> None:
-    seen = observed(torque_until_ms=5, estop_from_ms=estop_ms, then=(emergency_ms, AsState.EMERGENCY_BRAKE))
-    verdict = judge(INTRUDER, seen, FAULT_NS, ())
-    assert verdict.end is End.SELF
-    assert verdict.ok is ok, verdict.faults
-
-
-@pytest.mark.parametrize("brakes", [True, False])
-def test_a_planner_that_reports_the_end_must_be_stopped_for(brakes: bool) -> None:
-    """Its report alone is not enough: the brakes are."""
-    seen = observed(**STOPPED, **FINISHED) if brakes else observed(torque_until_ms=100, rest_from_ms=1500)
-    for cycle in seen.cycles_after(FAULT_NS + 60 * MS):
-        cycle.torque_nm = 0.0
-        cycle.brake_pct = 80.0 if brakes else 0.0
-    seen.mission_over_ns = FAULT_NS + 40 * MS
-    verdict = judge(case("planner_finishes_early"), seen, FAULT_NS, ())
-    assert verdict.ok is brakes, verdict.faults
-
-
-def test_failed_brakes_are_noticed_by_the_missing_deceleration() -> None:
-    for estop_ms, ok in ((519, True), (700, False), (3010, False)):
-        seen = observed(
-            torque_until_ms=10, brake_from_ms=20, estop_from_ms=estop_ms, then=(estop_ms + 4, AsState.EMERGENCY_BRAKE)
-        )
-        assert judge(case("brakes_failing"), seen, FAULT_NS, ()).ok is ok
-
-
-def test_a_steering_limit_lowered_by_the_car_demands_no_stop() -> None:
-    derated = case("steering_derated", limit="steer_limit_deg", value=5.0)
-    assert judge(derated, observed(), FAULT_NS, ()).ok
-    assert not judge(derated, observed(**STOPPED, **FINISHED), FAULT_NS, ()).ok
 
 
 def steered(off_for_ms: int, **reacts: Any) -> Observation:

@@ -7,11 +7,12 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fsai_hil.evidence.campaign.runner import CampaignPlan
+    from fsai_hil.evidence.campaign.cases import CampaignPlan
     from fsai_hil.evidence.work import Progress
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
@@ -42,8 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_hil.evidence.campaign.record import RecordError
-    from fsai_hil.evidence.campaign.runner import ClusterError
     from fsai_vcu.cli.main import UserError
 
     try:
@@ -55,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         if args.table:
             return _table(args.table, args.output)
         return _campaign(args)
-    except (ValueError, RecordError, ClusterError) as error:
+    except ValueError as error:
         raise UserError(str(error)) from error
     except OSError as error:
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
@@ -79,9 +78,9 @@ def _table(record: Path, output: Path | None) -> int:
 
 def _campaign(args: argparse.Namespace) -> int:
     from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside
-    from fsai_hil.evidence.campaign.runner import in_processes, on_cluster
+    from fsai_hil.evidence.campaign.runner import batches, drive_batch, header_of, on_cluster
     from fsai_hil.evidence.campaign.table import failures
-    from fsai_hil.evidence.work import Progress
+    from fsai_hil.evidence.work import Progress, spread
     from fsai_vcu.cli.main import WrongUse
 
     if args.renew and not args.resume:
@@ -90,13 +89,13 @@ def _campaign(args: argparse.Namespace) -> int:
     jobs = args.jobs if args.jobs is not None else os.cpu_count() or 1
     if jobs < 1:
         raise ValueError(f"--jobs is {jobs}, but at least 1 process must work")
-    path, header = args.out / NAME, plan.header()
+    path, header = args.out / NAME, header_of(plan)
     if not args.resume or (args.renew and of_other_sources(path, header)):
         kept_as = put_aside(path)
         if kept_as is not None:
             why = "it is of other sources" if args.resume else "without --resume a campaign begins anew"
             print(f"{path} is now {kept_as.name}: {why}", file=sys.stderr)
-    with Writer(path, header, resume=args.resume) as writer:
+    with Writer(path, header) as writer:
         kept = len(writer.runs)
         if kept:
             print(f"{kept} runs are in {writer.path} already", file=sys.stderr)
@@ -105,7 +104,9 @@ def _campaign(args: argparse.Namespace) -> int:
         began_s = time.monotonic()
         worse = 0
         try:
-            for lines in on_cluster(plan, tasks, args.dask) if args.dask else in_processes(plan, tasks, jobs):
+            drive = partial(drive_batch, plan)
+            driven = on_cluster(plan, tasks, args.dask) if args.dask else spread(drive, batches(plan, tasks), jobs)
+            for lines in driven:
                 for line in lines:
                     writer.add(line)
                 for line in failures(lines):
@@ -121,7 +122,7 @@ def _campaign(args: argparse.Namespace) -> int:
         if new:
             rate = new / max(1e-9, time.monotonic() - began_s)
             print(f"{new} runs at {rate:.2f} runs/s; 10,000 take {10_000 / rate / 3600:.1f} hours so", file=sys.stderr)
-        print(f"{len(writer.runs)} runs of {len(plan.selection.kinds())} kinds, record in {writer.path}")
+        print(f"{len(writer.runs)} runs of {len(plan.kinds())} kinds, record in {writer.path}")
         print(f"table: fsai-vcu campaign --table {writer.path}")
         if failures(writer.runs):
             print(f"{len(failures(writer.runs))} worse than the rules allow")
@@ -140,9 +141,7 @@ def _failure(line: Mapping[str, Any], number: int, progress: Progress) -> None:
 
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:
-    from fsai_hil.evidence.campaign.cases import LEG_MS, WORLD_SEEDS, Selection
-    from fsai_hil.evidence.campaign.runner import CampaignPlan
-    from fsai_hil.evidence.campaign.scenario import WINDOW_MS
+    from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS, CampaignPlan
     from fsai_hil.simulator.world import mission_named
     from fsai_vcu.interface.revisions import revision
 
@@ -152,15 +151,16 @@ def _plan(args: argparse.Namespace) -> CampaignPlan:
         raise ValueError(f"--world-seeds is {args.world_seeds}, but at least 1 world can be driven in")
     if args.window is not None and not 1.0 <= args.window <= 100.0:
         raise ValueError(f"--window is {args.window:g} s, but must be 1 to 100 s")
-    window_ms = WINDOW_MS if args.window is None else round(args.window * 1000)
-    selection = Selection(
+    return CampaignPlan(
+        args.seed,
+        args.runs,
+        args.full,
         tuple(_names(args.faults)),
         tuple(mission_named(name) for name in _names(args.missions)),
         tuple(revision(name).name for name in _names(args.revisions)),
         WORLD_SEEDS if args.world_seeds is None else args.world_seeds,
-        min(LEG_MS, 6 * window_ms // 10),
+        WINDOW_MS if args.window is None else round(args.window * 1000),
     )
-    return CampaignPlan(args.seed, args.runs, args.full, selection, window_ms)
 
 
 def _names(text: str | None) -> list[str]:

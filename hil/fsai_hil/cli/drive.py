@@ -130,15 +130,15 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
     )
     with ExitStack() as stack:
         writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
-        rig = power_up(case, writer.write if writer else None)
+        rig = power_up(case.world, writer.write if writer else None)
         if case.leg_ms is not None:
             drive_to(rig, case.leg_ms)
         scenario = Scenario(case, rig)
-        narrator = ScenarioNarrator(case)
+        narrator = ScenarioNarrator(scenario)
         while not scenario.over:
             scenario.step()
             if not args.json:
-                narrator.listen(scenario)
+                narrator.look()
     verdict = scenario.verdict()
     status = 0 if verdict.ok else 1
     if args.plot and not plotted("fsai-vcu drive", args.plot, rig.world.runs[-1]):
@@ -147,7 +147,7 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
         print(json.dumps(as_record(case, verdict, {})))
         return status
     print(f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}; again with:\n  {case.replay}\n")
-    print("\n".join(narrator.lines(scenario, verdict)))
+    print("\n".join(narrator.lines(verdict)))
     print("as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW")
     return status
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.cases import Case, Selection, case_of
+from fsai_hil.evidence.campaign.cases import CampaignPlan, Case
+from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.demands import End
 from fsai_hil.evidence.campaign.scenario import Scenario, Snapshots
 from fsai_hil.evidence.work import Progress, spread
@@ -146,7 +147,7 @@ _snapshots: Snapshots | None = None
 def _worker(seed: int, index: int) -> Explained:
     global _snapshots
     _snapshots = _snapshots or Snapshots(_Log)
-    return explained(case_of(seed, index, Selection()), _snapshots)
+    return explained(CampaignPlan(seed).case(index), _snapshots)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -155,8 +156,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--logs", type=int, metavar="N", help="so many logs (default: one of each kind of fault)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
     args = parser.parse_args(argv)
-    count = args.logs or len(Selection().kinds())
-    every = max(1, len(Selection().kinds()) // count)
+    count = args.logs or len(ROWS)
+    every = max(1, len(ROWS) // count)
     numbers = [index * every for index in range(count)]
     found: list[Explained] = []
     progress = Progress("logs", count)

@@ -45,8 +45,7 @@ from fsai_hil.evidence.car_frames import (
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS, MS, S
-from fsai_hil.rules.seen import EDGES, Process
-from fsai_hil.rules.violation import Violation
+from fsai_hil.rules.seen import EDGES, Process, Violation
 from fsai_hil.simulator.as_machine import Situation, Table, taken, transition_table
 from fsai_hil.simulator.profiles import SPECIFICATION, Profile
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeState

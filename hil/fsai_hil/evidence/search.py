@@ -15,7 +15,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from fsai_hil.rules.violation import Violation
+from fsai_hil.rules.seen import Violation
 
 
 @dataclass(frozen=True, slots=True)

@@ -378,7 +378,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "reactions",
         "plausibility",
         _first_step(Reason.WHEEL_IMPLAUSIBLE),
-        shows_in_fuzz=False,  # a wheel that is odd beyond all doubt for 600 ms is too rare for its chance
+        shows_in_fuzz=False,  # what the process takes for implausible is hidden from it
     ),
     Seed(
         "a lost bus and a broken sequence are only reported",

@@ -20,7 +20,7 @@ from typing import Any
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, Stack, StackError
 from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
-from fsai_hil.rules.checker import WireReport, check_candump
+from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
 from fsai_hil.simulator.world import World
 from fsai_hil.vcan import INTERFACE
@@ -140,7 +140,7 @@ def drive(args: argparse.Namespace) -> int:
     return 0 if status == 0 and wire.ok else 1
 
 
-def _report(verdict: dict[str, Any], wire: WireReport) -> None:
+def _report(verdict: dict[str, Any], wire: WireChecker) -> None:
     """The judge's verdict and what the bus log shows, for a person."""
     laps = ", ".join(f"{lap_s:.2f} s" for lap_s in verdict["lap_times_s"])
     lines = [

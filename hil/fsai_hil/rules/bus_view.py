@@ -14,8 +14,7 @@ from typing import Any, Final
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.numbers import MS, S
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.rules.seen import NOBODY, Order, Process, Seen, marks_of, plain_of, put_plain, put_times, times_of
-from fsai_hil.rules.violation import Violation
+from fsai_hil.rules.seen import NOBODY, Order, Process, Seen, Violation, apart, marks_of, put_back
 from fsai_hil.rules.wheels import Belief, Wheels
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -108,7 +107,7 @@ class BusView:
         # of what is judged
         self.responses = ResponseTimes()
         self._known_ids = frozenset(message.frame_id for message in codec.database.messages)
-        self._frames = self._error_frames = 0
+        self.frames = self.error_frames = 0
         self._problems: Counter[str] = Counter()
         self._broken: dict[str, set[str]] = {}
         self._strange_ids: set[int] = set()
@@ -136,7 +135,6 @@ class BusView:
         self._may_turn_manual = self._must_turn_manual = False
         # only where stops may be hidden
         self.whole_in_a_row = 0
-        self.asked_deg: tuple[float, int] = (0.0, 0)  # steering, and since when it has been the same
 
     def wrong(self, rule: str, words: str) -> None:
         self.violation_count += 1
@@ -153,18 +151,14 @@ class BusView:
         """
         self._forget(now_ns, data_may_be_lost)
         rpm, wheel_ages = self.wheels.saved(now_ns)
-        ages = [-1 if t_ns is None else now_ns - t_ns for t_ns in times_of(self.seen)]
-        return (rpm, *plain_of(self.seen)), (*ages, *wheel_ages)
+        plain, ages = apart(self.seen, now_ns)
+        return (rpm, *plain), (*ages, *wheel_ages)
 
     def load(self, saved: Saved, now_ns: int) -> None:
         """Put back what was saved."""
         (rpm, *plain), ages = saved
-        seen = self.seen
-        for put, value in zip(put_plain, plain, strict=True):
-            put(seen, value)
-        for put, age in zip(put_times, ages, strict=False):
-            put(seen, None if age < 0 else now_ns - age)
-        seen.turned, self.was_off, self.cycle_ns, self.toggle = None, False, None, None
+        put_back(self.seen, plain, ages, now_ns)
+        self.was_off, self.cycle_ns, self.toggle = False, None, None
         self.wheels.load(rpm, ages[-4:], now_ns)  # type: ignore[arg-type]
 
     def _forget(self, now_ns: int, data_may_be_lost: bool) -> None:
@@ -203,10 +197,10 @@ class BusView:
         s.torque_nm = (float(s.torque_nm[0] > 0.0), float(s.torque_nm[1] > 0.0))
         s.brake_pct = (float(s.brake_pct[0] > 0.0), float(s.brake_pct[1] > 0.0))
 
-    # ------------------------------------------------------------ what the car says
+    # ------------------------------------------------------------ what the car sends
 
     def on_car(self, image: Image | None, t_ns: int) -> None:
-        """A frame of the car that can be believed, which says `image`."""
+        """A frame of the car that can be believed, which carries `image`."""
         s = self.seen
         if isinstance(image, VcuStatus):
             self._on_status(image, t_ns)
@@ -217,7 +211,7 @@ class BusView:
             s.rear_max_nm, s.rear_ns = image.torque_max_nm, t_ns
             self._note("rear", t_ns, image.torque_max_nm)
         elif isinstance(image, VcuSteer):
-            s.angle_deg, s.angle_max_deg, s.steer_ns = image.angle_deg, max(0.0, image.angle_max_deg), t_ns
+            s.angle_max_deg, s.steer_ns = max(0.0, image.angle_max_deg), t_ns
             self._note("angle", t_ns, s.angle_max_deg)
         elif isinstance(image, VcuBrake):
             zero = image.front_request_pct == image.rear_request_pct == 0.0
@@ -286,17 +280,14 @@ class BusView:
             s.pedals_ns = None
             if state is AsState.AS_DRIVING:
                 s.driving_ns = None if unjudged else t_ns
-                s.turned, s.stopped, s.alarm = None, None, None
+                s.stopped, s.alarm = None, None
         if state is not AsState.AS_DRIVING:
             if s.alarm is not None and (s.bus_gone or s.reopening):
                 s.latched = True  # what a lost bus did not carry is asked for when it is back
-            s.driving_ns, s.turned, s.stopped, s.alarm = None, None, None, None
+            s.driving_ns, s.stopped, s.alarm = None, None, None
         elif s.marks is not None and not marks <= s.marks:
             words = "; ".join(sorted(marks - s.marks))
-            if self.process is not None:
-                self._stop(f"in AS_DRIVING {words}")
-            else:
-                s.turned = s.turned or (t_ns, words)
+            self._stop(words if self.process is None else f"in AS_DRIVING {words}")
         s.marks = marks
         s.reopening = False
 
@@ -334,7 +325,7 @@ class BusView:
         else:
             s.path = 0
 
-    # ------------------------------------------------------------ what the AI computer says
+    # ------------------------------------------------------------ what the AI computer sends
 
     def cycle_over(self, now_ns: int, made: bool = True) -> None:
         """No more frames of this cycle come; else the next one's first says so. `made`: it was to be sent at all."""
@@ -432,7 +423,7 @@ class BusView:
         s.latched = s.latched and not granted
 
     def on_confirmed(self, role: str) -> None:
-        """Planner or controller says that it has reset itself for the run in hand."""
+        """Planner or controller confirms that it has reset itself for the run in hand."""
         s = self.seen
         if role in s.confirmed:
             self._stop(f"the {role} was restarted")
@@ -586,32 +577,11 @@ class BusView:
                 self._stop(f"{name} missing for 100 ms")
             if self._missing_ns(t_ns) >= n.FEEDBACK_LOST_NS:
                 self._alarm(f"{name} missing for 300 ms")
-        if not self.nothing_hidden:
-            s.steer_odd_ns = (s.steer_odd_ns or now_ns) if self._steering_is_odd(now_ns) else None
-            s.wheel_odd_ns = (s.wheel_odd_ns or now_ns) if self._wheel_is_odd(now_ns) else None
         for name, t_ns in (("the steering", s.steer_odd_ns), ("a wheel", s.wheel_odd_ns)):
             if t_ns is not None and now_ns - t_ns >= n.ODD_NS:
                 self._stop(f"{name} implausible for 300 ms")
             if t_ns is not None and now_ns - t_ns >= n.ODD_LOST_NS:
                 self._alarm(f"{name} implausible for 600 ms")
-
-    def _steering_is_odd(self, now_ns: int) -> bool:
-        """The angle is far from a request that has not changed for two seconds: no delay explains that."""
-        s, (asked_deg, since_ns) = self.seen, self.asked_deg
-        assert s.driving_ns is not None
-        since_ns = max(since_ns, s.driving_ns + n.LAUNCH_NS, 0 if s.back_ns is None else s.back_ns + n.LAUNCH_NS)
-        fresh = s.steer_ns is not None and now_ns - s.steer_ns < n.FEEDBACK_STALE_NS
-        settled = now_ns - since_ns >= n.ODD_STEER_SETTLED_NS and s.whole
-        return fresh and settled and abs(s.angle_deg - asked_deg) > n.ODD_STEER_DEG
-
-    def _wheel_is_odd(self, now_ns: int) -> bool:
-        """One wheel without a motor spins while the three others nearly stand: no slip explains that."""
-        rpm, believed_ns = self.wheels.rpm, self.wheels.believed_ns
-        if rpm is None or believed_ns is None or now_ns - believed_ns >= n.FEEDBACK_STALE_NS or self.driven[0]:
-            return False
-        if self.seen.mission in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B):
-            return False
-        return any(rpm[one] > n.ODD_WHEEL_RPM and max(rpm[:one] + rpm[one + 1 :]) < n.STILL_RPM for one in (0, 1))
 
     def _look_at_wishes(self, launched_ns: int, now_ns: int) -> None:
         """What the planner asks for besides driving: the end of the mission, the emergency brake, both pedals."""
@@ -635,7 +605,7 @@ class BusView:
                 self._stop("the mission is done")
 
     def on_mode_shown(self, mode: str) -> None:
-        """What the process says of its mode once it has decided what to send."""
+        """What the process reports of its mode once it has decided what to send."""
         s = self.seen
         if mode == "autonomous":
             if s.autonomous and self._must_turn_manual:

@@ -11,16 +11,17 @@ nothing is hidden that can stop a drive (`nothing_hidden`), each output has exac
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
+
+from cantools.database.errors import EncodeError
 
 from fsai_hil.rules import numbers as n
 from fsai_hil.rules.bus_view import OFF, RESTART_GAP_NS, BusView
 from fsai_hil.rules.frame_rules import CHECKS, RULES
 from fsai_hil.rules.numbers import MS, S
-from fsai_hil.rules.violation import Violation
+from fsai_hil.rules.seen import Violation
 from fsai_vcu.diagnostics.log.reader import LogError, open_log
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.codec import Codec, Decoded
@@ -29,56 +30,14 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiImage, AiStatus, AiSteer, Image
 from fsai_vcu.interface.reserved import AI_IDS
 
-__all__ = ["MS", "RULES", "WireChecker", "WireReport", "check_candump", "checker_for", "read_candump"]
+__all__ = ["MS", "RULES", "WireChecker", "check_candump", "checker_for", "read_candump"]
 
 STATUS_ID: Final = 0x520
 _DIGITS: Final = re.compile(r"[\d.,]+")
 
 
-@dataclass(frozen=True, slots=True)
-class WireReport:
-    """What a bus showed. Times in milliseconds and seconds; `ok` means that no rule was seen broken."""
-
-    frames: int
-    duration_s: float
-    cycles: int
-    incomplete_cycles: int
-    responses: int
-    response_p50_ms: float | None
-    response_p99_ms: float | None
-    response_p999_ms: float | None
-    response_max_ms: float | None
-    error_frames: int
-    as_states: tuple[tuple[float, str], ...]
-    problems: Mapping[str, int]
-    violation_count: int
-    violations: tuple[str, ...]
-
-    @property
-    def ok(self) -> bool:
-        return self.violation_count == 0
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.frames} frames in {self.duration_s:.3f} s, {self.cycles} command cycles"
-            f" ({self.incomplete_cycles} incomplete), {self.error_frames} error frames",
-            "AS states: " + (", ".join(f"{name} at {t_s:.3f} s" for t_s, name in self.as_states) or "none received"),
-        ]
-        if self.responses:
-            lines.append(
-                f"response time: {self.responses} echoes, p50 {self.response_p50_ms:.2f} ms,"
-                f" p99 {self.response_p99_ms:.2f} ms, p99.9 {self.response_p999_ms:.2f} ms,"
-                f" max {self.response_max_ms:.2f} ms"
-            )
-        lines += [f"{count} x {problem}" for problem, count in self.problems.items()]
-        lines += list(self.violations) or ["no rule broken"]
-        if self.violation_count > len(self.violations):
-            lines.append(f"… and {self.violation_count - len(self.violations)} more")
-        return "\n".join(lines)
-
-
 class WireChecker(BusView):
-    """Feed it with `on_frame`; read `violations` at any time and `report()` at the end. Times are ns.
+    """Feed it with `on_frame`; read what was found at any time: `ok` means that no rule was seen broken. Times are ns.
 
     `handshake_in_flight_ns` is how young a 0x520 may be and not yet be echoed; `clock_slack_ns` covers the difference
     between a sender's clock reading and the time stamp on the bus. All three at 0 is the view of the sender itself.
@@ -104,25 +63,27 @@ class WireChecker(BusView):
             for t_ns, one in self.found
         ]
 
-    def report(self) -> WireReport:
-        """What has been seen so far."""
-        start = self.start_ns or 0
-        return WireReport(
-            frames=self._frames,
-            duration_s=(self.now_ns - start) / S,
-            cycles=self.cycles,
-            incomplete_cycles=self.incomplete,
-            responses=len(self.responses),
-            response_p50_ms=self.responses.quantile_ms(0.5),
-            response_p99_ms=self.responses.quantile_ms(0.99),
-            response_p999_ms=self.responses.quantile_ms(0.999),
-            response_max_ms=self.responses.quantile_ms(1.0),
-            error_frames=self._error_frames,
-            as_states=tuple(((t_ns - start) / S, state.label) for t_ns, state in self.as_states),
-            problems=dict(self._problems),
-            violation_count=self.violation_count,
-            violations=tuple(self.violations),
-        )
+    @property
+    def ok(self) -> bool:
+        return self.violation_count == 0
+
+    def __str__(self) -> str:
+        start_ns = self.start_ns or 0
+        states = ", ".join(f"{state.label} at {(t_ns - start_ns) / S:.3f} s" for t_ns, state in self.as_states)
+        lines = [
+            f"{self.frames} frames in {(self.now_ns - start_ns) / S:.3f} s, {self.cycles} command cycles"
+            f" ({self.incomplete} incomplete), {self.error_frames} error frames",
+            f"AS states: {states or 'none received'}",
+        ]
+        if len(self.responses):
+            shares = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
+            times = (f"{name} {self.responses.quantile_ms(share):.2f} ms" for name, share in shares.items())
+            lines.append(f"response time: {len(self.responses)} echoes, {', '.join(times)}")
+        lines += [f"{count} x {problem}" for problem, count in self._problems.items()]
+        lines += self.violations or ["no rule broken"]
+        if self.violation_count > len(self.found):
+            lines.append(f"… and {self.violation_count - len(self.found)} more")
+        return "\n".join(lines)
 
     def taken(self) -> tuple[Violation, ...]:
         """What has been found since the last time, which is forgotten."""
@@ -146,13 +107,13 @@ class WireChecker(BusView):
     # ------------------------------------------------------------ what is on the bus
 
     def on_frame(self, frame: Frame) -> Image | None:
-        """One frame of the bus, at `frame.t_ns`. Returns what it says, None for nothing that may be believed."""
+        """One frame of the bus, at `frame.t_ns`. Returns what it carries, None for nothing that may be believed."""
         if self.start_ns is None:
             self.start_ns = frame.t_ns
         self.now_ns = frame.t_ns
-        self._frames += 1
+        self.frames += 1
         if frame.error:
-            self._error_frames += 1
+            self.error_frames += 1
             return None
         if frame.extended or frame.remote or frame.can_id not in self._known_ids:
             self._strange(frame)
@@ -186,7 +147,7 @@ class WireChecker(BusView):
         self.wrong("8", f"{kind}identifier 0x{frame.can_id:03X}, which nobody on this bus should send")
 
     def on_ai(self, can_id: int, image: AiImage, t_ns: int) -> None:
-        """A frame of the AI computer, which says `image`."""
+        """A frame of the AI computer, which carries `image`."""
         self.now_ns, s = t_ns, self.seen
         if self.in_flight_ns:
             self.states = tuple(self.possible("state", None))
@@ -218,8 +179,6 @@ class WireChecker(BusView):
                 self._broken.pop(f"torque of 0x{can_id:03X}", None)
         elif isinstance(image, AiSteer):
             self._judge("0x513", image, "0x513")
-            if image.steer_deg != self.asked_deg[0]:
-                self.asked_deg = image.steer_deg, t_ns
             s.steer_deg, s.steered_ns = image.steer_deg, t_ns
         elif isinstance(image, AiBrake):
             s.brake_pct = image.front_pct, image.rear_pct
@@ -257,7 +216,7 @@ class WireChecker(BusView):
             self.on_frame(frame)
 
     def sent(self, frame: Frame) -> AiImage | None:
-        """A frame of the process went out. Returns what it says, None for what should never have been sent."""
+        """A frame of the process went out. Returns what it carries, None for what should never have been sent."""
         self.now_ns = frame.t_ns
         self.on_sending()
         if not self.well_formed(frame):
@@ -278,15 +237,12 @@ class WireChecker(BusView):
             return False
         message = self.codec.database.get_message_by_frame_id(frame.can_id)
         values = message.decode(frame.data, decode_choices=False, allow_truncated=False)
-        assert isinstance(values, dict)
-        for signal in message.signals:
-            value = values[signal.name]
-            low, high = signal.minimum, signal.maximum
-            assert isinstance(value, int | float)
-            if (low is not None and value < low) or (high is not None and value > high):
-                self.wrong("7", f"{signal.name} is {value} on the wire, outside {low} … {high}")
-                return False
-        if bytes(message.encode(values, strict=True)) != frame.data:
+        try:
+            encoded = message.encode(values, strict=True)
+        except EncodeError as error:
+            self.wrong("7", f"0x{frame.can_id:03X} carries a value outside its range: {error}")
+            return False
+        if bytes(encoded) != frame.data:
             self.wrong("7", f"0x{frame.can_id:03X} carries bits of no signal: {frame.data.hex(' ')}")
             return False
         if len(self._well_formed) < 200_000:
@@ -307,12 +263,12 @@ def read_candump(path: Path | str) -> Iterator[Frame]:
             raise LogError(log.problems.summary())
 
 
-def check_candump(path: Path | str, codec: Codec, *, busy_machine: bool = False) -> WireReport:
+def check_candump(path: Path | str, codec: Codec, *, busy_machine: bool = False) -> WireChecker:
     """Check a whole log; for `busy_machine` see `checker_for`."""
     checker = checker_for(codec, busy_machine=busy_machine)
     for frame in read_candump(path):
         checker.on_frame(frame)
-    return checker.report()
+    return checker
 
 
 def checker_for(codec: Codec, *, busy_machine: bool) -> WireChecker:

@@ -112,7 +112,7 @@ def _stands(v: BusView, ai: AiStatus) -> Iterator[str]:
 
 @rule("5", "0x510")
 def _waits(v: BusView, ai: AiStatus) -> Iterator[str]:
-    """In AS_INIT, AS_OFF and AS_READY: NEUTRAL, MISSION_STATUS at most SELECTED, as the output table says."""
+    """In AS_INIT, AS_OFF and AS_READY: NEUTRAL, MISSION_STATUS at most SELECTED, as the output table has it."""
     if not v.idle:
         return
     s = v.seen
@@ -279,12 +279,9 @@ def _resumes(v: BusView, axle: Axle) -> Iterator[str]:
 def _goes_on(v: BusView, axle: Axle) -> Iterator[str]:
     """No torque in a run that is over: by a switch, a fault bit or what else stops it."""
     s = v.seen
-    if _brakes_by(v, axle):
-        return
-    if s.stopped is not None:
+    seen = s.stopped is not None and (v.process is not None or v.now_ns - s.stopped_ns >= v.in_flight_ns)
+    if seen and not _brakes_by(v, axle):
         yield f"{_name(axle)} torque in a run that is over: {s.stopped}"
-    elif s.turned is not None and v.now_ns - s.turned[0] >= v.in_flight_ns:
-        yield f"{_name(axle)} torque in a run that is over: {s.turned[1]}"
 
 
 @rule("4", "torque")

@@ -6,9 +6,10 @@ Every time is kept, in eight bytes: a million of them, three hours of handshakes
 from __future__ import annotations
 
 from array import array
-from bisect import bisect_right
 from collections.abc import Iterable
 from typing import Any, Final
+
+import numpy as np
 
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 
@@ -23,38 +24,26 @@ class ResponseTimes:
 
     def __init__(self, times_ns: Iterable[int] = ()) -> None:
         self._times_ns = array("q", times_ns)
-        self._in_order = False
 
     def add(self, time_ns: int) -> None:
         self._times_ns.append(time_ns)
-        self._in_order = False
 
     def __len__(self) -> int:
         return len(self._times_ns)
 
-    def _ordered(self) -> array[int]:
-        if not self._in_order:
-            self._times_ns = array("q", sorted(self._times_ns))
-            self._in_order = True
-        return self._times_ns
-
     def quantile_ms(self, share: float) -> float | None:
         """The smallest time that at least `share` (0 to 1) of all do not exceed; None while there is none."""
-        time_ns = quantile(self._ordered(), share)
+        time_ns = quantile(np.sort(self._times_ns), share)  # type: ignore[arg-type]
         return None if time_ns is None else time_ns / NS_PER_MS
 
     def count_above(self, limit_ns: int) -> int:
         """How many are longer than `limit_ns`."""
-        return len(self._times_ns) - bisect_right(self._ordered(), limit_ns)
+        return int(np.count_nonzero(np.asarray(self._times_ns) > limit_ns))
 
     def histogram(self) -> list[tuple[float | None, int]]:
         """(upper edge in ms, how many are up to it and above the edge before); the last bin has no upper edge."""
-        ordered = self._ordered()
-        below = [bisect_right(ordered, int(edge_ms * NS_PER_MS)) for edge_ms in BINS_MS]
-        edges: list[float | None] = [*BINS_MS, None]
-        return [
-            (edge, upto - before) for edge, upto, before in zip(edges, [*below, len(ordered)], [0, *below], strict=True)
-        ]
+        above = [len(self), *(self.count_above(int(edge_ms * NS_PER_MS)) for edge_ms in BINS_MS), 0]
+        return [(edge, more - less) for edge, more, less in zip([*BINS_MS, None], above, above[1:], strict=False)]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; times in ms are null while there is none."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from operator import attrgetter
@@ -13,6 +13,13 @@ from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import Faults, VcuStatus
 
 NOBODY: Final[frozenset[str]] = frozenset()
+
+
+class Violation(NamedTuple):
+    """Which rule does not hold, and what is wrong."""
+
+    rule: str
+    words: str
 
 
 class Order(NamedTuple):
@@ -45,7 +52,7 @@ class Process:
 class Seen:
     """What has been seen on the bus and was asked by people, as a value: no part of it is ever changed in place.
 
-    Times are ns; None: never. What the wheels say is in `Wheels`.
+    Times are ns; None: never. What the wheels report is in `Wheels`.
     """
 
     # what the car sent
@@ -63,8 +70,6 @@ class Seen:
     waited: bool = False  # for 5 s before Go
     path: int = 0
     driving_ns: int | None = None  # None: not driving, or since before the log began
-    turned: tuple[int, str] | None = None  # what ended the drive by turning, and when
-    angle_deg: float = 0.0
     angle_max_deg: float | None = None
     steer_ns: int | None = None
     front_max_nm: float | None = None
@@ -132,11 +137,23 @@ EDGES: Final = (
     (n.COUNTED_NS,),
 )
 """The ages at which each clock of `WireChecker.saved` matters."""
-_OF_ITSELF: Final = ("turned", "angle_deg", "stopped_ns")  # of a log, or where stops may be hidden
-PLAIN: Final = tuple(one.name for one in fields(Seen) if one.name not in (*TIMES, *_OF_ITSELF))
-plain_of, times_of = attrgetter(*PLAIN), attrgetter(*TIMES)
-put_plain = [getattr(Seen, name).__set__ for name in PLAIN]
-put_times = [getattr(Seen, name).__set__ for name in TIMES]
+# `stopped_ns` is of a log, or where stops may be hidden.
+PLAIN: Final = tuple(one.name for one in fields(Seen) if one.name not in (*TIMES, "stopped_ns"))
+_plain_of, _times_of = attrgetter(*PLAIN), attrgetter(*TIMES)
+_put_plain = [getattr(Seen, name).__set__ for name in PLAIN]
+_put_times = [getattr(Seen, name).__set__ for name in TIMES]
+
+
+def apart(seen: Seen, now_ns: int) -> tuple[tuple[object, ...], list[int]]:
+    """What is no time, and the ages of the times."""
+    return _plain_of(seen), [-1 if t_ns is None else now_ns - t_ns for t_ns in _times_of(seen)]
+
+
+def put_back(seen: Seen, plain: Sequence[object], ages: Sequence[int], now_ns: int) -> None:
+    for put, value in zip(_put_plain, plain, strict=True):
+        put(seen, value)
+    for put, age in zip(_put_times, ages, strict=False):
+        put(seen, None if age < 0 else now_ns - age)
 
 
 def marks_of(status: VcuStatus) -> frozenset[str]:

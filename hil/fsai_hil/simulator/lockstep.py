@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from fsai_hil.rules.checker import WireChecker, WireReport
+from fsai_hil.rules.checker import WireChecker
 from fsai_hil.simulator.ai_computer import OnboardComputer
 from fsai_hil.simulator.judge import JudgeVerdict
 from fsai_hil.simulator.world import World, WorldSetup
@@ -36,7 +36,7 @@ class LockstepResult:
     """A run in lockstep: what the judge saw, what the wire showed, what the bridge reported at the end."""
 
     verdict: JudgeVerdict
-    wire: WireReport
+    wire: WireChecker
     report: BridgeReport
     sim_time_s: float
     wall_time_s: float
@@ -57,8 +57,8 @@ class LockstepResult:
             "faults": list(self.faults),
             "gate_reasons": dict(self.report.reason_counts),
             "emergency": self.report.emergency,
-            "response_p50_ms": self.wire.response_p50_ms,
-            "response_max_ms": self.wire.response_max_ms,
+            "response_p50_ms": self.wire.responses.quantile_ms(0.5),
+            "response_max_ms": self.wire.responses.quantile_ms(1.0),
             "sim_time_s": round(self.sim_time_s, 3),
             "wall_time_s": round(self.wall_time_s, 3),
             "seed": self.seed,
@@ -188,7 +188,7 @@ class Lockstep:
         report = self.computer.report()
         return LockstepResult(
             self.world.verdict(),
-            self.wire.report(),
+            self.wire,
             report,
             (self.now_ns - start_ns) / S,
             time.monotonic() - began,

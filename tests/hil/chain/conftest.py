@@ -19,7 +19,7 @@ import pytest
 from conftest import BusLog, new_folder
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack
-from fsai_hil.rules.checker import WireReport, check_candump
+from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision
@@ -70,7 +70,7 @@ class Chain:
         self._interface = interface
         self._folder = folder
         self._shared: CarRun | None = None
-        self.wire: WireReport | None = None
+        self.wire: WireChecker | None = None
 
     @contextmanager
     def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] | None = None) -> Iterator[CarRun]:

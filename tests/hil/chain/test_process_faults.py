@@ -150,8 +150,7 @@ def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
             lost_ns = None
         if not (frame.can_id == FLOOD_ID or frame.error or frame.data == INTRUDER):
             checker.on_frame(frame)
-    report = checker.report()
-    assert report.ok, report
+    assert checker.ok, checker
 
 
 # ---------------------------------------------------------------- processes

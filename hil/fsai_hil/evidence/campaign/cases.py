@@ -13,11 +13,14 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.catalogue import EVERY_MISSION, ROWS, FaultKind, kind_named
+from fsai_hil.evidence.campaign.catalogue import EVERY_MISSION, ROWS, Draw, FaultKind, kind_named
 from fsai_vcu.interface.enums import Ami, AsState
 
 WORLD_SEEDS: Final = 3  # cone noise and the rest of a run's chance; the campaign's variety lies in the faults
 CHANCES: Final = 100_000
+WINDOW_MS: Final = 10_000  # how long a run from a snapshot lasts
+
+Task = tuple[bool, int]  # full-length or not, and the case's number
 
 
 class Since(Enum):
@@ -33,6 +36,10 @@ class Since(Enum):
         """The AS state that begins it; None: the run's beginning."""
         return None if self is Since.START else AsState[f"AS_{self.name}"]
 
+
+# What a fault by hand is given besides its own parameters.
+SINCE: Final = Draw("since", *(moment.value for moment in Since))
+AFTER, CHANCE = (Draw(name, (0, CHANCES)) for name in ("after", "chance"))
 
 # Snapshots: so long in AS_DRIVING, in ms. A mission is under way for at least LEG_MS after its last one.
 LEG_MS: Final = 6000
@@ -80,6 +87,11 @@ class Case:
         return kind_named(self.fault)
 
     @property
+    def world(self) -> tuple[Ami, str, int, bool]:
+        """What decides the run before the fault."""
+        return self.mission, self.revision, self.seed, self.kind.gps
+
+    @property
     def leg_ms(self) -> int | None:
         """The snapshot from which the case may begin; None: from power-up."""
         if self.full or self.since is not Since.DRIVING:
@@ -102,14 +114,20 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
-    """Which part of the catalogue is run. Raises ValueError for an unknown name or an empty choice."""
+class CampaignPlan:
+    """A campaign: how many cases, and of which part of the catalogue. Its cases follow from it and their index.
 
+    Asking for them raises ValueError for an unknown name or an empty choice.
+    """
+
+    seed: int
+    runs: int = 0
+    full: int = 0  # of full length
     faults: tuple[str, ...] = ()  # none: all
     missions: tuple[Ami, ...] = ()
     revisions: tuple[str, ...] = ()
     world_seeds: int = WORLD_SEEDS
-    within_ms: int = LEG_MS  # of a snapshot a fault begins
+    window_ms: int = WINDOW_MS
 
     def kinds(self) -> tuple[FaultKind, ...]:
         return _usable(self)
@@ -120,11 +138,36 @@ class Selection:
     def revisions_of(self, kind: FaultKind) -> tuple[str, ...]:
         return tuple(name for name in kind.revisions if not self.revisions or name in self.revisions)
 
+    def tasks(self) -> list[Task]:
+        """Full-length runs first: the longest ones must not be left to the end."""
+        return [(True, index) for index in range(self.full)] + [(False, index) for index in range(self.runs)]
+
+    def case(self, index: int, *, full: bool = False) -> Case:
+        """Kinds take turns; everything else is drawn."""
+        kinds = self.kinds()
+        kind = kinds[index % len(kinds)]
+        rng = random.Random(f"{self.seed}/{'full' if full else 'short'}/{kind.name}/{index // len(kinds)}")
+        missions: Sequence[Ami] = self.missions_of(kind)
+        if full:
+            missions = [ami for ami in FULL_LENGTH if ami in missions] or missions
+        mission = rng.choice(missions)
+        revision = rng.choice(self.revisions_of(kind))
+        world_seed = rng.randrange(self.world_seeds)
+        if kind.from_start:
+            since, after_ms = Since.START, 0
+        elif full:
+            since, low, high = rng.choice(PHASES_MS)
+            after_ms = rng.randint(low, high)
+        else:
+            within_ms = min(LEG_MS, 6 * self.window_ms // 10)
+            since, after_ms = Since.DRIVING, rng.choice(LEGS_MS[mission]) + rng.randint(50, within_ms)
+        return Case(kind.name, mission, revision, world_seed, since, after_ms, drawn(kind, rng), full, index)
+
 
 @cache
-def _usable(selection: Selection) -> tuple[FaultKind, ...]:
-    chosen = tuple(kind_named(name) for name in selection.faults) or ROWS
-    usable = tuple(kind for kind in chosen if selection.missions_of(kind) and selection.revisions_of(kind))
+def _usable(plan: CampaignPlan) -> tuple[FaultKind, ...]:
+    chosen = tuple(kind_named(name) for name in plan.faults) or ROWS
+    usable = tuple(kind for kind in chosen if plan.missions_of(kind) and plan.revisions_of(kind))
     if not usable:
         raise ValueError("none of these faults applies to these missions and revisions")
     return usable
@@ -137,27 +180,6 @@ def drawn(kind: FaultKind, rng: random.Random, given: Mapping[str, Any] | None =
     return {**values, **(given or {})}
 
 
-def case_of(seed: int, index: int, selection: Selection, *, full: bool = False) -> Case:
-    """Case `index` of a campaign. Kinds take turns; everything else is drawn."""
-    kinds = selection.kinds()
-    kind = kinds[index % len(kinds)]
-    rng = random.Random(f"{seed}/{'full' if full else 'short'}/{kind.name}/{index // len(kinds)}")
-    missions: Sequence[Ami] = selection.missions_of(kind)
-    if full:
-        missions = [ami for ami in FULL_LENGTH if ami in missions] or missions
-    mission = rng.choice(missions)
-    revision = rng.choice(selection.revisions_of(kind))
-    world_seed = rng.randrange(selection.world_seeds)
-    if kind.from_start:
-        since, after_ms = Since.START, 0
-    elif full:
-        since, low, high = rng.choice(PHASES_MS)
-        after_ms = rng.randint(low, high)
-    else:
-        since, after_ms = Since.DRIVING, rng.choice(LEGS_MS[mission]) + rng.randint(50, selection.within_ms)
-    return Case(kind.name, mission, revision, world_seed, since, after_ms, drawn(kind, rng), full, index)
-
-
 def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, full: bool, index: int = 0) -> Case:
     """A case from `NAME[:since=…,after=MS,parameter=value,…]`; what is not given is drawn by `seed`.
 
@@ -165,31 +187,17 @@ def case_from_spec(text: str, *, mission: Ami | None, revision: str, seed: int, 
     """
     name, _, rest = text.partition(":")
     kind = kind_named(name)
-    draws = {draw.name: draw for draw in kind.draws}
+    known = {draw.name: draw for draw in (SINCE, AFTER, *kind.draws, CHANCE)}
     given: dict[str, Any] = {}
-    after_ms: int | None
-    since, after_ms = (Since.START, 0) if kind.from_start else (Since.DRIVING, None)
     for part in filter(None, rest.split(",")):
         key, equals, value = part.partition("=")
         if not equals:
             raise ValueError(f"fault {name}: {part!r} is not NAME=VALUE")
-        if key == "since":
-            known = {moment.value: moment for moment in Since}
-            if value not in known:
-                raise ValueError(f"fault {name}: since is {value!r}: choose one of {', '.join(known)}")
-            since = known[value]
-        elif key in ("after", "chance"):
-            if not value.isdigit():
-                raise ValueError(f"fault {name}: {key} is {value!r}, but must be a whole number of 0 or more")
-            if key == "after":
-                after_ms = int(value)
-            else:
-                given[key] = int(value)
-        elif key in draws:
-            given[key] = draws[key].parsed(value)
-        else:
-            there = ", ".join(("since", "after", *draws, "chance"))
-            raise ValueError(f"fault {name} has no parameter {key!r}: there are {there}")
+        if key not in known:
+            raise ValueError(f"fault {name} has no parameter {key!r}: there are {', '.join(known)}")
+        given[key] = known[key].parsed(value)
+    since = Since(given.pop("since", "start" if kind.from_start else "driving"))
+    after_ms: int | None = given.pop("after", 0 if kind.from_start else None)
     rng = random.Random(f"{seed}/by hand/{name}")
     values = drawn(kind, rng, given)
     if mission is None:

@@ -6,6 +6,7 @@ lie in bands clear of those times: what happens exactly at a limit is for the ex
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -15,7 +16,7 @@ from typing import Any, Final
 
 from fsai_hil.evidence.campaign import demands as d
 from fsai_hil.evidence.campaign import injections as i
-from fsai_hil.evidence.campaign.demands import Demand, End, Graded, Must, Onset, Params, always, ends
+from fsai_hil.evidence.campaign.demands import Computed, Demand, End, Graded, Must, Onset, Params, ends
 from fsai_hil.evidence.campaign.injections import Injection
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -31,13 +32,13 @@ BOTH: Final = ("2021", "2026")
 Bands = tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True, slots=True)
 class Draw:
     """One parameter: a number from one of several bands, or one of several words."""
 
-    name: str
-    bands: Bands = ()
-    words: tuple[str, ...] = ()
+    def __init__(self, name: str, *of: tuple[float, float] | str) -> None:
+        self.name = name
+        self.words = [one for one in of if isinstance(one, str)]
+        self.bands = [one for one in of if not isinstance(one, str)]
 
     def drawn(self, rng: random.Random) -> Any:
         if self.words:
@@ -48,16 +49,21 @@ class Draw:
         return round(rng.uniform(low, high), 3)
 
     def parsed(self, text: str) -> Any:
-        """The value in `text`; ValueError says what it may be."""
+        """The value in `text`; ValueError: what it may be."""
         if self.words:
             if text not in self.words:
                 raise ValueError(f"{self.name} is {text!r}: choose one of {', '.join(self.words)}")
             return text
         whole = all(isinstance(bound, int) for band in self.bands for bound in band)
+        of_0 = min(low for low, _ in self.bands) >= 0
         try:
-            return int(text) if whole else float(text)
+            value = int(text) if whole else float(text)
         except ValueError:
-            raise ValueError(f"{self.name} is {text!r}, but must be a {'whole ' if whole else ''}number") from None
+            value = math.nan
+        if math.isnan(value) or (of_0 and value < 0):
+            number = f"{'whole ' if whole else ''}number{' of 0 or more' if of_0 else ''}"
+            raise ValueError(f"{self.name} is {text!r}, but must be a {number}")
+        return value
 
     def __str__(self) -> str:
         if self.words:
@@ -65,17 +71,7 @@ class Draw:
         return f"{self.name} {', '.join(f'{low:g}…{high:g}' for low, high in self.bands)}"
 
 
-def between(name: str, *bands: tuple[float, float]) -> Draw:
-    return Draw(name, bands)
-
-
-def lasts(*bands: tuple[float, float]) -> Draw:
-    """How long, in ms."""
-    return Draw("duration", bands)
-
-
-def one_of(name: str, *words: str) -> Draw:
-    return Draw(name, words=words)
+lasts = partial(Draw, "duration")  # how long, in ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +89,8 @@ class FaultKind:
     from_start: bool = False  # there from power-up on: such a run begins there, and the demand holds for all of it
 
     @property
-    def demanded(self) -> str:
-        """What must follow, in words."""
-        return self.must.words
-
-    def demand(self, params: Params) -> Demand:
-        """What must follow where these parameters were drawn."""
-        return self.must.demand(params)
+    def parameters(self) -> str:
+        return "; ".join(str(draw) for draw in self.draws)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,84 +106,45 @@ class Fault:
 
 # ---------------------------------------------------------------- demands shared by several rows
 
-UNCHANGED = always("drives on", d.NOTHING)
-MAY_STOP = always("drives on, or the car stops itself (the bus showed it nothing wrong)", d.MAY_STOP_ITSELF)
-MAY_MEET = always("drives on, or the car stops itself where torque meets brake there", d.MAY_STOP_ITSELF)
-ANY = always("cannot be told from the truth: every rule on the wire holds; drives on, or stands in the end", d.ANY)
-ROUGH = always(
-    "limits and interlocks hold; drives on, or stops by one of the rules", ends(End.ON, End.HELD, End.STOP, End.ESTOP)
-)
-EDGE = always("torque 0 and brake at once", d.stop(10))
-ITSELF = always(
-    "the car stops itself; torque 0 at once", ends(End.SELF, no_torque_ms=10 + d.SLACK_MS, safe_ms=2 * d.SLACK_MS)
-)
-NO_DRIVE = always("no torque ever; in AS_DRIVING at once a stop, FINISHED", ends(End.STOP, no_torque_ms=0))
+MAY_MEET = ends(End.ON, End.SELF, note="torque and brake may meet at the car")
+ROUGH = ends(End.ON, End.HELD, End.STOP, End.ESTOP, note="every limit and interlock holds")
+EDGE = d.stop(10)
+ITSELF = ends(End.SELF, no_torque_ms=10 + d.SLACK_MS, safe_ms=2 * d.SLACK_MS)
+NO_DRIVE = ends(End.STOP, no_torque_ms=0, note="no torque ever")
+WITHIN_LIMIT = ends(End.ON, End.HELD, note="never above the live limit")
 
-LOST_STATUS = Graded(
-    "under 50 ms nothing; 50 ms torque 0, then on; 100 ms ESTOP_REQUEST (the car stops itself as well)",
-    ((50, d.held(d.VCU_STALE_MS)), (100, d.CAR_STOPS)),
-)
+LOST_STATUS = Graded(((50, d.held(d.VCU_STALE_MS)), (100, d.CAR_STOPS)))
 STATUS_BANDS = ((10, 30), (82, 86), (130, 2500))
-UNKNOWN_STATE = Graded(
-    "torque 0 at once, then on; 100 ms ESTOP_REQUEST", ((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))
-)
-NO_ECHO = Graded(
-    "under 100 ms nothing; 100 ms the car stops itself, for the echo does not match", ((100, d.CAR_STOPS),)
-)
+NO_ECHO = Graded(((100, d.CAR_STOPS),))
 LOST_FEEDBACK = Graded(
-    "under 100 ms nothing; 100 ms service-brake stop; 300 ms ESTOP_REQUEST",
     ((100, d.stop(d.FEEDBACK_STALE_MS)), (300, d.estop(d.FEEDBACK_LOST_MS, d.FEEDBACK_STALE_MS))),
 )
 FEEDBACK_BANDS = ((10, 60), (130, 240), (360, 2500))
-LOST_LIMIT = Graded("drives on; no torque on that axle while its limit is 100 ms old", ((100, ends(End.ON, End.HELD)),))
-LOST_COMMAND = Graded(
-    "under 100 ms nothing; 100 ms torque 0, then on; 300 ms service-brake stop",
-    (
-        (100, d.held(d.COMMAND_STALE_MS + d.CONTROL_MS)),
-        (300, d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.COMMAND_STALE_MS + d.CONTROL_MS)),
-    ),
-)
-REFUSED = LOST_COMMAND.by("duration", "refused whole: as if none had come. ")
+ECHO_REPLACED = ends(End.ON, note="two complete zero cycles stand for its echo")
+AXLE_IDLE = ends(End.ON, note="no torque on that axle while its limit is 100 ms old")
+LOST_LIMIT = Graded(((0, AXLE_IDLE), (100, WITHIN_LIMIT)))
+COMMAND_STOP = d.stop(d.COMMAND_LOST_MS + d.CONTROL_MS, d.COMMAND_STALE_MS + d.CONTROL_MS)
+LOST_COMMAND = Graded(((100, d.held(d.COMMAND_STALE_MS + d.CONTROL_MS)), (300, COMMAND_STOP)))
 COMMAND_BANDS = ((10, 60), (140, 240), (380, 2500))
-OLD_DATA = Graded(
-    "under 500 ms nothing; data of 500 ms torque 0, 200 ms later service-brake stop",
-    ((600, d.stop(700 + d.PLAN_MS, d.SENSOR_STALE_MS + d.PLAN_MS)),),
-)
+OLD_DATA = Graded(((600, d.stop(700 + d.PLAN_MS, d.SENSOR_STALE_MS + d.PLAN_MS)),))
 SILENT = ends(End.SELF, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
-SILENT_OURS = ends(End.SELF, no_torque_ms=0, safe_ms=d.CAR_PATIENCE_MS + d.SLACK_MS)
-AI_SILENT = Graded("under 100 ms nothing; 100 ms the car stops itself", ((100, SILENT),))
-AI_SILENT_TORQUE = Graded(
-    "under 100 ms it drives on, or the car stops itself where torque meets brake there; 100 ms the car stops itself",
-    ((0, d.MAY_STOP_ITSELF), (100, SILENT)),
-)
-RESTARTED = always("silence stops the car; it never drives on by itself", SILENT_OURS)
+SILENT_OURS = replace(SILENT, no_torque_ms=0, note="it never drives on by itself")
+AI_SILENT = Graded(((100, SILENT),))
+AI_SILENT_TORQUE = Graded(((0, MAY_MEET), (100, SILENT)))
 
-STEERING_OFF = always(
-    "once it is off by more than delay and play: 300 ms service-brake stop, 600 ms ESTOP_REQUEST",
-    d.implausible(Onset.STEERING),
-)
-WHEEL_OFF = always(
-    "once beyond what slip explains: 300 ms service-brake stop, 600 ms ESTOP_REQUEST", d.implausible(Onset.WHEEL)
-)
-CONTRADICTED = d.implausible(Onset.COUNTS, d.FEEDBACK_STALE_MS, d.FEEDBACK_LOST_MS)
-COUNTS_OFF = always(
-    "once speed and pulse count contradict each other the speeds are not believed: 100 ms service-brake stop, 300 ms"
-    " ESTOP_REQUEST",
-    CONTRADICTED,
-)
-NOISE = "noise comes and goes: drives on, and stops only where it is off for 300 ms without a break"
-STEERING_NOISE, WHEEL_NOISE = replace(STEERING_OFF, words=NOISE), replace(WHEEL_OFF, words=NOISE)
+STEERING_OFF, WHEEL_OFF = d.implausible(Onset.STEERING), d.implausible(Onset.WHEEL)
+COUNTS_OFF = d.implausible(Onset.COUNTS, d.FEEDBACK_STALE_MS, d.FEEDBACK_LOST_MS, "the speeds are not believed")
 FAST_CLOCK_MS = 110 + 20  # the age of the oldest data behind a command, and how far ahead a stamp may be
 
-INEFFECTIVE = always(
-    "no deceleration, or still moving 3 s after the stop began: ESTOP_REQUEST",
-    ends(End.STOP, End.ESTOP, no_torque_ms=d.SLACK_MS, estop_ms=3000 + d.SLACK_MS, safe_ms=3000 + 60),
+INEFFECTIVE = ends(
+    *(End.STOP, End.ESTOP),
+    no_torque_ms=d.SLACK_MS,
+    estop_ms=3000 + d.SLACK_MS,
+    safe_ms=3000 + 60,
+    note="no deceleration, or still moving 3 s after the stop began",
 )
 NO_BRAKE_MS = d.DECELERATION_MS + 2 * d.SLACK_MS + 10  # torque goes before the brake comes, and counting begins with it
-NO_BRAKE = always(
-    "half a second without a deceleration: ESTOP_REQUEST; what comes to rest by itself is stopped",
-    ends(End.STOP, End.ESTOP, no_torque_ms=d.SLACK_MS, estop_ms=NO_BRAKE_MS, safe_ms=3000 + 60),
-)
+NO_BRAKE = replace(INEFFECTIVE, estop_ms=NO_BRAKE_MS, note="no deceleration for 0.5 s")
 
 
 def restart_within(torque_ms: float, brake_ms: float) -> Must:
@@ -202,12 +154,14 @@ def restart_within(torque_ms: float, brake_ms: float) -> Must:
         back_ms = p["duration"] + d.CONTROL_MS
         return d.stop(min(back_ms, brake_ms), min(back_ms, torque_ms))
 
-    return Must("it never drives on by itself: service-brake stop", demand)
+    return Computed("it never drives on by itself: service-brake stop", demand)
 
 
-ASK_MANUAL = i.done(lambda rig, p, t_ns: rig.bridge.set_mode("manual", t_ns))
-EACH_WHEEL = one_of("wheel", *i.WHEELS)
-SWINGS = between("period", (50, 500))
+EACH_WHEEL = Draw("wheel", *i.WHEELS)
+BUS_LOST = "commands are dropped, and the bus is opened again with growing pauses"
+SWINGS = Draw("period", (50, 500))
+SHOWN = lasts((15, 1500))
+UPSET = lasts((100, 4000))
 OLD_MARKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "switches": {"as_switch": False, "ts_switch": False},
@@ -226,30 +180,31 @@ def _message(
     lost: Graded,
     lost_ms: Bands,
     late_ms: Bands,
-    frozen: Must = UNCHANGED,
+    frozen: Must = d.NOTHING,
     frozen_ms: Bands = ((50, 2500),),
-    corrupted: Must = ANY,
+    corrupted: Must = d.ANY,
 ) -> tuple[FaultKind, ...]:
     """All that can happen to one message on its way: of the car's to us, or of ours to the car.
 
     `lost` grades by the time without a believable message, be it that none comes, that they come later or too short.
     """
     ours = can_id in AI_IDS
-    what = f"{of} (0x{can_id:03X})" + (", as the car hears it," if ours else "")
-
-    def one(name: str, does: str, fault: str, must: Must, *draws: Draw) -> FaultKind:
-        begin = (i.to_car if ours else i.from_car)({can_id}, fault)
-        return Fault(f"{prefix}_{name}", f"{what} {does}").by(begin, must, *draws)
-
+    on_wire = partial(i.to_car if ours else i.from_car, {can_id})
     no_message = "has too few bytes: no believable message comes"
-    cut = between("length", (0, BY_ID[can_id].dlc - 1))
-    return (
-        one("lost", "stops coming", "lost", lost.by("duration"), lasts(*lost_ms)),
-        one("late", "comes later, and goes on so", "late", lost.by("delay"), between("delay", *late_ms)),
-        one("frozen", "repeats one payload", "frozen", frozen, lasts(*frozen_ms)),
-        one("twice", "arrives several times", "twice", UNCHANGED, between("times", (2, 5)), lasts((100, 2500))),
-        one("corrupted", "has bits flipped", "flipped", corrupted, lasts((10, 2000)), between("bits", (1, 8))),
-        one("wrong_length", no_message, "cut", lost.by("duration"), lasts(*lost_ms), cut),
+    late, cut = Draw("delay", *late_ms), Draw("length", (0, BY_ID[can_id].dlc - 1))
+    times, bits = Draw("times", (2, 5)), Draw("bits", (1, 8))
+    return tuple(
+        Fault(f"{prefix}_{name}", f"{of} (0x{can_id:03X}){', as the car receives it,' if ours else ''} {does}").by(
+            on_wire(fault), must, *draws
+        )
+        for name, does, fault, must, *draws in (
+            ("lost", "stops coming", "lost", lost, lasts(*lost_ms)),
+            ("late", "comes later, and goes on so", "late", replace(lost, of="delay"), late),
+            ("frozen", "repeats one payload", "frozen", frozen, lasts(*frozen_ms)),
+            ("twice", "arrives several times", "twice", d.NOTHING, times, lasts((100, 2500))),
+            ("corrupted", "has bits flipped", "flipped", corrupted, lasts((10, 2000)), bits),
+            ("wrong_length", no_message, "cut", lost, lasts(*lost_ms), cut),
+        )
     )
 
 
@@ -261,9 +216,9 @@ _limit = partial(
     lost=LOST_LIMIT,
     lost_ms=((10, 60), (130, 2500)),
     late_ms=((5, 60), (130, 800)),
-    corrupted=always("torque never above the limit that was read; drives on", ends(End.ON, End.HELD)),
+    corrupted=WITHIN_LIMIT,
 )
-_needless = partial(_message, lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=UNCHANGED)
+_needless = partial(_message, lost=Graded(), lost_ms=((20, 2500),), late_ms=((5, 800),), corrupted=d.NOTHING)
 _incoming = partial(
     _message,
     lost=AI_SILENT,
@@ -275,7 +230,7 @@ _incoming_torque = partial(_incoming, lost=AI_SILENT_TORQUE)
 
 
 ROWS: Final[tuple[FaultKind, ...]] = (
-    # ---------------------------------------------------------------- what the car says
+    # ---------------------------------------------------------------- what the car sends
     *_message(
         "status",
         i.STATUS,
@@ -283,65 +238,56 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         lost=LOST_STATUS,
         lost_ms=STATUS_BANDS,
         late_ms=((5, 30), (65, 75), (130, 500)),
-        frozen=replace(
-            NO_ECHO.by("duration"),
-            words="under 100 ms nothing; 100 ms the car stops itself, for the handshake stands still",
-        ),
+        frozen=NO_ECHO,
         frozen_ms=((10, 60), (150, 3000)),
     ),
     Fault("status_jittering", "0x520 comes at irregular times, in order").by(
-        i.from_car({i.STATUS}, "jittering"), UNCHANGED, between("delay", (1, 25))
+        i.from_car({i.STATUS}, "jittering"), d.NOTHING, Draw("delay", (1, 25))
     ),
     Fault("status_falls_back", "0x520 shows another AS state for a while, the car drives").by(
         i.status_shows(lambda p: {"as_state": AsState[p["state"]]}),
-        always(
-            "zeros at once; back in AS_DRIVING it brakes to rest (NEUTRAL while moving: the car stops itself)",
-            ends(End.STOP, End.SELF, End.ESTOP, no_torque_ms=10 + d.SLACK_MS),
-        ),
-        lasts((15, 1500)),
-        one_of("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
+        ends(End.STOP, End.SELF, End.ESTOP, no_torque_ms=10 + d.SLACK_MS, note="back in AS_DRIVING it brakes to rest"),
+        SHOWN,
+        Draw("state", "AS_OFF", "AS_READY", "AS_FINISHED", "EMERGENCY_BRAKE"),
     ),
-    *(
-        Fault(f"status_{name}", f"0x520 shows {what}, the car drives").by(
-            i.status_shows(shown), EDGE, lasts((15, 1500))
-        )
-        for name, what, shown in (
-            ("go_off", "GO_SIGNAL 0", lambda p: {"go_signal": False}),
-            ("fault_bit", "FAULT_STATUS 1", lambda p: {"fault": True}),
-        )
+    Fault("status_go_off", "0x520 shows GO_SIGNAL 0, the car drives").by(
+        i.status_shows(lambda p: {"go_signal": False}), EDGE, SHOWN
+    ),
+    Fault("status_fault_bit", "0x520 shows FAULT_STATUS 1, the car drives").by(
+        i.status_shows(lambda p: {"fault": True}), EDGE, SHOWN
     ),
     Fault("status_undefined_as_state", "0x520 shows an AS_STATE that no table knows, the car drives").by(
         i.from_car({i.STATUS}, "undefined AS_STATE"),
-        UNKNOWN_STATE.by("duration"),
+        Graded(((0, d.held(0)), (100, d.estop(d.CAR_PATIENCE_MS, 0)))),
         lasts((10, 40), (60, 86), (130, 2500)),
-        between("state", (6, 15)),
+        Draw("state", (6, 15)),
     ),
     *(
         Fault(f"status_{name}", f"0x520 shows {what} while FAULT_STATUS stays 0, the car drives").by(
-            i.status_shows(shown), EDGE, lasts((15, 1500)), *draws
+            i.status_shows(shown), EDGE, SHOWN, *draws
         )
-        for name, what, shown, draws in (
-            ("as_switch_off", "AS_SWITCH_STATUS 0", lambda p: {"as_switch": False}, ()),
-            ("ts_switch_off", "TS_SWITCH_STATUS 0", lambda p: {"ts_switch": False}, ()),
-            ("shutdown_request", "SHUTDOWN_REQUEST 1", lambda p: {"shutdown_request": True}, ()),
+        for name, what, shown, *draws in (
+            ("as_switch_off", "AS_SWITCH_STATUS 0", lambda p: {"as_switch": False}),
+            ("ts_switch_off", "TS_SWITCH_STATUS 0", lambda p: {"ts_switch": False}),
+            ("shutdown_request", "SHUTDOWN_REQUEST 1", lambda p: {"shutdown_request": True}),
             (
                 "one_fault_bit",
                 "one fault bit",
                 lambda p: {"faults": Faults(**{field: name == p["bit"] for field, name in FAULT_NAMES.items()})},
-                (one_of("bit", *FAULT_NAMES.values()),),
+                Draw("bit", *FAULT_NAMES.values()),
             ),
             (
                 "shutdown_cause",
                 "a SHUTDOWN_CAUSE",
                 lambda p: {"shutdown_cause": ShutdownCause[p["cause"]]},
-                (one_of("cause", *(cause.name for cause in ShutdownCause if cause)),),
+                Draw("cause", *(cause.name for cause in ShutdownCause if cause)),
             ),
         )
     ),
     Fault(
         "status_old_marks",
         "0x520 shows switches off, SHUTDOWN_REQUEST, fault bits or a SHUTDOWN_CAUSE since before the run",
-    ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), UNCHANGED, one_of("mark", *OLD_MARKS), from_start=True),
+    ).by(i.status_shows(lambda p: OLD_MARKS[p["mark"]]), d.NOTHING, Draw("mark", *OLD_MARKS), from_start=True),
     Fault("vcu_drives_without_mission", "the AMI shows 0 all along, and the VCU goes on to AS_READY and AS_DRIVING").by(
         i.together(
             i.status_shows(lambda p: {"ami": Ami.NOT_SELECTED}), i.vcu_differs(ready_without_acknowledgement=True)
@@ -352,255 +298,220 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     Fault("vcu_hasty", "the VCU takes Go so many ms after AS_READY began, not after 5 s").by(
         i.together(i.vcu_differs(ready_wait_ns=MS), i.hasty_go),
         NO_DRIVE,
-        between("ready", (20, 60), (500, 4700)),
+        Draw("ready", (20, 60), (500, 4700)),
         from_start=True,
     ),
     Fault("vcu_shows_go_all_along", "0x520 shows GO_SIGNAL 1 from power-up on: no rising edge of Go was seen").by(
         i.status_shows(lambda p: {"go_signal": True}), NO_DRIVE, from_start=True
     ),
     Fault("handshake_inverted", "HANDSHAKE toggles wrong on its way: inverted").by(
-        i.wild_handshake, NO_ECHO.by("duration"), lasts((10, 60), (150, 3000)), one_of("way", "inverted")
+        i.wild_handshake, NO_ECHO, lasts((10, 60), (150, 3000)), Draw("way", "inverted")
     ),
     Fault("handshake_random", "HANDSHAKE toggles wrong on its way: by chance").by(
-        i.wild_handshake, MAY_STOP, lasts((10, 3000)), one_of("way", "random")
+        i.wild_handshake, d.MAY_STOP_ITSELF, lasts((10, 3000)), Draw("way", "random")
     ),
     Fault("handshake_stuck", "HANDSHAKE stands still on its way").by(
         i.status_shows(lambda p: {"handshake": p["bit"] == "1"}),
-        NO_ECHO.by("duration"),
+        NO_ECHO,
         lasts((10, 60), (150, 3000)),
-        one_of("bit", "0", "1"),
+        Draw("bit", "0", "1"),
     ),
     Fault("handshake_slow", "our echo reaches the car late, within its patience").by(
-        i.to_car({i.AI_STATUS}, "late"), UNCHANGED, between("delay", (20, 70))
+        i.to_car({i.AI_STATUS}, "late"), d.NOTHING, Draw("delay", (20, 70))
     ),
     *_limit("front_limit", i.DRIVE_F, "the front axle's torque limit"),
     *_limit("rear_limit", i.DRIVE_R, "the rear axle's torque limit"),
     *_feedback("steering", i.STEER, "the steering angle", frozen=STEERING_OFF),
-    *_needless(
-        "brakes", i.BRAKE, "brake feedback", lost=Graded("drives on: two complete zero cycles stand for its echo")
-    ),
-    *_feedback("speeds", i.SPEEDS, "wheel speeds", frozen=ANY),
-    *_needless("counts", i.COUNTS, "wheel pulses", lost=Graded(UNCHANGED.words), frozen=COUNTS_OFF),
+    *_needless("brakes", i.BRAKE, "brake feedback", lost=Graded(((0, ECHO_REPLACED),))),
+    *_feedback("speeds", i.SPEEDS, "wheel speeds", frozen=d.ANY),
+    *_needless("counts", i.COUNTS, "wheel pulses", frozen=COUNTS_OFF),
     Fault("logging_corrupted", "bits of the logging frames (0x120, 0x500, 0x502) are flipped").by(
-        i.from_car(i.LOGS, "flipped"), UNCHANGED, lasts((20, 4000)), between("bits", (1, 12))
+        i.from_car(i.LOGS, "flipped"), d.NOTHING, lasts((20, 4000)), Draw("bits", (1, 12))
     ),
     Fault("everything_thinned", "each frame of the car is lost by chance").by(
-        i.from_car(i.FROM_CAR, "thinned"), UNCHANGED, between("share", (0.01, 0.12))
+        i.from_car(i.FROM_CAR, "thinned"), d.NOTHING, Draw("share", (0.01, 0.12))
     ),
-    Fault("car_silent", "we hear nothing of the car, it hears us").by(
-        i.from_car(i.FROM_CAR, "lost"), LOST_STATUS.by("duration"), lasts(*STATUS_BANDS)
+    Fault("car_silent", "we receive nothing of the car, it receives us").by(
+        i.from_car(i.FROM_CAR, "lost"), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
-    Fault("vcu_hangs", "the VCU neither speaks nor hears for a while").by(
-        i.together(i.from_car(i.FROM_CAR, "lost"), i.to_car(AI_IDS, "lost")),
-        LOST_STATUS.by("duration"),
-        lasts(*STATUS_BANDS),
+    Fault("vcu_hangs", "the VCU neither sends nor receives for a while").by(
+        i.together(i.from_car(i.FROM_CAR, "lost"), i.to_car(AI_IDS, "lost")), LOST_STATUS, lasts(*STATUS_BANDS)
     ),
     *(
-        Fault(f"gps_{name}", what).by(i.from_car(i.GPS_IDS, fault), UNCHANGED, lasts((50, 4000)), *draws, gps=True)
-        for name, what, fault, draws in (
-            ("lost", "the PCAN-GPS stops sending", "lost", ()),
+        Fault(f"gps_{name}", what).by(i.from_car(i.GPS_IDS, fault), d.NOTHING, lasts((50, 4000)), *draws, gps=True)
+        for name, what, fault, *draws in (
+            ("lost", "the PCAN-GPS stops sending", "lost"),
             (
                 "nan",
                 "NaN, infinity or a huge number in a float of the PCAN-GPS",
                 "no number",
-                (
-                    one_of("message", "0x610", "0x611", "0x621", "0x622", "0x623", "0x624", "0x625", "0x626"),
-                    one_of("value", "nan", "inf", "huge"),
-                ),
+                Draw("message", "0x610", "0x611", "0x621", "0x622", "0x623", "0x624", "0x625", "0x626"),
+                Draw("value", "nan", "inf", "huge"),
             ),
-            ("frozen", "the PCAN-GPS repeats one payload", "frozen", ()),
-            ("corrupted", "bits of the PCAN-GPS's frames are flipped", "flipped", (between("bits", (1, 12)),)),
+            ("frozen", "the PCAN-GPS repeats one payload", "frozen"),
+            ("corrupted", "bits of the PCAN-GPS's frames are flipped", "flipped", Draw("bits", (1, 12))),
         )
     ),
-    # ---------------------------------------------------------------- what the car hears
-    *_incoming(
-        "ai_status",
-        i.AI_STATUS,
-        "our state",
-        frozen=always("100 ms the car stops itself, for the echo does not match", SILENT),
-    ),
+    # ---------------------------------------------------------------- what the car receives
+    *_incoming("ai_status", i.AI_STATUS, "our state", frozen=SILENT),
     *_incoming_torque("ai_front", i.AI_DRIVE_F, "our front torque", frozen=MAY_MEET),
     *_incoming_torque("ai_rear", i.AI_DRIVE_R, "our rear torque", frozen=MAY_MEET),
     *_incoming("ai_steer", i.AI_STEER, "our steering request", frozen=STEERING_OFF),
-    *_incoming_torque(
-        "ai_brake",
-        i.AI_BRAKE,
-        "our brake request",
-        frozen=always(
-            MAY_MEET.words + "; a stop without effect becomes ESTOP_REQUEST",
-            ends(End.ON, End.SELF, End.STOP, End.ESTOP),
-        ),
-    ),
+    *_incoming_torque("ai_brake", i.AI_BRAKE, "our brake request", frozen=ends(End.ON, End.SELF, End.STOP, End.ESTOP)),
     Fault("ai_thinned", "each of our frames is lost on its way by chance").by(
-        i.to_car(AI_IDS, "thinned"), MAY_STOP, between("share", (0.01, 0.12))
+        i.to_car(AI_IDS, "thinned"), d.MAY_STOP_ITSELF, Draw("share", (0.01, 0.12))
     ),
     Fault("intruder", "somebody else sends on one of our ids").by(
         i.intruder,
-        always(
-            "first frame: ESTOP_REQUEST, also where the car stops itself for what it hears",
-            ends(End.ESTOP, End.SELF, no_torque_ms=d.SLACK_MS, estop_ms=d.SLACK_MS, safe_ms=60),
-        ),
-        one_of("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
-        between("frames", (1, 50)),
-        between("period", (1, 20)),
-        one_of("payload", "zeros", "random"),
+        ends(End.ESTOP, End.SELF, no_torque_ms=d.SLACK_MS, estop_ms=d.SLACK_MS, safe_ms=60),
+        Draw("message", "0x510", "0x511", "0x512", "0x513", "0x514"),
+        Draw("frames", (1, 50)),
+        Draw("period", (1, 20)),
+        Draw("payload", "zeros", "random"),
     ),
     Fault("stranger", "unknown, extended, remote and error frames every millisecond").by(
-        i.stranger, UNCHANGED, lasts((20, 1500))
+        i.stranger, d.NOTHING, lasts((20, 1500))
     ),
     # ---------------------------------------------------------------- sensors
     *(
         Fault(f"wheel_{name}", f"one wheel speed {what}").by(
             i.reading(change, "wheel_rpm"), must, EACH_WHEEL, *draws, missions=ROAD_MISSIONS
         )
-        for name, what, change, draws, must in (
-            ("dead", "reads 0", "dead", (), WHEEL_OFF),
-            ("stuck", "stands still", "stuck", (), WHEEL_OFF),
-            ("drifting", "drifts, in rpm/s", "drifting", (between("rate", (-300, -60), (60, 300)),), WHEEL_OFF),
-            ("very_noisy", "is noisy, sigma in rpm", "noisy", (between("size", (80, 300)),), WHEEL_NOISE),
-            ("offset", "is too high by so many rpm", "offset", (between("size", (150, 600)),), WHEEL_OFF),
-            ("scaled", "reads a multiple", "scaled", (between("factor", (0.2, 0.6), (1.6, 3.0)),), WHEEL_OFF),
-            ("noisy", "is a little noisy, sigma in rpm", "noisy", (between("size", (1, 8)),), UNCHANGED),
+        for name, what, change, must, *draws in (
+            ("dead", "reads 0", "dead", WHEEL_OFF),
+            ("stuck", "stands still", "stuck", WHEEL_OFF),
+            ("drifting", "drifts, in rpm/s", "drifting", WHEEL_OFF, Draw("rate", (-300, -60), (60, 300))),
+            ("very_noisy", "is noisy, sigma in rpm", "noisy", WHEEL_OFF, Draw("size", (80, 300))),
+            ("offset", "is too high by so many rpm", "offset", WHEEL_OFF, Draw("size", (150, 600))),
+            ("scaled", "reads a multiple", "scaled", WHEEL_OFF, Draw("factor", (0.2, 0.6), (1.6, 3.0))),
+            ("noisy", "is a little noisy, sigma in rpm", "noisy", d.NOTHING, Draw("size", (1, 8))),
         )
     ),
     Fault("speeds_impossible", "wheel speeds above what the signal database allows: they are not believed").by(
         i.from_car({i.SPEEDS}, "impossible speeds"),
-        LOST_FEEDBACK.by("duration", "as if none had come. "),
+        LOST_FEEDBACK,
         lasts(*FEEDBACK_BANDS),
-        one_of("wheel", *i.WHEELS, "all"),
-        one_of("rpm", "1251", "1300", "65535"),
-    ),
-    Fault("wheel_spiking", "one wheel speed jumps in every so many frames by more than any tyre can follow").by(
-        i.spiking_speed,
-        always("such a frame is not believed: drives on", d.NOTHING),
-        EACH_WHEEL,
-        between("every", (2, 6)),
+        Draw("wheel", *i.WHEELS, "all"),
+        Draw("rpm", "1251", "1300", "65535"),
     ),
     Fault(
-        "wheels_jumping", "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there"
-    ).by(
-        i.reading("offset", "wheel_rpm"),
-        always("as if none came: 100 ms service-brake stop, 300 ms ESTOP_REQUEST", LOST_FEEDBACK.at(300)),
-        between("size", (400, 800)),
-    ),
-    Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading("stuck", "wheel_rpm"), ANY, lasts((100, 4000))),
-    Fault("wheels_dead", "all wheel speeds read 0").by(i.reading("dead", "wheel_rpm"), COUNTS_OFF, lasts((100, 4000))),
+        "wheel_spiking",
+        "one wheel speed jumps in every so many frames by more than any tyre can follow: such a frame is not believed",
+    ).by(i.spiking_speed, d.NOTHING, EACH_WHEEL, Draw("every", (2, 6))),
+    Fault(
+        "wheels_jumping",
+        "all wheel speeds jump up by so many rpm, more than any tyre can follow, and stay there: not believed",
+    ).by(i.reading("offset", "wheel_rpm"), LOST_FEEDBACK.steps[-1][1], Draw("size", (400, 800))),
+    Fault("wheels_stuck", "all wheel speeds stand still").by(i.reading("stuck", "wheel_rpm"), d.ANY, UPSET),
+    Fault("wheels_dead", "all wheel speeds read 0").by(i.reading("dead", "wheel_rpm"), COUNTS_OFF, UPSET),
     Fault("wheels_swapped", "two wheels exchanged, speeds and pulses").by(
         i.swapped_wheels,
-        always(
-            "drives on, or a service-brake stop where curves make them implausible", ends(End.ON, End.STOP, End.ESTOP)
-        ),
-        one_of("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
+        ends(End.ON, End.STOP, End.ESTOP, note="curves may make them implausible"),
+        Draw("wheels", "fl-fr", "rl-rr", "fl-rr", "fr-rl", "fl-rl"),
         missions=ROAD_MISSIONS,
     ),
     Fault("pulses_wrong", "wheel pulses stand still, run double, or are chance").by(
         i.reading("wrong pulses", "pulses"),
-        Must(f"{UNCHANGED.words}; {COUNTS_OFF.words}", lambda p: CONTRADICTED if p["way"] == "stuck" else d.NOTHING),
-        one_of("way", "stuck", "double", "random"),
+        Computed(
+            f"{d.NOTHING.demanded}; where they stand still: {COUNTS_OFF.demanded}",
+            lambda p: COUNTS_OFF if p["way"] == "stuck" else d.NOTHING,
+        ),
+        Draw("way", "stuck", "double", "random"),
     ),
     Fault(
         "pulses_running_on",
         "the pulses of every wheel run on by themselves, so many a second, and we are asked to stop",
     ).by(
-        i.together(i.reading("wrong pulses", "pulses"), ASK_MANUAL),
-        always(
-            "it stops, and never says FINISHED; " + COUNTS_OFF.words,
-            replace(CONTRADICTED, ends=frozenset((End.ESTOP,))),
-        ),
-        one_of("way", "running"),
-        between("rate", (30, 400)),
+        i.together(i.reading("wrong pulses", "pulses"), i.manual_asked),
+        replace(COUNTS_OFF, ends=frozenset((End.ESTOP,)), note="it never sends FINISHED"),
+        Draw("way", "running"),
+        Draw("rate", (30, 400)),
     ),
     *(
         Fault(f"steering_sensor_{name}", f"the steering angle measured {what}").by(
             i.reading(change, "steer_deg"), must, *draws
         )
-        for name, what, change, draws, must in (
-            ("stuck", "stands still", "stuck", (), STEERING_OFF),
-            ("offset", "is off by so many deg", "offset", (between("size", (-15.0, -4.0), (4.0, 15.0)),), STEERING_OFF),
-            ("drifting", "drifts, in deg/s", "drifting", (between("rate", (-6.0, -1.0), (1.0, 6.0)),), STEERING_OFF),
-            ("noisy", "is noisy, sigma in deg", "noisy", (between("size", (0.1, 5.0)),), STEERING_NOISE),
-            ("slightly_off", "is off by up to 1 deg", "offset", (between("size", (-1.0, 1.0)),), UNCHANGED),
+        for name, what, change, must, *draws in (
+            ("stuck", "stands still", "stuck", STEERING_OFF),
+            ("offset", "is off by so many deg", "offset", STEERING_OFF, Draw("size", (-15.0, -4.0), (4.0, 15.0))),
+            ("drifting", "drifts, in deg/s", "drifting", STEERING_OFF, Draw("rate", (-6.0, -1.0), (1.0, 6.0))),
+            ("noisy", "is noisy, sigma in deg", "noisy", STEERING_OFF, Draw("size", (0.1, 5.0))),
+            ("slightly_off", "is off by up to 1 deg", "offset", d.NOTHING, Draw("size", (-1.0, 1.0))),
         )
     ),
     Fault("brake_sensor_wrong", "brake pressures measured stand still, or are noise").by(
-        i.reading("stuck or noise", *i.BRAKES), UNCHANGED, one_of("way", "stuck", "noise")
+        i.reading("stuck or noise", *i.BRAKES), d.NOTHING, Draw("way", "stuck", "noise")
     ),
     *(
-        Fault(f"gyro_{name}", f"the yaw rate of the PCAN-GPS {what}").by(
-            i.reading(change, "yaw_rate_radps"), UNCHANGED, draw, missions=ROAD_MISSIONS, gps=True
+        Fault(f"gyro_{change}", f"the yaw rate of the PCAN-GPS {what}").by(
+            i.reading(change, "yaw_rate_radps"), d.NOTHING, draw, missions=ROAD_MISSIONS, gps=True
         )
-        for name, what, change, draw in (
-            ("drifting", "drifts, in rad/s2", "drifting", between("rate", (-0.5, 0.5))),
-            ("noisy", "is noisy, sigma in rad/s", "noisy", between("size", (0.05, 1.0))),
+        for change, what, draw in (
+            ("drifting", "drifts, in rad/s2", Draw("rate", (-0.5, 0.5))),
+            ("noisy", "is noisy, sigma in rad/s", Draw("size", (0.05, 1.0))),
         )
     ),
     # ---------------------------------------------------------------- actuators
     *(
-        Fault(f"steering_{name}", f"the steering {what}").by(begin, STEERING_OFF, *draws)
-        for name, what, begin, draws in (
-            ("stuck_rack", "sticks", i.slow_steering, ()),
-            ("free", "does not follow: it returns to straight", i.ordered(lambda real, p: 0.0, "steer_deg"), ()),
-            ("slow", "turns too slowly, in deg/s", i.slow_steering, (between("rate", (2.0, 12.0)),)),
-            (
-                "weak",
-                "reaches a part of its request only",
-                i.ordered(lambda real, p: real * p["factor"], "steer_deg"),
-                (between("factor", (0.2, 0.7)),),
-            ),
-            (
-                "offset",
-                "is off by so many deg",
-                i.ordered(lambda real, p: real + p["size"], "steer_deg"),
-                (between("size", (-12.0, -5.0), (5.0, 12.0)),),
-            ),
-            ("inverted", "turns the wrong way", i.ordered(lambda real, p: -real, "steer_deg"), ()),
+        Fault(f"steering_{name}", f"the steering {what}").by(i.ordered(change, "steer_deg"), STEERING_OFF, *draws)
+        for name, what, change, *draws in (
+            ("stuck_rack", "sticks", "slow"),
+            ("free", "does not follow: it returns to straight", "dead"),
+            ("slow", "turns too slowly, in deg/s", "slow", Draw("rate", (2.0, 12.0))),
+            ("weak", "reaches a part of its request only", "scaled", Draw("factor", (0.2, 0.7))),
+            ("offset", "is off by so many deg", "offset", Draw("size", (-12.0, -5.0), (5.0, 12.0))),
+            ("inverted", "turns the wrong way", "inverted"),
         )
     ),
     Fault("motor_dead", "no motor gives torque").by(
-        i.ordered(lambda real, p: 0.0, *i.TORQUES),
-        always("drives on as far as it rolls: no rule asks for more", d.NOTHING),
+        i.ordered("dead", *i.TORQUES), ends(End.ON, note="as far as it rolls")
     ),
     Fault("motor_weak", "the motors give a part of the torque").by(
-        i.ordered(lambda real, p: real * p["factor"], *i.TORQUES), UNCHANGED, between("factor", (0.1, 0.7))
+        i.ordered("scaled", *i.TORQUES), d.NOTHING, Draw("factor", (0.1, 0.7))
     ),
     Fault("motor_one_axle", "one of the two driven axles gives no torque").by(
-        i.ordered(lambda real, p: 0.0, "front_torque_nm"), UNCHANGED, revisions=("2021",)
+        i.ordered("dead", "front_torque_nm"), d.NOTHING, revisions=("2021",)
     ),
-    Fault("motor_late", "torque comes and goes late, in ms").by(i.late_motor, UNCHANGED, between("delay", (20, 200))),
+    Fault("motor_late", "torque comes and goes late, in ms").by(
+        i.ordered("late", *i.TORQUES), d.NOTHING, Draw("delay", (20, 200))
+    ),
     Fault("motor_runs_on", "the motors go on giving torque which nobody asks for, and we are asked to stop").by(
-        i.together(i.ordered(lambda real, p: max(real, p["torque"]), "rear_torque_nm"), ASK_MANUAL),
+        i.together(i.ordered("runs on", "rear_torque_nm"), i.manual_asked),
         INEFFECTIVE,
-        between("torque", (20.0, 150.0)),
+        Draw("torque", (20.0, 150.0)),
     ),
     *(
-        Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(i.together(begin, ASK_MANUAL), must, *draws)
-        for name, what, begin, draws, must in (
-            ("failing", "the service brake does nothing", i.ordered(lambda real, p: 0.0, *i.BRAKES), (), NO_BRAKE),
+        Fault(f"brakes_{name}", f"{what}, and we are asked to stop").by(
+            i.together(i.ordered(change, *brakes), i.manual_asked), must, *draws
+        )
+        for name, what, change, brakes, must, *draws in (
+            ("failing", "the service brake does nothing", "dead", i.BRAKES, NO_BRAKE),
             (
                 "weak",
                 "the service brake gives a part only",
-                i.ordered(lambda real, p: real * p["factor"], *i.BRAKES),
-                (between("factor", (0.02, 0.6)),),
+                "scaled",
+                i.BRAKES,
                 INEFFECTIVE,
+                Draw("factor", (0.02, 0.6)),
             ),
             (
                 "slow",
                 "brake pressure builds up slowly, in %/s",
-                i.slow_brake,
-                (between("rate", (5.0, 100.0)),),
+                "builds up",
+                i.BRAKES,
                 INEFFECTIVE,
+                Draw("rate", (5.0, 100.0)),
             ),
-            ("front_only", "the rear brakes do nothing", i.ordered(lambda real, p: 0.0, i.BRAKES[1]), (), INEFFECTIVE),
-            ("rear_only", "the front brakes do nothing", i.ordered(lambda real, p: 0.0, i.BRAKES[0]), (), INEFFECTIVE),
+            ("front_only", "the rear brakes do nothing", "dead", i.BRAKES[1:], INEFFECTIVE),
+            ("rear_only", "the front brakes do nothing", "dead", i.BRAKES[:1], INEFFECTIVE),
         )
     ),
     Fault("brakes_fail_driving", "the service brake does nothing while it drives").by(
-        i.ordered(lambda real, p: 0.0, *i.BRAKES),
-        always("drives on; a stop without effect becomes ESTOP_REQUEST", ends(End.ON, End.HELD, End.STOP, End.ESTOP)),
+        i.ordered("dead", *i.BRAKES), ROUGH
     ),
     # ---------------------------------------------------------------- people, switches, the VCU
     *(
-        Fault(name, what).by(i.switched(switch, value), ITSELF)
+        Fault(name, what).by(i.put(f"world.vcu.switches.{switch}", value), ITSELF)
         for name, what, switch, value in (
             ("go_off", "the remote's Go is withdrawn", "go", False),
             ("asms_off", "ASMS is turned off", "asms", False),
@@ -616,62 +527,58 @@ ROWS: Final[tuple[FaultKind, ...]] = (
         )
     ),
     Fault("ami_changed", "somebody turns the AMI in AS_DRIVING: it is latched").by(
-        i.switched("ami", Ami.STATIC_INSPECTION_A), UNCHANGED, missions=ROAD_MISSIONS
+        i.put("world.vcu.switches.ami", Ami.STATIC_INSPECTION_A), d.NOTHING, missions=ROAD_MISSIONS
     ),
-    Fault("steering_status_off", "STEERING_STATUS says off: reported, no interlock of ours").by(
-        i.switched("steering_fault"), UNCHANGED
+    Fault("steering_status_off", "STEERING_STATUS shows off: reported, no interlock of ours").by(
+        i.put("world.vcu.switches.steering_fault", True), d.NOTHING
     ),
-    Fault("brake_status_fault", "STATUS_BRK says fault: reported, no interlock of ours").by(
-        i.switched("brake_fault"), UNCHANGED
+    Fault("brake_status_fault", "STATUS_BRK shows fault: reported, no interlock of ours").by(
+        i.put("world.vcu.switches.brake_fault", True), d.NOTHING
     ),
     Fault("torque_derated", "the car lowers TRQ_MAX while it drives").by(
-        i.derated,
-        always("drives on within the live limit", ends(End.ON, End.HELD)),
-        one_of("limit", "torque_limit_nm"),
-        between("value", (0.0, 120.0)),
+        i.derated, WITHIN_LIMIT, Draw("limit", "torque_limit_nm"), Draw("value", (0.0, 120.0))
     ),
     Fault("steering_derated", "the car lowers ANGLE_MAX while it drives").by(
-        i.derated,
-        always("drives on within the live limit, wherever that takes it", ends(End.ON, End.HELD)),
-        one_of("limit", "steer_limit_deg"),
-        between("value", (2.0, 20.0)),
+        i.derated, WITHIN_LIMIT, Draw("limit", "steer_limit_deg"), Draw("value", (2.0, 20.0))
     ),
     Fault("vcu_reboots", "the VCU loses its power for a moment and starts anew").by(
-        i.switched("lvms", False),
-        always(
-            "zeros; the EBS stops the car; a drive needs the whole sequence anew",
-            ends(End.OFF, End.SELF, End.ESTOP, no_torque_ms=d.VCU_STALE_MS + d.SLACK_MS),
+        i.put("world.vcu.switches.lvms", False),
+        ends(
+            End.OFF,
+            End.SELF,
+            End.ESTOP,
+            no_torque_ms=d.VCU_STALE_MS + d.SLACK_MS,
+            note="a drive needs the whole sequence anew",
         ),
         lasts((5, 2000)),
     ),
-    Fault("manual_asked", "manual mode is asked for while it drives").by(
-        ASK_MANUAL, always("service-brake stop", d.stop(0))
-    ),
+    Fault("manual_asked", "manual mode is asked for while it drives").by(i.manual_asked, d.stop(0)),
     Fault("emergency_asked", "the emergency brake is asked for").by(
-        i.done(lambda rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns)),
-        always("ESTOP_REQUEST at once", d.estop(0)),
+        lambda fault, rig, p, t_ns: rig.bridge.emergency_brake("asked by the campaign", t_ns), d.estop(0)
     ),
-    Fault("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives").by(
+    Fault("refused_requests", "autonomous, an unknown mode and /reset are asked for while it drives: all refused").by(
         i.together(
-            i.done(lambda rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns)),
-            i.done(lambda rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns)),
-            i.done(lambda rig, p, t_ns: rig.bridge.reset(t_ns)),
+            lambda fault, rig, p, t_ns: rig.bridge.set_mode("autonomous", t_ns),
+            lambda fault, rig, p, t_ns: rig.bridge.set_mode("sideways", t_ns),
+            lambda fault, rig, p, t_ns: rig.bridge.reset(t_ns),
         ),
-        always("refused: drives on", d.NOTHING),
+        d.NOTHING,
     ),
     Fault("software_stopped", "this software is stopped in order while the car drives").by(
-        i.done(lambda rig, p, t_ns: rig.bridge.begin_stop(t_ns)),
-        always(
-            "moving: ESTOP_REQUEST for five cycles, then silence",
-            ends(End.ESTOP, End.SELF, End.STOP, no_torque_ms=d.SLACK_MS, safe_ms=200),
+        lambda fault, rig, p, t_ns: rig.bridge.begin_stop(t_ns),
+        ends(
+            *(End.ESTOP, End.SELF, End.STOP),
+            no_torque_ms=d.SLACK_MS,
+            safe_ms=200,
+            note="moving, ESTOP_REQUEST for five cycles, then silence",
         ),
     ),
     # ---------------------------------------------------------------- planner, controller, detector
     *(
-        Fault(name, what).by(begin, OLD_DATA.by("duration"), lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
-        for name, what, begin in (
-            ("planner_silent", "the planner hangs for a while", i.without(lambda rig: rig.computer, "planner_running")),
-            ("detector_silent", "the detector stops for a while", i.without(lambda rig: rig, "detects")),
+        Fault(name, what).by(i.put(part, False), OLD_DATA, lasts((50, 280), (950, 3000)), missions=PATH_MISSIONS)
+        for name, what, part in (
+            ("planner_silent", "the planner hangs for a while", "computer.planner_running"),
+            ("detector_silent", "the detector stops for a while", "detects"),
         )
     ),
     Fault("planner_restarted", "the planner ends and is started again in mid-drive").by(
@@ -682,217 +589,209 @@ ROWS: Final[tuple[FaultKind, ...]] = (
     ),
     Fault("planner_restarted_unneeded", "the same where nobody needs its paths").by(
         i.restarted("planner"),
-        Must(
-            "service-brake stop once it is back, for it knows nothing of the run",
-            lambda p: d.stop(p["duration"] + d.CONTROL_MS),
-        ),
+        restart_within(math.inf, math.inf),
         lasts((0, 2000)),
         missions=EVERY_MISSION - PATH_MISSIONS,
     ),
     Fault("planner_late", "each plan comes late, with the stamp of its data").by(
-        i.late_plans, OLD_DATA.by("delay"), between("delay", (20, 200), (950, 1500)), missions=PATH_MISSIONS
+        i.late_plans,
+        replace(OLD_DATA, of="delay"),
+        Draw("delay", (20, 200), (950, 1500)),
+        missions=PATH_MISSIONS,
     ),
     *(
-        Fault(f"planner_{name}", what).by(i.plans(change), ROUGH, lasts((100, 4000)), *draws, missions=PATH_MISSIONS)
-        for name, what, change, draws in (
-            ("empty", "the planner finds no way: empty paths", lambda plan, at: None, ()),
-            ("absurd", "the planner's paths go anywhere", i.absurd_plan, ()),
-            ("oscillating", "the planner's paths swing from left to right", i.swinging_plan, (SWINGS,)),
-            ("nan", "NaN or infinity in the planner's path", i.nan_plan, ()),
+        Fault(f"planner_{name}", what).by(i.plans(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS)
+        for name, what, change, *draws in (
+            ("empty", "the planner finds no way: empty paths", lambda plan, at: None),
+            ("absurd", "the planner's paths go anywhere", i.absurd_plan),
+            ("oscillating", "the planner's paths swing from left to right", i.swinging_plan, SWINGS),
+            ("nan", "NaN or infinity in the planner's path", i.nan_plan),
         )
     ),
-    Fault("planner_finishes_early", "the planner says that the mission is over, at full speed").by(
+    Fault("planner_finishes_early", "the planner reports that the mission is over, at full speed").by(
         i.plans(lambda plan, at: replace(plan, finished=True, stop_distance_m=0.0)),
-        always("service-brake stop, FINISHED at rest", replace(d.stop(d.PLAN_MS + d.CONTROL_MS), own_word=False)),
+        replace(d.stop(d.PLAN_MS + d.CONTROL_MS), own_word=False),
         missions=PATH_MISSIONS,
     ),
     Fault("controller_silent", "the controller hangs for a while").by(
-        i.commands(lambda command, at: None), LOST_COMMAND.by("duration"), lasts(*COMMAND_BANDS)
+        i.commands(lambda command, at: None), LOST_COMMAND, lasts(*COMMAND_BANDS)
     ),
     Fault("controller_restarted", "the controller ends and is started again in mid-drive").by(
         i.restarted("controller"),
         restart_within(d.COMMAND_STALE_MS + d.CONTROL_MS, d.COMMAND_LOST_MS + d.CONTROL_MS),
         lasts((0, 250), (400, 3000)),
     ),
-    Fault("controller_nan", "NaN, infinity or an out-of-range number in every command").by(
+    Fault(
+        "controller_nan", "NaN, infinity or an out-of-range number in every command: refused whole, as if none had come"
+    ).by(
         i.commanded(i.no_number),
-        REFUSED,
+        LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        one_of("field", "steering_rad", "throttle", "brake"),
-        one_of("value", "nan", "inf", "beyond", "negative"),
+        Draw("field", "steering_rad", "throttle", "brake"),
+        Draw("value", "nan", "inf", "beyond", "negative"),
     ),
-    Fault("controller_other_run", "commands for another run").by(
+    Fault("controller_other_run", "commands for another run: they count as no command").by(
         i.commanded(lambda command, at: {"run_id": command.run_id + at.p["off"]}),
-        LOST_COMMAND.by("duration", "count as no command. "),
+        LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        between("off", (-3, -1), (1, 3)),
+        Draw("off", (-3, -1), (1, 3)),
     ),
     Fault("controller_old_stamps", "commands carry a stamp that is too old").by(
         i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns - at.p["age"] * MS}),
-        Graded("under 500 ms nothing; data of 700 ms: service-brake stop", ((600, d.stop(d.CONTROL_MS)),)).by("age"),
-        between("age", (20, 180), (950, 3000)),
+        Graded(((600, d.stop(d.CONTROL_MS)),), "age"),
+        Draw("age", (20, 180), (950, 3000)),
     ),
-    Fault("controller_future_stamps", "commands carry a stamp of the future").by(
+    Fault("controller_future_stamps", "commands carry a stamp of the future: they are refused whole").by(
         i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns + at.p["ahead"] * MS}),
-        REFUSED,
+        LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        between("ahead", (30, 5000)),
+        Draw("ahead", (30, 5000)),
     ),
     Fault(
         "controller_fixed_future_stamp",
         "every command carries one stamp of the future, so many ms ahead of the fault's beginning",
     ).by(
         i.commanded(lambda command, at: {"t_sensor_ns": at.t_ns - at.since_ns + at.p["ahead"] * MS}),
-        REFUSED,
+        LOST_COMMAND,
         lasts(*COMMAND_BANDS),
-        between("ahead", (450, 6000)),
+        Draw("ahead", (450, 6000)),
     ),
     Fault(
         "sensor_clock_fast",
         "the sensors' clock gains so many ms on every ms: its stamps lie more and more ahead of now",
     ).by(
         i.commanded(lambda command, at: {"t_sensor_ns": command.t_sensor_ns + round(at.p["gain"] * at.since_ns)}),
-        Must(
-            "a stamp over 20 ms ahead is refused: once they all are, " + LOST_COMMAND.words,
+        Computed(
+            f"a stamp over 20 ms ahead is refused; once they all are, by their age: {LOST_COMMAND.demanded}",
             lambda p: d.stop(
                 FAST_CLOCK_MS / p["gain"] + d.COMMAND_LOST_MS + d.CONTROL_MS,
                 FAST_CLOCK_MS / p["gain"] + d.COMMAND_STALE_MS + d.CONTROL_MS,
             ),
         ),
-        between("gain", (0.2, 3.0)),
+        Draw("gain", (0.2, 3.0)),
     ),
     Fault("controller_frozen", "one command is repeated, stamp and all").by(
-        i.frozen_command, OLD_DATA.by("duration"), lasts((50, 280), (950, 3000))
+        i.commands(lambda command, at: at.kept.setdefault("first", command)), OLD_DATA, lasts((50, 280), (950, 3000))
     ),
-    Fault("both_pedals", "throttle and brake in every command").by(
+    Fault("both_pedals", "throttle and brake in every command: the brake wins").by(
         i.commanded(lambda command, at: {"throttle": at.p["throttle"], "brake": at.p["brake"]}),
-        Graded(
-            "the brake wins; 100 ms of it: ESTOP_REQUEST",
-            ((0, d.held(d.CONTROL_MS)), (100, d.estop(d.BOTH_PEDALS_MS + d.CONTROL_MS, d.CONTROL_MS))),
-        ).by("duration"),
+        Graded(((0, d.held(d.CONTROL_MS)), (100, d.estop(d.BOTH_PEDALS_MS + d.CONTROL_MS, d.CONTROL_MS)))),
         lasts((10, 50), (160, 2000)),
-        between("throttle", (0.05, 1.0)),
-        between("brake", (0.05, 1.0)),
+        Draw("throttle", (0.05, 1.0)),
+        Draw("brake", (0.05, 1.0)),
     ),
     Fault("controller_gives_up", "the controller asks for the emergency brake").by(
-        i.commanded(lambda command, at: {"estop_request": True}), always("ESTOP_REQUEST at once", d.estop(d.CONTROL_MS))
+        i.commanded(lambda command, at: {"estop_request": True}), d.estop(d.CONTROL_MS)
     ),
-    Fault("controller_finishes_early", "the controller says that the mission is over, at full speed").by(
-        i.commanded(lambda command, at: {"mission_finished": True}),
-        always("service-brake stop, FINISHED at rest", d.stop(d.CONTROL_MS)),
+    Fault("controller_finishes_early", "the controller reports that the mission is over, at full speed").by(
+        i.commanded(lambda command, at: {"mission_finished": True}), d.stop(d.CONTROL_MS)
     ),
     *(
-        Fault(name, what).by(i.commanded(change), ROUGH, lasts((100, 4000)), *draws)
-        for name, what, change, draws in (
-            ("controller_absurd", "commands of random numbers, each in range", i.absurd, ()),
-            ("controller_swinging", "steering from lock to lock", i.swinging, (between("period", (20, 400)),)),
+        Fault(f"controller_{name}", what).by(i.commanded(change), ROUGH, UPSET, *draws)
+        for name, what, change, *draws in (
+            ("absurd", "commands of random numbers, each in range", i.absurd),
+            ("swinging", "steering from lock to lock", i.swinging, Draw("period", (20, 400))),
             (
-                "controller_full_throttle",
+                "full_throttle",
                 "full throttle for ever",
                 lambda command, at: {"throttle": 1.0, "brake": 0.0, "speed_limit_mps": 30.0},
-                (),
             ),
-            ("controller_pumping", "full throttle and full brake by turns", i.pumping, (between("period", (20, 80)),)),
+            ("pumping", "full throttle and full brake by turns", i.pumping, Draw("period", (20, 80))),
         )
     ),
     *(
         Fault(f"detector_{name}", f"the detector {what}").by(
-            i.cones(change), ROUGH, lasts((100, 4000)), *draws, missions=PATH_MISSIONS
+            i.cones(change), ROUGH, UPSET, *draws, missions=PATH_MISSIONS
         )
-        for name, what, change, draws in (
-            ("blind", "sees no cone", i.blind, ()),
-            ("inventing", "sees cones that are not there", i.invented, (between("count", (1, 40)),)),
-            ("shifted", "sees every cone beside its place, in m", i.shifted, (between("size", (-3.0, 3.0)),)),
-            ("nan", "gives NaN and infinity as places", i.nan_cones, (between("share", (0.05, 1.0)),)),
-            ("colour_blind", "takes blue for yellow and yellow for blue", i.swapped_colours, ()),
+        for name, what, change, *draws in (
+            ("blind", "sees no cone", i.blind),
+            ("inventing", "sees cones that are not there", i.invented, Draw("count", (1, 40))),
+            ("shifted", "sees every cone beside its place, in m", i.shifted, Draw("size", (-3.0, 3.0))),
+            ("nan", "gives NaN and infinity as places", i.nan_cones, Draw("share", (0.05, 1.0))),
+            ("colour_blind", "takes blue for yellow and yellow for blue", i.swapped_colours),
         )
     ),
     # ---------------------------------------------------------------- the bridge, its loop, clock and bus
-    Fault("bridge_killed", "the bridge's process is killed, and stays away").by(
-        i.restarted("bridge"), always("silence on the bus stops the car", SILENT_OURS)
-    ),
+    Fault("bridge_killed", "the bridge's process is killed, and stays away").by(i.restarted("bridge"), SILENT_OURS),
     Fault("bridge_restarted", "the bridge is killed and started again in mid-drive").by(
-        i.restarted("bridge"), RESTARTED, lasts((0, 3000))
+        i.restarted("bridge"), SILENT_OURS, lasts((0, 3000))
     ),
     Fault("bridge_restarted_and_asked", "the same, and somebody asks for autonomous all the while").by(
-        i.insisting_operator, RESTARTED, between("gone", (0, 3000))
+        i.insisting_operator, SILENT_OURS, Draw("gone", (0, 3000))
     ),
     Fault("everything_restarted", "bridge, planner and controller end and are started again together").by(
-        i.restarted("bridge", "planner", "controller"), RESTARTED, lasts((0, 3000))
+        i.restarted("bridge", "planner", "controller"), SILENT_OURS, lasts((0, 3000))
     ),
     Fault("bridge_hung", "the loop's process stands still for a while, and the car's frames wait for it").by(
-        i.done(lambda rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS)),
-        Must(
+        lambda fault, rig, p, t_ns: rig.computer.hang_bridge(t_ns + p["hang"] * MS),
+        Computed(
             "a backlog is reported; a deadline missed by 50 ms: ESTOP_REQUEST; silent for 100 ms the car stops itself",
-            lambda p: Graded("", ((50, d.estop(p["hang"], 0)), (100, SILENT_OURS))).at(p["hang"]),
+            lambda p: Graded(((50, d.estop(p["hang"], 0)), (100, SILENT_OURS)), "hang").demand(p),
         ),
-        between("hang", (5, 35), (70, 82), (130, 2500)),
+        Draw("hang", (5, 35), (70, 82), (130, 2500)),
     ),
-    Fault("edge_hung", "the process between ROS and the loop stands still for a while").by(
-        i.done(lambda rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS)),
-        LOST_COMMAND.by("hang", "no command comes through. "),
-        between("hang", *COMMAND_BANDS),
+    Fault("edge_hung", "the process between ROS and the loop stands still for a while: no command comes through").by(
+        lambda fault, rig, p, t_ns: rig.computer.hang_edge(t_ns + p["hang"] * MS),
+        replace(LOST_COMMAND, of="hang"),
+        Draw("hang", *COMMAND_BANDS),
     ),
     Fault("edge_killed", "the process between ROS and the loop is killed").by(
-        i.done(lambda rig, p, t_ns: rig.computer.kill_edge()),
-        always(
-            LOST_COMMAND.words + "; at rest the loop ends, and the car takes the silence for an emergency",
-            replace(LOST_COMMAND.at(300), ends=frozenset((End.STOP, End.SELF))),
+        lambda fault, rig, p, t_ns: rig.computer.kill_edge(),
+        replace(
+            COMMAND_STOP,
+            ends=frozenset((End.STOP, End.SELF)),
+            note="at rest the loop ends, and the car takes the silence for an emergency",
         ),
     ),
     Fault("loop_late", "the loop misses one deadline by so many ms").by(
-        i.done(lambda rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS)),
-        Graded("49 ms nothing; 51 ms ESTOP_REQUEST", ((50, d.estop(51 + 15, 15)),)).by("late"),
-        between("late", (49, 49), (51, 51)),
+        lambda fault, rig, p, t_ns: rig.computer.hang_bridge(rig.computer.due_ns() + p["late"] * MS),
+        Graded(((50, d.estop(51 + 15, 15)),), "late"),
+        Draw("late", (49, 49), (51, 51)),
     ),
     Fault(
         "clock_stepped",
         "the wall clock is set by less than the age of the data, in ms (the nodes' stamps stop larger ones)",
     ).by(
         i.commanded(i.clock_step),
-        always("nothing: only monotonic time is used", d.NOTHING),
-        between("step", (-50, -1), (1, 50)),
+        ends(End.ON, note="only monotonic time is used"),
+        Draw("step", (-50, -1), (1, 50)),
         missions=PATH_MISSIONS,
     ),
     *(
         Fault(name, what).by(
             i.full_queue,
-            Must(
+            Computed(
                 "dropped cycles are tried again; 50 ms without a complete one: commands dropped, service-brake stop;"
                 " 100 ms the car stops itself",
                 lambda p: Graded(
-                    "",
                     (
                         (50, ends(End.STOP, End.SELF, brake_ms=p["duration"] + d.SLACK_MS, safe_ms=3000 + 100)),
                         (100, SILENT),
-                    ),
-                ).at(p["duration"]),
+                    )
+                ).demand(p),
             ),
             lasts((5, 30), (66, 72), (130, 2500)),
             *draws,
         )
-        for name, what, draws in (
-            ("bus_full", "the transmit queue is full (ENOBUFS)", ()),
-            ("bus_full_partly", "each cycle fits into the queue only partly", (between("taken", (1, 4)),)),
+        for name, what, *draws in (
+            ("bus_full", "the transmit queue is full (ENOBUFS)"),
+            ("bus_full_partly", "each cycle fits into the queue only partly", Draw("taken", (1, 4))),
         )
     ),
     Fault("bus_busy", "each frame finds the queue full by chance").by(
         i.busy_queue,
-        always(
-            "dropped cycles are tried again; 50 ms without a complete one: service-brake stop",
-            ends(End.ON, End.STOP, End.SELF),
-        ),
-        between("share", (0.002, 0.15)),
+        ends(End.ON, End.STOP, End.SELF, note="dropped cycles are tried again"),
+        Draw("share", (0.002, 0.15)),
     ),
     *(
         Fault(name, what).by(
             i.lost_bus,
             Graded(
-                "commands dropped, reopened with back-off, then a service-brake stop; 100 ms the car stops itself",
-                ((0, ends(End.STOP, End.SELF, no_torque_ms=0, safe_ms=3000 + 200)), (100, SILENT_OURS)),
-            ).by("gone"),
-            between("gone", (1, 45), (130, 3000)),
-            one_of("why", why),
+                ((0, ends(End.STOP, End.SELF, no_torque_ms=0, safe_ms=3000 + 200, note=BUS_LOST)), (100, SILENT_OURS)),
+                "gone",
+            ),
+            Draw("gone", (1, 45), (130, 3000)),
+            Draw("why", why),
         )
         for name, what, why in (
             ("bus_off", "the controller goes bus-off and comes back", "bus-off"),

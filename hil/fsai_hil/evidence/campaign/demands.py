@@ -7,7 +7,7 @@ them; what an observer may measure on top of them is `SLACK_MS`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Final
 
@@ -46,7 +46,7 @@ class End(Enum):
     SELF = "the car stops itself"
     OFF = "falls back to AS_OFF"
     NOT_STARTED = "does not start to drive"
-    UNSAFE = "does not end: moves where it must stand, or never says FINISHED"
+    UNSAFE = "does not end: moves where it must stand, or never sends FINISHED"
 
 
 class Onset(Enum):
@@ -65,7 +65,8 @@ class Demand:
     `no_torque_ms`: from then on no torque is requested, for as long as the fault lasts (for good where the run must
     end). `brake_ms`, `estop_ms`: when the service brake and ESTOP_REQUEST are on the wire, where the run ends so;
     ESTOP_REQUEST also where the car stops itself meanwhile. `safe_ms`: the car stands, or its EBS acts.
-    `own_word`: that the controller says the mission is over is no fault, and ends the run as it should.
+    `own_word`: that the controller reports that the mission is over is no fault, and ends the run as it should.
+    `note`: why, or what the rules on the wire hold besides.
     """
 
     ends: frozenset[End]
@@ -75,21 +76,38 @@ class Demand:
     safe_ms: float | None = None
     onset: Onset = Onset.FAULT
     own_word: bool = True
+    note: str = field(default="", compare=False)
+
+    def demand(self, p: Params) -> Demand:
+        """The same whatever was drawn."""
+        return self
 
     @property
     def words(self) -> str:
-        return " or ".join(end.value for end in End if end in self.ends)
+        """Which ends are allowed."""
+        if self.ends == SAFE_ENDS:
+            return "drives on, or stands in the end"
+        return " or ".join(end.value.partition(",")[0] for end in End if end in self.ends)
+
+    @property
+    def demanded(self) -> str:
+        """All of it in words; times are from the fault or the onset, what an observer may measure on top included."""
+        named = ("torque 0", self.no_torque_ms), ("service brake", self.brake_ms), ("ESTOP_REQUEST", self.estop_ms)
+        times = [f"{what} within {ms:g} ms" for what, ms in (*named, ("safe", self.safe_ms)) if ms is not None]
+        since = "" if self.onset is Onset.FAULT else f" of {self.onset.value}"
+        limits = f" ({', '.join(times)}{since})" if times else ""
+        return (f"{self.note}: " if self.note else "") + self.words + limits
 
 
-def ends(*allowed: End, **limits: float) -> Demand:
+def ends(*allowed: End, **limits: Any) -> Demand:
     """A demand of which only the ends, and the limits named, count."""
-    return Demand(frozenset(allowed), **limits)  # type: ignore[arg-type]
+    return Demand(frozenset(allowed), **limits)
 
 
 SAFE_ENDS: Final = frozenset(End) - {End.UNSAFE}
 
 NOTHING: Final = ends(End.ON)
-ANY: Final = Demand(SAFE_ENDS)
+ANY: Final = Demand(SAFE_ENDS, note="it cannot be told from the truth")
 CAR_STOPS: Final = ends(End.SELF, End.ESTOP, safe_ms=CAR_PATIENCE_MS + SLACK_MS)
 MAY_STOP_ITSELF: Final = ends(End.ON, End.SELF)
 
@@ -119,34 +137,37 @@ def estop(after_ms: float, torque_ms: float | None = None) -> Demand:
     )
 
 
-def implausible(onset: Onset, brake_ms: float = IMPLAUSIBLE_MS, estop_ms: float = IMPLAUSIBLE_LOST_MS) -> Demand:
+def implausible(
+    onset: Onset, brake_ms: float = IMPLAUSIBLE_MS, estop_ms: float = IMPLAUSIBLE_LOST_MS, note: str = ""
+) -> Demand:
     """A stop, then ESTOP_REQUEST, so long after `onset`; before it nothing is demanded."""
     allowed = frozenset((End.ON, End.HELD, End.STOP, End.ESTOP))
-    return Demand(allowed, brake_ms=brake_ms + SLACK_MS, estop_ms=estop_ms + SLACK_MS, onset=onset)
-
-
-@dataclass(frozen=True, slots=True)
-class Must:
-    """What a kind of fault demands: in words, and as a function of what was drawn."""
-
-    words: str
-    demand: Callable[[Params], Demand]
-
-
-def always(words: str, demand: Demand) -> Must:
-    return Must(words, lambda p: demand)
+    return Demand(allowed, brake_ms=brake_ms + SLACK_MS, estop_ms=estop_ms + SLACK_MS, onset=onset, note=note)
 
 
 @dataclass(frozen=True, slots=True)
 class Graded:
-    """What the age of something demands: from each of `steps` (age in ms) on another; below the first, nothing."""
+    """What the age demands that the parameter `of` makes of a message: from each of `steps` (age in ms) on another;
+    below the first, nothing."""
 
-    words: str
     steps: tuple[tuple[float, Demand], ...] = ()
+    of: str = "duration"
 
-    def by(self, name: str, before: str = "") -> Must:
-        """The demand by the age that the parameter `name` makes of a message; `before`: what is said first."""
-        return Must(before + self.words, lambda p: self.at(p[name]))
+    def demand(self, p: Params) -> Demand:
+        return next((demand for after_ms, demand in reversed(self.steps) if p[self.of] >= after_ms), NOTHING)
 
-    def at(self, age_ms: float) -> Demand:
-        return next((demand for after_ms, demand in reversed(self.steps) if age_ms >= after_ms), NOTHING)
+    @property
+    def demanded(self) -> str:
+        first, *later = self.steps if self.steps and not self.steps[0][0] else ((0, NOTHING), *self.steps)
+        return "; ".join((first[1].demanded, *(f"from {ms:g} ms on: {demand.demanded}" for ms, demand in later)))
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """What a kind of fault demands as a function of what was drawn, and that in words."""
+
+    demanded: str
+    demand: Callable[[Params], Demand]
+
+
+Must = Demand | Graded | Computed

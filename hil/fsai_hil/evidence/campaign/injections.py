@@ -1,7 +1,8 @@
 """How each fault is done to a run in lockstep: on the wire, to sensors, actuators, people, or the AI computer itself.
 
-An `Injection` takes the run, the drawn parameters and the instant; it begins the fault and returns how it goes on and
-ends. What a fault draws by chance comes from its own `chance`, so that a case is the same wherever it runs.
+An `Injection` takes the fault, the run, the drawn parameters and the instant: it begins the fault, and notes in it how
+it goes on and ends. What a fault draws by chance comes from its own `chance`, so that a case is the same wherever it
+runs.
 """
 
 from __future__ import annotations
@@ -9,9 +10,12 @@ from __future__ import annotations
 import math
 import random
 import struct
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeVar
+from functools import partial, reduce
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,6 +25,7 @@ from fsai_hil.simulator.faults import (
     Changed,
     Delay,
     Drop,
+    FaultyWire,
     FlipBits,
     FrameFault,
     Freeze,
@@ -38,74 +43,63 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.units import MS
 
-T = TypeVar("T")
 
+class Ongoing:
+    """A fault under way: what takes it back at its end, and what it does every millisecond until then."""
 
-def _nothing(now_ns: int) -> None:
-    return None
+    def __init__(self) -> None:
+        self.end = ExitStack()
+        self.ticks: list[Callable[[int], None]] = []
 
+    def put(self, owner: object, name: str, value: object) -> None:
+        """`owner.name` is `value` until the fault ends."""
+        self.end.callback(setattr, owner, name, getattr(owner, name))
+        setattr(owner, name, value)
 
-@dataclass(frozen=True, slots=True)
-class Injected:
-    """A fault under way: `tick` is called every millisecond until `end`."""
+    def listed(self, items: list[Any], item: object) -> None:
+        """`item` is among `items` until the fault ends."""
+        self.end.callback(items.remove, item)
+        items.append(item)
 
-    end: Callable[[int], None] = _nothing
-    tick: Callable[[int], None] | None = None
+    def wired(self, wire: FaultyWire, made: FrameFault) -> None:
+        """`made` is on the wire until the fault ends."""
+        self.end.callback(wire.faults.remove, made)
+        wire.faults.append(made)
 
 
 Ids = frozenset[int]
-Injection = Callable[[Lockstep, Params, int], Injected]
+Injection = Callable[[Ongoing, Lockstep, Params, int], object]
 
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """An instant of a fault under way: its parameters, its chance, and when."""
+    """An instant of a fault under way: its parameters, its chance, when, and what it keeps from one to the next."""
 
     p: Params
     rng: random.Random
     since_ns: int  # the fault began
     t_ns: int
+    kept: dict[str, Any]
 
 
-def _put(owner: Any, name: str, value: object) -> Injected:
-    """`owner.name` is `value` until the fault ends."""
-    before = getattr(owner, name)
-    setattr(owner, name, value)
-    return Injected(lambda end_ns: setattr(owner, name, before))
+def put(part: str, value: object) -> Injection:
+    """`part` of the run, by its dotted name, is `value` until the fault ends."""
+    *owners, name = part.split(".")
+    return lambda fault, rig, p, now_ns: fault.put(reduce(getattr, owners, rig), name, value)
 
 
-def _listed(items: list[T], item: T) -> Injected:
-    """`item` is among `items` until the fault ends."""
-    items.append(item)
-    return Injected(lambda end_ns: items.remove(item))
+def _filter(change: Callable[[Any, At], Any], p: Params, now_ns: int) -> Callable[[Any, int], Any]:
+    """`change` of a value, with the instant of the fault that began at `now_ns`."""
+    rng, kept = random.Random(p["chance"]), dict[str, Any]()
+    return lambda value, t_ns: change(value, At(p, rng, t_ns - now_ns, t_ns, kept))
 
 
 def together(*parts: Injection) -> Injection:
     """Several faults at the same instant."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        begun = [part(rig, p, now_ns) for part in parts]
-
-        def end(end_ns: int) -> None:
-            for one in begun:
-                one.end(end_ns)
-
-        def tick(t_ns: int) -> None:
-            for one in begun:
-                if one.tick is not None:
-                    one.tick(t_ns)
-
-        return Injected(end, tick)
-
-    return begin
-
-
-def done(what: Callable[[Lockstep, Params, int], object]) -> Injection:
-    """Something happens once, and is not taken back: a request of the operator, a process that is killed."""
-
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        what(rig, p, now_ns)
-        return Injected()
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        for part in parts:
+            part(fault, rig, p, now_ns)
 
     return begin
 
@@ -152,30 +146,30 @@ _ON_THE_WIRE: Final[Mapping[str, Callable[[Ids, Params], FrameFault]]] = {
 }
 
 
-def from_car(ids: Iterable[int], fault: str) -> Injection:
-    """On what the car says: on those of `ids` (all, but for the one that a parameter `message` names)."""
-    chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
+def _on_the_wire(side: str, ids: Iterable[int], how: str) -> Injection:
+    """On one side of the VCU, on those of `ids` (all, but for the one that a parameter `message` names)."""
+    make = _ON_THE_WIRE[how]
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        ids = frozenset({int(p["message"], 16)}) if "message" in p else chosen
-        return _listed(rig.world.vcu.outgoing.faults, make(ids, p))
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        chosen = frozenset({int(p["message"], 16)} if "message" in p else ids)
+        fault.wired(getattr(rig.world.vcu, side), make(chosen, p))
 
     return begin
 
 
-def to_car(ids: Iterable[int], fault: str) -> Injection:
-    """On what the car receives of the AI computer; the bus itself shows what was sent."""
-    chosen, make = frozenset(ids), _ON_THE_WIRE[fault]
-    return lambda rig, p, now_ns: _listed(rig.world.vcu.incoming.faults, make(chosen, p))
+from_car = partial(_on_the_wire, "outgoing")  # what the car sends
+to_car = partial(_on_the_wire, "incoming")  # what it receives; the bus itself shows what was sent
 
 
 def status_shows(values: Callable[[Params], Mapping[str, Any]]) -> Injection:
-    """Fields of 0x520 say something else."""
+    """Fields of 0x520 show something else."""
     ids = frozenset({STATUS})
-    return lambda rig, p, now_ns: _listed(rig.world.vcu.outgoing.faults, WrongValues(ids, rig.world.codec, values(p)))
+    return lambda fault, rig, p, now_ns: fault.wired(
+        rig.world.vcu.outgoing, WrongValues(ids, rig.world.codec, values(p))
+    )
 
 
-def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def wild_handshake(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """HANDSHAKE on the wire is not what the VCU means: inverted, or thrown like a coin."""
     rng = random.Random(p["chance"])
 
@@ -184,10 +178,10 @@ def wild_handshake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             return frame
         return replace(frame, data=bytes((frame.data[0] ^ 1, *frame.data[1:])))
 
-    return _listed(rig.world.vcu.outgoing.faults, Changed(frozenset({STATUS}), change))
+    fault.wired(rig.world.vcu.outgoing, Changed(frozenset({STATUS}), change))
 
 
-def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def spiking_speed(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Every so many frames one wheel speed jumps by more than any tyre can follow, for that one frame."""
     codec = rig.world.codec
     name = f"{p['wheel']}_rpm"
@@ -200,31 +194,27 @@ def spiking_speed(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         if seen % p["every"] or image is None:
             return frame
         spike = 1250 if getattr(image, name) < 600 else 0
-        return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)  # type: ignore[arg-type]
+        return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)
 
-    return _listed(rig.world.vcu.outgoing.faults, Changed(frozenset({SPEEDS}), change))
+    fault.wired(rig.world.vcu.outgoing, Changed(frozenset({SPEEDS}), change))
 
 
-def intruder(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def intruder(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Somebody else sends on one of the AI computer's ids."""
     rng = random.Random(p["chance"])
     can_id = int(p["message"], 16)
     length = BY_ID[can_id].dlc
     payload = bytes(length) if p["payload"] == "zeros" else rng.randbytes(length)
-    left = p["frames"]
-    next_ns = now_ns
 
     def tick(t_ns: int) -> None:
-        nonlocal left, next_ns
-        if left and t_ns >= next_ns:
-            left -= 1
-            next_ns += p["period"] * MS
+        turn, rest_ns = divmod(t_ns - now_ns, p["period"] * MS)
+        if not rest_ns and turn < p["frames"]:
             rig.intrude(Frame(can_id, payload, t_ns))
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
-def stranger(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def stranger(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Somebody sends frames which are nobody's: unknown ids, extended and remote ones, error frames."""
     rng = random.Random(p["chance"])
 
@@ -240,22 +230,27 @@ def stranger(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         else:
             rig.intrude(Frame(0x004, bytes(8), t_ns, error=True))
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
-# ---------------------------------------------------------------- sensors
+# ---------------------------------------------------------------- sensors and actuators
 
-# What a reading becomes: of its value, its value at the fault's beginning, and the instant.
-Change = Callable[[Any, Any, At], Any]
+TORQUES: Final = ("front_torque_nm", "rear_torque_nm")
+BRAKES: Final = ("front_brake_pct", "rear_brake_pct")
 
-
-CHANGES: Final[Mapping[str, Change]] = {
+# What a reading or an order becomes: of its value, its value at the fault's beginning, and the instant.
+CHANGES: Final[Mapping[str, Callable[[Any, Any, At], Any]]] = {
     "stuck": lambda value, before, at: before,
     "dead": lambda value, before, at: 0.0,
     "drifting": lambda value, before, at: value + float(at.p["rate"]) * (at.since_ns / 1e9),
     "noisy": lambda value, before, at: value + at.rng.gauss(0.0, at.p["size"]),
     "offset": lambda value, before, at: value + float(at.p["size"]),
     "scaled": lambda value, before, at: value * float(at.p["factor"]),
+    "inverted": lambda value, before, at: -value,
+    "runs on": lambda value, before, at: max(value, at.p["torque"]),
+    "late": lambda value, before, at: _late(value, 0.0, at),
+    "slow": lambda value, before, at: _slow(value, before, at),
+    "builds up": lambda value, before, at: _slow(value, before, at, falls=True),
     "stuck or noise": lambda value, before, at: before if at.p["way"] == "stuck" else at.rng.uniform(0.0, 100.0),
     "wrong pulses": lambda value, before, at: _wrong_pulses(value, before, at),
 }
@@ -274,33 +269,68 @@ def _wrong_pulses(count: int, before: int, at: At) -> int:
             return at.rng.randrange(0x10000)
 
 
-def reading(fault: str, *names: str) -> Injection:
-    """What the car's sensors read, by their fields; of four wheels the one that a parameter `wheel` names, or all."""
-    change = CHANGES[fault]
+def _late(value: object, first: object, at: At) -> Any:
+    """The value of `delay` ms ago; `first` before there was one."""
+    waiting = at.kept.setdefault("waiting", deque())
+    waiting.append((at.t_ns + at.p["delay"] * MS, value))
+    while waiting and waiting[0][0] <= at.t_ns:
+        at.kept["due"] = waiting.popleft()[1]
+    return at.kept.get("due", first)
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        rng = random.Random(p["chance"])
-        before = rig.world.car.feedback()
-        chosen = [p.get("wheel", wheel) == wheel for wheel in WHEELS]
 
-        def read(real: CarFeedback, t_ns: int) -> CarFeedback:
-            at = At(p, rng, t_ns - now_ns, t_ns)
-            changed: dict[str, Any] = {}
-            for name in names:
-                value, then = getattr(real, name), getattr(before, name)
-                if isinstance(value, tuple):
-                    wheels = zip(value, then, chosen, strict=True)
-                    changed[name] = tuple(max(change(one, old, at), 0) if is_it else one for one, old, is_it in wheels)
-                else:
-                    changed[name] = change(value, then, at)
-            return replace(real, **changed)
+def _slow(value: float, before: float, at: At, *, falls: bool = False) -> float:
+    """It changes by `rate` a second only (none: it sticks); one that `falls` does so at once."""
+    was, t_ns = at.kept.get("slow", (before, at.t_ns - at.since_ns))
+    most = at.p.get("rate", 0.0) * (at.t_ns - t_ns) / 1e9
+    now = min(value, was + most) if falls else was + min(most, max(-most, value - was))
+    at.kept["slow"] = now, at.t_ns
+    return float(now)
 
-        return _listed(rig.world.sensor_faults, read)
+
+def _fields(how: str, names: tuple[str, ...], before: object, p: Params, now_ns: int) -> Callable[[Any, int], Any]:
+    """What `how` makes of fields; of four wheels of the one that a parameter `wheel` names, or of all."""
+    change, rng, kept = CHANGES[how], random.Random(p["chance"]), {name: dict[str, Any]() for name in names}
+    chosen = [p.get("wheel", wheel) == wheel for wheel in WHEELS]
+
+    def changed(real: Any, t_ns: int) -> Any:
+        fields: dict[str, Any] = {}
+        for name in names:
+            value, then, at = getattr(real, name), getattr(before, name), At(p, rng, t_ns - now_ns, t_ns, kept[name])
+            if isinstance(value, tuple):
+                wheels = zip(value, then, chosen, strict=True)
+                fields[name] = tuple(max(change(one, old, at), 0) if is_it else one for one, old, is_it in wheels)
+            else:
+                fields[name] = change(value, then, at)
+        return replace(real, **fields)
+
+    return changed
+
+
+def reading(how: str, *names: str) -> Injection:
+    """What the car's sensors read, by their fields."""
+
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        fault.listed(rig.world.sensor_faults, _fields(how, names, rig.world.car.feedback(), p, now_ns))
 
     return begin
 
 
-def swapped_wheels(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def ordered(how: str, *names: str) -> Injection:
+    """What reaches actuators of their orders, by their fields; the EBS has its own way to the brakes."""
+
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        before = replace(rig.world.vcu.actuation, steer_deg=rig.world.car.truth().steer_deg)
+        change = _fields(how, names, before, p, now_ns)
+
+        def order(real: Actuation, t_ns: int) -> Any:
+            return real if real.ebs_engaged and names[0] in BRAKES else change(real, t_ns)
+
+        fault.listed(rig.world.actuator_faults, order)
+
+    return begin
+
+
+def swapped_wheels(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Speeds and pulses of two wheels are exchanged."""
     one, other = (WHEELS.index(name) for name in p["wheels"].split("-"))
     order = list(range(4))
@@ -312,95 +342,27 @@ def swapped_wheels(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         }
         return replace(real, **changed)
 
-    return _listed(rig.world.sensor_faults, read)
-
-
-# ---------------------------------------------------------------- actuators
-
-TORQUES: Final = ("front_torque_nm", "rear_torque_nm")
-BRAKES: Final = ("front_brake_pct", "rear_brake_pct")
-
-
-def ordered(change: Callable[[float, Params], float], *names: str) -> Injection:
-    """What reaches actuators of their orders, by their fields; the EBS has its own way to the brakes."""
-
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        def order(real: Actuation, t_ns: int) -> Actuation:
-            if real.ebs_engaged and names[0] in BRAKES:
-                return real
-            changed: dict[str, Any] = {name: change(getattr(real, name), p) for name in names}
-            return replace(real, **changed)
-
-        return _listed(rig.world.actuator_faults, order)
-
-    return begin
-
-
-def slow_steering(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """The actuator turns at `rate` deg/s only; without a rate it sticks."""
-    at_deg, then_ns = rig.world.car.truth().steer_deg, now_ns
-
-    def order(real: Actuation, t_ns: int) -> Actuation:
-        nonlocal at_deg, then_ns
-        most = p.get("rate", 0.0) * (t_ns - then_ns) / 1e9
-        then_ns = t_ns
-        at_deg += min(most, max(-most, real.steer_deg - at_deg))
-        return replace(real, steer_deg=at_deg)
-
-    return _listed(rig.world.actuator_faults, order)
-
-
-def slow_brake(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """Pressure builds up at `rate` %/s only."""
-    at_pct, then_ns = rig.world.vcu.actuation.front_brake_pct, now_ns
-
-    def order(real: Actuation, t_ns: int) -> Actuation:
-        nonlocal at_pct, then_ns
-        at_pct = min(real.front_brake_pct, at_pct + p["rate"] * (t_ns - then_ns) / 1e9)
-        then_ns = t_ns
-        return real if real.ebs_engaged else replace(real, front_brake_pct=at_pct, rear_brake_pct=at_pct)
-
-    return _listed(rig.world.actuator_faults, order)
-
-
-def late_motor(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """Torque comes and goes `delay` ms late."""
-    waiting: list[tuple[int, float, float]] = []
-
-    def order(real: Actuation, t_ns: int) -> Actuation:
-        waiting.append((t_ns + p["delay"] * MS, real.front_torque_nm, real.rear_torque_nm))
-        while len(waiting) > 1 and waiting[1][0] <= t_ns:
-            waiting.pop(0)
-        front, rear = waiting[0][1:] if waiting[0][0] <= t_ns else (0.0, 0.0)
-        return replace(real, front_torque_nm=front, rear_torque_nm=rear)
-
-    return _listed(rig.world.actuator_faults, order)
+    fault.listed(rig.world.sensor_faults, read)
 
 
 # ---------------------------------------------------------------- people and the car's electrics
 
 
-def switched(name: str, value: object = True) -> Injection:
-    """A switch, a button or a part of the car changes; it changes back at the end."""
-    return lambda rig, p, now_ns: _put(rig.world.vcu.switches, name, value)
+def manual_asked(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+    rig.bridge.set_mode("manual", now_ns)
 
 
-def without(owner: Callable[[Lockstep], object], name: str) -> Injection:
-    """Something of the run stands still, and goes on at the end as if nothing had been."""
-    return lambda rig, p, now_ns: _put(owner(rig), name, False)
-
-
-def derated(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def derated(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """The car lowers a limit of its own while it drives."""
-    return _put(rig.world.vcu.switches, p["limit"], p["value"])
+    fault.put(rig.world.vcu.switches, p["limit"], p["value"])
 
 
 def vcu_differs(**differences: Any) -> Injection:
-    """The VCU's state machine differs from the specification's, by fields of `Profile`."""
-    return done(lambda rig, p, now_ns: rig.world.vcu.behave(replace(rig.world.vcu.profile, **differences)))
+    """The VCU's state machine differs from the specification's, by fields of `Profile`; it stays so."""
+    return lambda fault, rig, p, now_ns: rig.world.vcu.behave(replace(rig.world.vcu.profile, **differences))
 
 
-def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def hasty_go(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Go comes `ready` ms after AS_READY began."""
     vcu = rig.world.vcu
 
@@ -408,7 +370,7 @@ def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
         if vcu.state is AsState.AS_READY and vcu.in_state_ns >= p["ready"] * MS:
             vcu.switches.go = True
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
 # ---------------------------------------------------------------- planner, controller, detector
@@ -416,28 +378,15 @@ def hasty_go(rig: Lockstep, p: Params, now_ns: int) -> Injected:
 
 def _filtered(name: str, change: Callable[[Any, At], Any]) -> Injection:
     """What a filter of the AI computer makes of what passes it; None takes its place."""
-
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        rng = random.Random(p["chance"])
-        return _put(rig.computer, name, lambda value, t_ns: change(value, At(p, rng, t_ns - now_ns, t_ns)))
-
-    return begin
+    return lambda fault, rig, p, now_ns: fault.put(rig.computer, name, _filter(change, p, now_ns))
 
 
-def commands(change: Callable[[VehicleCommand, At], VehicleCommand | None]) -> Injection:
-    """What becomes of the controller's commands on their way."""
-    return _filtered("command_filter", change)
+commands = partial(_filtered, "command_filter")  # what becomes of the controller's commands on their way
 
 
 def commanded(fields: Callable[[VehicleCommand, At], Mapping[str, Any]]) -> Injection:
     """Fields of the controller's commands are others."""
     return commands(lambda command, at: replace(command, **fields(command, at)))
-
-
-def frozen_command(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-    """The controller repeats one command for ever, stamp and all."""
-    kept: dict[str, VehicleCommand] = {}
-    return commands(lambda command, at: kept.setdefault("first", command))(rig, p, now_ns)
 
 
 def clock_step(command: VehicleCommand, at: At) -> Mapping[str, Any]:
@@ -480,36 +429,32 @@ def pumping(command: VehicleCommand, at: At) -> Mapping[str, Any]:
 def restarted(*processes: str) -> Injection:
     """Processes end and are started again after the duration."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         for name in processes:
             if name == "bridge":
                 rig.computer.kill_bridge()
             else:
                 setattr(rig.computer, f"{name}_running", False)
 
-        def end(end_ns: int) -> None:
-            for name in processes:
-                rig.start_bridge() if name == "bridge" else rig.start(name)
-
-        return Injected(end)
+        for name in processes:
+            fault.end.callback(*((rig.start_bridge,) if name == "bridge" else (rig.start, name)))
 
     return begin
 
 
-def insisting_operator(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def insisting_operator(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """The bridge is killed and started again, and somebody asks for autonomous mode all the while."""
-    begun = restarted("bridge")(rig, p, now_ns)
-    started = False
+    gone = Ongoing()
+    restarted("bridge")(gone, rig, p, now_ns)
 
     def tick(t_ns: int) -> None:
-        nonlocal started
-        if not started and t_ns - now_ns >= p["gone"] * MS:
-            started = True
-            begun.end(t_ns)
-        if started:
+        gone_ns = t_ns - now_ns - p["gone"] * MS
+        if gone_ns == 0:
+            gone.end.close()
+        if gone_ns >= 0:
             rig.bridge.set_mode("autonomous", t_ns)
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)
 
 
 def plans(change: Callable[[Plan, At], Plan | None]) -> Injection:
@@ -517,19 +462,10 @@ def plans(change: Callable[[Plan, At], Plan | None]) -> Injection:
     return _filtered("plan_filter", lambda plan, at: None if plan is None else change(plan, at))
 
 
-def late_plans(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def late_plans(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Each plan comes `delay` ms later, with the stamp of its data."""
-    waiting: list[tuple[int, Plan | None]] = []
-    last: Plan | None = rig.computer.plan
-
-    def change(plan: Plan | None, at: At) -> Plan | None:
-        nonlocal last
-        waiting.append((at.t_ns + p["delay"] * MS, plan))
-        while waiting and waiting[0][0] <= at.t_ns:
-            last = waiting.pop(0)[1]
-        return last
-
-    return _filtered("plan_filter", change)(rig, p, now_ns)
+    first = rig.computer.plan
+    fault.put(rig.computer, "plan_filter", _filter(lambda plan, at: _late(plan, first, at), p, now_ns))
 
 
 def absurd_plan(plan: Plan, at: At) -> Plan:
@@ -554,13 +490,9 @@ def swinging_plan(plan: Plan, at: At) -> Plan:
 def cones(change: Callable[[ConeObservation, At], ConeObservation]) -> Injection:
     """What the detector makes of what it sees."""
 
-    def begin(rig: Lockstep, p: Params, now_ns: int) -> Injected:
-        rng = random.Random(p["chance"])
-
-        def detector(seen: ConeObservation) -> ConeObservation:
-            return change(confident(seen), At(p, rng, seen.t_ns - now_ns, seen.t_ns))
-
-        return _put(rig, "detector", detector)
+    def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
+        detector = _filter(change, p, now_ns)
+        fault.put(rig, "detector", lambda seen: detector(confident(seen), seen.t_ns))
 
     return begin
 
@@ -603,19 +535,19 @@ def swapped_colours(seen: ConeObservation, at: At) -> ConeObservation:
 # ---------------------------------------------------------------- the bridge's bus
 
 
-def full_queue(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def full_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """The transmit queue takes no frame (or only the first few of a cycle)."""
     taken = AI_IDS[: p.get("taken", 0)]
-    return _put(rig.computer, "takes_frame", lambda frame: frame.can_id in taken)
+    fault.put(rig.computer, "takes_frame", lambda frame: frame.can_id in taken)
 
 
-def busy_queue(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def busy_queue(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Each frame finds the transmit queue full by chance."""
     rng = random.Random(p["chance"])
-    return _put(rig.computer, "takes_frame", lambda frame: rng.random() >= float(p["share"]))
+    fault.put(rig.computer, "takes_frame", lambda frame: rng.random() >= float(p["share"]))
 
 
-def lost_bus(rig: Lockstep, p: Params, now_ns: int) -> Injected:
+def lost_bus(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
     """Bus-off, or the interface goes down for `gone` ms; the loop tries to open it again with growing pauses."""
     rig.computer.lose_bus(p["why"], now_ns)
     rig.wire.on_bus_lost()
@@ -631,4 +563,4 @@ def lost_bus(rig: Lockstep, p: Params, now_ns: int) -> Injected:
             pause_ns = min(2 * pause_ns, 1000 * MS)
             try_ns += pause_ns
 
-    return Injected(tick=tick)
+    fault.ticks.append(tick)

@@ -1,6 +1,6 @@
 """What was seen of a run from outside: the frames on the bus, the car's true motion, its AS states.
 
-Nothing of the bridge is looked at. Of the AI computer's inside only one thing is noted: whether the controller says
+Nothing of the bridge is looked at. Of the AI computer's inside only one thing is noted: whether the controller reports
 by itself that the mission is over, for then a stop is no reaction.
 """
 
@@ -55,7 +55,7 @@ class Observation:
     moving: list[tuple[int, bool]] = field(default_factory=list)  # the car's true motion
     states: list[tuple[int, AsState]] = field(default_factory=list)  # true AS states and when they began
     speed_mps: float = 0.0  # at the fault
-    mission_over_ns: int | None = None  # the controller said so by itself
+    mission_over_ns: int | None = None  # the controller reported so by itself
     left_course: int = 0  # times since the fault
     ran_out: bool = False  # the run lasted for as long as any may
     ended_ns: int = 0
@@ -80,9 +80,8 @@ class Observer:
     """Watches one run in lockstep. Call `look` after each step."""
 
     def __init__(self, rig: Lockstep) -> None:
-        self.seen = Observation(states=list(rig.world.vcu.history))
+        self.seen = Observation(states=rig.world.vcu.history)
         self._rig = rig
-        self._known_states = len(self.seen.states)
         self._next_ns = rig.now_ns
         rig.watch = self._on_frame
 
@@ -113,10 +112,6 @@ class Observer:
     def look(self) -> None:
         rig, seen = self._rig, self.seen
         now_ns = rig.now_ns
-        history = rig.world.vcu.history
-        if len(history) > self._known_states:
-            seen.states += history[self._known_states :]
-            self._known_states = len(history)
         seen.ended_ns = now_ns
         if seen.mission_over_ns is None:
             command = rig.computer.commanded

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final
@@ -21,28 +20,19 @@ from fsai_vcu.interface.revisions import dbc_dir
 
 NAME: Final = "record.jsonl"
 DRIVEN: Final = {
-    fsai_vcu: ("core", "interface", "runtime"),
-    fsai_hil: ("rules", "simulator", "evidence/campaign"),
+    fsai_vcu: ("core/**/*", "interface/**/*", "runtime/**/*", "diagnostics/log/*", "diagnostics/statistics/quantiles"),
+    fsai_hil: ("rules/**/*", "simulator/**/*", "evidence/campaign/**/*"),
 }
-"""Where the code is that decides a run; the command line, the nodes and the rest of the evidence change none."""
+"""Where the code is that decides a run: what is driven, the rules, and what these import of the diagnostics. The
+command line, the nodes and the rest of the evidence change none."""
+
+
+Header = Mapping[str, Any]
+"""What decides every case of a campaign, and its verdict: records with the same header hold the same runs."""
 
 
 class RecordError(ValueError):
     """A record that cannot be used; the message is one clear line."""
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What decides every case of a campaign, and its verdict: records with the same header hold the same runs."""
-
-    seed: int
-    faults: tuple[str, ...]
-    missions: tuple[str, ...]
-    revisions: tuple[str, ...]
-    world_seeds: int
-    window_ms: int
-    catalogue: int  # how many kinds there were
-    sources: str = ""  # the digest of the code; empty: a record that does not say
 
 
 def files() -> dict[str, Path]:
@@ -50,7 +40,7 @@ def files() -> dict[str, Path]:
     found = {path.name: path for path in dbc_dir().glob("*.dbc")}
     for package, parts in DRIVEN.items():
         root = Path(str(package.__file__)).parent
-        found |= {str(path.relative_to(root.parent)): path for part in parts for path in (root / part).rglob("*.py")}
+        found |= {str(path.relative_to(root.parent)): path for part in parts for path in root.glob(f"{part}.py")}
     return found
 
 
@@ -66,11 +56,9 @@ def read(path: Path) -> tuple[Header, list[dict[str, Any]]]:
     first = next(lines, None)
     if first is None or first.pop("campaign", None) != 1:
         raise RecordError(f"{path} is not the record of a fault campaign")
-    fields: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in first.items()}
-    header = Header(**fields)
     # A case that was driven twice (two campaigns at once) counts once.
     runs = {(run["full"], run["index"]): run for run in lines}
-    return header, list(runs.values())
+    return {"sources": "unknown", **first}, list(runs.values())
 
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
@@ -96,34 +84,32 @@ def put_aside(path: Path) -> Path | None:
 
 def of_other_sources(path: Path, header: Header) -> bool:
     """Whether the record at `path` was driven by other code than `header` names. Raises RecordError, OSError."""
-    return path.exists() and path.stat().st_size > 0 and read(path)[0].sources != header.sources
+    return path.exists() and path.stat().st_size > 0 and read(path)[0]["sources"] != header["sources"]
 
 
 class Writer(AbstractContextManager["Writer"]):
-    """Appends to a record. `done` are the (full, index) pairs that it holds already."""
+    """Appends to a record, or begins it. `done` are the (full, index) pairs that it holds already."""
 
-    def __init__(self, path: Path, header: Header, *, resume: bool) -> None:
-        """Raises RecordError when there is a record already (unless resumed), or another campaign's or other code's."""
+    def __init__(self, path: Path, header: Header) -> None:
+        """Raises RecordError where the record that is there is another campaign's or other code's."""
         self.path = path
         self.runs: list[dict[str, Any]] = []
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and path.stat().st_size:
-            if not resume:
-                raise RecordError(f"{path} exists: --resume goes on with it, --out DIR begins another")
             before, self.runs = read(path)
-            if before.sources != header.sources:
+            if before["sources"] != header["sources"]:
                 raise RecordError(
-                    f"{path} is of other sources ({before.sources or 'unknown'}, these are {header.sources}):"
+                    f"{path} is of other sources ({before['sources']}, these are {header['sources']}):"
                     " without --resume, or with a new --out DIR, the campaign begins anew"
                 )
             if before != header:
                 raise RecordError(
-                    f"{path} is the record of another campaign (seed {before.seed}): --out DIR begins one"
+                    f"{path} is the record of another campaign (seed {before['seed']}): --out DIR begins one"
                 )
             self._cut_broken_line()
         self._file: IO[str] = path.open("a")
         if not self._file.tell():
-            self._put({"campaign": 1, **asdict(header)})
+            self._put({"campaign": 1, **header})
 
     @property
     def done(self) -> frozenset[tuple[bool, int]]:

@@ -7,64 +7,45 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
 from fsai_hil.evidence import work
-from fsai_hil.evidence.campaign.cases import Selection, case_of
+from fsai_hil.evidence.campaign.cases import CampaignPlan, Task
 from fsai_hil.evidence.campaign.record import Header, digest
-from fsai_hil.evidence.campaign.scenario import WINDOW_MS, Snapshots, run_case
+from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
 
 BATCH: Final = 4  # cases handed over at once: few, so that little is lost when a campaign is ended
 CONNECT_TIMEOUT_S: Final = 15.0  # to a cluster
 
-Task = tuple[bool, int]  # full-length or not, and the case's number
 Lines = Iterator[list[dict[str, Any]]]
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignPlan:
-    """What a campaign consists of."""
-
-    seed: int
-    runs: int
-    full: int = 0
-    selection: Selection = field(default_factory=Selection)
-    window_ms: int = WINDOW_MS
-
-    def tasks(self) -> list[Task]:
-        """Full-length runs first: the longest ones must not be left to the end."""
-        return [(True, index) for index in range(self.full)] + [(False, index) for index in range(self.runs)]
-
-    def header(self) -> Header:
-        selection = self.selection
-        kinds = selection.kinds()
-        return Header(
-            self.seed,
-            tuple(kind.name for kind in kinds),
-            tuple(ami.name.lower() for ami in selection.missions),
-            selection.revisions,
-            selection.world_seeds,
-            self.window_ms,
-            len(kinds),
-            digest(),
-        )
+def header_of(plan: CampaignPlan) -> Header:
+    kinds = plan.kinds()
+    return {
+        "seed": plan.seed,
+        "faults": [kind.name for kind in kinds],
+        "missions": [ami.name.lower() for ami in plan.missions],
+        "revisions": list(plan.revisions),
+        "world_seeds": plan.world_seeds,
+        "window_ms": plan.window_ms,
+        "catalogue": len(kinds),
+        "sources": digest(),
+    }
 
 
-_snapshots: Snapshots | None = None
+_SNAPSHOTS: Final = Snapshots()
 
 
 def drive_batch(plan: CampaignPlan, tasks: Sequence[Task]) -> list[dict[str, Any]]:
     """The lines of some cases. Each process keeps its snapshots between batches."""
-    global _snapshots
-    _snapshots = _snapshots or Snapshots()
     lines = []
     for full, index in tasks:
-        case = case_of(plan.seed, index, plan.selection, full=full)
+        case = plan.case(index, full=full)
         began = time.monotonic()
-        line = run_case(case, _snapshots, plan.window_ms)
+        line = run_case(case, _SNAPSHOTS, plan.window_ms)
         line["wall_s"] = round(time.monotonic() - began, 3)
         lines.append(line)
     return lines
@@ -75,20 +56,14 @@ def batches(plan: CampaignPlan, tasks: Iterable[Task]) -> list[list[Task]]:
 
     def place(task: Task) -> tuple[object, ...]:
         full, index = task
-        case = case_of(plan.seed, index, plan.selection, full=full)
-        key = (case.mission, case.revision, case.seed, case.kind.gps, case.leg_ms or 0)
-        return (not full, *key, index)
+        case = plan.case(index, full=full)
+        return (not full, *case.world, case.leg_ms or 0, index)
 
     ordered = sorted(tasks, key=place)
     return [ordered[at : at + BATCH] for at in range(0, len(ordered), BATCH)]
 
 
-def in_processes(plan: CampaignPlan, tasks: Iterable[Task], jobs: int) -> Lines:
-    """Drive cases in `jobs` processes of this machine; yields their lines as they come."""
-    return work.spread(partial(drive_batch, plan), batches(plan, tasks), jobs)
-
-
-class ClusterError(Exception):
+class ClusterError(ValueError):
     """No cluster; the message is one clear line."""
 
 
@@ -111,7 +86,7 @@ def on_cluster(plan: CampaignPlan, tasks: Iterable[Task], address: str) -> Lines
         threads = sum(client.nthreads().values())
         if not threads:
             raise ClusterError(f"the Dask scheduler at {address} has no workers")
-        here = plan.header().sources
+        here = header_of(plan)["sources"]
         for worker, there in client.run(digest).items():
             if there != here:
                 raise ClusterError(f"the Dask worker {worker} has other sources ({there}, here are {here})")

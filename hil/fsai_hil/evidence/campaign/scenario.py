@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections import OrderedDict
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.cases import Case, Since
-from fsai_hil.evidence.campaign.injections import Injected
-from fsai_hil.evidence.campaign.observation import Observation, Observer
+from fsai_hil.evidence.campaign.cases import LEGS_MS, WINDOW_MS, Case, Since
+from fsai_hil.evidence.campaign.injections import Ongoing
+from fsai_hil.evidence.campaign.observation import Observer
 from fsai_hil.evidence.campaign.verdict import SUPERVISED_MS, CaseVerdict, as_record, judge
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
@@ -17,7 +17,6 @@ from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS
 
-WINDOW_MS: Final = 10_000  # how long a run from a snapshot lasts
 AFTERMATH_MS: Final = 4_200  # so long after a fault begins, or ends, all that the rules demand has happened
 DRIVING_MS: Final = 1_500  # a car that has torque so long after a fault is over drives on
 DRIVING_ALONG_MS: Final = 3_000  # the same for a fault that lasts
@@ -27,18 +26,13 @@ LONGEST_TRACKDRIVE_MS: Final = 600_000  # ten laps
 ENDED: Final = frozenset({AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE})
 SNAPSHOTS_KEPT: Final = 200
 
-SnapshotKey = tuple[Ami, str, int, bool, int]
+World = tuple[Ami, str, int, bool]  # `Case.world`
 
 
-def power_up(case: Case, on_frame: Callable[[Frame], None] | None = None) -> Lockstep:
-    """The case's run before anything has happened."""
-    setup = WorldSetup(
-        missions=[case.mission],
-        revision=case.revision,
-        seed=case.seed,
-        gps=case.kind.gps,
-        start_timeout_s=40.0,
-    )
+def power_up(world: World, on_frame: Callable[[Frame], None] | None = None) -> Lockstep:
+    """A run before anything has happened."""
+    mission, revision, seed, gps = world
+    setup = WorldSetup(missions=[mission], revision=revision, seed=seed, gps=gps, start_timeout_s=40.0)
     rig = Lockstep(setup, on_frame=on_frame)
     rig.computer.confine_failures = True
     return rig
@@ -48,31 +42,22 @@ class Snapshots:
     """Runs that are already in AS_DRIVING, each driven there once and copied for every case."""
 
     def __init__(self, new_log: Callable[[], Callable[[Frame], None]] | None = None) -> None:
-        """`new_log` makes what hears every frame of a run; it is copied with the run."""
+        """`new_log` makes what receives every frame of a run; it is copied with the run."""
         self._new_log = new_log
-        self._kept: OrderedDict[SnapshotKey, Lockstep] = OrderedDict()
+        self._driven = lru_cache(SNAPSHOTS_KEPT)(self._drive)
 
     def rig(self, case: Case) -> Lockstep:
         leg_ms = case.leg_ms
-        if leg_ms is None:
-            return self._power_up(case)
-        key = (case.mission, case.revision, case.seed, case.kind.gps, leg_ms)
-        if key not in self._kept:
-            self._kept[key] = self._drive(case, leg_ms)
-            if len(self._kept) > SNAPSHOTS_KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return copy.deepcopy(self._kept[key])
+        return self._power_up(case.world) if leg_ms is None else copy.deepcopy(self._driven(case.world, leg_ms))
 
-    def _drive(self, case: Case, leg_ms: int) -> Lockstep:
-        key = (case.mission, case.revision, case.seed, case.kind.gps)
-        earlier = [one for one in self._kept if one[:4] == key and one[4] < leg_ms]
-        rig = copy.deepcopy(self._kept[max(earlier, key=lambda one: one[4])]) if earlier else self._power_up(case)
+    def _drive(self, world: World, leg_ms: int) -> Lockstep:
+        earlier = [leg for leg in LEGS_MS[world[0]] if leg < leg_ms]
+        rig = copy.deepcopy(self._driven(world, earlier[-1])) if earlier else self._power_up(world)
         drive_to(rig, leg_ms)
         return rig
 
-    def _power_up(self, case: Case) -> Lockstep:
-        return power_up(case, None if self._new_log is None else self._new_log())
+    def _power_up(self, world: World) -> Lockstep:
+        return power_up(world, None if self._new_log is None else self._new_log())
 
 
 def drive_to(rig: Lockstep, leg_ms: int, look: Callable[[Lockstep], None] | None = None) -> None:
@@ -105,16 +90,13 @@ class Scenario:
         self._began_ns = rig.now_ns
         self._window_ms = window_ms
         self._observer = Observer(rig)
-        self._begun: Injected | None = None
+        self.seen = self._observer.seen
+        self._fault = Ongoing()
         self.fault_ns: int | None = None
         self.fault_over_ns: int | None = None
         self._duration_ms: int | None = case.params.get("duration")
         self._longest_ms = LONGEST_TRACKDRIVE_MS if case.mission is Ami.TRACKDRIVE else LONGEST_MS
         self._left_course = 0  # before the fault
-
-    @property
-    def seen(self) -> Observation:
-        return self._observer.seen
 
     def step(self) -> None:
         """One millisecond, with what the fault does in it."""
@@ -126,14 +108,14 @@ class Scenario:
                 self.fault_ns = now_ns
                 self.seen.speed_mps = round(rig.world.car.speed_mps, 2)
                 self._left_course = rig.world.run.judge.verdict().off_course
-                self._begun = case.kind.begin(rig, case.params, now_ns)
-        if self._begun is not None and self.fault_ns is not None:
-            if self._begun.tick is not None:
-                self._begun.tick(now_ns)
+                case.kind.begin(self._fault, rig, case.params, now_ns)
+        if self.fault_ns is not None:
+            for tick in self._fault.ticks:
+                tick(now_ns)
             lasts_ms = self._duration_ms
             if self.fault_over_ns is None and lasts_ms is not None and now_ns >= self.fault_ns + lasts_ms * MS:
                 self.fault_over_ns = now_ns
-                self._begun.end(now_ns)
+                self._fault.end.close()
         rig.step()
         self._observer.look()
 

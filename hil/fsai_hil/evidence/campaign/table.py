@@ -10,17 +10,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from fsai_hil.evidence.campaign.cases import WORLD_SEEDS
+from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS
 from fsai_hil.evidence.campaign.catalogue import KINDS, ROWS
 from fsai_hil.evidence.campaign.record import Header
-from fsai_hil.evidence.campaign.scenario import WINDOW_MS
 
 Run = Mapping[str, Any]
 HEAD: Final = (
     "| fault | what it is | reaction demanded | reactions seen | runs | to the reaction, worst | to a safe state,"
     " median | worst | left the course | worse than allowed |\n|---|---|---|---|---:|---:|---:|---:|---:|---:|"
 )
-TOLD: Final = 40  # failures listed
+LISTED: Final = 40  # failures
 
 
 def failures(runs: Sequence[Run]) -> list[Run]:
@@ -30,17 +29,16 @@ def failures(runs: Sequence[Run]) -> list[Run]:
 def command_of(header: Header, runs: Sequence[Run]) -> str:
     """The command that makes this record."""
     full = sum(run["full"] for run in runs)
-    words = [f"fsai-vcu campaign --runs {len(runs) - full} --full {full} --seed {header.seed}"]
-    if header.faults != tuple(kind.name for kind in ROWS):
-        words.append(f"--faults {','.join(header.faults)}")
-    if header.missions:
-        words.append(f"--missions {','.join(header.missions)}")
-    if header.revisions:
-        words.append(f"--revisions {','.join(header.revisions)}")
-    if header.world_seeds != WORLD_SEEDS:
-        words.append(f"--world-seeds {header.world_seeds}")
-    if header.window_ms != WINDOW_MS:
-        words.append(f"--window {header.window_ms / 1000:g}")
+    words = [f"fsai-vcu campaign --runs {len(runs) - full} --full {full} --seed {header['seed']}"]
+    for option, value, usual in (
+        ("--faults", header["faults"], [kind.name for kind in ROWS]),
+        ("--missions", header["missions"], []),
+        ("--revisions", header["revisions"], []),
+        ("--world-seeds", header["world_seeds"], WORLD_SEEDS),
+        ("--window", header["window_ms"] / 1000, WINDOW_MS / 1000),
+    ):
+        if value != usual:
+            words.append(f"{option} {','.join(value) if isinstance(value, list) else format(value, 'g')}")
     return " ".join(words)
 
 
@@ -57,15 +55,14 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
         "",
         f"Made by `{command}` and `fsai-vcu campaign --table RECORD -o FILE`; do not edit.",
         "",
-        f"{len(runs)} runs of the whole AI side against the simulated car in lockstep, seed {header.seed}:"
-        f" {len(short)} of {header.window_ms / 1000:g} s from a snapshot in AS_DRIVING,"
+        f"{len(runs)} runs of the whole AI side against the simulated car in lockstep, seed {header['seed']}:"
+        f" {len(short)} of {header['window_ms'] / 1000:g} s from a snapshot in AS_DRIVING,"
         f" {len(full)} from power-up to the end;"
         f" {len(kinds)} kinds of fault, {simulated_h:.1f} simulated hours. In each run one fault begins at a random"
         " moment; every frame of it is checked against the safety rules by a checker that does not know the bridge,"
         " and its end against the reaction which the rules demand.",
         "",
-        f"Sources (a digest of all code that a run uses, and of the signal databases):"
-        f" {f'`{header.sources}`' if header.sources else 'unknown'}.",
+        f"Sources (a digest of all code that a run uses, and of the signal databases): `{header['sources']}`.",
         "",
         f"**Worse than the rules allow: {len(worse)} of {len(runs)} runs.**",
         "",
@@ -104,9 +101,9 @@ def markdown(header: Header, runs: Sequence[Run]) -> str:
                 lines.append(f"| {phase} | {len(mine)} | {_ends(mine)} | {_left(mine)} | {len(failures(mine))} |")
     if worse:
         lines += ["", "## Worse than allowed", ""]
-        lines += [f"- `{run['replay']}`: {'; '.join(run['reasons'][:2])}" for run in worse[:TOLD]]
-        if len(worse) > TOLD:
-            lines.append(f"- … and {len(worse) - TOLD} more in the record")
+        lines += [f"- `{run['replay']}`: {'; '.join(run['reasons'][:2])}" for run in worse[:LISTED]]
+        if len(worse) > LISTED:
+            lines.append(f"- … and {len(worse) - LISTED} more in the record")
     lines += [
         "",
         "## What a lockstep run cannot show",
@@ -124,11 +121,10 @@ def _row(name: str, runs: Sequence[Run]) -> str:
     applied = [run for run in runs if run["applies"]]
     reactions = [run["reaction_ms"] for run in applied if run["reaction_ms"] is not None]
     safe = [run["safe_ms"] for run in applied if run["safe_ms"] is not None]
-    parameters = "; ".join(str(draw) for draw in kind.draws)
-    what = kind.what + (f" ({parameters})" if parameters else "")
+    what = kind.what + (f" ({kind.parameters})" if kind.draws else "")
     slowest = f"{_ms(max(reactions, default=None))} | {_ms(statistics.median(safe) if safe else None)}"
     return (
-        f"| `{name}` | {what} | {kind.demanded} | {_seen(runs)} | {len(runs)} | {slowest} |"
+        f"| `{name}` | {what} | {kind.must.demanded} | {_seen(runs)} | {len(runs)} | {slowest} |"
         f" {_ms(max(safe, default=None))} | {_left(runs)} | {len(failures(runs))} |"
     )
 
@@ -164,8 +160,4 @@ def _ms(value: float | None) -> str:
 def catalogue_lines() -> list[str]:
     """The catalogue for a terminal: `--list-faults`."""
     width = max(len(kind.name) for kind in ROWS)
-    lines = []
-    for kind in ROWS:
-        parameters = "; ".join(str(draw) for draw in kind.draws)
-        lines.append(f"{kind.name:<{width}}  {kind.what}" + (f" [{parameters}]" if parameters else ""))
-    return lines
+    return [f"{kind.name:<{width}}  {kind.what}" + (f" [{kind.parameters}]" if kind.draws else "") for kind in ROWS]

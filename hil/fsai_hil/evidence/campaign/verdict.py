@@ -17,6 +17,14 @@ from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.enums import AsState
 
 SUPERVISED_MS: Final = LAUNCH_NS // MS  # safety rules: supervision starts 3 s into AS_DRIVING
+REACTION: Final[Mapping[End, str]] = {
+    End.ESTOP: "estop_ns",
+    End.SELF: "emergency_ns",
+    End.STOP: "braking_ns",
+    End.HELD: "torque_off_ns",
+    End.OFF: "torque_off_ns",
+}
+"""The instant at which what ended the run so was first on the bus."""
 STREAKS: Final = {Onset.STEERING: steering_streaks, Onset.COUNTS: count_streaks, Onset.WHEEL: wheel_streaks}
 
 
@@ -28,7 +36,6 @@ class CaseVerdict:
     reaction: str  # what was seen, in words
     reaction_ms: float | None
     safe_ms: float | None
-    demand: Demand
     applies: bool  # False: the mission was over, or the car not driving, before anything could be demanded
     faults: tuple[str, ...]
 
@@ -42,11 +49,6 @@ def _supervised(case: Case) -> bool:
     if case.kind.from_start:
         return case.since is Since.START
     return case.since is Since.DRIVING and case.after_ms >= SUPERVISED_MS
-
-
-def demand_of(case: Case) -> Demand:
-    """What the rules demand of a case."""
-    return case.kind.demand(case.params) if _supervised(case) else ANY
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +71,18 @@ def judge(
     `crashes` are processes of ours that ended by an exception: no fault may do that to them, whatever the car makes of
     the silence. What a fault kills on purpose raises nothing.
     """
-    demand = demand_of(case)
+    demand = case.kind.must.demand(case.params) if _supervised(case) else ANY
     wrong = [f"on the wire: {violation}" for violation in violations]
     wrong += crashes
     wrong += _moved_too_early(seen)
     if fault_ns is None:
         end = _end(seen, _since(seen, 0), 0, seen.mission_over_ns)
         wrong += [end.value] if end is End.UNSAFE else []
-        return CaseVerdict(end, "the moment never came", None, None, demand, False, tuple(wrong))
+        return CaseVerdict(end, "the moment never came", None, None, False, tuple(wrong))
     found = _since(seen, fault_ns)
     over_ns = seen.mission_over_ns
     if not demand.own_word and over_ns is not None and over_ns > fault_ns:
-        over_ns = None  # that is what the fault makes it say
+        over_ns = None  # that is what the fault makes it report
     end = _end(seen, found, fault_ns, over_ns)
     if end is End.ON and found.finished_ns is not None and End.ON not in demand.ends and End.STOP in demand.ends:
         end = End.STOP  # the mission ended while it was stopping anyway
@@ -93,7 +95,7 @@ def judge(
     driving = _supervised(case) and (case.kind.from_start or seen.state_at(fault_ns - 1) is AsState.AS_DRIVING)
     applies = driving and not _over(over_ns, demand, fault_ns)
     onset_ns: int | None = fault_ns
-    reaction_ns = _reaction_ns(end, found)
+    reaction_ns: int | None = getattr(found, REACTION[end]) if end in REACTION else None
     reaction = end.value
     if demand.no_torque_ms is not None and end is End.ON:
         reaction = "torque 0, then drives on"
@@ -110,9 +112,9 @@ def judge(
             wrong += _implausible_too_long(seen, found, demand, streaks)
     elif end is End.UNSAFE:
         wrong.append(end.value)
-    if applies and demand is NOTHING and seen.left_course:
+    if applies and demand == NOTHING and seen.left_course:
         wrong.append("the car left the course, where the rules demand that nothing changes")
-    return CaseVerdict(end, reaction, _ms(reaction_ns, onset_ns), _ms(safe_ns, onset_ns), demand, applies, tuple(wrong))
+    return CaseVerdict(end, reaction, _ms(reaction_ns, onset_ns), _ms(safe_ns, onset_ns), applies, tuple(wrong))
 
 
 def _onset_ns(streaks: Sequence[Streak], reaction_ns: int | None) -> int | None:
@@ -148,7 +150,7 @@ def _since(seen: Observation, fault_ns: int) -> _Seen:
 
 
 def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) -> End:
-    """How the run ended; `over_ns`: when the controller said by itself that the mission is over."""
+    """How the run ended; `over_ns`: when the controller reported by itself that the mission is over."""
     last = seen.states[-1][1]
     over = over_ns is not None
     idle = found.torque_off_ns is not None and seen.ended_ns - found.torque_off_ns > 3_000 * MS
@@ -164,7 +166,7 @@ def _end(seen: Observation, found: _Seen, fault_ns: int, over_ns: int | None) ->
         (emergency, End.SELF),
         (finished and _by(over_ns, found.finished_ns), End.ON),
         (finished, End.STOP),
-        (driving and over and found.estop_ns is None, End.ON),  # it stands, the mission done, and has yet to say so
+        (driving and over and found.estop_ns is None, End.ON),  # it stands, the mission done, and has yet to report it
         (driving and had_torque and idle and found.rest_ns is not None, End.HELD),
         (driving, End.ON),
         (last in IDLE and had_driven, End.OFF),
@@ -196,17 +198,6 @@ def _safe_ns(end: End, found: _Seen) -> int | None:
     if end in (End.ESTOP, End.SELF):
         return min((t_ns for t_ns in (found.emergency_ns, found.rest_ns) if t_ns is not None), default=None)
     return found.rest_ns if end in (End.STOP, End.OFF, End.HELD) else None
-
-
-def _reaction_ns(end: End, found: _Seen) -> int | None:
-    """When what ended the run so was first on the bus."""
-    return {
-        End.ESTOP: found.estop_ns,
-        End.SELF: found.emergency_ns,
-        End.STOP: found.braking_ns,
-        End.HELD: found.torque_off_ns,
-        End.OFF: found.torque_off_ns,
-    }.get(end)
 
 
 def _over(over_ns: int | None, demand: Demand, fault_ns: int) -> bool:
