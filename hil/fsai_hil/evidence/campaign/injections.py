@@ -25,7 +25,6 @@ from fsai_hil.simulator.faults import (
     Changed,
     Delay,
     Drop,
-    FaultyWire,
     FlipBits,
     FrameFault,
     Freeze,
@@ -60,11 +59,6 @@ class Ongoing:
         """`item` is among `items` until the fault ends."""
         self.end.callback(items.remove, item)
         items.append(item)
-
-    def wired(self, wire: FaultyWire, made: FrameFault) -> None:
-        """`made` is on the wire until the fault ends."""
-        self.end.callback(wire.faults.remove, made)
-        wire.faults.append(made)
 
 
 Ids = frozenset[int]
@@ -152,7 +146,7 @@ def _on_the_wire(side: str, ids: Iterable[int], how: str) -> Injection:
 
     def begin(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
         chosen = frozenset({int(p["message"], 16)} if "message" in p else ids)
-        fault.wired(getattr(rig.world.vcu, side), make(chosen, p))
+        fault.listed(getattr(rig.world.vcu, side).faults, make(chosen, p))
 
     return begin
 
@@ -164,8 +158,8 @@ to_car = partial(_on_the_wire, "incoming")  # what it receives; the bus itself s
 def status_shows(values: Callable[[Params], Mapping[str, Any]]) -> Injection:
     """Fields of 0x520 show something else."""
     ids = frozenset({STATUS})
-    return lambda fault, rig, p, now_ns: fault.wired(
-        rig.world.vcu.outgoing, WrongValues(ids, rig.world.codec, values(p))
+    return lambda fault, rig, p, now_ns: fault.listed(
+        rig.world.vcu.outgoing.faults, WrongValues(ids, rig.world.codec, values(p))
     )
 
 
@@ -178,7 +172,7 @@ def wild_handshake(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> Non
             return frame
         return replace(frame, data=bytes((frame.data[0] ^ 1, *frame.data[1:])))
 
-    fault.wired(rig.world.vcu.outgoing, Changed(frozenset({STATUS}), change))
+    fault.listed(rig.world.vcu.outgoing.faults, Changed(frozenset({STATUS}), change))
 
 
 def spiking_speed(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
@@ -196,7 +190,7 @@ def spiking_speed(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None
         spike = 1250 if getattr(image, name) < 600 else 0
         return replace(frame, data=codec.encode(replace(image, **{name: spike})).data)
 
-    fault.wired(rig.world.vcu.outgoing, Changed(frozenset({SPEEDS}), change))
+    fault.listed(rig.world.vcu.outgoing.faults, Changed(frozenset({SPEEDS}), change))
 
 
 def intruder(fault: Ongoing, rig: Lockstep, p: Params, now_ns: int) -> None:
