@@ -82,12 +82,8 @@ def run(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     tables = "1 table" if written.tables == 1 else f"{written.tables} tables"
-    left_out = written.left_out.words()
-    print(
-        f"{tables}, {written.rows} rows of {len(frames)} frames in {args.output}"
-        + (f"; left out: {left_out}" if left_out else ""),
-        file=sys.stderr,
-    )
+    left_out = f"; left out: {written.left_out}" if written.left_out else ""
+    print(f"{tables}, {written.rows} rows of {len(frames)} frames in {args.output}{left_out}", file=sys.stderr)
     for note in written.notes:
         print(f"fsai-vcu export: {note}", file=sys.stderr)
     return sources.status

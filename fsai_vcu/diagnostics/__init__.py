@@ -26,8 +26,7 @@ Decoding
     decoder.tables(frames)["VCU2AI_Steer"].series["ANGLE"].values
 
     Values are those of cantools, to the last bit: messages that numpy can take apart are taken apart there, all others
-    go through cantools itself. layouts.py is what is known of a message, as plain data; layout_cache.py remembers it
-    between two commands, because loading cantools and its files takes longer than to decode 100,000 frames.
+    go through cantools itself. layouts.py is what is known of a message, as plain data.
 
 Printing
     LineWriter(decoder, as_json=False).block(frames)      # decode/lines.py: lines of bytes; tails(): the signals only

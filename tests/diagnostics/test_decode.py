@@ -18,7 +18,6 @@ from cantools.database.can import Database
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.databases import databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
@@ -27,11 +26,6 @@ from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def same(ours: Any, theirs: Any) -> bool:
@@ -457,24 +451,3 @@ def test_a_database_that_cannot_be_used_is_one_clear_line(
         load_databases([tmp_path / name])
     assert words in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_cached_layouts_are_not_used_for_a_changed_file(tmp_path: Path) -> None:
-    path = tmp_path / "team.dbc"
-    path.write_text(UNUSUAL)
-    fresh, remembered = load_databases([path]), load_databases([path])
-    assert remembered.layouts == fresh.layouts
-    assert list((tmp_path / "cache" / "fsai-vcu").glob("layouts-*.json")), "nothing was remembered"
-    assert remembered.message(257).name == "Multiplexed"  # cantools' own, loaded when it is wanted
-    path.write_text(path.read_text().replace("(0.1,0)", "(0.2,0)"))
-    assert load_databases([path]).layouts != fresh.layouts
-
-
-def test_a_spoilt_or_forbidden_cache_is_no_cache_and_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh = load_databases()
-    for file in (tmp_path / "cache" / "fsai-vcu").iterdir():
-        file.write_text('{"layouts": [{"name": 1}]')
-    assert load_databases().layouts == fresh.layouts
-    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
-    assert load_databases().layouts == fresh.layouts
-    assert layout_cache.recall([]) is None

@@ -120,7 +120,7 @@ def test_csv_is_a_file_per_message_with_units_in_the_names(
 ) -> None:
     written = export(frames, decoder, "csv", tmp_path / "tables")
     assert (written.tables, written.rows) == (len(decoded), sum(map(len, decoded.values())))
-    assert written.left_out.words().startswith("1 of unknown ids, 1 of the wrong length, 2 error or remote frames")
+    assert written.left_out.startswith("1 of unknown ids, 1 of the wrong length, 2 error or remote frames")
     tables: dict[str, list[Row]] = {}
     for path in (tmp_path / "tables").iterdir():
         with path.open(newline="") as file:
