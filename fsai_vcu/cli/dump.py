@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 from fsai_vcu.cli.sources import (
     SOURCE_HELP,
     Decoding,
-    Output,
     Sources,
     add_database_arguments,
     add_part_arguments,
     part_of,
+    write_out,
 )
 from fsai_vcu.interface.errors import WrongUse
 
@@ -77,7 +77,6 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
     sources.learn()
     lines = _Lines(args, decoding)
-    output = Output()
     left = args.count
     received_at = time.monotonic()
     try:
@@ -85,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             if len(frames):
                 received_at = time.monotonic()
                 shown = frames if left is None else frames.head(left)
-                output.write(lines.block(shown), at_once=True)
+                write_out(lines.block(shown))
                 if left is not None:
                     left -= len(shown)
                     if left == 0:
@@ -95,7 +94,6 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         if not sources.live:
             raise
-    output.flush()
     return sources.status
 
 

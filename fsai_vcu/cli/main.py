@@ -101,14 +101,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         _discard_output()
         return 0
     except OSError as error:
-        if error.errno not in _DISK_FULL:
+        if error.errno not in _UNWRITABLE:
             raise
         _discard_output()
         print(f"fsai-vcu: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
 
 
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def _discard_output() -> None:

@@ -17,7 +17,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import add_database_arguments, decoder_of
+from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     decoder = None
     if args.mcap:
         check_format("mcap")
-        decoder = decoder_of(args)
+        decoder = Decoding("record", args).decoder
     bounds = _bounds(args)
     topics = _topics(args)
     listener = Listener(args.interface)

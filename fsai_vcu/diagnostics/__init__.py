@@ -45,5 +45,5 @@ Watching, sending
 
 On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
 with filters, problems and an exit status), `Decoding` (databases as the arguments ask for, or as the frames tell),
-`add_database_arguments`, `Output`.
+`add_database_arguments`, `write_out`.
 """
