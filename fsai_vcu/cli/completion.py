@@ -49,7 +49,6 @@ complete -F _fsai_vcu fsai-vcu"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("shell", choices=SHELLS, help="for which shell")
 
 

@@ -22,7 +22,6 @@ nothing found or a difference, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("what", choices=("list", "show", "diff"), help="what to print")
     parser.add_argument("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
     parser.add_argument(

@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def module_of(verb: str) -> ModuleType:
-    """The module of a verb: EXAMPLE, add_arguments(parser), run(args), and parse(parser, argv) where it has its own."""
+    """The module of a verb: EXAMPLE, add_arguments(parser), run(args); ABOUT and parse(parser, argv) where needed."""
     return importlib.import_module(_entry(verb)[0], __package__)
 
 
@@ -80,7 +80,7 @@ def parser_of(verb: str) -> Parser:
     module, summary = module_of(verb), _entry(verb)[1]
     parser = Parser(
         prog=f"fsai-vcu {verb}",
-        description=summary[0].upper() + summary[1:] + ".",
+        description=f"{summary[0].upper()}{summary[1:]}.\n\n{getattr(module, 'ABOUT', '')}".rstrip(),
         epilog=f"example:\n  {module.EXAMPLE}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -36,7 +36,6 @@ _PRINT_EVERY_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_source_argument(parser)
     add_database_arguments(parser)
     parser.add_argument("--signals", metavar="NAME,…", help="show these signals; NAME or MESSAGE.NAME, with * and ?")

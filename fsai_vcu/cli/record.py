@@ -21,7 +21,7 @@ from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.recorder.listening import Listener
+    from fsai_vcu.diagnostics.log.live import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.diagnostics.recorder.segments import Bounds
 
@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.export.writing import check_format
-    from fsai_vcu.diagnostics.recorder.listening import Listener
+    from fsai_vcu.diagnostics.log.live import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 
@@ -91,7 +91,6 @@ def run(args: argparse.Namespace) -> int:
     for option in ("topic", "namespace"):
         if getattr(args, option) and not args.ros:
             raise WrongUse(f"--{option} goes with --ros")
-    bus = args.interface.partition(":")[2] or args.interface
     about = _about(args)
     decoder = None
     if args.mcap:
@@ -99,12 +98,12 @@ def run(args: argparse.Namespace) -> int:
         decoder = Decoding("record", args).decoder
     bounds = _bounds(args)
     topics = _topics(args)
-    listener = Listener(args.interface)
+    listener = Listener(args.interface, waits=True)
     listener.start()
     try:
-        place = SegmentFolder(args.output, bus, bounds)
+        place = SegmentFolder(args.output, listener.name, bounds)
         recording = Recording(
-            place, bus, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
+            place, listener.name, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
         )
     except UserError:
         listener.close()

@@ -39,7 +39,6 @@ _PERIOD_MS = 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add = parser.add_argument
     add("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
     add("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")

@@ -21,7 +21,6 @@ wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_log_arguments(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
     parser.add_argument(

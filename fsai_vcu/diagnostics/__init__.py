@@ -11,7 +11,7 @@ Reading
         log.problems                              # what could not be read, with its place; never an exception
     read_log(path) -> (Frames, Problems)          # all of it at once
     guess_revision(frames)                        # decode/revision.py: the interface revision they are of, and why
-    LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses
+    LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses; Listener(bus): one
 
     candump's formats are read and written by log/candump.py (many lines at once) and log/candump_line.py (one),
     SavvyCAN's by log/gvret.py; log/reader.py knows all others, through python-can.

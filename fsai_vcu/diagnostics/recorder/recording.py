@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.log.frames import frames_of
+from fsai_vcu.diagnostics.log.live import Received, log_frame
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
-from fsai_vcu.diagnostics.recorder.listening import Received
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
 from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 from fsai_vcu.runtime.recording import candump_line
@@ -239,7 +239,7 @@ class Recording:
         self.taken += len(taken)
         if segment.writer is None or segment.tables is None:
             return
-        frames = frames_of((_log_frame(frame, stamp_ns, self._bus) for frame, stamp_ns in taken), self._channels)
+        frames = frames_of((log_frame(each, self._bus) for each in taken), self._channels)
         segment.writer.write_together(list(segment.tables.rows(frames)))
         while self._messages:
             segment.writer.write_message(self._messages.popleft())
@@ -257,12 +257,6 @@ class Recording:
             self._segment = None
             self.lost += segment.unpushed
             segment.close()
-
-
-def _log_frame(frame: Any, stamp_ns: int, bus: str) -> LogFrame:
-    return LogFrame(
-        stamp_ns, bus, frame.can_id, frame.data, frame.extended and not frame.error, frame.remote, frame.error
-    )
 
 
 def _date(wall_ns: int) -> str:
