@@ -85,7 +85,6 @@ class Log:
         self._path = path
         self._pipe = path is None
         self._broken: str | None = None  # why it cannot be read to its end
-        self._cut_off: str | None = None  # what is wrong with its last line
         self._announced_bytes = 0
         self._lines = 0
         self.kind = kind_of(_head(stream))
@@ -105,7 +104,6 @@ class Log:
             self._lines += lines
             if len(columns):
                 yield columns
-        self._end()
 
     def frames(self) -> Iterator[LogFrame]:
         """All frames one by one."""
@@ -126,7 +124,6 @@ class Log:
                     if frame is not None:
                         yield frame
                 self._lines += 1
-        self._end()
 
     def _blocks(self) -> Iterator[bytes]:
         """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts."""
@@ -139,14 +136,9 @@ class Log:
             if whole_gvret(carried) if self.kind == "GVRET" else whole_line(carried):
                 yield carried + b"\n"
             else:
-                self._cut_off = "cut off, without a line end; its frame is left out"
-
-    def _end(self) -> None:
-        """What is wrong with the end, after all that comes before it."""
+                self._unreadable(0, "cut off, without a line end; its frame is left out")
         if self._broken is not None:
             self.problems.add(f"{self.name}: cannot be read to its end: {self._broken}")
-        if self._cut_off is not None:
-            self._unreadable(0, self._cut_off)
 
     def _unreadable(self, line: int, reason: str) -> None:
         """`line`: how many come between those that are done and this one."""
