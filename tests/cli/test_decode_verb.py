@@ -68,12 +68,6 @@ def test_numbers_stand_for_words_where_they_are_asked_for(tmp_path: Path, capsys
     assert json.loads(capsys.readouterr().out)["signals"]["AS_STATE"] == 3
 
 
-def test_filters_choose_frames_as_for_dump(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
-    assert main(["decode", f"{log},523:7FF"]) == 0
-    assert capsys.readouterr().out == LINE
-
-
 def test_a_named_revision_or_database_is_used(tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "team.dbc"
     other.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 1315 Ours: 6 AI\n SG_ A : 0|8@1+ (1,0) [0|0] "" AI\n')

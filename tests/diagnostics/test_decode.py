@@ -7,8 +7,6 @@ import math
 import random
 import re
 import struct
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,6 @@ from fsai_vcu.diagnostics.decode.databases import databases_of, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
 from fsai_vcu.diagnostics.decode.lines import LineWriter
-from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.revisions import REVISIONS, dbc_dir
@@ -258,52 +255,10 @@ def assert_printed_like_cantools(decoder: Decoder, frames: Frames) -> None:
         assert line.decode() == f" ::{expected}\n"
 
 
-@pytest.fixture(scope="module")
-def wild_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every message of the car with payloads at random, and some that are in no database."""
-    raw = [cantools.database.load_file(dbc_dir() / name) for name in REVISIONS["2026"].dbc_files]
-    frames = random_frames(raw, 15_000, 7)  # type: ignore[arg-type]
-    path = tmp_path_factory.mktemp("wild") / "wild.log"
-    path.write_bytes(b"\n".join(log_lines(frames)) + b"\n(1.000000) can0 7A1#0102\n(1.000000) can0 523#0102\n")
-    return path
-
-
-@pytest.fixture(scope="module")
-def one_dbc(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The car's databases as one file, which is all that cantools' command line takes."""
-    path = tmp_path_factory.mktemp("dbc") / "car.dbc"
-    whole = Database()
-    for name in REVISIONS["2026"].dbc_files:
-        whole.add_dbc_file(dbc_dir() / name)
-    path.write_text(whole.as_dbc_string(), encoding="cp1252")
-    return path
-
-
-def test_decode_prints_what_the_command_line_of_cantools_prints(wild_log: Path, one_dbc: Path) -> None:
-    ours = subprocess.run(
-        [sys.executable, "-m", "fsai_vcu.cli.main", "decode", str(wild_log)], capture_output=True, check=True
-    ).stdout
-    with wild_log.open("rb") as log:
-        theirs = subprocess.run(
-            [sys.executable, "-m", "cantools", "decode", "--single-line", str(one_dbc)],
-            stdin=log,
-            capture_output=True,
-            check=True,
-        ).stdout
-    assert ours.count(b"\n") == 15_002
-    # Where cantools says only that a length is wrong, ours goes on with what can be decoded all the same.
-    expected = theirs.replace(
-        b"Wrong data size: 2 instead of 6 bytes",
-        b"Wrong data size: 2 instead of 6 bytes: VCU2AI_Steer(ANGLE: 51.300000000000004 deg)",
-    )
-    assert ours.splitlines() == expected.splitlines()
-
-
-def test_each_line_of_json_is_one_object_with_cantools_values(wild_log: Path) -> None:
+def test_each_line_of_json_is_one_object_with_cantools_values() -> None:
     decoder = Decoder(load_databases())
-    from fsai_vcu.diagnostics.log.reader import read_log
-
-    frames = read_log(wild_log)[0].head(15_000)
+    raw = [cantools.database.load_file(dbc_dir() / name) for name in REVISIONS["2026"].dbc_files]
+    frames = random_frames(raw, 5_000, 7)  # type: ignore[arg-type]
     for frame, line in zip(frames, lines(decoder, frames, as_json=True), strict=True):
         entry = json.loads(line)
         layout = decoder.databases.layouts.get(frame.can_id)
