@@ -70,7 +70,7 @@ class McapTables:
             self._writer.add_metadata("fsai-vcu", dict(metadata))
         self._tables: dict[str, int] = {}
         self._topics: dict[tuple[str, str], int] = {}
-        self._types: dict[tuple[str, str], int] = {}
+        self._types: dict[tuple[str, str], int] = {}  # numbers of schemas, by name and definition
         self._sequences: dict[int, int] = {}
 
     def write_together(self, several: Sequence[Rows]) -> None:
@@ -101,19 +101,14 @@ class McapTables:
 
     def _number_of(self, topic: RosTopic) -> int:
         """Of the topic's channel, registered when it is first met."""
-        key = (topic.name, topic.type_name)
-        if key not in self._topics:
-            self._topics[key] = self._register(topic)
-        return self._topics[key]
-
-    def _register(self, topic: RosTopic) -> int:
-        key = (topic.type_name, topic.definition)
-        schema = self._types.get(key)
-        if schema is None:
+        key, kind = (topic.name, topic.type_name), (topic.type_name, topic.definition)
+        if kind not in self._types:
             data = topic.definition.encode()
-            schema = self._types[key] = self._writer.register_schema(topic.type_name, SCHEMA_ENCODING, data)
-        number: int = self._writer.register_channel(topic.name, ENCODING, schema, {"offered_qos_profiles": topic.qos})
-        return number
+            self._types[kind] = self._writer.register_schema(topic.type_name, SCHEMA_ENCODING, data)
+        if key not in self._topics:
+            qos = {"offered_qos_profiles": topic.qos}
+            self._topics[key] = self._writer.register_channel(topic.name, ENCODING, self._types[kind], qos)
+        return self._topics[key]
 
 
 def _field_kind(column: Column) -> str:
