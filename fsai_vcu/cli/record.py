@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
@@ -100,49 +100,46 @@ def run(args: argparse.Namespace) -> int:
     topics = _topics(args)
     listener = Listener(args.interface, waits=True)
     listener.start()
-    try:
-        place = SegmentFolder(args.output, listener.name, bounds)
-        recording = Recording(
-            place, listener.name, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
-        )
-    except UserError:
-        listener.close()
-        raise
-    except OSError as error:
-        listener.close()
-        raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
-    if topics is not None:
-        topics.start()
-    with _ending() as ending:
-        until_ns = None if args.seconds is None else time.monotonic_ns() + int(args.seconds * 1e9)
-        _record(listener, topics, recording, until_ns, ending)
-    listener.close()
-    recording.take(listener.fetch())
+    with closing(listener):
+        try:
+            place = SegmentFolder(args.output, listener.name, bounds)
+            now_ns = time.monotonic_ns()
+            recording = Recording(
+                place, listener.name, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=now_ns
+            )
+        except OSError as error:
+            raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+        if topics is not None:
+            topics.start()
+        with _ending() as ending:
+            until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
+            _record(listener, topics, recording, until_ns, ending)
     if topics is not None:
         topics.stop()
-        recording.take_messages(topics.fetch())
+    _take(listener, topics, recording)
     recording.close(time.monotonic_ns())
     return _result(args, listener, recording, place.number, stopped=signal.SIGTERM in ending)
 
 
-def _record(
-    listener: Listener, topics: Any | None, recording: Recording, until_ns: int | None, ending: list[int]
-) -> None:
+def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, ending: list[int]) -> None:
     """Until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
-    while not ending and (until_ns is None or time.monotonic_ns() < until_ns):
+    while not ending and time.monotonic_ns() < until_ns:
         time.sleep(_LOOK_S)
         now_ns = time.monotonic_ns()
-        for news in listener.news():
+        for news in [*listener.news(), *(topics.news() if topics is not None else ())]:
             _say(news)
         if now_ns - turn_ns >= _TURN_NS:
             turn_ns = now_ns
-            recording.take(listener.fetch())
-            if topics is not None:
-                recording.take_messages(topics.fetch())
-                for news in topics.news():
-                    _say(news)
+            _take(listener, topics, recording)
             recording.turn(now_ns)
+
+
+def _take(listener: Listener, topics: Any | None, recording: Recording) -> None:
+    """What was received since."""
+    recording.take(listener.fetch())
+    if topics is not None:
+        recording.take_messages(topics.fetch())
 
 
 @contextmanager
@@ -191,22 +188,17 @@ def _say(text: str) -> None:
 def _bounds(args: argparse.Namespace) -> Bounds:
     from fsai_vcu.diagnostics.recorder.segments import Bounds
 
-    single = args.output.suffix != "" and not args.output.is_dir()
-    if single:
-        for option in _DEFAULTS:
-            if getattr(args, option) is not None:
-                raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
-        return Bounds(keep_free_bytes=_size(args.keep_free, "--keep-free"))
-    given = {option: getattr(args, option) or default for option, default in _DEFAULTS.items()}
-    total = _size(given["max_total"], "--max-total")
-    if total < 1 << 20:
-        raise WrongUse(f"--max-total is {given['max_total']}, but less than 1M is no recording")
-    return Bounds(
-        segment_bytes=max(1, _size(given["segment_size"], "--segment-size")),
-        segment_ns=_time_ns(given["segment_time"], "--segment-time"),
-        total_bytes=total,
-        keep_free_bytes=_size(args.keep_free, "--keep-free"),
-    )
+    keep_free = _size(args.keep_free, "--keep-free")
+    given = {option: getattr(args, option) for option in _DEFAULTS}
+    if args.output.suffix != "" and not args.output.is_dir():
+        for option in (option for option, text in given.items() if text is not None):
+            raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
+        return Bounds(keep_free_bytes=keep_free)
+    size, duration, total = (given[option] or default for option, default in _DEFAULTS.items())
+    most = _size(total, "--max-total")
+    if most < 1 << 20:
+        raise WrongUse(f"--max-total is {total}, but less than 1M is no recording")
+    return Bounds(max(1, _size(size, "--segment-size")), _time_ns(duration, "--segment-time"), most, keep_free)
 
 
 def _size(text: str, option: str) -> int:

@@ -17,10 +17,10 @@ _PROTOCOL: Final = (
     "single bit; frame format; bit stuffing; dominant bit not sent; recessive bit not sent; overload; "
     "active error announced; in transmission"
 )
-_DETAILS: Final = {
+_DETAILS: Final = {  # which data byte, and its bits
     "controller": (1, _CONTROLLER),
     "protocol violation": (2, _PROTOCOL),
-}  # which data byte, and its bits
+}
 
 
 def error_words(can_id: int, data: bytes) -> list[str]:
@@ -34,4 +34,4 @@ def error_words(can_id: int, data: bytes) -> list[str]:
 
 
 def _named(bits: int, names: str) -> list[str]:
-    return [name for place, name in enumerate(names.split("; ")) if bits >> place & 1]
+    return [name for place, name in enumerate(names.split("; ")) if name and bits >> place & 1]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Values
 from fsai_vcu.diagnostics.log.candump import time_text
-from fsai_vcu.diagnostics.log.characters import Part, assembled
+from fsai_vcu.diagnostics.log.characters import Part, lines_of
 
 _QUOTED: Final = ('"', ",", "\n", "\r")
 
@@ -32,7 +32,7 @@ def csv_files(path_of: Callable[[Table], Path], *, words: bool) -> Iterator[Call
             parts: list[Part] = [time_text(rows.t_ns)]
             for column, values in zip(table.columns, rows.values, strict=True):
                 parts += [b",", _texts(column, values, words=words)]
-            files[table.name].write(b"\n".join([*assembled(parts, len(rows)), b""]))
+            files[table.name].write(lines_of(parts, len(rows)))
 
         yield write
 

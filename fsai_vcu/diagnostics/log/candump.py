@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.log.candump_line import (
     parse_line,
     read_line,
 )
-from fsai_vcu.diagnostics.log.characters import Characters, Part, assembled
+from fsai_vcu.diagnostics.log.characters import Characters, Part, lines_of
 from fsai_vcu.diagnostics.log.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -278,7 +278,7 @@ def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
 
 def log_lines(frames: Frames, time_digits: int = 1, *, marks: bool = False) -> list[bytes]:
     """Each frame as a line of `candump -L`, without its line end; with `marks` of `candump -L -x`, R or T."""
-    lines = assembled(log_parts(frames, time_digits), len(frames))
+    lines = lines_of(log_parts(frames, time_digits), len(frames)).split(b"\n")[:-1]
     for row in np.flatnonzero(frames.flags & (REMOTE | FD)).tolist():
         lines[row] = log_line(frames.frame(row), time_digits).encode()
     if marks:

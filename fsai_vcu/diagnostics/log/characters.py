@@ -26,9 +26,9 @@ def matrix_of(parts: Sequence[Part], count: int) -> Characters:
     return matrix
 
 
-def assembled(parts: Sequence[Part], count: int) -> list[bytes]:
-    """The same as one text a row, without the padding."""
-    return matrix_of([*parts, b"\n"], count).tobytes().translate(None, b"\0").split(b"\n")[:-1]
+def lines_of(parts: Sequence[Part], count: int) -> bytes:
+    """The same as lines, without the padding."""
+    return matrix_of([*parts, b"\n"], count).tobytes().translate(None, b"\0")
 
 
 def put(out: bytearray, places: npt.NDArray[np.int64], rows: Characters) -> None:
