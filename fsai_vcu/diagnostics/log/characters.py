@@ -11,6 +11,12 @@ Characters = npt.NDArray[np.uint8]
 Part = bytes | Characters
 
 
+def characters_of(texts: Sequence[str], end: str = "") -> Characters:
+    """One text and `end` a row, NUL behind. No text has a line end in it."""
+    array = np.array([text + end.encode() for text in "\n".join(texts).encode().split(b"\n")])
+    return array.view(np.uint8).reshape(len(array), -1)
+
+
 def matrix_of(parts: Sequence[Part], count: int) -> Characters:
     """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters pad."""
     template = b"".join(part if isinstance(part, bytes) else bytes(part.shape[1]) for part in parts)
