@@ -69,22 +69,20 @@ def kind_of(signal: SignalLayout) -> Kind:
     return "uint64" if plain and signal.length == 64 and not signal.signed else "object"
 
 
-def column_of(signal: SignalLayout, *, optional: bool = False, prefix: str = "") -> Column:
-    raw_is_value = signal.scale == 1 and signal.offset == 0
-    return Column(prefix + signal.name, signal.unit, kind_of(signal), optional, signal.choices if raw_is_value else {})
-
-
 def table_of(layout: MessageLayout, name: str, channel: str) -> Table:
-    # Of a message that is not plain (multiplexed, say) a frame need not have every signal.
-    columns = tuple(column_of(signal, optional=not layout.plain) for signal in layout.signals)
+    columns = []
+    for signal in layout.signals:
+        choices = signal.choices if signal.scale == 1 and signal.offset == 0 else {}
+        # Of a message that is not plain (multiplexed, say) a frame need not have every signal.
+        columns.append(Column(signal.name, signal.unit, kind_of(signal), not layout.plain, choices))
     senders = f" from {', '.join(layout.senders)}" if layout.senders else ""
     digits = 8 if layout.extended else 3
-    return Table(name, columns, channel, f"{layout.name}, id 0x{layout.can_id:0{digits}X}{senders}")
+    return Table(name, tuple(columns), channel, f"{layout.name}, id 0x{layout.can_id:0{digits}X}{senders}")
 
 
-def values_in(decoded: MessageTable, column: Column, signal: SignalLayout) -> Values:
+def values_in(decoded: MessageTable, column: Column) -> Values:
     """One value for each row of `decoded`."""
-    series = decoded.series[signal.name]
+    series = decoded.series[column.name]
     if len(series.rows) == len(decoded.rows):
         return Values(series.values.astype(column.kind, copy=False))
     values = Values(np.zeros(len(decoded.rows), column.kind), mask=True)
@@ -101,7 +99,6 @@ class Tables:
         self._decoder = decoder
         self._several = several_buses
         self._tables: dict[tuple[str, int], Table] = {}
-        self._names: set[str] = set()
 
     def rows(self, frames: Frames) -> Iterator[Rows]:
         """The frames by message, each in the order of the log."""
@@ -109,15 +106,12 @@ class Tables:
             if layout is None:
                 self.left_out[_UNKNOWN] += len(rows)
                 continue
-            for channel, ours in self._by_channel(frames, rows):
-                decoded = self._decoder.table(layout, frames, ours)
+            channels = frames.channel[rows]
+            for number in np.unique(channels).tolist():
+                decoded = self._decoder.table(layout, frames, rows[channels == number])
                 self.left_out[_WRONG_LENGTH] += len(decoded.wrong_length)
-                table = self._table(layout, channel)
-                values = [
-                    values_in(decoded, column, signal)
-                    for column, signal in zip(table.columns, layout.signals, strict=True)
-                ]
-                found = Rows(table, decoded.t_ns, values)
+                table = self._table(layout, frames.channels[number])
+                found = Rows(table, decoded.t_ns, [values_in(decoded, column) for column in table.columns])
                 if not layout.plain and layout.signals:
                     found = self._with_values(found)
                 if len(found):
@@ -130,23 +124,12 @@ class Tables:
         self.left_out[_UNDECODABLE] += int((~known).sum())
         return Rows(rows.table, rows.t_ns[known], [values[known] for values in rows.values])
 
-    def _by_channel(self, frames: Frames, rows: Ints) -> Iterator[tuple[str, Ints]]:
-        channels = frames.channel[rows]
-        for number in np.unique(channels).tolist():
-            yield frames.channels[number], rows[channels == number]
-
     def _table(self, layout: MessageLayout, channel: str) -> Table:
         key = (channel if self._several else "", layout.key)
         table = self._tables.get(key)
         if table is None:
             name = f"{channel}.{layout.name}" if self._several else layout.name
-            if name in self._names:  # two databases may give one name to two ids
+            if any(name == other.name for other in self._tables.values()):  # two databases may give it to two ids
                 name = f"{name}_{layout.can_id:X}"
-            self._names.add(name)
             table = self._tables[key] = table_of(layout, name, channel)
         return table
-
-
-def buses_in(frames: Frames) -> list[str]:
-    """The buses that frames are from, in the log's order."""
-    return [frames.channels[number] for number in np.unique(frames.channel).tolist()]

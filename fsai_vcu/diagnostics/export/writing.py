@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.export.tables import Rows, Table, Tables, buses_in
+from fsai_vcu.diagnostics.export.tables import Rows, Table, Tables
 from fsai_vcu.diagnostics.export.wide import WideTable
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError
@@ -82,7 +82,7 @@ def export(
         whole = work / f"whole.{form}"
         if folder:
             whole.mkdir()
-        tables = Tables(decoder, several_buses=len(buses_in(frames)) > 1)
+        tables = Tables(decoder, several_buses=len(np.unique(frames.channel)) > 1)
         wide = WideTable(tables, frames, step_ns) if step_ns is not None else None
         seen: set[str] = set()
         done = 0

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -245,26 +245,23 @@ class Log:
 
 def open_log(path: Path | str) -> Log:
     """Open the log at `path`; '-' is standard input. Raises LogError."""
-    if str(path) == STDIN:
-        return _unpacked("standard input", sys.stdin.buffer, None)
-    path = Path(path)
-    try:
-        stream = path.open("rb")
-    except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
-        raise LogError(f"{path}: {_why(error)}") from error
-    return _unpacked(str(path), stream, path if path.is_file() else None)
+    stream: Any = sys.stdin.buffer
+    name, file = "standard input", None
+    if str(path) != STDIN:
+        name, file = str(path), Path(path)
+        try:
+            stream = file.open("rb")
+        except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
+            raise LogError(f"{path}: {_why(error)}") from error
+    if _head(stream).startswith(_GZIP):
+        stream = gzip.GzipFile(fileobj=stream)
+    return Log(name, stream, file if file and file.is_file() else None)
 
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
-
-
-def _unpacked(name: str, stream: IO[bytes], path: Path | None) -> Log:
-    if _head(stream).startswith(_GZIP):
-        return Log(name, gzip.GzipFile(fileobj=stream), path)  # type: ignore[arg-type]
-    return Log(name, stream, path)
 
 
 def _head(stream: IO[bytes]) -> bytes:
