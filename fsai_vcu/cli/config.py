@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("file", nargs="?", type=Path, help="the configuration (default: /etc/fsai/fsai.toml)")
     add("--json", action="store_true", help="print one JSON object")
-
-
-def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """`check --json FILE` is as good as `check FILE --json`."""
-    return parser.parse_intermixed_args(argv)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -135,7 +135,7 @@ def _run(arguments: list[str]) -> int:
         return 2
     module = module_of(verb)
     parser = parser_of(verb)
-    parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
+    parse = getattr(module, "parse", Parser.parse_intermixed_args)  # options may stand between arguments
     args = parse(parser, arguments[1:])
     try:
         return int(module.run(args))

@@ -62,7 +62,7 @@ def test_every_example_is_one_that_its_own_parser_takes(verb: str) -> None:
         assert ours and verb in [words[1] for words in ours], example
         for words in ours:
             if words[1] == verb:
-                parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
+                parse = getattr(module, "parse", argparse.ArgumentParser.parse_intermixed_args)
                 assert parse(parser, words[2:]) is not None
 
 

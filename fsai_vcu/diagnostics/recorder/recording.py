@@ -177,7 +177,7 @@ class Recording:
         if self._place.single or not segment.frames:
             return False
         most = self._place.segment_bytes
-        return (most is not None and sum(file.size for file in segment.files) >= most) or (
+        return (most is not None and sum(file.tell() for file in segment.files) >= most) or (
             bounds.segment_ns is not None and now_ns - segment.began_ns >= bounds.segment_ns
         )
 
