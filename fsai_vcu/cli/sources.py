@@ -240,20 +240,18 @@ class Sources:
         yield from self._live_chunks(seconds, announced) if self.live else self._log_chunks()
 
     def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
-        """All frames of all logs, their buses numbered alike; of live buses, those of so long or until Ctrl-C.
+        """All frames of all logs; of live buses, those of so long or until Ctrl-C.
 
         `received` gets again and again how many frames there are.
         """
-        from fsai_vcu.diagnostics.log.frames import joined, renumbered
+        from fsai_vcu.diagnostics.log.frames import joined
 
-        channels: list[str] = []
         parts: list[Frames] = []
         count = 0
         try:
             for chunk in self.chunks(seconds, announced=True):
-                if len(chunk):
-                    parts.append(renumbered(chunk, channels))
-                    count += len(chunk)
+                parts.append(chunk)
+                count += len(chunk)
                 received(count)
         except KeyboardInterrupt:
             if not self.live:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import tempfile
@@ -93,7 +92,6 @@ def export(
                 done += len(rows)
                 if wide is not None:
                     progress(done, wide.rows)
-        whole.chmod((0o777 if folder else 0o666) & ~_umask())
         whole.replace(path)
         left_out = ", ".join(f"{number} {why}" for why, number in tables.left_out.items() if number)
         return Written(1 if wide else len(seen), done, left_out, tuple(wide.notes if wide else ()))
@@ -134,9 +132,3 @@ def _new_file(folder: Path, form: str, table: Table) -> Path:
     stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".") or "table"
     names = chain([stem], (f"{stem}-{number}" for number in count(2)))
     return next(path for name in names if not (path := folder / f"{name}.{form}").exists())
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
