@@ -22,7 +22,6 @@ from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import VcuStatus, WheelCounts, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
-from fsai_vcu.interface.wheels import WheelMapping
 
 WANTED = Wanted(
     path="/etc/fsai/fsai.toml",
@@ -222,18 +221,6 @@ def turned(check: WheelWiringCheck, signal: int, pulses: int, t_ns: int, counts:
             check.on_speeds(tuple(30 if index == signal else 0 for index in range(4)))
         found = check.on_counts(tuple(counts), t_ns) or found
     return found
-
-
-def test_wheels_turned_in_turn_show_the_wiring_across_a_wrap() -> None:
-    check, counts = WheelWiringCheck(), [65530, 5, 5, 5]
-    asked = []
-    for position, signal in enumerate((1, 0, 2, 3)):
-        asked.append(check.asked)
-        check.on_counts(tuple(counts), position * 10**10)
-        turn = turned(check, signal, 20, position * 10**10, counts)
-        assert turn is not None and turn.counted == 20 and turn.problem(20) is None
-    assert asked == ["fl", "fr", "rl", "rr"] and check.asked is None
-    assert check.mapping() == WheelMapping(fl="fr", fr="fl")
 
 
 @pytest.mark.parametrize(
