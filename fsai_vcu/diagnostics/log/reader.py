@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fsai_vcu.diagnostics.log.candump import parse_block
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, read_line, whole_line
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, read_lines, whole_line
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
 from fsai_vcu.interface.errors import UserError
@@ -42,6 +42,9 @@ _FORMATS: Final = (  # by the first bytes; the second of TRC: version 1.0
     ("TRC", (b";$FILEVERSION=", b";##############")),
     ("GVRET", (HEAD.encode(),)),
 )
+
+
+_OF_LINES: Final = ("candump", "GVRET")
 
 
 class Problems:
@@ -92,13 +95,19 @@ class Log:
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
         channels: list[str] = []
-        if self.kind != "candump":
-            frames = self._messages() if self.kind != "GVRET" else self._gvret_frames()
-            while batch := list(islice(frames, _BATCH)):
+        if self.kind not in _OF_LINES:
+            messages = self._messages()
+            while batch := list(islice(messages, _BATCH)):
                 yield frames_of(batch, channels)
             return
+        parse_gvret = GvretLines()
         for block in self._blocks():
-            columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
+            if self.kind == "GVRET":
+                lines = block.count(b"\n")
+                singly, unreadable = read_lines(enumerate(block.replace(b"\r\n", b"\n").split(b"\n")), parse_gvret)
+                columns = frames_of(singly.values(), channels)
+            else:
+                columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
             for problem in unreadable:
                 self._unreadable(problem.line, problem.reason)
             self._lines += lines
@@ -111,19 +120,6 @@ class Log:
             yield from frames
 
     # ------------------------------------------------------------ text
-
-    def _gvret_frames(self) -> Iterator[LogFrame]:
-        parse = GvretLines()
-        for block in self._blocks():
-            for line in block.split(b"\n")[:-1]:
-                try:
-                    frame = read_line(line.removesuffix(b"\r"), parse)
-                except UnreadableError as error:
-                    self._unreadable(0, str(error))
-                else:
-                    if frame is not None:
-                        yield frame
-                self._lines += 1
 
     def _blocks(self) -> Iterator[bytes]:
         """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts."""
