@@ -32,7 +32,11 @@ EXAMPLE = (
 _LOOK_S: Final = 0.1
 _INSISTS_S: Final = 1.0
 _TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a second is ever not on it
-_DEFAULTS: Final = {"segment_size": "64M", "segment_time": "10min", "max_total": "4G"}
+_BOUNDS: Final = {  # of a folder: default, metavar, help
+    "segment_size": ("64M", "SIZE", "begin a new segment at this size"),
+    "segment_time": ("10min", "TIME", "… or after so long: 30s, 10min, 1h"),
+    "max_total": ("4G", "SIZE", "most that all segments take; the oldest are deleted"),
+}
 _SIZES: Final = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
@@ -54,21 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)")
     add("--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often")
     add("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
-    add(
-        "--segment-size",
-        metavar="SIZE",
-        help=f"begin a new segment at this size (default: {_DEFAULTS['segment_size']})",
-    )
-    add(
-        "--segment-time",
-        metavar="TIME",
-        help=f"… or after so long: 30s, 10min, 1h (default: {_DEFAULTS['segment_time']})",
-    )
-    add(
-        "--max-total",
-        metavar="SIZE",
-        help=f"most that all segments take; the oldest are deleted (default: {_DEFAULTS['max_total']})",
-    )
+    for option, (default, metavar, words) in _BOUNDS.items():
+        add(f"--{option.replace('_', '-')}", metavar=metavar, help=f"{words} (default: {default})")
     add("--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)")
     add(
         "--limits",
@@ -189,12 +180,12 @@ def _bounds(args: argparse.Namespace) -> Bounds:
     from fsai_vcu.diagnostics.recorder.segments import Bounds
 
     keep_free = _size(args.keep_free, "--keep-free")
-    given = {option: getattr(args, option) for option in _DEFAULTS}
+    given = {option: getattr(args, option) for option in _BOUNDS}
     if args.output.suffix != "" and not args.output.is_dir():
         for option in (option for option, text in given.items() if text is not None):
             raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
         return Bounds(keep_free_bytes=keep_free)
-    size, duration, total = (given[option] or default for option, default in _DEFAULTS.items())
+    size, duration, total = (given[option] or default for option, (default, _, _) in _BOUNDS.items())
     most = _size(total, "--max-total")
     if most < 1 << 20:
         raise WrongUse(f"--max-total is {total}, but less than 1M is no recording")

@@ -14,7 +14,6 @@ from fsai_vcu.cli.sources import LOG_HELP, Progress, Sources, add_part_arguments
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.diagnostics.transmit.replaying import Player
 
 EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
@@ -62,22 +61,19 @@ def run(args: argparse.Namespace) -> int:
     laps = 1 if args.loop is None else args.loop or None
     player = Player(chosen, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
     status = sources.status
+    progress = Progress()
     with bus:
         try:
-            _play(player, chosen)
+            for _ in player.play():
+                progress.show(lambda: f"{player.sent} frames sent, {player.laps} times through {len(chosen)}")
         except KeyboardInterrupt:
             pass
         except BusLost as error:
             print(f"fsai-vcu replay: {error}", file=sys.stderr)
             status = 1
+        finally:
+            progress.end()
     return max(status, _result(player))
-
-
-def _play(player: Player, frames: Frames) -> None:
-    progress = Progress()
-    for _ in player.play():
-        progress.show(lambda: f"{player.sent} frames sent, {player.laps} times through {len(frames)}")
-    progress.end()
 
 
 def _result(player: Player) -> int:
