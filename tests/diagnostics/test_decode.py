@@ -314,6 +314,8 @@ def test_a_frame_of_wrong_length_is_shown_but_never_counts_whole() -> None:
     written = tails(decoder, frames)
     assert written[1] == b" :: Wrong data size: 2 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg)\n"
     assert written[2].startswith(b" :: Wrong data size: 8 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg, ")
+    chosen = tails(Decoder(load_databases().with_signals(["ANGLE"])), frames)
+    assert chosen[2] == b" :: Wrong data size: 8 instead of 6 bytes: VCU2AI_Steer(ANGLE: 10.0 deg)\n"
     table = decoder.tables(frames)["VCU2AI_Steer"]
     assert table.rows.tolist() == [0]
     assert table.wrong_length.tolist() == [1, 2]

@@ -161,12 +161,13 @@ class LineWriter:
             values: Mapping[str, Any] = self._decoder.databases.decoded(layout, data, choices=self._words)
         except UndecodableError as error:
             values, wrong = {}, wrong or str(error)
+        units = {signal.name: signal.unit for signal in layout.signals}  # of those that are shown at all
+        values = {name: value for name, value in values.items() if name in units}
         if self._json:
             signals = ",".join(f"{json.dumps(name)}:{json_value(value)}" for name, value in values.items())
             problem = f',"problem":{json.dumps(wrong)}' if wrong else ""
             return f',"message":{json.dumps(layout.name)},"signals":{{{signals}}}{problem}}}\n'
         if wrong and not values:
             return f" :: {wrong}\n"
-        units = {signal.name: signal.unit for signal in layout.signals}
         shown = ", ".join(f"{name}: {with_unit(value, units[name])}" for name, value in values.items())
         return f" :: {wrong + ': ' if wrong else ''}{layout.name}({shown})\n"
