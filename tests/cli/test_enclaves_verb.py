@@ -74,7 +74,7 @@ def test_one_command_makes_a_keystore_only_services_can_read(
     assert f'keystore = "{keystore}"' in capsys.readouterr().out, "what is to be written into the configuration"
 
 
-def test_a_keystore_is_kept_and_its_signing_key_stays_roots_alone(
+def test_a_keystore_is_kept_with_its_signing_key_roots_alone(
     calls: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     keystore = tmp_path / "keystore"
