@@ -24,7 +24,6 @@ SHARE: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("logs", nargs=2, metavar="LOG", help="any log that decode reads")
     add_database_arguments(parser)
 

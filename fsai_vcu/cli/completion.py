@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
+
+from fsai_vcu.core.supervision.supervisor import Mode
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.interface.enums import Ami
+from fsai_vcu.interface.revisions import REVISIONS
 
 EXAMPLE = (
     "fsai-vcu completion bash > ~/.local/share/bash-completion/completions/fsai-vcu\n"
@@ -49,7 +55,6 @@ complete -F _fsai_vcu fsai-vcu"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("shell", choices=SHELLS, help="for which shell")
 
 
@@ -95,23 +100,13 @@ def words_of(action: argparse.Action) -> tuple[str, ...] | None:
     """What an argument takes: its choices, or what its name says where the parser leaves that to the code behind it."""
     if action.choices is not None:
         return tuple(map(str, action.choices))
-    if action.dest == "revision":
-        from fsai_vcu.interface.revisions import REVISIONS
-
-        return tuple(REVISIONS)
-    if action.dest == "mission":
-        from fsai_vcu.interface.enums import Ami
-
-        return tuple(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
-    if action.dest == "mode":
-        from fsai_vcu.core.supervision.supervisor import Mode
-
-        return tuple(mode.value for mode in Mode)
-    if action.dest == "message":
-        from fsai_vcu.diagnostics.decode.databases import load_databases
-
-        return tuple(sorted(layout.name for layout in load_databases().layouts.values()))
-    return None
+    words: dict[str, Callable[[], Iterable[str]]] = {
+        "revision": lambda: REVISIONS,
+        "mission": lambda: (ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED),
+        "mode": lambda: (mode.value for mode in Mode),
+        "message": lambda: sorted(layout.name for layout in load_databases().layouts.values()),
+    }
+    return tuple(words[action.dest]()) if action.dest in words else None
 
 
 def _completer(action: argparse.Action, metavar: str) -> dict[str, Any] | None:

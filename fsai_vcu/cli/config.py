@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,15 @@ EXAMPLE = "fsai-vcu config check /etc/fsai/fsai.toml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "what",
         choices=("check", "show", "environment"),
         help="check: is it right? show: every setting in force; environment: what a ROS program of one's own needs to "
         "hear the nodes, as for systemd's EnvironmentFile=",
     )
-    parser.add_argument("file", nargs="?", type=Path, help="the configuration (default: /etc/fsai/fsai.toml)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-
-
-def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """`check --json FILE` is as good as `check FILE --json`."""
-    return parser.parse_intermixed_args(argv)
+    add("file", nargs="?", type=Path, help="the configuration (default: /etc/fsai/fsai.toml)")
+    add("--json", action="store_true", help="print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -22,12 +22,10 @@ nothing found or a difference, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("what", choices=("list", "show", "diff"), help="what to print")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
-    parser.add_argument(
-        "--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)"
-    )
+    add = parser.add_argument
+    add("what", choices=("list", "show", "diff"), help="what to print")
+    add("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
+    add("--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)")
 
 
 def run(args: argparse.Namespace) -> int:

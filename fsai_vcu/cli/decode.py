@@ -6,12 +6,12 @@ import argparse
 
 from fsai_vcu.cli.sources import (
     Decoding,
-    Output,
     Sources,
     add_database_arguments,
     add_part_arguments,
     add_sources_argument,
     part_of,
+    write_out,
 )
 
 EXAMPLE = "fsai-vcu decode run.log.gz --json | jq 'select(.message==\"VCU2AI_Steer\") | [.t, .signals.ANGLE]'"
@@ -29,10 +29,9 @@ def run(args: argparse.Namespace) -> int:
     decoding = Decoding("decode", args)
     sources = Sources("decode", args.logs, decoding, part_of(args, decoding))
     sources.learn()
-    output = Output()
     try:
         for frames in sources.chunks():
-            output.write(decoding.writer.block(frames), at_once=True)
+            write_out(decoding.writer.block(frames))
     except KeyboardInterrupt:
         if not sources.live:
             raise

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 from fsai_vcu.cli.sources import (
     SOURCE_HELP,
     Decoding,
-    Output,
     Sources,
     add_database_arguments,
     add_part_arguments,
     part_of,
+    write_out,
 )
 from fsai_vcu.interface.errors import WrongUse
 
@@ -29,7 +29,8 @@ _NO_COLOR: Final = b"\x1b[0m"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "sources",
         nargs="+",
         metavar="SOURCE[,FILTER…]",
@@ -37,30 +38,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "id & MASK == ID & MASK), ID~MASK (all others), #ERRORMASK (error frames), j (all filters must match). Eight "
         "digits mean a 29-bit id. Without a filter all frames are shown, error frames too",
     )
-    parser.add_argument(
+    add(
         "-t",
         dest="times",
         choices=("a", "A", "d", "z"),
         help="times: absolute, absolute with the date, delta to the line before, from zero",
     )
-    parser.add_argument("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
-    parser.add_argument("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
-    parser.add_argument("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
-    parser.add_argument("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
-    parser.add_argument("-L", dest="log_format", action="store_true", help="the format of candump's logs")
-    parser.add_argument("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
-    parser.add_argument("--changes", action="store_true", help="only frames that differ from their message's last one")
-    parser.add_argument(
-        "--signals", metavar="NAME,…", help="only frames with these signals, and only these; with * and ?"
-    )
-    parser.add_argument(
-        "--short", action="store_true", help="signals that are not 0 alone: a line of 0x520 in 150 columns"
-    )
-    parser.add_argument("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
+    add("-x", dest="extra", action="store_true", help="direction (RX, TX) and FD flags of each frame")
+    add("-a", dest="ascii_column", action="store_true", help="the data as ASCII too")
+    add("-n", dest="count", type=int, metavar="COUNT", help="end after so many frames")
+    add("-T", dest="idle_ms", type=float, metavar="MS", help="end after so long without a frame (live)")
+    add("-L", dest="log_format", action="store_true", help="the format of candump's logs")
+    add("-c", dest="color", action="store_true", help="colour even where the output is no terminal")
+    add("--changes", action="store_true", help="only frames that differ from their message's last one")
+    add("--signals", metavar="NAME,…", help="only frames with these signals, and only these; with * and ?")
+    add("--short", action="store_true", help="signals that are not 0 alone: a line of 0x520 in 150 columns")
+    add("--no-signals", action="store_true", help="the frames only, exactly as candump shows them")
     add_database_arguments(parser)
     add_part_arguments(parser)
-    parser.add_argument("--numbers", action="store_true", help="numbers where the database has words for them")
-    parser.add_argument("--json", action="store_true", help="one JSON object per frame")
+    add("--numbers", action="store_true", help="numbers where the database has words for them")
+    add("--json", action="store_true", help="one JSON object per frame")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,7 +74,6 @@ def run(args: argparse.Namespace) -> int:
     sources = Sources("dump", args.sources, decoding, part_of(args, decoding))
     sources.learn()
     lines = _Lines(args, decoding)
-    output = Output()
     left = args.count
     received_at = time.monotonic()
     try:
@@ -85,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
             if len(frames):
                 received_at = time.monotonic()
                 shown = frames if left is None else frames.head(left)
-                output.write(lines.block(shown), at_once=True)
+                write_out(lines.block(shown))
                 if left is not None:
                     left -= len(shown)
                     if left == 0:
@@ -95,7 +91,6 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         if not sources.live:
             raise
-    output.flush()
     return sources.status
 
 

@@ -25,10 +25,9 @@ _Tool = tuple[list[str], dict[str, str]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--keystore", type=Path, default=Path("/etc/fsai/keystore"), metavar="DIR", help="(default: %(default)s)"
-    )
-    parser.add_argument("--policy", type=Path, metavar="FILE", help="who may do what (default: the installed one)")
+    add = parser.add_argument
+    add("--keystore", type=Path, default=Path("/etc/fsai/keystore"), metavar="DIR", help="(default: %(default)s)")
+    add("--policy", type=Path, metavar="FILE", help="who may do what (default: the installed one)")
 
 
 def run(args: argparse.Namespace) -> int:

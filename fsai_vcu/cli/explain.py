@@ -19,7 +19,6 @@ mission ends with is no problem)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_log_arguments(parser, messages=False)
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
 

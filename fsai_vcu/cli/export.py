@@ -25,15 +25,16 @@ _DEFAULT_RASTER = "10ms"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "logs",
         nargs="+",
         metavar="LOG[,FILTER…]",
         help=f"{LOG_HELP}, with candump's filters to leave frames out; several are read one after the "
         "other, as the segments of a recording",
     )
-    parser.add_argument("--to", required=True, choices=("csv", "parquet", "mcap", "mf4"), help="the format")
-    parser.add_argument(
+    add("--to", required=True, choices=("csv", "parquet", "mcap", "mf4"), help="the format")
+    add(
         "-o",
         "--output",
         required=True,
@@ -41,13 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="a new folder, one file in it per message, for csv and parquet; a file for mcap and mf4, and with --wide",
     )
-    parser.add_argument(
-        "--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message"
-    )
-    parser.add_argument("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
-    parser.add_argument(
-        "--words", action="store_true", help="csv, parquet: words where the database has them, not numbers"
-    )
+    add("--wide", action="store_true", help="one table at a raster: every signal's last value, and its age per message")
+    add("--raster", metavar="TIME", help=f"with --wide: 10ms, 0.5s, 100us (default: {_DEFAULT_RASTER})")
+    add("--words", action="store_true", help="csv, parquet: words where the database has them, not numbers")
     add_part_arguments(parser, end="--until")  # --to is the format
     add_database_arguments(parser)
 
@@ -82,12 +79,8 @@ def run(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     tables = "1 table" if written.tables == 1 else f"{written.tables} tables"
-    left_out = written.left_out.words()
-    print(
-        f"{tables}, {written.rows} rows of {len(frames)} frames in {args.output}"
-        + (f"; left out: {left_out}" if left_out else ""),
-        file=sys.stderr,
-    )
+    left_out = f"; left out: {written.left_out}" if written.left_out else ""
+    print(f"{tables}, {written.rows} rows of {len(frames)} frames in {args.output}{left_out}", file=sys.stderr)
     for note in written.notes:
         print(f"fsai-vcu export: {note}", file=sys.stderr)
     return sources.status

@@ -37,7 +37,6 @@ WORDS: Final = ("AS_STATE", "AMI_STATE", "SHUTDOWN_CAUSE", "GO_SIGNAL")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     parser.add_argument("source", nargs="?", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP)
     parser.add_argument("--layout", action="store_true", help="print a layout to import, and nothing else")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")

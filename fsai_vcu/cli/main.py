@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def module_of(verb: str) -> ModuleType:
-    """The module of a verb: EXAMPLE, add_arguments(parser), run(args), and parse(parser, argv) where it has its own."""
+    """The module of a verb: EXAMPLE, add_arguments(parser), run(args); ABOUT and parse(parser, argv) where needed."""
     return importlib.import_module(_entry(verb)[0], __package__)
 
 
@@ -80,7 +80,7 @@ def parser_of(verb: str) -> Parser:
     module, summary = module_of(verb), _entry(verb)[1]
     parser = Parser(
         prog=f"fsai-vcu {verb}",
-        description=summary[0].upper() + summary[1:] + ".",
+        description=f"{summary[0].upper()}{summary[1:]}.\n\n{getattr(module, 'ABOUT', '')}".rstrip(),
         epilog=f"example:\n  {module.EXAMPLE}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -101,14 +101,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         _discard_output()
         return 0
     except OSError as error:
-        if error.errno not in _DISK_FULL:
+        if error.errno not in _UNWRITABLE:
             raise
         _discard_output()
         print(f"fsai-vcu: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
 
 
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def _discard_output() -> None:
@@ -135,7 +135,7 @@ def _run(arguments: list[str]) -> int:
         return 2
     module = module_of(verb)
     parser = parser_of(verb)
-    parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
+    parse = getattr(module, "parse", Parser.parse_intermixed_args)  # options may stand between arguments
     args = parse(parser, arguments[1:])
     try:
         return int(module.run(args))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import Decoding, Output, Sources, add_database_arguments, add_source_argument
+from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, write_out
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ _PRINT_EVERY_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_source_argument(parser)
     add_database_arguments(parser)
     parser.add_argument("--signals", metavar="NAME,…", help="show these signals; NAME or MESSAGE.NAME, with * and ?")
@@ -136,13 +135,12 @@ def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> N
         console.print(head(moment.picture, moment.words, width))
         console.print(overview(moment.picture, width, height))
     lines = [f"{line.rstrip()}\n" for line in captured.get().splitlines()[:most]]
-    Output().write("".join(lines).encode(), at_once=True)
+    write_out("".join(lines).encode())
 
 
 def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
     from fsai_vcu.diagnostics.monitor.plain import plain_line
 
-    output = Output()
     try:
         while True:
             source.advance(every_s)
@@ -152,7 +150,7 @@ def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json
             shown = {"signals": {one.name: one.value for one in signals}} if patterns else {}
             entry = {"t": time_s, **picture.as_dict(), **shown}
             text = json.dumps(entry) if as_json else plain_line(picture, words, signals)
-            output.write(f"{text}\n".encode(), at_once=True)
+            write_out(f"{text}\n".encode())
             if source.ended or not source.playing:
                 break
     except KeyboardInterrupt:

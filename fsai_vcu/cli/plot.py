@@ -28,7 +28,6 @@ of the file says the format: png, svg, pdf."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_source_argument(parser)
     parser.add_argument("signals", nargs="+", metavar="SIGNAL", help="NAME or MESSAGE.NAME, with * and ?")
     parser.add_argument("-o", "--output", type=Path, default=Path("plot.png"), metavar="FILE", help="default: plot.png")

@@ -10,18 +10,18 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import add_database_arguments, decoder_of
+from fsai_vcu.cli.sources import Decoding, add_database_arguments
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.recorder.listening import Listener
+    from fsai_vcu.diagnostics.log.live import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.diagnostics.recorder.segments import Bounds
 
@@ -32,7 +32,11 @@ EXAMPLE = (
 _LOOK_S: Final = 0.1
 _INSISTS_S: Final = 1.0
 _TURN_NS: Final = 500_000_000  # with the time that the disk takes, at most a second is ever not on it
-_DEFAULTS: Final = {"segment_size": "64M", "segment_time": "10min", "max_total": "4G"}
+_BOUNDS: Final = {  # of a folder: default, metavar, help
+    "segment_size": ("64M", "SIZE", "begin a new segment at this size"),
+    "segment_time": ("10min", "TIME", "… or after so long: 30s, 10min, 1h"),
+    "max_total": ("4G", "SIZE", "most that all segments take; the oldest are deleted"),
+}
 _SIZES: Final = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _TIMES_S: Final = {"s": 1, "min": 60, "h": 3600}
 
@@ -54,21 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--ros", action="store_true", help="in the MCAP also the ROS messages of the running nodes (goes with --mcap)")
     add("--topic", action="append", default=[], metavar="NAME", help="with --ros: this topic too; may be given often")
     add("--namespace", metavar="NS", help="with --ros: the nodes' ROS namespace, such as /car1")
-    add(
-        "--segment-size",
-        metavar="SIZE",
-        help=f"begin a new segment at this size (default: {_DEFAULTS['segment_size']})",
-    )
-    add(
-        "--segment-time",
-        metavar="TIME",
-        help=f"… or after so long: 30s, 10min, 1h (default: {_DEFAULTS['segment_time']})",
-    )
-    add(
-        "--max-total",
-        metavar="SIZE",
-        help=f"most that all segments take; the oldest are deleted (default: {_DEFAULTS['max_total']})",
-    )
+    for option, (default, metavar, words) in _BOUNDS.items():
+        add(f"--{option.replace('_', '-')}", metavar=metavar, help=f"{words} (default: {default})")
     add("--keep-free", default="256M", metavar="SIZE", help="leave so much of the disk free (default: 256M)")
     add(
         "--limits",
@@ -81,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.export.writing import check_format
-    from fsai_vcu.diagnostics.recorder.listening import Listener
+    from fsai_vcu.diagnostics.log.live import Listener
     from fsai_vcu.diagnostics.recorder.recording import Recording
     from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 
@@ -91,59 +82,55 @@ def run(args: argparse.Namespace) -> int:
     for option in ("topic", "namespace"):
         if getattr(args, option) and not args.ros:
             raise WrongUse(f"--{option} goes with --ros")
-    bus = args.interface.partition(":")[2] or args.interface
     about = _about(args)
     decoder = None
     if args.mcap:
         check_format("mcap")
-        decoder = decoder_of(args)
+        decoder = Decoding("record", args).decoder
     bounds = _bounds(args)
     topics = _topics(args)
-    listener = Listener(args.interface)
+    listener = Listener(args.interface, waits=True)
     listener.start()
-    try:
-        place = SegmentFolder(args.output, bus, bounds)
-        recording = Recording(
-            place, bus, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=time.monotonic_ns()
-        )
-    except UserError:
-        listener.close()
-        raise
-    except OSError as error:
-        listener.close()
-        raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
-    if topics is not None:
-        topics.start()
-    with _ending() as ending:
-        until_ns = None if args.seconds is None else time.monotonic_ns() + int(args.seconds * 1e9)
-        _record(listener, topics, recording, until_ns, ending)
-    listener.close()
-    recording.take(listener.fetch())
+    with closing(listener):
+        try:
+            place = SegmentFolder(args.output, listener.name, bounds)
+            now_ns = time.monotonic_ns()
+            recording = Recording(
+                place, listener.name, about, _say, decoder=decoder, wall_ns=time.time_ns, now_ns=now_ns
+            )
+        except OSError as error:
+            raise UserError(f"cannot write {args.output}: {error.strerror or error}") from error
+        if topics is not None:
+            topics.start()
+        with _ending() as ending:
+            until_ns = float("inf") if args.seconds is None else time.monotonic_ns() + args.seconds * 1e9
+            _record(listener, topics, recording, until_ns, ending)
     if topics is not None:
         topics.stop()
-        recording.take_messages(topics.fetch())
+    _take(listener, topics, recording)
     recording.close(time.monotonic_ns())
     return _result(args, listener, recording, place.number, stopped=signal.SIGTERM in ending)
 
 
-def _record(
-    listener: Listener, topics: Any | None, recording: Recording, until_ns: int | None, ending: list[int]
-) -> None:
+def _record(listener: Listener, topics: Any | None, recording: Recording, until_ns: float, ending: list[int]) -> None:
     """Until the time is up or the end is asked for."""
     turn_ns = time.monotonic_ns()
-    while not ending and (until_ns is None or time.monotonic_ns() < until_ns):
+    while not ending and time.monotonic_ns() < until_ns:
         time.sleep(_LOOK_S)
         now_ns = time.monotonic_ns()
-        for news in listener.news():
+        for news in [*listener.news(), *(topics.news() if topics is not None else ())]:
             _say(news)
         if now_ns - turn_ns >= _TURN_NS:
             turn_ns = now_ns
-            recording.take(listener.fetch())
-            if topics is not None:
-                recording.take_messages(topics.fetch())
-                for news in topics.news():
-                    _say(news)
+            _take(listener, topics, recording)
             recording.turn(now_ns)
+
+
+def _take(listener: Listener, topics: Any | None, recording: Recording) -> None:
+    """What was received since."""
+    recording.take(listener.fetch())
+    if topics is not None:
+        recording.take_messages(topics.fetch())
 
 
 @contextmanager
@@ -192,22 +179,17 @@ def _say(text: str) -> None:
 def _bounds(args: argparse.Namespace) -> Bounds:
     from fsai_vcu.diagnostics.recorder.segments import Bounds
 
-    single = args.output.suffix != "" and not args.output.is_dir()
-    if single:
-        for option in _DEFAULTS:
-            if getattr(args, option) is not None:
-                raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
-        return Bounds(keep_free_bytes=_size(args.keep_free, "--keep-free"))
-    given = {option: getattr(args, option) or default for option, default in _DEFAULTS.items()}
-    total = _size(given["max_total"], "--max-total")
-    if total < 1 << 20:
-        raise WrongUse(f"--max-total is {given['max_total']}, but less than 1M is no recording")
-    return Bounds(
-        segment_bytes=max(1, _size(given["segment_size"], "--segment-size")),
-        segment_ns=_time_ns(given["segment_time"], "--segment-time"),
-        total_bytes=total,
-        keep_free_bytes=_size(args.keep_free, "--keep-free"),
-    )
+    keep_free = _size(args.keep_free, "--keep-free")
+    given = {option: getattr(args, option) for option in _BOUNDS}
+    if args.output.suffix != "" and not args.output.is_dir():
+        for option in (option for option, text in given.items() if text is not None):
+            raise WrongUse(f"--{option.replace('_', '-')} goes with a folder, and {args.output} is to be a file")
+        return Bounds(keep_free_bytes=keep_free)
+    size, duration, total = (given[option] or default for option, (default, _, _) in _BOUNDS.items())
+    most = _size(total, "--max-total")
+    if most < 1 << 20:
+        raise WrongUse(f"--max-total is {total}, but less than 1M is no recording")
+    return Bounds(max(1, _size(size, "--segment-size")), _time_ns(duration, "--segment-time"), most, keep_free)
 
 
 def _size(text: str, option: str) -> int:

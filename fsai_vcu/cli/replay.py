@@ -10,15 +10,13 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from fsai_vcu.cli.arguments import check_numbers
-from fsai_vcu.cli.sources import LOG_HELP, Sources
+from fsai_vcu.cli.sources import LOG_HELP, Progress, Sources, add_part_arguments, part_of
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.diagnostics.transmit.replaying import Player
 
 EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
-_PROGRESS_S: Final = 1.0
 _LATE_NS: Final = 10_000_000  # a cycle of the bus
 
 
@@ -28,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-i", "--interface", required=True, help="where to: vcan0, loopback:NAME …")
     add("--rate", type=float, default=1.0, metavar="X", help="times as fast as then (default: 1)")
     add("--loop", nargs="?", type=int, const=0, metavar="N", help="again and again, or N times (default: once)")
-    add("--from", dest="begin_s", type=float, default=0.0, metavar="S", help="begin S seconds into it")
-    add("--to", dest="end_s", type=float, metavar="S", help="end S seconds into it")
+    add_part_arguments(parser, messages=False)
     add("--physical", action="store_true", help="the interface may be a real bus; reserved identifiers are left out")
     add(
         "--with-ai-ids",
@@ -39,18 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.log.frames import joined
-    from fsai_vcu.diagnostics.transmit.replaying import Player, between, choose, is_physical
+    from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
     from fsai_vcu.runtime.bus import BusLost, open_bus
 
     check_numbers(args, loop=0)
     if not 0.0 < args.rate < math.inf:
         raise WrongUse(f"--rate is {args.rate:g}, not a rate")
-    if not 0.0 <= args.begin_s < math.inf:
-        raise WrongUse(f"--from is {args.begin_s:g}, not a time in the log")
-    if args.end_s is not None and not args.begin_s <= args.end_s < math.inf:
-        raise WrongUse(f"--to is {args.end_s:g}, and --from {args.begin_s:g}: there is nothing between them")
-    sources = Sources("replay", [args.log])
+    sources = Sources("replay", [args.log], part=part_of(args))
     if sources.live:
         raise WrongUse(f"{args.log} is an interface; replay reads logs")
     physical = is_physical(args.interface)
@@ -59,9 +51,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.interface} may be a real bus, with a car on it: frames of a log move things there; "
             "if you mean it, say --physical"
         )
-    frames = joined(sources.chunks())
-    part = between(frames, int(args.begin_s * 1e9), None if args.end_s is None else int(args.end_s * 1e9))
-    chosen, left_out = choose(part, with_ai_ids=args.with_ai_ids, physical=physical)
+    chosen, left_out = choose(sources.everything(), with_ai_ids=args.with_ai_ids, physical=physical)
     if left_out:
         print(f"fsai-vcu replay: left out: {left_out}", file=sys.stderr)
     if not len(chosen):
@@ -71,27 +61,19 @@ def run(args: argparse.Namespace) -> int:
     laps = 1 if args.loop is None else args.loop or None
     player = Player(chosen, bus.send, time.monotonic_ns, time.sleep, rate=args.rate, laps=laps)
     status = sources.status
+    progress = Progress()
     with bus:
         try:
-            _play(player, chosen)
+            for _ in player.play():
+                progress.show(lambda: f"{player.sent} frames sent, {player.laps} times through {len(chosen)}")
         except KeyboardInterrupt:
             pass
         except BusLost as error:
             print(f"fsai-vcu replay: {error}", file=sys.stderr)
             status = 1
+        finally:
+            progress.end()
     return max(status, _result(player))
-
-
-def _play(player: Player, frames: Frames) -> None:
-    terminal = sys.stderr.isatty()
-    next_s = time.monotonic() + _PROGRESS_S
-    for _ in player.play():
-        if terminal and time.monotonic() >= next_s:
-            next_s = time.monotonic() + _PROGRESS_S
-            words = f"{player.sent} frames sent, {player.laps} times through {len(frames)}"
-            print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)
-    if terminal:
-        print("\r\x1b[K", end="", file=sys.stderr)
 
 
 def _result(player: Player) -> int:

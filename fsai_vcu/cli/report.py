@@ -16,7 +16,6 @@ something could not be read, or the page not be written, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_log_arguments(parser)
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="FILE.html", help="the page to write")
     parser.add_argument(

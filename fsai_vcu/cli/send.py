@@ -7,7 +7,6 @@ import json
 import signal
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
@@ -39,7 +38,6 @@ _PERIOD_MS = 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add = parser.add_argument
     add("message", metavar="MESSAGE", help="name of the message, or its identifier as in 0x514")
     add("signals", nargs="*", metavar="SIGNAL=VALUE", help="its signals")
@@ -51,11 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--as-ai", action="store_true", help="the AI computer's own identifiers too: see above")
     add("--dry-run", action="store_true", help="send nothing; print the frame as cansend takes it")
     add("--json", action="store_true", help="print the frame and its signals as one JSON object")
-
-
-def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """Options may stand between the message and its signals."""
-    return parser.parse_intermixed_args(argv)
 
 
 def run(args: argparse.Namespace) -> int:

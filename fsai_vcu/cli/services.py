@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from fsai_vcu.cli.arguments import check_numbers
@@ -54,18 +54,15 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
     if os.environ.get("ROS_SECURITY_ENABLE") == "true":
         words += ["--enclave", "/fsai/operator"]
     # Ctrl-C is answered as by every verb, not by a ROS that has ended meanwhile.
-    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-    try:
+    with ExitStack() as ending:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        ending.callback(rclpy.try_shutdown)
         try:
             node = rclpy.create_node("fsai_operator", namespace=namespace, enable_rosout=False)
         except InvalidNamespaceException as error:
             raise UserError(f"--namespace {namespace}: that is no ROS namespace; one is like /car1") from error
-        try:
-            yield node
-        finally:
-            node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+        ending.callback(node.destroy_node)
+        yield node
 
 
 def call(args: argparse.Namespace, service: str, **request: str) -> int:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
+import math
 import re
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from fsai_vcu.diagnostics.log.frames import Frames
     from fsai_vcu.diagnostics.log.part import Part
     from fsai_vcu.diagnostics.log.reader import Problems
-    from fsai_vcu.interface.revisions import Revision
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
@@ -74,12 +74,12 @@ def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) ->
     return record_for(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
 
 
-def part_of(args: argparse.Namespace, decoding: Decoding) -> Part:
-    """The part of the log that the arguments ask for. Raises UserError."""
+def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
+    """The part of the log that the arguments ask for; `decoding` knows the messages they name. Raises UserError."""
     from fsai_vcu.diagnostics.log.part import Part
 
     ids: frozenset[int] | None = None
-    if getattr(args, "messages", None) is not None:
+    if decoding is not None and getattr(args, "messages", None) is not None:
         layouts = [layout for databases in decoding.possible() for layout in databases.layouts.values()]
         chosen: set[int] = set()
         for name in filter(None, args.messages.split(",")):
@@ -112,11 +112,6 @@ def add_database_arguments(parser: argparse.ArgumentParser, revision: str | None
     parser.add_argument("--revision", default=revision, help=f"interface revision: 2021 or 2026 (default: {default})")
 
 
-def decoder_of(args: argparse.Namespace) -> Decoder:
-    """The decoder that the arguments ask for; where they name no revision, of the latest. Raises UserError."""
-    return Decoding("record", args).decoder
-
-
 class Decoding:
     """Decodes as the arguments ask for. Where they name neither a revision nor databases, the frames tell.
 
@@ -137,43 +132,33 @@ class Decoding:
         except ValueError as error:
             raise WrongUse(str(error)) from error
         self._shown: tuple[str, ...] | None = None
-        self._databases: Databases | None = None
-        self._decoder: Decoder | None = None
-        self._writer: LineWriter | None = None
-        if self._files:
-            self._databases = self._loaded()  # what is wrong with them is reported before anything is read
-            for name in self._databases.signed_flags:
-                print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
+        # What is wrong with given files is reported before anything is read.
+        for name in self.databases.signed_flags if self._files else ():
+            print(f"fsai-vcu {verb}: {name}: one-bit flags, signed there, are read as 0 and 1", file=sys.stderr)
 
-    @property
+    @cached_property
     def databases(self) -> Databases:
         """By what is known so far: others once frames have told more."""
-        if self._databases is None:
-            self._databases = self._loaded()
-        return self._databases
+        from fsai_vcu.diagnostics.decode.databases import load_databases
 
-    @property
+        databases = load_databases(self._files, self.revision)
+        return databases if self._shown is None else databases.with_signals(self._shown)
+
+    @cached_property
     def decoder(self) -> Decoder:
         """With the databases of now."""
         from fsai_vcu.diagnostics.decode.decoder import Decoder
 
-        if self._decoder is None:
-            self._decoder = Decoder(self.databases)
-        return self._decoder
+        return Decoder(self.databases)
 
-    @property
+    @cached_property
     def writer(self) -> LineWriter:
         """Prints as --json and --numbers ask for, with the decoder of now."""
         from fsai_vcu.diagnostics.decode.lines import LineWriter
 
-        if self._writer is None:
-            self._writer = LineWriter(
-                self.decoder,
-                as_json=self._args.json,
-                words=not self._args.numbers,
-                short=getattr(self._args, "short", False),
-            )
-        return self._writer
+        args = self._args
+        short = getattr(args, "short", False)
+        return LineWriter(self.decoder, as_json=args.json, words=not args.numbers, short=short)
 
     def possible(self) -> list[Databases]:
         """The databases that may be meant: the given ones, or those of each revision while none is named."""
@@ -189,7 +174,7 @@ class Decoding:
         if names is None:
             return
         self._shown = tuple(filter(None, names.split(",")))
-        self._databases = self._decoder = self._writer = None
+        self._forget()
         if not any(databases.with_signals(self._shown).layouts for databases in self.possible()):
             raise UserError(f"no signal {names}; fsai-vcu dbc show lists them")
 
@@ -197,10 +182,7 @@ class Decoding:
         """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
         from fsai_vcu.diagnostics.decode.revision import told_revision
 
-        if not self.told and len(frames):
-            self._learn(told_revision(frames))
-
-    def _learn(self, found: tuple[Revision, str] | None) -> None:
+        found = None if self.told or not len(frames) else told_revision(frames)
         if found is None:
             return
         self.told = True
@@ -209,14 +191,13 @@ class Decoding:
             return
         self.revision = revision.name
         if not self._files:
-            self._databases = self._decoder = self._writer = None
+            self._forget()
             print(f"fsai-vcu {self._verb}: interface revision {revision.name} ({reason})", file=sys.stderr)
 
-    def _loaded(self) -> Databases:
-        from fsai_vcu.diagnostics.decode.databases import load_databases
-
-        databases = load_databases(self._files, self.revision)
-        return databases if self._shown is None else databases.with_signals(self._shown)
+    def _forget(self) -> None:
+        """What was made by what was known before."""
+        for name in ("databases", "decoder", "writer"):
+            self.__dict__.pop(name, None)
 
 
 class Sources:
@@ -259,20 +240,18 @@ class Sources:
         yield from self._live_chunks(seconds, announced) if self.live else self._log_chunks()
 
     def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
-        """All frames of all logs, their buses numbered alike; of live buses, those of so long or until Ctrl-C.
+        """All frames of all logs; of live buses, those of so long or until Ctrl-C.
 
         `received` gets again and again how many frames there are.
         """
-        from fsai_vcu.diagnostics.log.frames import joined, renumbered
+        from fsai_vcu.diagnostics.log.frames import joined
 
-        channels: list[str] = []
         parts: list[Frames] = []
         count = 0
         try:
             for chunk in self.chunks(seconds, announced=True):
-                if len(chunk):
-                    parts.append(renumbered(chunk, channels))
-                    count += len(chunk)
+                parts.append(chunk)
+                count += len(chunk)
                 received(count)
         except KeyboardInterrupt:
             if not self.live:
@@ -306,7 +285,19 @@ class Sources:
                     if self._decoding is not None:
                         self._decoding.hear(frames)
                     yield self._passing(frames, rule)
-            self.status |= report_problems(self.verb, log.name, count, log.problems)
+            self._report(log.name, count, log.problems)
+
+    def _report(self, name: str, frames: int, problems: Problems) -> None:
+        """Say what could not be read of a log of so many frames."""
+        texts = problems.texts[:_PROBLEMS_SHOWN]
+        if not frames:
+            why = problems.texts[0].removeprefix(name) if problems else ""
+            texts = [f"{name}: nothing could be read{why}" if why else f"{name}: no frames in it"]
+        elif problems.count > _PROBLEMS_SHOWN:
+            texts.append(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
+        for text in texts:
+            self._say(text)
+            self.status = 1
 
     def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
         if self.first_ns is None and len(frames):
@@ -337,20 +328,6 @@ class Sources:
         print(f"fsai-vcu {self.verb}: {text}", file=sys.stderr)
 
 
-def report_problems(verb: str, name: str, frames: int, problems: Problems) -> int:
-    """Say what could not be read of a log of so many frames; the exit status that comes of it."""
-    if frames:
-        texts = problems.texts[:_PROBLEMS_SHOWN]
-        if problems.count > _PROBLEMS_SHOWN:
-            texts.append(f"{name}: {problems.count - _PROBLEMS_SHOWN} more lines or frames that cannot be read")
-    else:
-        why = problems.texts[0].removeprefix(name) if problems else ""
-        texts = [f"{name}: nothing could be read{why}" if why else f"{name}: no frames in it"]
-    for text in texts:
-        print(f"fsai-vcu {verb}: {text}", file=sys.stderr)
-    return 1 if texts else 0
-
-
 def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="listen so long (live; default: until Ctrl-C)")
 
@@ -365,24 +342,24 @@ class Progress:
     """How far it is, rewritten on a terminal every second."""
 
     def __init__(self) -> None:
-        self._next_s = time.monotonic() + _PROGRESS_S
+        self._next_s = time.monotonic() + _PROGRESS_S if sys.stderr.isatty() else math.inf
         self._shown = False
 
     def reading(self, frames: int) -> None:
-        self._say(f"{frames} frames read")
+        self.show(lambda: f"{frames} frames read")
 
     def writing(self, done: int, of: int) -> None:
-        self._say(f"{100 * done // max(of, 1)} % written")
+        self.show(lambda: f"{100 * done // max(of, 1)} % written")
 
     def end(self) -> None:
         if self._shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
-    def _say(self, text: str) -> None:
-        if sys.stderr.isatty() and time.monotonic() >= self._next_s:
+    def show(self, text: Callable[[], str]) -> None:
+        if time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + _PROGRESS_S
             self._shown = True
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[K{text()}", end="", file=sys.stderr, flush=True)
 
 
 def _first_stamp(path: Path) -> tuple[int, str]:
@@ -416,26 +393,10 @@ def _is_log(name: str) -> bool:
     return ":" not in name and ("/" in name or path.suffix != "")
 
 
-class Output:
-    """Standard output for many lines. What it cannot take is one clear line (UserError), not a traceback."""
-
-    def __init__(self) -> None:
-        sys.stdout.flush()
-        self._out = sys.stdout.buffer
-
-    def write(self, block: bytes | bytearray, *, at_once: bool = False) -> None:
-        try:
-            left = memoryview(block)
-            while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only
-                left = left[self._out.write(left) :]
-            if at_once:
-                self._out.flush()
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            # What is still waiting to be written has nowhere to go, at the end of the process either.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise UserError(f"cannot write the output: {error.strerror or error}") from error
-
-    def flush(self) -> None:
-        self.write(b"", at_once=True)
+def write_out(block: bytes | bytearray) -> None:
+    """To standard output, at once. What it cannot take is reported by `main`."""
+    sys.stdout.flush()
+    left = memoryview(block)
+    while left:  # an unbuffered output (PYTHONUNBUFFERED) may take a part only
+        left = left[sys.stdout.buffer.write(left) :]
+    sys.stdout.buffer.flush()

@@ -7,7 +7,7 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from fsai_vcu.cli.sources import Decoding, Output, Progress, Sources, add_log_arguments, check_seconds, part_of
+from fsai_vcu.cli.sources import Decoding, Progress, Sources, add_log_arguments, check_seconds, part_of, write_out
 from fsai_vcu.interface.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = f"{parser.description}\n\n{ABOUT}"
     add_log_arguments(parser)
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="default: the database's, or 500000")
     parser.add_argument(
@@ -48,18 +47,15 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     frames = sources.everything(args.seconds, progress.reading)
     progress.end()
     buses = measure(frames, decoding.decoder, revision=decoding.revision, bitrate=args.bitrate)
-    output = Output()
     for bus in buses:
-        output.write((_as_json(bus, table=table) if args.json else _for_people(bus, table=table)).encode())
+        write_out((_as_json(bus, table=table) if args.json else _for_people(bus, table=table)).encode())
     if not len(frames):
-        output.write(
-            b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n'
-        )
+        write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
     record = record_for(frames, decoding.revision, decoding.databases if args.dbc else None)
     verdict = replace(judge_log(record, story_of(record), buses), begin_ns=sources.first_ns or record.begin_ns)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
-    output.write("".join(f"{line}\n" for line in lines).encode(), at_once=True)
+    write_out("".join(f"{line}\n" for line in lines).encode())
     return sources.status or verdict.status
 
 

@@ -11,7 +11,7 @@ Reading
         log.problems                              # what could not be read, with its place; never an exception
     read_log(path) -> (Frames, Problems)          # all of it at once
     guess_revision(frames)                        # decode/revision.py: the interface revision they are of, and why
-    LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses
+    LiveSource(interfaces)                        # log/live.py: the same chunks(), from buses; Listener(bus): one
 
     candump's formats are read and written by log/candump.py (many lines at once) and log/candump_line.py (one),
     SavvyCAN's by log/gvret.py; log/reader.py knows all others, through python-can.
@@ -26,8 +26,7 @@ Decoding
     decoder.tables(frames)["VCU2AI_Steer"].series["ANGLE"].values
 
     Values are those of cantools, to the last bit: messages that numpy can take apart are taken apart there, all others
-    go through cantools itself. layouts.py is what is known of a message, as plain data; layout_cache.py remembers it
-    between two commands, because loading cantools and its files takes longer than to decode 100,000 frames.
+    go through cantools itself. layouts.py is what is known of a message, as plain data.
 
 Printing
     LineWriter(decoder, as_json=False).block(frames)      # decode/lines.py: lines of bytes; tails(): the signals only
@@ -46,5 +45,5 @@ Watching, sending
 
 On the command line, cli/sources.py has what the verbs share: `Sources` (logs or interfaces as one stream of columns,
 with filters, problems and an exit status), `Decoding` (databases as the arguments ask for, or as the frames tell),
-`add_database_arguments`, `Output`.
+`add_database_arguments`, `write_out`.
 """

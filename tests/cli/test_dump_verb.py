@@ -85,8 +85,6 @@ def test_signals_stand_beside_all_in_one_column(log: str, capsys: pytest.Capture
     [
         (["-n", "2"], [0x523, 0x18FF0001]),
         ([",514:7FF"], [0x514]),
-        ([",514~7FF"], [0x523, 0x18FF0001]),
-        ([",0~0,#FFFFFFFF"], [0x40]),
         ([",514:7FF,#00000040"], [0x514, 0x40]),
     ],
 )

@@ -74,8 +74,9 @@ def test_one_command_makes_a_keystore_only_services_can_read(
     assert f'keystore = "{keystore}"' in capsys.readouterr().out, "what is to be written into the configuration"
 
 
-@pytest.mark.usefixtures("calls")
-def test_the_key_that_signs_permissions_stays_roots_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_keystore_is_kept_with_its_signing_key_roots_alone(
+    calls: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     keystore = tmp_path / "keystore"
     for _ in range(2):
         assert main(["enclaves", "--keystore", str(keystore)]) == 0
@@ -83,6 +84,7 @@ def test_the_key_that_signs_permissions_stays_roots_alone(tmp_path: Path, capsys
         assert mode_of(keystore / "private" / "ca.key.pem") == 0o600
         (keystore / "private").chmod(0o750)  # as an earlier version left it
         (keystore / "private" / "ca.key.pem").chmod(0o640)
+    assert calls.read_text().count("create_keystore") == 1
     (line,) = {line for line in capsys.readouterr().out.splitlines() if "chgrp" in line}
     assert line == f"sudo chgrp fsai {keystore} && sudo chgrp -R fsai {keystore}/enclaves {keystore}/public"
 
@@ -97,12 +99,6 @@ def test_keys_are_made_for_the_cars_domain(
     assert calls.read_text().splitlines()[-1] == "domain 7"
     said = capsys.readouterr().out
     assert "ROS domain 7" in said and named in said, "whatever way it was named by"
-
-
-def test_an_existing_keystore_is_kept_with_keys_of_todays_policy(calls: Path, tmp_path: Path) -> None:
-    (tmp_path / "keystore" / "enclaves").mkdir(parents=True)
-    assert main(["enclaves", "--keystore", str(tmp_path / "keystore")]) == 0
-    assert not any("create_keystore" in line for line in calls.read_text().splitlines())
 
 
 def test_a_ros2_on_the_path_is_used_with_its_own_environment(

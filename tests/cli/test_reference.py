@@ -31,15 +31,11 @@ def test_the_reference_explains_every_verb_and_option() -> None:
         _, _, chapter = text.partition(f"\n## fsai-vcu {verb}\n")
         chapter = chapter.partition("\n## ")[0]
         for action in parser_of(verb)._actions:
+            assert action.help, f"{verb} {action.dest}"
             for name in action.option_strings:
                 assert name in ("-h", "--help") or f"{name}" in chapter, f"{verb} {name}"
         for line in examples_of(parser_of(verb)):
             assert line in chapter
-
-
-def test_every_argument_of_every_verb_is_explained() -> None:
-    for verb in all_verbs():
-        assert all(action.help for action in parser_of(verb)._actions), verb
 
 
 def commands(line: str) -> list[list[str]]:
@@ -66,7 +62,7 @@ def test_every_example_is_one_that_its_own_parser_takes(verb: str) -> None:
         assert ours and verb in [words[1] for words in ours], example
         for words in ours:
             if words[1] == verb:
-                parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
+                parse = getattr(module, "parse", argparse.ArgumentParser.parse_intermixed_args)
                 assert parse(parser, words[2:]) is not None
 
 

@@ -174,18 +174,19 @@ def test_options_that_make_no_sense_are_wrong_use(
     assert refused(capsys, "BenchLamp", *argv, "--dbc", bench, status=2).startswith(words)
 
 
-def test_a_database_that_was_cut_off_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [
+        (BENCH.index("TRIM") + 12, "{path}: not a valid DBC file: it ends in the middle of a statement"),
+        (BENCH.index("BA_DEF_"), "GAIN must be given: it has no initial value, and 0 is not in 5 … 50"),
+    ],
+)
+def test_a_database_cut_off_or_without_a_default_is_refused(
+    end: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "bench.dbc"
-    path.write_text(BENCH[: BENCH.index("TRIM") + 12])
-    said = refused(capsys, "BenchLamp", "--dbc", str(path), "--dry-run")
-    assert said == f"{path}: not a valid DBC file: it ends in the middle of a statement"
-
-
-def test_a_signal_without_a_valid_default_must_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "bench.dbc"
-    path.write_text(BENCH[: BENCH.index("BA_DEF_")])
-    said = refused(capsys, "BenchLamp", "--dbc", str(path), "--dry-run")
-    assert said == "GAIN must be given: it has no initial value, and 0 is not in 5 … 50"
+    path.write_text(BENCH[:end])
+    assert refused(capsys, "BenchLamp", "--dbc", str(path), "--dry-run") == words.format(path=path)
 
 
 @pytest.mark.parametrize("revision", REVISIONS)

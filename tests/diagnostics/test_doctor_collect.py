@@ -243,19 +243,17 @@ def own_group(monkeypatch: pytest.MonkeyPatch) -> int:
         (0o646, "may be changed by others than root"),
     ],
 )
-def test_a_configuration_with_wrong_permissions_is_named(tmp_path: Path, mode: int, words: str) -> None:
+def test_a_configuration_with_wrong_permissions_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, words: str
+) -> None:
     file = tmp_path / "fsai.toml"
     file.touch()
     file.chmod(mode)
     problems = file_problems([file, tmp_path / "absent.toml"])
     assert [name for name, _ in problems] == ([str(file)] if words else [])
     assert all(words in problem for _, problem in problems)
-
-
-def test_where_nothing_is_installed_files_are_not_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(collect, "_GROUP", "no-such-group")
-    (tmp_path / "fsai.toml").touch(mode=0o600)
-    assert file_problems([tmp_path / "fsai.toml"]) == ()
+    assert file_problems([file]) == (), "where nothing is installed nobody else is to read it"
 
 
 def test_limits_written_after_the_bridges_start_are_not_in_force(tmp_path: Path) -> None:

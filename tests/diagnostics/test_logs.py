@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 import re
 import subprocess
 import sys
@@ -79,14 +78,14 @@ def test_a_candump_log_is_read_with_and_without_directions(tmp_path: Path, suffi
     assert {f.channel for f in found} == {"can0"}
 
 
-@pytest.mark.parametrize("suffix", [".blf", ".asc"])
+@pytest.mark.parametrize("suffix", [".blf", ".asc", ".trc"])
 def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
     write_with_python_can(path, MIXED)
     found = read(path)
-    # An ASC file names its beginning to the millisecond only; from there on its times are exact.
+    # An ASC file names its beginning to the millisecond only, PCAN-View's trace not at all; then times are exact.
     late_ns = MIXED[0].t_ns - found[0].t_ns
-    assert late_ns == (870_000 if suffix == ".asc" else 0)
+    assert suffix == ".trc" or late_ns == (870_000 if suffix == ".asc" else 0)
     assert plainly([replace(f, t_ns=f.t_ns + late_ns) for f in found]) == plainly(MIXED)
 
 
@@ -116,14 +115,6 @@ def test_a_gzipped_log_is_read_like_the_log_itself(tmp_path: Path) -> None:
     path = tmp_path / "run.log.gz"
     path.write_bytes(gzip.compress(b"\n".join(log_lines(frames_of(MIXED))) + b"\n"))
     assert plainly(read(path)) == plainly(MIXED)
-
-
-def test_the_trace_of_pcan_view_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "run.trc"
-    write_with_python_can(path, MIXED)
-    found = read(path)
-    assert [(f.can_id, f.data, f.extended) for f in found] == [(f.can_id, f.data, f.extended) for f in MIXED]
-    assert [f.t_ns - found[0].t_ns for f in found] == [f.t_ns - MIXED[0].t_ns for f in MIXED]
 
 
 def test_the_csv_of_savvycan_is_read_in_both_versions(tmp_path: Path) -> None:
@@ -266,18 +257,6 @@ def test_lines_of_candumps_screen_are_read_together(time: str, way: str) -> None
     ]
 
 
-def test_lines_are_read_whatever_the_length_of_time_and_channel(tmp_path: Path) -> None:
-    frames = [
-        frame(t_ns=t_s * 1_000_000_000 + 1000, channel=channel, can_id=can_id, extended=can_id > 0x7FF)
-        for t_s in (0, 9, 10, 99_999_999, 100_000_000, 9_223_372_035)
-        for channel in ("can0", "vcan10")
-        for can_id in (0x1, 0x7FF, 0x800, 0x1FFF_FFFF)
-    ]
-    path = tmp_path / "run.log"
-    path.write_bytes(b"\n".join(log_lines(frames_of(frames))) + b"\n")
-    assert read(path) == frames
-
-
 def test_an_fd_payload_stays_whole_and_with_its_frame() -> None:
     long = frame(0x510, bytes(range(12)), fd=True)
     columns = frames_of([frame(), long, frame(0x511)])
@@ -384,20 +363,6 @@ def test_a_log_that_cannot_be_opened_is_one_line(tmp_path: Path, make: Callable[
     with pytest.raises(LogError, match=words) as refused:
         open_log(path)
     assert str(path) in str(refused.value)
-
-
-def test_a_log_that_may_not_be_read_is_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "run.log"
-    path.write_bytes(GOOD)
-    path.chmod(0)
-    me = os.geteuid()
-    if me == 0:  # to whom nothing is forbidden
-        os.seteuid(65534)
-    try:
-        with pytest.raises(LogError, match="Permission denied"):
-            open_log(path)
-    finally:
-        os.seteuid(me)
 
 
 # ---------------------------------------------------------------- reading all of it

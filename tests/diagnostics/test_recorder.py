@@ -265,15 +265,18 @@ def test_a_deleted_segment_is_followed_by_another(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- a power cut
 
 
-def test_a_torn_last_line_is_taken_away_on_resuming(tmp_path: Path) -> None:
-    rig = Rig(tmp_path / "run")
+def test_a_torn_segment_is_made_whole_on_resuming(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "run", mcap=True)
     rig.turn(received(10))
     log = rig.logs()[0]
     rig.place.close()
     whole = log.read_bytes()
     log.write_bytes(whole + whole[:LINE_BYTES].replace(b"523#", b"523#FF")[:30] + bytes(4096))
-    again = Rig(tmp_path / "run")
-    assert again.reports == [f"{log} was cut off in its last line: 4126 bytes taken away"]
+    again = Rig(tmp_path / "run", mcap=True)
+    assert again.reports == [
+        f"{log} was cut off in its last line: 4126 bytes taken away",
+        f"{log.with_suffix('.mcap')} had no end: given one",
+    ]
     assert numbers(log) == list(range(10))
 
 
@@ -286,7 +289,7 @@ def test_only_what_is_no_whole_line_is_taken_away(tail: bytes, tmp_path: Path) -
     assert repair_text(path) == 0
 
 
-def recorded_mcap(folder: Path, *, ended: bool) -> bytes:
+def recorded_mcap(folder: Path) -> bytes:
     """Ten turns of ten frames; the bytes of the MCAP."""
     rig = Rig(folder, mcap=True)
     for turn in range(10):
@@ -294,8 +297,6 @@ def recorded_mcap(folder: Path, *, ended: bool) -> bytes:
         if turn >= 5:
             frames += [(Frame(0x520, bytes(8)), frames[-1][1])]
         rig.turn(frames)
-    if ended:
-        rig.recording.close(rig.now_ns)
     return (folder / "can0-000001.mcap").read_bytes()
 
 
@@ -311,7 +312,7 @@ def streamed(data: bytes) -> list[int]:
 
 
 def test_a_cut_mcap_is_repaired_and_loses_at_most_one_turn(tmp_path: Path) -> None:
-    data = recorded_mcap(tmp_path / "run", ended=False)
+    data = recorded_mcap(tmp_path / "run")
     path = tmp_path / "cut.mcap"
     chance = random.Random(1)
     before = 0
@@ -339,27 +340,12 @@ def test_a_cut_mcap_is_repaired_and_loses_at_most_one_turn(tmp_path: Path) -> No
 
 
 def test_a_last_chunk_of_garbage_is_cut_off(tmp_path: Path) -> None:
-    data = recorded_mcap(tmp_path / "run", ended=False)
+    data = recorded_mcap(tmp_path / "run")
     path = tmp_path / "garbage.mcap"
     path.write_bytes(data[:-1200] + bytes(1200))
     assert repair_mcap(path) is not None
     with path.open("rb") as file:
         assert 80 <= sum(1 for _ in make_reader(file).iter_messages()) < 105
-
-
-def test_an_mcap_that_ended_properly_is_left_alone(tmp_path: Path) -> None:
-    data = recorded_mcap(tmp_path / "run", ended=True)
-    path = tmp_path / "run" / "can0-000001.mcap"
-    assert repair_mcap(path) is None
-    assert path.read_bytes() == data
-
-
-def test_resuming_gives_an_mcap_its_end(tmp_path: Path) -> None:
-    rig = Rig(tmp_path / "run", mcap=True)
-    rig.turn(received(10))
-    rig.place.close()
-    again = Rig(tmp_path / "run", mcap=True)
-    assert again.reports == [f"{tmp_path / 'run' / 'can0-000001.mcap'} had no end: given one"]
 
 
 # ---------------------------------------------------------------- the MCAP

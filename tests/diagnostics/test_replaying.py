@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, between, choose, is_physical
-from fsai_vcu.interface.errors import UserError
+from fsai_vcu.diagnostics.transmit.replaying import LAP_GAP_NS, Player, choose, is_physical
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.units import MS
@@ -147,14 +146,6 @@ def test_what_cannot_be_sent_is_left_out_and_reported() -> None:
 def test_frames_are_sent_in_order_of_time() -> None:
     frames = frames_of([LogFrame(t, "can0", 0x520) for t in (30, 10, 20)])
     assert np.array_equal(choose(frames, with_ai_ids=False, physical=True)[0].t_ns, [10, 20, 30])
-
-
-def test_a_part_of_a_log_is_given_in_seconds_from_its_start() -> None:
-    frames = frames_of(every_10_ms(100))
-    assert between(frames, 500 * MS, 520 * MS).t_ns.tolist() == [WALL_NS + n * MS for n in (500, 510, 520)]
-    assert len(between(frames, 0, None)) == 100
-    with pytest.raises(UserError, match=r"nothing in that part of the log: it lasts 0\.990 s"):
-        between(frames, 2000 * MS, None)
 
 
 # ---------------------------------------------------------------- where to

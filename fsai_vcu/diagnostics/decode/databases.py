@@ -1,18 +1,15 @@
 """Signal databases as the diagnostics use them: several at once, the project's own or any that cantools can read.
 
 Of each message there is a `MessageLayout`: plain data, enough to take a plain message apart. Messages that are not
-plain (multiplexed, longer than eight bytes, …) are decoded by cantools, which is loaded when one is met.
+plain (multiplexed, longer than eight bytes, …) are decoded by cantools.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fsai_vcu.diagnostics.decode import layout_cache
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
 from fsai_vcu.interface.bus_table import BY_NAME
 from fsai_vcu.interface.errors import UserError
@@ -34,26 +31,17 @@ class Databases:
     """Messages by key (identifier, plus EXTENDED_KEY), from one or more files; of two for one key the first counts."""
 
     def __init__(
-        self,
-        layouts: Mapping[int, MessageLayout],
-        sources: tuple[str, ...] = (),
-        baudrate: int | None = None,
-        load: Callable[[], Mapping[int, Message]] = dict,
+        self, layouts: Mapping[int, MessageLayout], messages: Mapping[int, Message], baudrate: int | None = None
     ) -> None:
-        """`load` brings cantools' own messages, when one is needed."""
+        """`messages` are cantools' own."""
         self.layouts = layouts
-        self.sources = sources
         self.baudrate = baudrate
         self.signed_flags: tuple[str, ...] = ()  # official files with one-bit flags that are signed, and read unsigned
-        self._load = load
+        self._messages = messages
 
     def message(self, key: int) -> Message:
         """cantools' own message."""
         return self._messages[key]
-
-    @cached_property
-    def _messages(self) -> Mapping[int, Message]:
-        return self._load()
 
     def decoded(
         self, layout: MessageLayout, data: bytes, *, scaling: bool = True, choices: bool = False
@@ -74,87 +62,50 @@ class Databases:
         for key, layout in self.layouts.items():
             if signals := layout.signals_like(names):  # of a message that cantools decodes all signals are shown
                 chosen[key] = layout._replace(signals=signals) if layout.plain else layout
-        return Databases(chosen, self.sources, self.baudrate, self._load)
+        return Databases(chosen, self._messages, self.baudrate)
 
     def by_name(self, name: str) -> MessageLayout | None:
         return next((layout for layout in self.layouts.values() if layout.name == name), None)
 
 
 def load_databases(files: Sequence[Path | str] = (), revision: str = "2026") -> Databases:
-    """The given files, or where there are none the project's own of an interface revision. Raises UserError.
-
-    What cantools made of the files is remembered (layout_cache.py): loading it and them takes longer than to decode
-    a hundred thousand frames.
-    """
+    """The given files, or where there are none the project's own of an interface revision. Raises UserError."""
     try:
         paths = [Path(file) for file in files] or [dbc_dir() / name for name in revision_named(revision).dbc_files]
-        contents = [(path.suffix.lower(), path.read_bytes()) for path in paths]
     except ValueError as error:
         raise UserError(str(error)) from error
-    except OSError as error:
-        raise UserError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
-    remembered = layout_cache.recall(contents)
-    if remembered is None:
-        databases = databases_of(map(_load, paths), paths)
-        layout_cache.keep(contents, list(databases.layouts.values()), databases.baudrate)
-    else:
-        layouts, baudrate = remembered
-        by_key = {layout.key: layout for layout in layouts}
-        databases = Databases(by_key, _names(paths), baudrate, lambda: _messages_of(map(_load, paths)))
-    databases.signed_flags = tuple(
-        str(path) for path, (suffix, text) in zip(paths, contents, strict=True) if _has_signed_flags(suffix, text)
-    )
+    loaded = [_load(path) for path in paths]
+    databases = databases_of(database for database, _ in loaded)
+    databases.signed_flags = tuple(str(path) for path, (_, signed) in zip(paths, loaded, strict=True) if signed)
     return databases
 
 
-def _names(paths: Iterable[Path | str]) -> tuple[str, ...]:
-    return tuple(str(path) for path in paths)
-
-
-def _is_of_this_car(suffix: str, content: bytes) -> bool:
-    return suffix == ".dbc" and (b"AI2VCU_" in content or b"VCU2AI_" in content)
-
-
-def _has_signed_flags(suffix: str, content: bytes) -> bool:
-    return _is_of_this_car(suffix, content) and re.search(rb"\|1@[01]-", content) is not None
-
-
-def databases_of(databases: Iterable[Database], sources: Iterable[Path | str] = ()) -> Databases:
+def databases_of(databases: Iterable[Database]) -> Databases:
     """Layouts of databases that cantools has loaded."""
-    loaded = list(databases)
-    messages = _messages_of(loaded)
-    baudrate: int | None = None
-    for database in loaded:
-        attribute = database.dbc.attributes.get("Baudrate") if database.dbc is not None else None
-        if baudrate is None and attribute is not None and isinstance(attribute.value, int) and attribute.value > 0:
-            baudrate = attribute.value
-    layouts = {key: _layout(message) for key, message in messages.items()}
-    return Databases(layouts, _names(sources), baudrate, lambda: messages)
-
-
-def _messages_of(databases: Iterable[Database]) -> dict[int, Message]:
     messages: dict[int, Message] = {}
+    baudrate: int | None = None
     for database in databases:
         for message in database.messages:
             messages.setdefault(message.frame_id | (EXTENDED_KEY if message.is_extended_frame else 0), message)
-    return messages
+        attribute = database.dbc.attributes.get("Baudrate") if database.dbc is not None else None
+        if baudrate is None and attribute is not None and isinstance(attribute.value, int) and attribute.value > 0:
+            baudrate = attribute.value
+    return Databases({key: _layout(message) for key, message in messages.items()}, messages, baudrate)
 
 
-def _load(path: Path) -> Database:
-    """A file of this car's interface is loaded with the flaws of official files put right, any other as it is."""
+def _load(path: Path) -> tuple[Database, bool]:
+    """A file's database; of this car's interface with signed one-bit flags made unsigned, and whether there were any.
+
+    Raises DatabaseError.
+    """
     import cantools.database
     from cantools.database.can import Database
 
-    from fsai_vcu.interface.database import DatabaseError, check_whole, load_database, make_flags_unsigned
+    from fsai_vcu.interface.database import DatabaseError, check_whole, make_flags_unsigned
 
     try:
-        content = path.read_bytes()
-        ours = _is_of_this_car(path.suffix.lower(), content)
-        if ours and all(name in content for name in (b"AI2VCU_Status", b"VCU2AI_Status")):
-            return load_database([path])
+        text = path.read_text(encoding="cp1252", errors="replace")
         loaded = cantools.database.load_file(path, strict=False)
-    except UserError:
-        raise
     except OSError as error:
         raise DatabaseError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the parsers have no common base class for what a broken file makes them raise
@@ -164,11 +115,15 @@ def _load(path: Path) -> Database:
         raise DatabaseError(f"{path}: describes diagnostics, not messages")
     if not loaded.messages:
         raise DatabaseError(f"{path}: describes no message")
-    if path.suffix.lower() == ".dbc":
-        check_whole(path, content.decode("cp1252", errors="replace"))
-    if ours:
+    if path.suffix.lower() != ".dbc":
+        return loaded, False
+    check_whole(path, text)
+    signed = ("AI2VCU_" in text or "VCU2AI_" in text) and any(
+        signal.length == 1 and signal.is_signed for message in loaded.messages for signal in message.signals
+    )
+    if signed:
         make_flags_unsigned(loaded)
-    return loaded
+    return loaded, signed
 
 
 def _layout(message: Message) -> MessageLayout:
@@ -228,14 +183,10 @@ def _is_plain(signal: Signal, length: int) -> bool:
         return False
     if signal.is_float:
         return signal.length in (32, 64) and not signal.choices
-    return _fits(signal)
-
-
-def _fits(signal: Signal) -> bool:
-    """Whether 64-bit integers can reckon what Python's unbounded ones do for cantools."""
     scale, offset = signal.scale, signal.offset
     if scale == 1 and offset == 0:
         return True
+    # Whether 64-bit integers can reckon what Python's unbounded ones do for cantools.
     if signal.length == 64 and not signal.is_signed:
         return False
     most = 1 << (signal.length - 1 if signal.is_signed else signal.length)

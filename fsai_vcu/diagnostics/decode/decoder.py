@@ -18,7 +18,6 @@ from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, Sig
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, Words
 
 Numbers = npt.NDArray[Any]
-_STANDARD_IDS: Final = 0x800
 _UNKNOWN: Final = -1
 _NO_DATA_FRAME: Final = -2
 
@@ -62,22 +61,16 @@ class Decoder:
     def __init__(self, databases: Databases) -> None:
         self.databases = databases
         self._layouts = list(databases.layouts.values())
-        self._index = {layout.key: index for index, layout in enumerate(self._layouts)}
-        self._standard = np.full(_STANDARD_IDS, _UNKNOWN, np.int32)
-        for key, index in self._index.items():
-            if key < _STANDARD_IDS:
-                self._standard[key] = index
+        keys = np.array([*databases.layouts, 0xFFFF_FFFF], np.uint32)
+        self._order = np.argsort(keys)
+        self._keys = keys[self._order]
 
-    def which(self, frames: Frames) -> npt.NDArray[np.int32]:
+    def which(self, frames: Frames) -> npt.NDArray[np.int64]:
         """For each frame the index of its message; -1: in no database, -2: an error or remote frame."""
-        index = self._standard[np.minimum(frames.can_id, _STANDARD_IDS - 1)]
-        odd = frames.flags & (EXTENDED | ERROR | REMOTE)
-        if odd.any():
-            extended = np.flatnonzero(odd & EXTENDED)
-            index[extended] = [
-                self._index.get(key | EXTENDED_KEY, _UNKNOWN) for key in frames.can_id[extended].tolist()
-            ]
-            index[(odd & (ERROR | REMOTE)) != 0] = _NO_DATA_FRAME
+        keys = np.where(frames.flags & EXTENDED, frames.can_id | np.uint32(EXTENDED_KEY), frames.can_id)
+        places = np.searchsorted(self._keys, keys)
+        index = np.where(self._keys[places] == keys, self._order[places], _UNKNOWN)
+        index[(frames.flags & (ERROR | REMOTE)) != 0] = _NO_DATA_FRAME
         return index
 
     def by_message(self, frames: Frames) -> Iterator[tuple[MessageLayout | None, Ints]]:

@@ -1,4 +1,4 @@
-"""What is known of a message and its signals: plain data, which layout_cache.py keeps as JSON."""
+"""What is known of a message and its signals: plain data."""
 
 from __future__ import annotations
 

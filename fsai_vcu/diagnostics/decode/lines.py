@@ -1,13 +1,12 @@
 """Frames as lines of text, many at once, as columns of characters.
 
-A signal of a plain message has a table with the text of each of its values, filled as they come up. All frames of a
-message are put together at a time; whatever is unusual goes through cantools, frame by frame.
+All frames of a message are put together at a time; whatever is unusual goes through cantools, frame by frame.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
@@ -15,19 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from fsai_vcu.diagnostics.decode.databases import UndecodableError
-from fsai_vcu.diagnostics.decode.decoder import Decoder, raw_of
+from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.error_frames import error_words
-from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
-from fsai_vcu.diagnostics.decode.text import MessageText, SignalText, json_value, with_unit
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout, SignalLayout
+from fsai_vcu.diagnostics.decode.text import MessageText, ShortText, SignalText, json_value, with_unit
 from fsai_vcu.diagnostics.log.candump import channel_text, hex_text, log_parts, time_text
 from fsai_vcu.diagnostics.log.candump_line import log_line
 from fsai_vcu.diagnostics.log.candump_line import time_text as one_time_text
-from fsai_vcu.diagnostics.log.characters import Characters, Part, matrix_of, put
+from fsai_vcu.diagnostics.log.characters import Characters, Part, characters_of, matrix_of, put
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Ints, LogFrame, Words
 
 _EXTENDED_SHIFT: Final = EXTENDED_KEY.bit_length() - EXTENDED.bit_length()
-_SMALL: Final = 256  # so many values are all learned at once
-_TABLE_BITS: Final = 16  # a signal of up to so many bits has a table of its values' texts
 
 
 class LineWriter:
@@ -43,7 +40,7 @@ class LineWriter:
         self._words = words
         self._short = short
         self._messages: dict[int, MessageText] = {}
-        self._tables: dict[str, _Texts] = {}
+        self._texts: dict[str, SignalText] = {}
 
     def block(self, frames: Frames) -> bytearray:
         """All lines of `frames`, each with its line end."""
@@ -89,22 +86,31 @@ class LineWriter:
             ',"message":null,"signals":{}}' if self._json else f" :: Unknown frame id {can_id} (0x{can_id:x})"
             for can_id in ids.tolist()
         ]
-        return np.take(_characters(texts, "\n"), where, axis=0)
+        return np.take(characters_of(texts, "\n"), where, axis=0)
 
     def _usual(self, layout: MessageLayout, words: Words) -> Characters:
         """What the frames of a plain message say, from their payloads."""
         text = self._messages.get(layout.key)
         if text is None:
-            text = self._messages[layout.key] = MessageText(
-                layout, as_json=self._json, words=self._words, short=self._short
-            )
+            texts = [self._text_of(signal) for signal in layout.signals]
+            text = self._messages[layout.key] = MessageText(layout, texts, as_json=self._json, short=self._short)
         parts: list[Part] = []
-        for before, signal in zip(text.before, text.signals, strict=True):
-            table = self._tables.get(signal.kind) or self._tables.setdefault(signal.kind, _Texts(signal))
-            ordered = words.byteswap() if signal.layout.big_endian else words
-            values = table.of(ordered >> np.uint64(signal.layout.start))
-            parts += before.encode(), values
+        for before, signal, values in zip(text.before, layout.signals, text.signals, strict=True):
+            ordered = words.byteswap() if signal.big_endian else words
+            parts += before.encode(), values.of(ordered >> np.uint64(signal.start))
         return matrix_of([*parts, text.end.encode()], len(words))
+
+    def _text_of(self, signal: SignalLayout) -> SignalText:
+        """Signals whose values have the same texts share them."""
+        alone = signal._replace(start=0, big_endian=False, name=signal.name if self._short else "")
+        key = str(alone)
+        if key not in self._texts:
+            self._texts[key] = (
+                ShortText(alone, words=self._words)
+                if self._short
+                else SignalText(alone, as_json=self._json, words=self._words)
+            )
+        return self._texts[key]
 
     def _heads(self, frames: Frames) -> Characters:
         """Everything up to what a frame says: candump's line, or the object up to the message's name."""
@@ -118,7 +124,7 @@ class LineWriter:
         ]
         escaped = replace(frames, channels=[json.dumps(name)[1:-1] for name in frames.channels])
         parts: list[Part] = [b'{"t":', time_text(frames.t_ns), b',"channel":"', channel_text(escaped)]
-        return matrix_of([*parts, np.take(_characters(ids), where, axis=0), hex_text(frames), b'"'], len(frames))
+        return matrix_of([*parts, np.take(characters_of(ids), where, axis=0), hex_text(frames), b'"'], len(frames))
 
     # ------------------------------------------------------------ one by one
 
@@ -155,53 +161,13 @@ class LineWriter:
             values: Mapping[str, Any] = self._decoder.databases.decoded(layout, data, choices=self._words)
         except UndecodableError as error:
             values, wrong = {}, wrong or str(error)
+        units = {signal.name: signal.unit for signal in layout.signals}  # of those that are shown at all
+        values = {name: value for name, value in values.items() if name in units}
         if self._json:
             signals = ",".join(f"{json.dumps(name)}:{json_value(value)}" for name, value in values.items())
             problem = f',"problem":{json.dumps(wrong)}' if wrong else ""
             return f',"message":{json.dumps(layout.name)},"signals":{{{signals}}}{problem}}}\n'
         if wrong and not values:
             return f" :: {wrong}\n"
-        units = {signal.name: signal.unit for signal in layout.signals}
         shown = ", ".join(f"{name}: {with_unit(value, units[name])}" for name, value in values.items())
         return f" :: {wrong + ': ' if wrong else ''}{layout.name}({shown})\n"
-
-
-class _Texts:
-    """The texts of all values of one kind of signal."""
-
-    def __init__(self, signal: SignalText) -> None:
-        self._signal = signal
-        self._layout = signal.layout._replace(start=0, big_endian=False)
-        values = 1 << self._layout.length if self._layout.length <= _TABLE_BITS else 0
-        self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
-        self._known = np.zeros(values, np.bool_)
-        self._unknown = True  # whether a value is
-
-    def of(self, words: Words) -> Characters:
-        """A row of characters for the lowest bits of each word, NUL behind."""
-        bits = (words & np.uint64((1 << self._layout.length) - 1)).view(np.int64)
-        if not len(self._known):
-            distinct, where = np.unique(bits, return_inverse=True)
-            return np.take(self._written(distinct), where, axis=0)
-        if self._unknown:
-            known = np.take(self._known, bits)
-            if not known.all():
-                self._learn(np.unique(bits[~known]) if len(self._known) > _SMALL else np.arange(len(self._known)))
-        return np.take(self._table, bits, axis=0)
-
-    def _learn(self, fresh: Ints) -> None:
-        new = self._written(fresh)
-        if new.shape[1] > self._table.shape[1]:
-            self._table = np.pad(self._table, ((0, 0), (0, new.shape[1] - self._table.shape[1])))
-        self._table[fresh, : new.shape[1]] = new
-        self._known[fresh] = True
-        self._unknown = not self._known.all()
-
-    def _written(self, bits: Ints) -> Characters:
-        return _characters(self._signal.texts(raw_of(self._layout, bits.view(np.uint64)).tolist()))
-
-
-def _characters(texts: Sequence[str], end: str = "") -> Characters:
-    """One text and `end` a row, NUL behind."""
-    array = np.array([text + end.encode() for text in "\n".join(texts).encode().split(b"\n")])
-    return array.view(np.uint8).reshape(len(array), -1)

@@ -6,28 +6,33 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
+
+from fsai_vcu.diagnostics.decode.decoder import raw_of
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
+from fsai_vcu.diagnostics.log.characters import Characters, characters_of
+from fsai_vcu.diagnostics.log.frames import Ints, Words
+
+_SMALL: Final = 256  # so many values are all learned at once
+_TABLE_BITS: Final = 16  # a signal of up to so many bits has a table of its values' texts
 
 
 class MessageText:
-    """The text of one plain message: `before[i]` and the text of `signals[i]` for each of them, then `end`.
+    """The text of one plain message: `before[i]` and what `signals[i]` makes of each of them, then `end`.
 
     short: signals that are not 0 alone, and no name that the word behind it repeats.
     """
 
-    def __init__(self, layout: MessageLayout, *, as_json: bool, words: bool, short: bool = False) -> None:
+    def __init__(self, layout: MessageLayout, signals: Sequence[SignalText], *, as_json: bool, short: bool) -> None:
+        self.signals = signals
         self.before: list[str] = []
         if short:
-            self.signals: list[SignalText] = [
-                ShortText(signal, as_json=False, words=words) for signal in layout.signals
-            ]
             name = re.sub("^[A-Z]+2[A-Z]+_", "", layout.name)  # who sends to whom is seen from the identifier
             self.before = [f" {name}", *[""] * (len(layout.signals) - 1)][: len(layout.signals)]
             self.end = "\n" if layout.signals else f" {name}\n"
             return
-        self.signals = [SignalText(signal, as_json=as_json, words=words) for signal in layout.signals]
         between = f',"message":{json.dumps(layout.name)},"signals":{{' if as_json else f" :: {layout.name}("
         for signal, text in zip(layout.signals, self.signals, strict=True):
             self.before.append(between + (f"{json.dumps(signal.name)}:" if as_json else f"{signal.name}: "))
@@ -36,14 +41,17 @@ class MessageText:
 
 
 class SignalText:
-    """Texts of the values of one signal of a plain message; the arithmetic is Python's, as cantools' is.
+    """Texts of the values of signals of plain messages; the arithmetic is Python's, as cantools' is.
 
-    behind: what stands behind all its values. kind: signals of one kind have the same texts.
+    Each is made once, when it first comes up, where a table can have all. behind: what stands behind all its values.
     """
 
     def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool) -> None:
-        self.layout = layout
-        self.kind = str(layout._replace(name="", start=0, big_endian=False))
+        self._layout = layout
+        values = 1 << layout.length if layout.length <= _TABLE_BITS else 0
+        self._table: Characters = np.zeros((values, 1), np.uint8)  # by the bits of a value
+        self._known = np.zeros(values, np.bool_)
+        self._complete = False
         self._json = as_json
         self._words: dict[float, str] = {
             raw: json.dumps(word) if as_json else _one_line(word) for raw, word in layout.choices.items() if words
@@ -66,13 +74,33 @@ class SignalText:
             return [self._words.get(raw, f"{value}{self._unit}") for raw, value in pairs]
         return list(map(json_value if self._json else repr, values))
 
+    def of(self, words: Words) -> Characters:
+        """A row of characters for the lowest bits of each word, NUL behind."""
+        bits = (words & np.uint64((1 << self._layout.length) - 1)).view(np.int64)
+        if not len(self._known):
+            distinct, where = np.unique(bits, return_inverse=True)
+            return np.take(self._written(distinct), where, axis=0)
+        if not self._complete and not (known := np.take(self._known, bits)).all():
+            self._learn(np.unique(bits[~known]) if len(self._known) > _SMALL else np.arange(len(self._known)))
+        return np.take(self._table, bits, axis=0)
+
+    def _learn(self, fresh: Ints) -> None:
+        new = self._written(fresh)
+        if new.shape[1] > self._table.shape[1]:
+            self._table = np.pad(self._table, ((0, 0), (0, new.shape[1] - self._table.shape[1])))
+        self._table[fresh, : new.shape[1]] = new
+        self._known[fresh] = True
+        self._complete = bool(self._known.all())
+
+    def _written(self, bits: Ints) -> Characters:
+        return characters_of(self.texts(raw_of(self._layout, bits.view(np.uint64)).tolist()))
+
 
 class ShortText(SignalText):
     """The signal with its name; nothing where it is 0."""
 
-    def __init__(self, layout: SignalLayout, *, as_json: bool, words: bool) -> None:
-        super().__init__(layout, as_json=as_json, words=words)
-        self.kind = f"short {layout}"
+    def __init__(self, layout: SignalLayout, *, words: bool) -> None:
+        super().__init__(layout, as_json=False, words=words)
         self._name = layout.name
         for ending in ("_STATUS", "_STATE", "_SIGNAL"):
             self._name = self._name.removesuffix(ending)
@@ -86,7 +114,7 @@ class ShortText(SignalText):
     def _text(self, raw: float, text: str) -> str:
         if raw in self._words:
             return f" {self._name}" if self._flag else f" {text}" if self._alone else f" {self._name} {text}"
-        return f" {self._name}" if self._flag else f" {self.layout.name} {text}{'' if self._words else self._unit}"
+        return f" {self._name}" if self._flag else f" {self._layout.name} {text}{'' if self._words else self._unit}"
 
 
 def _one_line(text: str) -> str:

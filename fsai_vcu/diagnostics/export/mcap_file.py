@@ -8,8 +8,10 @@ constants. A field of an integer that a row may lack is a float64, NaN where it 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -48,6 +50,15 @@ class RosMessage:
     published_ns: int
 
 
+@contextmanager
+def mcap_file(path: Path) -> Iterator[Callable[[Rows], None]]:
+    """Writes all tables to one file."""
+    with path.open("wb") as stream:
+        tables = McapTables(stream)
+        yield lambda rows: tables.write_together([rows])
+        tables.finish()
+
+
 class McapTables:
     """Writes one MCAP file to an open stream. `flush` puts all of it there; `finish` adds the index."""
 
@@ -59,11 +70,8 @@ class McapTables:
             self._writer.add_metadata("fsai-vcu", dict(metadata))
         self._tables: dict[str, int] = {}
         self._topics: dict[tuple[str, str], int] = {}
-        self._types: dict[tuple[str, str], int] = {}
+        self._types: dict[tuple[str, str], int] = {}  # numbers of schemas, by name and definition
         self._sequences: dict[int, int] = {}
-
-    def write(self, rows: Rows) -> None:
-        self.write_together([rows])
 
     def write_together(self, several: Sequence[Rows]) -> None:
         """Rows of several tables, in order of time."""
@@ -87,48 +95,36 @@ class McapTables:
     def finish(self) -> None:
         self._writer.finish()
 
-    def close(self) -> None:
-        """The stream is its owner's to close."""
-
     def _add(self, number: int, data: bytes, log_ns: int, published_ns: int) -> None:
         sequence = self._sequences[number] = self._sequences.get(number, 0) + 1
         self._writer.add_message(number, log_ns, data, published_ns, sequence)
 
     def _number_of(self, topic: RosTopic) -> int:
         """Of the topic's channel, registered when it is first met."""
-        key = (topic.name, topic.type_name)
-        if key not in self._topics:
-            self._topics[key] = self._register(topic)
-        return self._topics[key]
-
-    def _register(self, topic: RosTopic) -> int:
-        key = (topic.type_name, topic.definition)
-        schema = self._types.get(key)
-        if schema is None:
+        key, kind = (topic.name, topic.type_name), (topic.type_name, topic.definition)
+        if kind not in self._types:
             data = topic.definition.encode()
-            schema = self._types[key] = self._writer.register_schema(topic.type_name, SCHEMA_ENCODING, data)
-        number: int = self._writer.register_channel(topic.name, ENCODING, schema, {"offered_qos_profiles": topic.qos})
-        return number
+            self._types[kind] = self._writer.register_schema(topic.type_name, SCHEMA_ENCODING, data)
+        if key not in self._topics:
+            qos = {"offered_qos_profiles": topic.qos}
+            self._topics[key] = self._writer.register_channel(topic.name, ENCODING, self._types[kind], qos)
+        return self._topics[key]
 
 
 def _field_kind(column: Column) -> str:
-    return "float64" if column.optional or column.kind == "text" else column.kind
+    return "float64" if column.optional or column.kind == "object" else column.kind
 
 
 def _packed(rows: Rows) -> list[bytes]:
     """Each row as a message."""
-    kinds = {"int64": "<i8", "uint64": "<u8", "float64": "<f8"}
-    fields = [(f"f{at}", kinds[_field_kind(column)]) for at, column in enumerate(rows.table.columns)]
+    kinds = [np.dtype(_field_kind(column)).newbyteorder("<") for column in rows.table.columns]
+    fields = [(f"f{at}", kind) for at, kind in enumerate(kinds)]
     out = np.zeros(len(rows), [*_STAMP, *fields])
     seconds, nanoseconds = np.divmod(rows.t_ns, 1_000_000_000)
     out["head"] = np.void(_CDR_HEAD)
     out["sec"], out["nanosec"] = np.minimum(seconds, 0x7FFF_FFFF), nanoseconds
-    for at, (column, values) in enumerate(zip(rows.table.columns, rows.values, strict=True)):
-        numbers = values.numbers
-        if _field_kind(column) == "float64":
-            numbers = numbers.astype(np.float64, copy=False)
-            numbers = numbers if values.present is None else np.where(values.present, numbers, np.nan)
-        out[f"f{at}"] = numbers
+    for (name, kind), values in zip(fields, rows.values, strict=True):
+        out[name] = np.where(values.mask, np.nan, values.data) if kind.kind == "f" else values.data
     whole, size = out.tobytes(), out.dtype.itemsize
     return [whole[at : at + size] for at in range(0, len(whole), size)]
 

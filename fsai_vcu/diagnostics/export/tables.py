@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
-from fsai_vcu.diagnostics.log.frames import ERROR, REMOTE, Frames, Ints, Mask
+from fsai_vcu.diagnostics.log.frames import ERROR, REMOTE, Frames, Ints
 
-Kind = Literal["int64", "uint64", "float64", "text"]
-Numbers = npt.NDArray[Any]
+Kind = Literal["int64", "uint64", "float64", "object"]
+Values = np.ma.MaskedArray[Any, np.dtype[Any]]
+"""The values of a column, one for each row; masked where a row has none."""
 
-DTYPES: Final[Mapping[Kind, str]] = {"int64": "int64", "uint64": "uint64", "float64": "float64", "text": "object"}
 _INT64: Final = 1 << 63
+_UNKNOWN, _WRONG_LENGTH = "of unknown ids", "of the wrong length"
+_NO_DATA, _UNDECODABLE = "error or remote frames", "whose bits mean nothing"
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A signal as a column. `kind` holds every value it can have ('text': digits of integers beyond 64 bits).
+    """A signal as a column. `kind` is of numpy and holds every value it can have: object, integers beyond 64 bits.
 
     optional: a row may have no value. choices: the database's words, by value.
     """
@@ -45,17 +47,6 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Values:
-    """The values of a column, one for each row. present: which rows have one; None: all."""
-
-    numbers: Numbers
-    present: Mask | None = None
-
-    def at(self, rows: Ints) -> Values:
-        return Values(self.numbers[rows], None if self.present is None else self.present[rows])
-
-
-@dataclass(frozen=True, slots=True)
 class Rows:
     """Some rows of a table."""
 
@@ -75,115 +66,70 @@ def kind_of(signal: SignalLayout) -> Kind:
     if most * abs(int(signal.scale)) + abs(int(signal.offset)) <= _INT64:
         return "int64"
     plain = signal.scale == 1 and signal.offset == 0
-    return "uint64" if plain and signal.length == 64 and not signal.signed else "text"
-
-
-def column_of(signal: SignalLayout, *, optional: bool = False, prefix: str = "") -> Column:
-    raw_is_value = signal.scale == 1 and signal.offset == 0
-    return Column(prefix + signal.name, signal.unit, kind_of(signal), optional, signal.choices if raw_is_value else {})
+    return "uint64" if plain and signal.length == 64 and not signal.signed else "object"
 
 
 def table_of(layout: MessageLayout, name: str, channel: str) -> Table:
-    # Of a message that is not plain (multiplexed, say) a frame need not have every signal.
-    columns = tuple(column_of(signal, optional=not layout.plain) for signal in layout.signals)
+    columns = []
+    for signal in layout.signals:
+        choices = signal.choices if signal.scale == 1 and signal.offset == 0 else {}
+        # Of a message that is not plain (multiplexed, say) a frame need not have every signal.
+        columns.append(Column(signal.name, signal.unit, kind_of(signal), not layout.plain, choices))
     senders = f" from {', '.join(layout.senders)}" if layout.senders else ""
     digits = 8 if layout.extended else 3
-    return Table(name, columns, channel, f"{layout.name}, id 0x{layout.can_id:0{digits}X}{senders}")
+    return Table(name, tuple(columns), channel, f"{layout.name}, id 0x{layout.can_id:0{digits}X}{senders}")
 
 
-def values_in(decoded: MessageTable, column: Column, signal: SignalLayout) -> Values:
+def values_in(decoded: MessageTable, column: Column) -> Values:
     """One value for each row of `decoded`."""
-    series = decoded.series[signal.name]
-    dtype = DTYPES[column.kind]
+    series = decoded.series[column.name]
     if len(series.rows) == len(decoded.rows):
-        return Values(series.values.astype(dtype, copy=False))
-    numbers = np.zeros(len(decoded.rows), dtype)
-    present = np.zeros(len(decoded.rows), np.bool_)
-    where = np.searchsorted(decoded.rows, series.rows)
-    numbers[where], present[where] = series.values, True
-    return Values(numbers, present)
-
-
-@dataclass
-class LeftOut:
-    """Frames that are in no table, and why."""
-
-    unknown: int = 0
-    wrong_length: int = 0
-    no_data: int = 0  # error and remote frames
-    undecodable: int = 0
-
-    def words(self) -> str:
-        """Empty if nothing was left out."""
-        parts = [
-            (self.unknown, "of unknown ids"),
-            (self.wrong_length, "of the wrong length"),
-            (self.no_data, "error or remote frames"),
-            (self.undecodable, "whose bits mean nothing"),
-        ]
-        return ", ".join(f"{count} {what}" for count, what in parts if count)
+        return Values(series.values.astype(column.kind, copy=False))
+    values = Values(np.zeros(len(decoded.rows), column.kind), mask=True)
+    values[np.searchsorted(decoded.rows, series.rows)] = series.values
+    return values
 
 
 class Tables:
     """The tables of a log as they come up: one for each message, of each bus where there are several."""
 
     def __init__(self, decoder: Decoder, *, several_buses: bool) -> None:
-        self.left_out = LeftOut()
+        self.left_out = Counter(dict.fromkeys((_UNKNOWN, _WRONG_LENGTH, _NO_DATA, _UNDECODABLE), 0))
+        """Frames that are in no table, and why."""
         self._decoder = decoder
         self._several = several_buses
         self._tables: dict[tuple[str, int], Table] = {}
-        self._names: set[str] = set()
 
     def rows(self, frames: Frames) -> Iterator[Rows]:
         """The frames by message, each in the order of the log."""
-        left_out = self.left_out
-        left_out.no_data += int(((frames.flags & (ERROR | REMOTE)) != 0).sum())
         for layout, rows in self._decoder.by_message(frames):
             if layout is None:
-                left_out.unknown += len(rows)
+                self.left_out[_UNKNOWN] += len(rows)
                 continue
-            for channel, ours in self._by_channel(frames, rows):
-                decoded = self._decoder.table(layout, frames, ours)
-                left_out.wrong_length += len(decoded.wrong_length)
-                table = self._table(layout, channel)
-                values = [
-                    values_in(decoded, column, signal)
-                    for column, signal in zip(table.columns, layout.signals, strict=True)
-                ]
-                found = Rows(table, decoded.t_ns, values)
+            channels = frames.channel[rows]
+            for number in np.unique(channels).tolist():
+                decoded = self._decoder.table(layout, frames, rows[channels == number])
+                self.left_out[_WRONG_LENGTH] += len(decoded.wrong_length)
+                table = self._table(layout, frames.channels[number])
+                found = Rows(table, decoded.t_ns, [values_in(decoded, column) for column in table.columns])
                 if not layout.plain and layout.signals:
                     found = self._with_values(found)
                 if len(found):
                     yield found
+        self.left_out[_NO_DATA] += int(((frames.flags & (ERROR | REMOTE)) != 0).sum())
 
     def _with_values(self, rows: Rows) -> Rows:
         """Without the frames of which not one signal could be decoded."""
-        known = np.zeros(len(rows), np.bool_)
-        for values in rows.values:
-            known |= True if values.present is None else values.present
-        self.left_out.undecodable += int((~known).sum())
-        if known.all():
-            return rows
-        kept = np.flatnonzero(known)
-        return Rows(rows.table, rows.t_ns[kept], [values.at(kept) for values in rows.values])
-
-    def _by_channel(self, frames: Frames, rows: Ints) -> Iterator[tuple[str, Ints]]:
-        channels = frames.channel[rows]
-        for number in np.unique(channels).tolist():
-            yield frames.channels[number], rows[channels == number]
+        known = ~np.logical_and.reduce([np.ma.getmaskarray(values) for values in rows.values])
+        self.left_out[_UNDECODABLE] += int((~known).sum())
+        return Rows(rows.table, rows.t_ns[known], [values[known] for values in rows.values])
 
     def _table(self, layout: MessageLayout, channel: str) -> Table:
         key = (channel if self._several else "", layout.key)
         table = self._tables.get(key)
         if table is None:
             name = f"{channel}.{layout.name}" if self._several else layout.name
-            if name in self._names:  # two databases may give one name to two ids
+            if any(name == other.name for other in self._tables.values()):  # two databases may give it to two ids
                 name = f"{name}_{layout.can_id:X}"
-            self._names.add(name)
             table = self._tables[key] = table_of(layout, name, channel)
         return table
-
-
-def buses_in(frames: Frames) -> list[str]:
-    """The buses that frames are from, in the log's order."""
-    return [frames.channels[number] for number in np.unique(frames.channel).tolist()]

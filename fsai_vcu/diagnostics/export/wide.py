@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from fsai_vcu.diagnostics.export.tables import Column, Numbers, Rows, Table, Tables, Values
-from fsai_vcu.diagnostics.log.frames import Frames, Ints, Mask
+from fsai_vcu.diagnostics.export.tables import Column, Rows, Table, Tables, Values
+from fsai_vcu.diagnostics.log.frames import Frames, Ints
 
 _AT_ONCE: Final = 50_000  # rows
 SILENCE_NS: Final = 60_000_000_000  # nothing received for longer, and there are no rows until something is
@@ -27,13 +28,16 @@ def raster_ns(text: str) -> int:
 
 
 class WideTable:
-    """Iterated once: its rows, some ten thousand at a time."""
+    """Iterated once: its rows, some ten thousand at a time. notes: lines for people."""
 
     def __init__(self, tables: Tables, frames: Frames, step_ns: int) -> None:
         self._step_ns = step_ns
-        self.backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))
-        """By how much time once went back in the log. The rows are in order of time all the same."""
-        if self.backwards_ns:
+        self.notes: list[str] = []
+        backwards_ns = -int(min(0, np.diff(frames.t_ns).min(initial=0)))
+        if backwards_ns:
+            self.notes.append(
+                f"time goes back in it, by up to {backwards_ns / 1e9:.3f} s: the rows are in order of time"
+            )
             frames = frames.only(np.argsort(frames.t_ns, kind="stable"))
         self._t_ns = frames.t_ns
         self._sources = list(tables.rows(frames))
@@ -43,7 +47,6 @@ class WideTable:
             columns.append(Column(f"{table.name}.age", "s", "float64", optional=True))
         about = f"last values every {step_ns / 1e6:g} ms, and their ages"
         self.table = Table("wide", tuple(columns), about=about)
-        self.silences = 0
         self._spans = list(self._found_spans())
         self.rows = sum(last - first + 1 for first, last in self._spans)
 
@@ -53,7 +56,8 @@ class WideTable:
         if not len(t_ns):
             return
         breaks = np.flatnonzero(np.diff(t_ns) > SILENCE_NS)
-        self.silences = len(breaks)
+        if len(breaks):
+            self.notes.append(f"no rows for {len(breaks)} silences of more than a minute")
         before = -1
         for first, last in zip([0, *(breaks + 1).tolist()], [*breaks.tolist(), len(t_ns) - 1], strict=True):
             begin = max(before + 1, -(-int(t_ns[first]) // step))
@@ -73,16 +77,15 @@ class WideTable:
 def _values(source: Rows, instants: Ints) -> Iterator[Values]:
     """Of each signal the last value it had, for not every frame need have all; and the age of the last frame."""
     last = np.searchsorted(source.t_ns, instants, side="right") - 1
+    rows = np.arange(len(source))
     for values in source.values:
-        numbers, newest = values.numbers, last
-        if values.present is not None:
-            numbers = numbers[values.present]
-            newest = np.searchsorted(source.t_ns[values.present], instants, side="right") - 1
-        held = np.zeros(len(instants), numbers.dtype)
-        held[newest >= 0] = numbers[newest[newest >= 0]]
-        yield _held(held, newest >= 0)
-    yield _held((instants - source.t_ns[np.maximum(last, 0)]) / 1e9, last >= 0)
+        at = last
+        if values.mask is not np.ma.nomask:
+            newest = np.maximum.accumulate(np.where(values.mask, -1, rows))  # the last row with a value, at each row
+            at = np.where(last < 0, -1, newest[last])
+        yield _held(values.data[at], at)
+    yield _held((instants - source.t_ns[last]) / 1e9, last)
 
 
-def _held(numbers: Numbers, known: Mask) -> Values:
-    return Values(numbers, None if known.all() else known)
+def _held(numbers: npt.NDArray[Any], at: Ints) -> Values:
+    return Values(numbers, mask=at < 0 if at.min(initial=0) < 0 else np.ma.nomask)

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
+from itertools import chain, count
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.export.tables import LeftOut, Rows, Table, Tables, buses_in
+from fsai_vcu.diagnostics.export.tables import Rows, Table, Tables
 from fsai_vcu.diagnostics.export.wide import WideTable
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.errors import UserError
 
-NEEDS: Final[Mapping[str, str]] = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
+NEEDS: Final = {"parquet": "pyarrow", "mcap": "mcap", "mf4": "asammdf"}
 """What has to be installed for a format; the extra has the format's name."""
 _A_FILE_EACH: Final = ("csv", "parquet")
 _AT_ONCE: Final = 200_000  # frames
@@ -31,20 +32,14 @@ class ExportError(UserError):
     """What cannot be written; the message is one clear line."""
 
 
-class _Sink(Protocol):
-    def write(self, rows: Rows) -> None: ...
-    def finish(self) -> None: ...
-    def close(self) -> None: ...
-
-
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What became of an export. notes: lines for people."""
+    """What became of an export. left_out: frames that are in no table, and why. notes: lines for people."""
 
     tables: int
     rows: int
-    left_out: LeftOut
-    notes: tuple[str, ...] = ()
+    left_out: str
+    notes: tuple[str, ...]
 
 
 def check_format(form: str) -> None:
@@ -86,53 +81,43 @@ def export(
         whole = work / f"whole.{form}"
         if folder:
             whole.mkdir()
-        tables = Tables(decoder, several_buses=len(buses_in(frames)) > 1)
+        tables = Tables(decoder, several_buses=len(np.unique(frames.channel)) > 1)
         wide = WideTable(tables, frames, step_ns) if step_ns is not None else None
         seen: set[str] = set()
-        parts = wide if wide is not None else _parts(tables, frames, progress)
-        path_of: Callable[[Table], Path] = _FileNames(whole, form) if folder else lambda _: whole
-        count = 0
-        with ExitStack() as opened:
-            sink = _sink(form, path_of, whole, frames, words, opened)
-            opened.callback(sink.close)
-            for rows in parts:
-                sink.write(rows)
+        done = 0
+        with _writer(form, partial(_new_file, whole, form) if folder else lambda _: whole, frames, words) as write:
+            for rows in wide or _parts(tables, frames, progress):
+                write(rows)
                 seen.add(rows.table.name)
-                count += len(rows)
+                done += len(rows)
                 if wide is not None:
-                    progress(count, wide.rows)
-            sink.finish()
-        whole.chmod((0o777 if folder else 0o666) & ~_umask())
+                    progress(done, wide.rows)
         whole.replace(path)
-        return Written(
-            1 if wide is not None else len(seen),
-            count,
-            tables.left_out,
-            tuple(_notes(wide)) if wide is not None else (),
-        )
+        left_out = ", ".join(f"{number} {why}" for why, number in tables.left_out.items() if number)
+        return Written(1 if wide else len(seen), done, left_out, tuple(wide.notes if wide else ()))
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _sink(
-    form: str, path_of: Callable[[Table], Path], whole: Path, frames: Frames, words: bool, opened: ExitStack
-) -> _Sink:
-    """Of each format only the module that is asked for is imported."""
+def _writer(
+    form: str, path_of: Callable[[Table | None], Path], frames: Frames, words: bool
+) -> AbstractContextManager[Callable[[Rows], None]]:
+    """What takes the rows; what it wrote is whole when it ends without an error."""
     if form == "csv":
-        from fsai_vcu.diagnostics.export.csv_files import CsvFiles
+        from fsai_vcu.diagnostics.export.csv_files import csv_files
 
-        return CsvFiles(path_of, words=words)
+        return csv_files(path_of, words=words)
     if form == "parquet":
-        from fsai_vcu.diagnostics.export.parquet_files import ParquetFiles
+        from fsai_vcu.diagnostics.export.parquet_files import parquet_files
 
-        return ParquetFiles(path_of, words=words)
+        return parquet_files(path_of, words=words)
     if form == "mcap":
-        from fsai_vcu.diagnostics.export.mcap_file import McapTables
+        from fsai_vcu.diagnostics.export.mcap_file import mcap_file
 
-        return McapTables(opened.enter_context(whole.open("wb")))
-    from fsai_vcu.diagnostics.export.mf4_file import Mf4File
+        return mcap_file(path_of(None))
+    from fsai_vcu.diagnostics.export.mf4_file import mf4_file
 
-    return Mf4File(whole, int(frames.t_ns.min()), {"made by": "fsai-vcu export"})
+    return mf4_file(path_of(None), int(frames.t_ns.min()))
 
 
 def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None]) -> Iterable[Rows]:
@@ -142,31 +127,8 @@ def _parts(tables: Tables, frames: Frames, progress: Callable[[int, int], None])
         progress(end, len(frames))
 
 
-class _FileNames:
+def _new_file(folder: Path, form: str, table: Table) -> Path:
     """A file for each table, whatever its name has in it."""
-
-    def __init__(self, folder: Path, form: str) -> None:
-        self._folder = folder
-        self._form = form
-        self._used: set[str] = set()
-
-    def __call__(self, table: Table) -> Path:
-        stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".") or "table"
-        name, number = stem, 2
-        while name.lower() in self._used:  # also where a file system does not tell capitals
-            name, number = f"{stem}-{number}", number + 1
-        self._used.add(name.lower())
-        return self._folder / f"{name}.{self._form}"
-
-
-def _notes(wide: WideTable) -> Iterable[str]:
-    if wide.backwards_ns:
-        yield f"time goes back in it, by up to {wide.backwards_ns / 1e9:.3f} s: the rows are in order of time"
-    if wide.silences:
-        yield f"no rows for {wide.silences} silences of more than a minute"
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    stem = re.sub(r"[^\w.+-]+", "_", table.name).lstrip(".") or "table"
+    names = chain([stem], (f"{stem}-{number}" for number in count(2)))
+    return next(path for name in names if not (path := folder / f"{name}.{form}").exists())

@@ -17,12 +17,12 @@ from fsai_vcu.diagnostics.log.candump_line import (
     MAX_EXTENDED_ID,
     MAX_SECONDS,
     MAX_STANDARD_ID,
-    UnreadableError,
+    Unreadable,
     log_line,
     parse_line,
-    read_line,
+    read_lines,
 )
-from fsai_vcu.diagnostics.log.characters import Characters, Part, assembled
+from fsai_vcu.diagnostics.log.characters import Characters, Part, lines_of
 from fsai_vcu.diagnostics.log.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -33,7 +33,6 @@ from fsai_vcu.diagnostics.log.frames import (
     SENT,
     Frames,
     Ints,
-    LogFrame,
     Mask,
     frames_of,
     joined,
@@ -48,13 +47,6 @@ _SHAPE = re.compile(
     rb"(?P<between>(?P<channel>[^\s()]{1,15}) {1,8}(?:(?P<way>[RT])X - -  )?)"
     rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?P<behind>#| {1,8}\[)"
 )
-
-
-class Unreadable(NamedTuple):
-    """A line that is no frame: its number in the block, from 0, and what is wrong with it."""
-
-    line: int
-    reason: str
 
 
 class _Shape(NamedTuple):
@@ -102,19 +94,11 @@ def parse_block(block: npt.NDArray[np.uint8], channels: list[str]) -> tuple[Fram
         parts.append(frames)
         rows.append(rest[read])
         rest = rest[~read]
-    singly: list[LogFrame] = []
-    unreadable: list[Unreadable] = []
-    for row in rest.tolist():
-        try:
-            frame = read_line(text[starts[row] : ends[row]].tobytes(), parse_line)
-        except UnreadableError as error:
-            unreadable.append(Unreadable(row, str(error)))
-        else:
-            singly += [frame] if frame else []
-            rows += [np.array([row])] if frame else []
-    whole = joined([*parts, frames_of(singly, channels)])
-    if len(rows) > 1:
-        whole = whole.only(np.argsort(np.concatenate(rows)))
+    remaining = ((row, text[starts[row] : ends[row]].tobytes()) for row in rest.tolist())
+    singly, unreadable = read_lines(remaining, parse_line)
+    whole = joined([*parts, frames_of(singly.values(), channels)])
+    if len(parts) + len(singly) > 1:
+        whole = whole.only(np.argsort(np.concatenate([*rows, np.array([*singly], np.int64)])))
     return whole, unreadable, len(ends)
 
 
@@ -278,7 +262,7 @@ def log_parts(frames: Frames, time_digits: int = 1) -> list[Part]:
 
 def log_lines(frames: Frames, time_digits: int = 1, *, marks: bool = False) -> list[bytes]:
     """Each frame as a line of `candump -L`, without its line end; with `marks` of `candump -L -x`, R or T."""
-    lines = assembled(log_parts(frames, time_digits), len(frames))
+    lines = lines_of(log_parts(frames, time_digits), len(frames)).split(b"\n")[:-1]
     for row in np.flatnonzero(frames.flags & (REMOTE | FD)).tolist():
         lines[row] = log_line(frames.frame(row), time_digits).encode()
     if marks:

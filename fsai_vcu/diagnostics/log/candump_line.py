@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import datetime
-from typing import Final
+from typing import Final, NamedTuple
 
 from fsai_vcu.diagnostics.log.frames import LogFrame
 
@@ -29,21 +29,33 @@ _SCREEN_LINE = re.compile(
 _SECONDS = re.compile(r"(\d{1,11})\.(\d{1,9})")
 
 
-class UnreadableError(ValueError):
-    """A line that is no frame; the message is what is wrong and the line's beginning, for a person."""
+class Unreadable(NamedTuple):
+    """A line that is no frame: its number, and what is wrong with it and its beginning, for a person."""
+
+    line: int
+    reason: str
 
 
-def read_line(line: bytes, parse: Callable[[str], LogFrame | None]) -> LogFrame | None:
-    """The frame that `parse` finds on a line (or its ValueError), None on an empty one. Raises UnreadableError."""
-    if not line.strip():
-        return None
-    try:
-        return parse(line.decode("ascii"))
-    except ValueError as error:
-        shown = line[:60].decode("ascii", "backslashreplace")
-        shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
-        what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
-        raise UnreadableError(f"{what}: '{shown}{'…' if len(line) > 60 else ''}'") from None
+def read_lines(
+    lines: Iterable[tuple[int, bytes]], parse: Callable[[str], LogFrame | None]
+) -> tuple[dict[int, LogFrame], list[Unreadable]]:
+    """The frames that `parse` finds (or its ValueErrors), by the numbers of their lines. Empty lines are none."""
+    frames: dict[int, LogFrame] = {}
+    unreadable: list[Unreadable] = []
+    for number, line in lines:
+        if not line.strip():
+            continue
+        try:
+            frame = parse(line.decode("ascii"))
+        except ValueError as error:
+            shown = line[:60].decode("ascii", "backslashreplace")
+            shown = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in shown)
+            what = "not text" if isinstance(error, UnicodeDecodeError) else str(error)
+            unreadable.append(Unreadable(number, f"{what}: '{shown}{'…' if len(line) > 60 else ''}'"))
+        else:
+            if frame is not None:
+                frames[number] = frame
+    return frames, unreadable
 
 
 def whole_line(line: bytes) -> bool:

@@ -11,6 +11,12 @@ Characters = npt.NDArray[np.uint8]
 Part = bytes | Characters
 
 
+def characters_of(texts: Sequence[str], end: str = "") -> Characters:
+    """One text and `end` a row, NUL behind. No text has a line end in it."""
+    array = np.array([text + end.encode() for text in "\n".join(texts).encode().split(b"\n")])
+    return array.view(np.uint8).reshape(len(array), -1)
+
+
 def matrix_of(parts: Sequence[Part], count: int) -> Characters:
     """Rows of text from columns of text, each column a constant or a matrix of characters; NUL characters pad."""
     template = b"".join(part if isinstance(part, bytes) else bytes(part.shape[1]) for part in parts)
@@ -26,9 +32,9 @@ def matrix_of(parts: Sequence[Part], count: int) -> Characters:
     return matrix
 
 
-def assembled(parts: Sequence[Part], count: int) -> list[bytes]:
-    """The same as one text a row, without the padding."""
-    return matrix_of([*parts, b"\n"], count).tobytes().translate(None, b"\0").split(b"\n")[:-1]
+def lines_of(parts: Sequence[Part], count: int) -> bytes:
+    """The same as lines, without the padding."""
+    return matrix_of([*parts, b"\n"], count).tobytes().translate(None, b"\0")
 
 
 def put(out: bytearray, places: npt.NDArray[np.int64], rows: Characters) -> None:

@@ -143,19 +143,17 @@ def frames_of(records: Iterable[LogFrame], channels: list[str] | None = None) ->
     )
 
 
-def renumbered(frames: Frames, channels: list[str]) -> Frames:
-    """The same frames with their buses numbered by `channels`, which grows: several logs number each their own."""
-    channels += [name for name in frames.channels if name not in channels]
-    number = np.array([channels.index(name) for name in frames.channels] or [0], np.int32)
-    return replace(frames, channel=number[frames.channel], channels=channels)
-
-
 def joined(parts: Iterable[Frames]) -> Frames:
-    """One run of frames from several of the same log."""
+    """One run of frames from several. Logs number their buses each for itself: those of one name become one."""
     kept = [part for part in parts if len(part)]
     if len(kept) < 2:
         return kept[0] if kept else frames_of(())
+    channels = kept[0].channels
+    if any(part.channels is not channels for part in kept):
+        channels = list(dict.fromkeys(name for part in kept for name in part.channels))
+        numbers = [np.array([channels.index(name) for name in part.channels], np.int32) for part in kept]
+        kept = [replace(part, channel=own[part.channel]) for part, own in zip(kept, numbers, strict=True)]
     begins = np.cumsum([0, *map(len, kept)]).tolist()
     long = {row + begin: whole for part, begin in zip(kept, begins, strict=False) for row, whole in part.long.items()}
     columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in kept]) for name in _COLUMNS}
-    return replace(kept[-1], long=long, **columns)
+    return Frames(**columns, channels=channels, long=long)

@@ -1,83 +1,143 @@
-"""Live buses as a source of frames, in the same shape as a log."""
+"""Live buses as a source of frames, in the same shape as a log.
+
+Each bus is received in a thread of its own: while the disk or the screen takes its time, nothing that passes is missed.
+"""
 
 from __future__ import annotations
 
-import selectors
+import contextlib
+import os
+import socket
+import threading
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Final
 
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
-from fsai_vcu.runtime.bus import BusLost, CanBus, can_interfaces, open_bus
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, can_interfaces, open_bus
+
+Received = tuple[Frame, int]  # and the bus's own wall-clock stamp
 
 _GATHER_S: Final = 0.05  # frames of so long are handled together: quick enough for an eye, cheap enough for a car
-_MOST_AT_ONCE: Final = 500
 _ALL_INTERFACES: Final = "any"  # as candump calls it
+_WAIT_S: Final = 0.05
+_AGAIN_S: Final = 0.2
+_RECEIVE_BUFFER_BYTES: Final = 8 << 20  # some ten thousand frames: seconds of a full bus
+_SO_RCVBUFFORCE: Final = 33  # asm-generic/socket.h; beyond the system's bound, for those who may
+_MOST_WAITING: Final = 1_000_000  # frames that were not fetched
+
+
+class Listener:
+    """One bus: `fetch` what was received, and `news` for the operator, in order. It never sends.
+
+    `lost`: why the bus is gone; with `waits` it is reported, and opened again when it comes back. `overrun`: frames
+    thrown away because they were not fetched for too long.
+    """
+
+    def __init__(self, spec: str, *, waits: bool) -> None:
+        """Opens the bus. Raises BusError."""
+        self.lost: str | None = None
+        self._waits = waits
+        self.overrun = 0
+        self.name = spec.partition(":")[2] or spec
+        self._thread = threading.Thread(target=self._run, name="listener", daemon=True)
+        self._spec = spec
+        self._bus: CanBus | None = _open(spec)
+        self._received: deque[Received] = deque()
+        self._news: deque[str] = deque()
+        self._ending = threading.Event()
+
+    def fetch(self) -> list[Received]:
+        """What was received since the last call."""
+        return [self._received.popleft() for _ in range(len(self._received))]
+
+    def news(self) -> list[str]:
+        return [self._news.popleft() for _ in range(len(self._news))]
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def _run(self) -> None:
+        lost_s = 0.0
+        while not self._ending.is_set():
+            if self._bus is None:
+                self._try_again(lost_s)
+                continue
+            try:
+                received = self._bus.recv_stamped(_WAIT_S, bus_off_is_lost=False)
+            except BusLost as error:
+                lost_s = time.monotonic()
+                self._bus.close()
+                self._bus = None
+                self.lost = str(error)
+                if not self._waits:
+                    return
+                self._news.append(f"{error}; waiting for it to come back")
+                continue
+            if received is not None and len(self._received) >= _MOST_WAITING:
+                self.overrun += 1
+            elif received is not None:
+                self._received.append(received)
+
+    def _try_again(self, lost_s: float) -> None:
+        try:
+            self._bus = _open(self._spec)
+        except BusError:
+            self._ending.wait(_AGAIN_S)
+        else:
+            self._news.append(f"{self._spec} is back after {time.monotonic() - lost_s:.1f} s")
+
+    def close(self) -> None:
+        """What has been received can still be fetched."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        if self._bus is not None:
+            self._bus.close()
 
 
 class LiveSource:
-    """Receives from buses, and never sends.
+    """Receives from buses. Times are their own stamps of the wall clock.
 
-    `lost` is the one clear line of what ended it, None while all is well. Times are the bus's own stamps of the wall
-    clock.
+    `lost` is the one clear line of what ended it, None while all is well.
     """
 
     def __init__(self, interfaces: Sequence[str]) -> None:
         """Opens them all; raises runtime.bus.BusError."""
         self.lost: str | None = None
         self._channels: list[str] = []
-        self._buses: list[tuple[str, CanBus]] = []
+        self._listeners: list[Listener] = []
+        names = [name for each in interfaces for name in (can_interfaces() if each == _ALL_INTERFACES else [each])]
         try:
-            for interface in _expanded(interfaces):
-                bus = open_bus(interface, may_send=())
-                self._buses.append((interface.partition(":")[2] or interface, bus))
+            for name in names or [_ALL_INTERFACES]:
+                self._listeners.append(Listener(name, waits=False))
         except BaseException:
             self.close()
             raise
+        for listener in self._listeners:
+            listener.start()
 
     def chunks(self, seconds: float | None = None) -> Iterator[Frames]:
         """What is received, every 50 ms or so, possibly nothing; ends after `seconds` or when a bus is lost."""
-        until = None if seconds is None else time.monotonic() + seconds
-        while self.lost is None and (until is None or time.monotonic() < until):
-            wait_s = _GATHER_S if until is None else max(0.0, min(_GATHER_S, until - time.monotonic()))
-            received: list[LogFrame] = []
+        until = float("inf") if seconds is None else time.monotonic() + seconds
+        while self.lost is None and (left_s := until - time.monotonic()) > 0.0:
             try:
-                self._gather(received, wait_s)
+                time.sleep(min(_GATHER_S, left_s))
             except KeyboardInterrupt:
-                yield frames_of(received, self._channels)  # what was received before Ctrl-C is not lost
+                yield self._fetched()  # what was received before Ctrl-C is not lost
                 raise
-            received.sort(key=lambda frame: frame.t_ns)
-            yield frames_of(received, self._channels)
+            self.lost = next((listener.lost for listener in self._listeners if listener.lost), None)
+            yield self._fetched()
 
-    def _gather(self, received: list[LogFrame], wait_s: float) -> None:
-        until = time.monotonic() + wait_s
-        while len(received) < _MOST_AT_ONCE and self.lost is None:
-            left_s = until - time.monotonic()
-            if left_s <= 0.0:
-                break
-            for name, bus in self._ready(left_s):
-                try:
-                    found = bus.recv_stamped(left_s if len(self._buses) == 1 else 0.0, bus_off_is_lost=False)
-                except BusLost as error:
-                    self.lost = str(error)
-                    break
-                if found is not None:
-                    frame, stamp_ns = found
-                    kind = (frame.extended and not frame.error, frame.remote, frame.error)
-                    received.append(LogFrame(stamp_ns, name, frame.can_id, frame.data, *kind))
-
-    def _ready(self, wait_s: float) -> list[tuple[str, CanBus]]:
-        """The buses on which something may be waiting."""
-        if len(self._buses) == 1:
-            return self._buses
-        with selectors.DefaultSelector() as selector:
-            for name, bus in self._buses:
-                selector.register(bus.fileno(), selectors.EVENT_READ, (name, bus))
-            return [key.data for key, _ in selector.select(wait_s)]
+    def _fetched(self) -> Frames:
+        received = [log_frame(each, listener.name) for listener in self._listeners for each in listener.fetch()]
+        return frames_of(sorted(received, key=lambda frame: frame.t_ns), self._channels)
 
     def close(self) -> None:
-        for _, bus in self._buses:
-            bus.close()
+        for listener in self._listeners:
+            listener.close()
 
     def __enter__(self) -> LiveSource:
         return self
@@ -86,6 +146,17 @@ class LiveSource:
         self.close()
 
 
-def _expanded(interfaces: Sequence[str]) -> list[str]:
-    names = [name for each in interfaces for name in (can_interfaces() if each == _ALL_INTERFACES else [each])]
-    return names or [_ALL_INTERFACES]
+def log_frame(received: Received, channel: str) -> LogFrame:
+    frame, stamp_ns = received
+    kind = (frame.extended and not frame.error, frame.remote, frame.error)
+    return LogFrame(stamp_ns, channel, frame.can_id, frame.data, *kind)
+
+
+def _open(spec: str) -> CanBus:
+    bus = open_bus(spec, may_send=())
+    with contextlib.suppress(OSError), socket.socket(fileno=os.dup(bus.fileno())) as ours:
+        try:
+            ours.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+        except PermissionError:
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+    return bus

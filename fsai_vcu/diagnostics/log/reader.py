@@ -15,12 +15,12 @@ import zlib
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fsai_vcu.diagnostics.log.candump import parse_block
-from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, UnreadableError, read_line, whole_line
+from fsai_vcu.diagnostics.log.candump_line import MAX_SECONDS, read_lines, whole_line
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.log.gvret import HEAD, GvretLines, whole_gvret
 from fsai_vcu.interface.errors import UserError
@@ -42,6 +42,9 @@ _FORMATS: Final = (  # by the first bytes; the second of TRC: version 1.0
     ("TRC", (b";$FILEVERSION=", b";##############")),
     ("GVRET", (HEAD.encode(),)),
 )
+
+
+_OF_LINES: Final = ("candump", "GVRET")
 
 
 class Problems:
@@ -85,7 +88,6 @@ class Log:
         self._path = path
         self._pipe = path is None
         self._broken: str | None = None  # why it cannot be read to its end
-        self._cut_off: str | None = None  # what is wrong with its last line
         self._announced_bytes = 0
         self._lines = 0
         self.kind = kind_of(_head(stream))
@@ -93,19 +95,24 @@ class Log:
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
         channels: list[str] = []
-        if self.kind != "candump":
-            frames = self._messages() if self.kind != "GVRET" else self._gvret_frames()
-            while batch := list(islice(frames, _BATCH)):
+        if self.kind not in _OF_LINES:
+            messages = self._messages()
+            while batch := list(islice(messages, _BATCH)):
                 yield frames_of(batch, channels)
             return
+        parse_gvret = GvretLines()
         for block in self._blocks():
-            columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
+            if self.kind == "GVRET":
+                lines = block.count(b"\n")
+                singly, unreadable = read_lines(enumerate(block.replace(b"\r\n", b"\n").split(b"\n")), parse_gvret)
+                columns = frames_of(singly.values(), channels)
+            else:
+                columns, unreadable, lines = parse_block(np.frombuffer(block, np.uint8), channels)
             for problem in unreadable:
                 self._unreadable(problem.line, problem.reason)
             self._lines += lines
             if len(columns):
                 yield columns
-        self._end()
 
     def frames(self) -> Iterator[LogFrame]:
         """All frames one by one."""
@@ -113,20 +120,6 @@ class Log:
             yield from frames
 
     # ------------------------------------------------------------ text
-
-    def _gvret_frames(self) -> Iterator[LogFrame]:
-        parse = GvretLines()
-        for block in self._blocks():
-            for line in block.split(b"\n")[:-1]:
-                try:
-                    frame = read_line(line.removesuffix(b"\r"), parse)
-                except UnreadableError as error:
-                    self._unreadable(0, str(error))
-                else:
-                    if frame is not None:
-                        yield frame
-                self._lines += 1
-        self._end()
 
     def _blocks(self) -> Iterator[bytes]:
         """Whole lines, many at a time. A last line without its end may be cut off: only a whole frame counts."""
@@ -139,14 +132,9 @@ class Log:
             if whole_gvret(carried) if self.kind == "GVRET" else whole_line(carried):
                 yield carried + b"\n"
             else:
-                self._cut_off = "cut off, without a line end; its frame is left out"
-
-    def _end(self) -> None:
-        """What is wrong with the end, after all that comes before it."""
+                self._unreadable(0, "cut off, without a line end; its frame is left out")
         if self._broken is not None:
             self.problems.add(f"{self.name}: cannot be read to its end: {self._broken}")
-        if self._cut_off is not None:
-            self._unreadable(0, self._cut_off)
 
     def _unreadable(self, line: int, reason: str) -> None:
         """`line`: how many come between those that are done and this one."""
@@ -253,26 +241,23 @@ class Log:
 
 def open_log(path: Path | str) -> Log:
     """Open the log at `path`; '-' is standard input. Raises LogError."""
-    if str(path) == STDIN:
-        return _unpacked("standard input", sys.stdin.buffer, None)
-    path = Path(path)
-    try:
-        stream = path.open("rb")
-    except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
-        raise LogError(f"{path}: {_why(error)}") from error
-    return _unpacked(str(path), stream, path if path.is_file() else None)
+    stream: Any = sys.stdin.buffer
+    name, file = "standard input", None
+    if str(path) != STDIN:
+        name, file = str(path), Path(path)
+        try:
+            stream = file.open("rb")
+        except (OSError, ValueError) as error:  # a name with a NUL in it is a ValueError
+            raise LogError(f"{path}: {_why(error)}") from error
+    if _head(stream).startswith(_GZIP):
+        stream = gzip.GzipFile(fileobj=stream)
+    return Log(name, stream, file if file and file.is_file() else None)
 
 
 def read_log(path: Path | str) -> tuple[Frames, Problems]:
     """All frames of a log and what could not be read of it. Raises LogError."""
     with open_log(path) as log:
         return joined(log.chunks()), log.problems
-
-
-def _unpacked(name: str, stream: IO[bytes], path: Path | None) -> Log:
-    if _head(stream).startswith(_GZIP):
-        return Log(name, gzip.GzipFile(fileobj=stream), path)  # type: ignore[arg-type]
-    return Log(name, stream, path)
 
 
 def _head(stream: IO[bytes]) -> bytes:

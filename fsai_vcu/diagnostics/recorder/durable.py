@@ -23,11 +23,6 @@ class DurableFile:
         sync_folder(path.parent)
 
     @property
-    def size(self) -> int:
-        """On the disk and waiting."""
-        return self._safe + len(self._waiting)
-
-    @property
     def waiting(self) -> int:
         return len(self._waiting)
 
@@ -64,7 +59,8 @@ class DurableFile:
         return len(data)
 
     def tell(self) -> int:
-        return self.size
+        """All, on the disk and waiting."""
+        return self._safe + len(self._waiting)
 
     def flush(self) -> None:
         """Only `push` is for good."""

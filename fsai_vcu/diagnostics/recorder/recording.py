@@ -7,20 +7,20 @@ content, when it began and ended.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
+from fsai_vcu.diagnostics.log.frames import frames_of
+from fsai_vcu.diagnostics.log.live import Received, log_frame
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
-from fsai_vcu.diagnostics.recorder.listening import Received
 from fsai_vcu.diagnostics.recorder.repair import repair_mcap, repair_text
 from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
 from fsai_vcu.runtime.recording import candump_line
@@ -39,26 +39,23 @@ _NO_ROOM: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None})
 
 @dataclass
 class _Segment:
-    log: DurableFile
-    mcap: DurableFile | None
-    tables: Tables | None
-    writer: McapTables | None
+    """`opened` are its files, the log first. tables, writer: of the MCAP, if there is one."""
+
+    opened: ExitStack
+    files: list[DurableFile]
     about: dict[str, Any]
     sidecar: Path
     began_ns: int
+    tables: Tables | None = None
+    writer: McapTables | None = None
     frames: int = 0
     unpushed: int = 0  # of these, frames that are not on the disk yet
 
-    @property
-    def size(self) -> int:
-        return self.log.size + (0 if self.mcap is None else self.mcap.size)
-
-    def files(self) -> list[DurableFile]:
-        return [self.log] if self.mcap is None else [self.log, self.mcap]
-
-    def close(self) -> None:
-        for file in self.files():
-            file.close()
+    def open(self, path: Path) -> DurableFile:
+        file = DurableFile(path)
+        self.opened.callback(file.close)
+        self.files.append(file)
+        return file
 
 
 class Recording:
@@ -121,7 +118,7 @@ class Recording:
         """Write what waits, and end the files properly, as far as the disk lets."""
         self._again_ns = None if self._again_ns is None else now_ns
         self.turn(now_ns)
-        with contextlib.suppress(OSError):  # a disk that takes no more: reported, and what is there is whole
+        with suppress(OSError):  # a disk that takes no more: reported, and what is there is whole
             self._end()
         self.lost += len(self._frames)
         self._place.close()
@@ -145,33 +142,21 @@ class Recording:
         place = self._place
         place.begin_segment()
         place.make_room(0)
-        about = {
-            **self._about,
-            "segment": place.number or 1,
-            "began": _date(self._wall_ns()),
-            "ended": None,
-            "frames": None,
-        }
+        now = {"segment": place.number or 1, "began": _date(self._wall_ns()), "ended": None, "frames": None}
+        about = self._about | now
         replace_durably(place.file(".json"), _text(about))
-        log = DurableFile(place.file(".log"))
-        if self._decoder is None:
-            return _Segment(log, None, None, None, about, place.file(".json"), now_ns)
-        from fsai_vcu.diagnostics.export.mcap_file import McapTables
-        from fsai_vcu.diagnostics.export.tables import Tables
+        with ExitStack() as opened:
+            segment = _Segment(opened, [], about, place.file(".json"), now_ns)
+            segment.open(place.file(".log"))
+            if self._decoder is not None:
+                from fsai_vcu.diagnostics.export.mcap_file import McapTables
+                from fsai_vcu.diagnostics.export.tables import Tables
 
-        try:
-            mcap = DurableFile(place.file(".mcap"))
-        except OSError:
-            log.close()
-            raise
-        words = {name: value if isinstance(value, str) else json.dumps(value) for name, value in about.items()}
-        tables = Tables(self._decoder, several_buses=False)
-        segment = _Segment(log, mcap, tables, McapTables(mcap, words), about, place.file(".json"), now_ns)
-        try:
-            mcap.push()
-        except OSError:
-            segment.close()
-            raise
+                mcap = segment.open(place.file(".mcap"))
+                words = {name: value if isinstance(value, str) else json.dumps(value) for name, value in about.items()}
+                segment.tables, segment.writer = Tables(self._decoder, several_buses=False), McapTables(mcap, words)
+                mcap.push()
+            segment.opened = opened.pop_all()
         return segment
 
     def _end(self) -> None:
@@ -179,22 +164,20 @@ class Recording:
         segment, self._segment = self._segment, None
         if segment is None:
             return
-        try:
+        with segment.opened:
             if segment.writer is not None:
                 segment.writer.finish()
-            for file in segment.files():
+            for file in segment.files:
                 file.push()
             segment.about.update(ended=_date(self._wall_ns()), frames=segment.frames)
             replace_durably(segment.sidecar, _text(segment.about))
-        finally:
-            segment.close()
 
     def _over(self, segment: _Segment, now_ns: int) -> bool:
         bounds = self._place.bounds
         if self._place.single or not segment.frames:
             return False
         most = self._place.segment_bytes
-        return (most is not None and segment.size >= most) or (
+        return (most is not None and sum(file.tell() for file in segment.files) >= most) or (
             bounds.segment_ns is not None and now_ns - segment.began_ns >= bounds.segment_ns
         )
 
@@ -204,12 +187,12 @@ class Recording:
         while True:
             segment = self._segment
             if segment is not None:
-                if any(file.removed for file in segment.files()):
+                if any(file.removed for file in segment.files):
                     self._segment = None
-                    segment.close()
-                    self._report(f"{segment.log.path} has been deleted; going on in a new one")
+                    segment.opened.close()
+                    self._report(f"{segment.files[0].path} has been deleted; going on in a new one")
                     continue
-                if any(file.waiting for file in segment.files()):
+                if any(file.waiting for file in segment.files):
                     self._push(segment)
             if not (self._frames or self._messages):
                 return
@@ -224,8 +207,8 @@ class Recording:
             self._push(segment)
 
     def _push(self, segment: _Segment) -> None:
-        self._place.make_room(sum(file.waiting for file in segment.files()))
-        for file in segment.files():
+        self._place.make_room(sum(file.waiting for file in segment.files))
+        for file in segment.files:
             file.push()
         segment.unpushed = 0
 
@@ -233,13 +216,13 @@ class Recording:
         """Some of what waits goes to the segment's files, from where no full disk can lose it."""
         taken = [self._frames.popleft() for _ in range(min(_PART, len(self._frames)))]
         lines = "".join(f"{candump_line(frame, self._bus, stamp_ns)}\n" for frame, stamp_ns in taken)
-        segment.log.write(lines.encode("ascii"))
+        segment.files[0].write(lines.encode("ascii"))
         segment.frames += len(taken)
         segment.unpushed += len(taken)
         self.taken += len(taken)
         if segment.writer is None or segment.tables is None:
             return
-        frames = frames_of((_log_frame(frame, stamp_ns, self._bus) for frame, stamp_ns in taken), self._channels)
+        frames = frames_of((log_frame(each, self._bus) for each in taken), self._channels)
         segment.writer.write_together(list(segment.tables.rows(frames)))
         while self._messages:
             segment.writer.write_message(self._messages.popleft())
@@ -256,13 +239,7 @@ class Recording:
             # Not a matter of room: these files may be gone for good, a new one need not.
             self._segment = None
             self.lost += segment.unpushed
-            segment.close()
-
-
-def _log_frame(frame: Any, stamp_ns: int, bus: str) -> LogFrame:
-    return LogFrame(
-        stamp_ns, bus, frame.can_id, frame.data, frame.extended and not frame.error, frame.remote, frame.error
-    )
+            segment.opened.close()
 
 
 def _date(wall_ns: int) -> str:

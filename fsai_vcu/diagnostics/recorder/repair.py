@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import os
-import struct
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from mcap.records import Channel, Chunk, ChunkIndex, MessageIndex, Schema
+    from mcap.records import Channel, Chunk, ChunkIndex, MessageIndex, MetadataIndex, Schema
 
 _TAIL: Final = 1 << 16
-_MAGIC_BYTES: Final = 8
-_RECORD_HEAD: Final = 9  # MCAP: an opcode and the length of what follows
 
 
 def repair_text(path: Path) -> int:
@@ -37,11 +33,11 @@ def repair_text(path: Path) -> int:
 def repair_mcap(path: Path) -> int | None:
     """Give an MCAP that ends anywhere its index and its end. Returns bytes cut off, None if it had them.
 
-    Chunks are neither written anew nor, but for the last and those that bring a new channel, unpacked.
+    Chunks are not written anew; messages are read only of the last one and of those that bring a new channel.
     """
     from mcap.data_stream import RecordBuilder
-    from mcap.opcode import Opcode
     from mcap.records import Chunk, DataEnd, Footer, Header, MessageIndex, Metadata, MetadataIndex, Statistics
+    from mcap.stream_reader import StreamReader
     from mcap.writer import MCAP0_MAGIC
 
     with path.open("r+b") as file:
@@ -49,79 +45,51 @@ def repair_mcap(path: Path) -> int | None:
         file.seek(max(0, length - len(MCAP0_MAGIC)))
         if length > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC:
             return None
-        groups: list[_Group] = []
-        metadata: list[MetadataIndex] = []
-        end = len(MCAP0_MAGIC)
-        begun = False
-        for opcode, at, behind in _records(file, length):
-            begun = begun or opcode == Opcode.HEADER
-            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                break
-            if opcode == Opcode.CHUNK:
-                groups.append(_Group(at, behind))
-            elif opcode == Opcode.MESSAGE_INDEX and groups:
-                groups[-1].indexes.append((at, behind))
-            elif opcode == Opcode.METADATA:
-                metadata.append(MetadataIndex(at, behind - at, _read(file, at, Metadata).name))
-            end = behind
-        kept = end  # the last indexes are written anew, which takes nothing away
+        file.seek(0)
+        summary = _Summary()
+        end = 0
+        with suppress(Exception):  # what is torn makes its readers raise many things
+            for record in StreamReader(file, emit_chunks=True).records:
+                at, behind = end or len(MCAP0_MAGIC), file.tell()
+                if isinstance(record, DataEnd):
+                    break
+                if isinstance(record, Chunk):
+                    summary.add_chunk(record, at, behind)
+                elif isinstance(record, MessageIndex):
+                    summary.add_messages(record, at, behind)
+                elif isinstance(record, Metadata):
+                    summary.metadata.append(MetadataIndex(at, behind - at, record.name))
+                end = behind
+        kept = end or len(MCAP0_MAGIC)
         out: Any = RecordBuilder()
-        if not begun:  # not even a beginning was on the disk
-            end = 0
+        if not end:  # not even a beginning was on the disk
             out.write(MCAP0_MAGIC)
             Header("", "").write(out)
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        counts: dict[int, int] = {}
-        indexes: list[ChunkIndex] = []
-        whole = False
-        while groups and not whole:  # the last chunk may be torn, and its indexes may be missing: they are made anew
-            last = groups[-1]
-            end, last.indexes = last.behind, []
-            try:
-                contents = _contents(_read(file, last.at, Chunk))
-                whole = True
-            except Exception:  # what is no chunk makes its readers raise many things
-                end = kept = last.at
-                groups.pop()
-        for group in groups:
-            chunk = _read(file, group.at, Chunk)
-            index = _index_of(chunk, group.at, group.behind)
-            found: dict[int, int] = {}
-            for at, behind in group.indexes:
-                entry = _read(file, at, MessageIndex)
-                index.message_index_offsets[entry.channel_id] = at
-                index.message_index_length += behind - at
-                found[entry.channel_id] = len(entry.records)
-            if group is groups[-1]:
-                begin = out.count
-                for entry in contents[2].values():
-                    index.message_index_offsets[entry.channel_id] = end + out.count
-                    entry.write(out)
-                    found[entry.channel_id] = len(entry.records)
-                index.message_index_length = out.count - begin
-            if not found.keys() <= channels.keys():
-                new_schemas, new_channels, _ = contents if group is groups[-1] else _contents(chunk)
-                schemas.update(new_schemas)
-                channels.update(new_channels)
-            for channel_id, count in found.items():
-                counts[channel_id] = counts.get(channel_id, 0) + count
-            indexes.append(index)
+        if summary.last is not None:  # its indexes may be missing: they are written anew, which takes nothing away
+            index = summary.chunks[-1]
+            end = index.chunk_start_offset + index.chunk_length
+            index.message_index_length = 0
+            for messages in _contents(summary.last)[2].values():
+                at = out.count
+                messages.write(out)
+                summary.add_messages(messages, end + at, end + out.count)
+            summary.learn_channels()
         DataEnd(0).write(out)  # a checksum of 0: none
         summary_start = end + out.count
-        for records in (schemas.values(), channels.values(), indexes, metadata):
-            for record in records:
-                record.write(out)
+        for records in (summary.schemas.values(), summary.channels.values(), summary.chunks, summary.metadata):
+            for each in records:
+                each.write(out)
+        counts = summary.counts()
         Statistics(
             attachment_count=0,
-            channel_count=len(channels),
+            channel_count=len(summary.channels),
             channel_message_counts=counts,
-            chunk_count=len(indexes),
+            chunk_count=len(summary.chunks),
             message_count=sum(counts.values()),
-            metadata_count=len(metadata),
-            message_start_time=min((index.message_start_time for index in indexes), default=0),
-            message_end_time=max((index.message_end_time for index in indexes), default=0),
-            schema_count=len(schemas),
+            metadata_count=len(summary.metadata),
+            message_start_time=min((index.message_start_time for index in summary.chunks), default=0),
+            message_end_time=max((index.message_end_time for index in summary.chunks), default=0),
+            schema_count=len(summary.schemas),
         ).write(out)
         Footer(summary_start, 0, 0).write(out)
         file.seek(end)
@@ -132,53 +100,60 @@ def repair_mcap(path: Path) -> int | None:
     return max(0, length - kept)
 
 
-@dataclass
-class _Group:
-    """A chunk and the indexes of its messages, as places in the file."""
+class _Summary:
+    """What is known of the whole chunks so far; `last` is the newest of them."""
 
-    at: int
-    behind: int
-    indexes: list[tuple[int, int]] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.chunks: list[ChunkIndex] = []
+        self.metadata: list[MetadataIndex] = []
+        self.last: Chunk | None = None
+        self._counts: list[dict[int, int]] = []  # of each chunk's messages, by channel
 
+    def add_chunk(self, chunk: Chunk, at: int, behind: int) -> None:
+        """Raises whatever a torn one makes its reader raise."""
+        from mcap.records import ChunkIndex
+        from mcap.stream_reader import get_chunk_data_stream
 
-def _records(file: IO[bytes], length: int) -> Iterator[tuple[int, int, int]]:
-    """(opcode, begin, end) of each record that is there to its end."""
-    at = _MAGIC_BYTES
-    while at + _RECORD_HEAD <= length:
-        file.seek(at)
-        opcode, size = struct.unpack("<BQ", file.read(_RECORD_HEAD))
-        behind = at + _RECORD_HEAD + size
-        if behind > length or opcode == 0:
-            return
-        yield opcode, at, behind
-        at = behind
+        get_chunk_data_stream(chunk, validate_crc=True)
+        self.learn_channels()
+        self.last = chunk
+        self._counts.append({})
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=behind - at,
+                chunk_start_offset=at,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
 
+    def add_messages(self, messages: MessageIndex, at: int, behind: int) -> None:
+        """Of the last chunk."""
+        self.chunks[-1].message_index_offsets[messages.channel_id] = at
+        self.chunks[-1].message_index_length += behind - at
+        self._counts[-1][messages.channel_id] = len(messages.records)
 
-def _read(file: IO[bytes], at: int, kind: Any) -> Any:
-    from mcap.data_stream import ReadDataStream
+    def learn_channels(self) -> None:
+        """Those that the last chunk brings, once its messages are known."""
+        if self.last is not None and not self._counts[-1].keys() <= self.channels.keys():
+            schemas, channels, _ = _contents(self.last)
+            self.schemas |= schemas
+            self.channels |= channels
 
-    file.seek(at + _RECORD_HEAD)
-    return kind.read(ReadDataStream(file))
-
-
-def _index_of(chunk: Chunk, at: int, behind: int) -> ChunkIndex:
-    from mcap.records import ChunkIndex
-
-    return ChunkIndex(
-        chunk_length=behind - at,
-        chunk_start_offset=at,
-        compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        message_end_time=chunk.message_end_time,
-        message_index_length=0,
-        message_index_offsets={},
-        message_start_time=chunk.message_start_time,
-        uncompressed_size=chunk.uncompressed_size,
-    )
+    def counts(self) -> dict[int, int]:
+        """Messages by channel."""
+        return {channel: sum(count.get(channel, 0) for count in self._counts) for channel in self.channels}
 
 
 def _contents(chunk: Chunk) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, MessageIndex]]:
-    """What a chunk defines, and where its messages are. Raises whatever a torn one makes its readers raise."""
+    """What a chunk defines, and where its messages are."""
     from mcap.opcode import Opcode
     from mcap.records import Channel, Message, MessageIndex, Schema
     from mcap.stream_reader import get_chunk_data_stream
@@ -186,7 +161,7 @@ def _contents(chunk: Chunk) -> tuple[dict[int, Schema], dict[int, Channel], dict
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     indexes: dict[int, MessageIndex] = {}
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    stream, length = get_chunk_data_stream(chunk)
     while stream.count < length:
         at = stream.count
         opcode, size = stream.read1(), stream.read8()

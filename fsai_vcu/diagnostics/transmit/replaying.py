@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, FD, REMOTE, Frames, Mask
-from fsai_vcu.interface.errors import UserError
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.runtime.bus import split_spec
@@ -67,19 +66,6 @@ def choose(frames: Frames, *, with_ai_ids: bool, physical: bool) -> tuple[Frames
         sent &= ~mask
     frames = frames.only(sent)
     return frames.only(np.argsort(frames.t_ns, kind="stable")), ", ".join(left_out)
-
-
-def between(frames: Frames, begin_ns: int, end_ns: int | None) -> Frames:
-    """The frames of a part of the log, in ns since its first frame. Raises UserError if there are none."""
-    if not len(frames):
-        return frames
-    since_ns = frames.t_ns - frames.t_ns.min()
-    inside: Mask = since_ns >= begin_ns
-    if end_ns is not None:
-        inside &= since_ns <= end_ns
-    if not inside.any():
-        raise UserError(f"nothing in that part of the log: it lasts {int(since_ns.max()) / 1e9:.3f} s")
-    return frames.only(inside)
 
 
 class Player:

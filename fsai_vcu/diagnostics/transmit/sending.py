@@ -78,19 +78,16 @@ def outgoing(databases: Databases, message: str, assignments: Sequence[str], *, 
 
 def find_message(databases: Databases, words: str) -> MessageLayout:
     """The message by its name (in any case) or its identifier. Raises UserError."""
-    found = databases.by_name(words)
-    if found is not None:
-        return found
+    exact = databases.by_name(words)
+    if exact is not None:
+        return exact
     layouts = list(databases.layouts.values())
-    if _NUMBER.fullmatch(words):
-        number = int(words, 16)
-        matching = [layout for layout in layouts if layout.can_id == number]
-        if not matching:
-            raise UserError(f"no message has the identifier {words}")
-    else:
-        matching = [layout for layout in layouts if layout.name.casefold() == words.casefold()]
-        if not matching:
-            raise UserError(f"no message '{words}'{_near(words, (layout.name for layout in layouts))}")
+    number = int(words, 16) if _NUMBER.fullmatch(words) else None
+    matching = [each for each in layouts if each.can_id == number or each.name.casefold() == words.casefold()]
+    if not matching and number is not None:
+        raise UserError(f"no message has the identifier {words}")
+    if not matching:
+        raise UserError(f"no message '{words}'{_near(words, (layout.name for layout in layouts))}")
     if len(matching) > 1:
         raise UserError(f"'{words}' may be {' or '.join(layout.name for layout in matching)}")
     return matching[0]
