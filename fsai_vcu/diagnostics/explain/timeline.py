@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, GONE_NS, error_text, silence_words
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS, GONE_NS, error_text, silence_words
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Series, Signal, ms
-from fsai_vcu.diagnostics.explain.signals import label
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Series, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
-from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
@@ -164,7 +164,7 @@ def _mode(record: Record) -> Iterator[TimelineEntry]:
 
 def _motion(record: Record) -> Iterator[TimelineEntry]:
     """When the car sets off and when it stands."""
-    wheels = record.fastest_wheel()
+    wheels = record.fastest_wheel
     turning = Series(wheels.t_ns, (wheels.values >= STANDING_RPM).astype(np.float64))
     for span in turning.spans:
         if span.before is None and span.value:
@@ -245,7 +245,7 @@ def _gaps(record: Record) -> Iterator[TimelineEntry]:
 
 def _handshake(record: Record) -> Iterator[TimelineEntry]:
     for answer in record.answers:
-        if answer.lost:
+        if answer.waited_ns >= COMMS_LOST_NS:
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
             yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
 

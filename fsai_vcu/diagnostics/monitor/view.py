@@ -12,22 +12,21 @@ from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.decode.error_frames import error_words
-from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.emergencies import emergencies
+from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE, CAR_TORQUE_MAX
+from fsai_vcu.diagnostics.explain.endings import emergencies
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
-from fsai_vcu.diagnostics.explain.link import ms
-from fsai_vcu.diagnostics.explain.record import Record, Signal, record_of
-from fsai_vcu.diagnostics.explain.signals import label
+from fsai_vcu.diagnostics.explain.record import Record, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.explain.starting import why_not_driving
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames
-from fsai_vcu.diagnostics.monitor.changes import bytes_of, changed_bytes, signals_of
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
-from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, keys_of
-from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, measure
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, bytes_of, changed_bytes, signals_of
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, keys_of, measure
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
+from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.units import S
@@ -46,15 +45,10 @@ _EVENTFUL: Final = frozenset({0x510, sig.STATUS, 0x524})  # messages all of whos
 _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake are all there
 
 
-def _torque(message: str, axle: str) -> tuple[Signal, Signal]:
-    """What an axle gives, and the most that it may."""
-    return Signal(message, f"{axle}_AXLE_TRQ"), Signal(message, f"{axle}_AXLE_TRQ_MAX")
-
-
 _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "steering": (sig.STEER, sig.ANGLE, sig.ANGLE_MAX, "deg"),
-    "torque front": (sig.TORQUE_F, *_torque("VCU2AI_Drive_F", "FRONT"), "Nm"),
-    "torque rear": (sig.TORQUE_R, *_torque("VCU2AI_Drive_R", "REAR"), "Nm"),
+    "torque front": (sig.TORQUE_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0], "Nm"),
+    "torque rear": (sig.TORQUE_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1], "Nm"),
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
@@ -122,8 +116,7 @@ class View:
         return self.memory.condensed(self.memory.window(now_ns, LONG_NS))
 
     def _record(self, frames: Frames) -> Record:
-        revision, reason = (self._revision, "given") if self._revision else guess_revision(frames)
-        return record_of(frames, revision, reason, self._databases)
+        return Record(frames, self._revision, self._databases)
 
     def _look_for_emergency(self, record: Record, now_ns: int) -> None:
         """The causes of an emergency brake are found while the frames before it are remembered whole, and kept."""
@@ -170,7 +163,7 @@ class _Moment:
             as_state_heard=None if span is None else label(sig.AS_STATE, span.value),
             status_age_s=(now_ns - int(times[-1])) / S if len(times) else None,
             mission=self._label(sig.AMI),
-            mode=mode(record, now_ns, self._fresh(0x510)),
+            mode=self._mode(),
             mission_status=self._label(sig.MISSION_STATUS),
             direction=self._label(sig.DIRECTION),
             estop_request=self._flag(sig.ESTOP),
@@ -179,7 +172,7 @@ class _Moment:
             ts_switch=self._flag(sig.TS_SWITCH),
             states=self._states(),
             driving=status and span is not None and span.value == sig.DRIVING,
-            why_not_driving=why_not_driving(record, now_ns, emergency),
+            why_not_driving=tuple(why_not_driving(record, now_ns, emergency)),
             wheels_rpm=wheels,
             speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
             speed_actual_kmh=self._value(_CAR_SPEED),
@@ -210,6 +203,17 @@ class _Moment:
     def _label(self, signal: Signal) -> str | None:
         value = self._value(signal)
         return None if value is None else label(signal, value)
+
+    def _mode(self) -> str:
+        """The AI side's mode as far as the bus shows it: by what the AI computer acknowledges.
+
+        A mission that is chosen and not acknowledged means manual mode, or planner and controller have yet to confirm.
+        """
+        if not self._fresh(0x510):
+            return "unknown"
+        if self._record.at(sig.MISSION_STATUS, self._now_ns) != MissionStatus.NOT_SELECTED:
+            return "autonomous"
+        return "manual or unconfirmed" if self._record.at(sig.AMI, self._now_ns) else "unknown before a mission"
 
     def _states(self) -> dict[str, str]:
         found = {}
