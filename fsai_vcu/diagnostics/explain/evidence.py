@@ -172,13 +172,11 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
     found += dead_bus(record, t_ns, Sureness.SHOWN)
     implausible_ns = CONFIG.implausible_lost_ns if emergency else CONFIG.implausible_ns
     found += _implausible(record, t_ns, drive_begin_ns, implausible_ns)
-    for begin_ns, length_ns in _own_pause(record, t_ns):
-        add(
-            Reason.LOOP_FAULT,
-            begin_ns,
-            f"the AI computer itself paused for {ms(length_ns)} (its cycle is 10 ms)",
-            0x510,
-        )
+    times = record.times(0x510)
+    recent = times[: np.searchsorted(times, t_ns, side="right")][-5:].tolist()
+    for begin_ns, end_ns in [pair for pair in pairwise(recent) if pair[1] - pair[0] >= CONFIG.send_lost_ns][:1]:
+        words = f"the AI computer itself paused for {ms(end_ns - begin_ns)} (its cycle is 10 ms)"
+        add(Reason.LOOP_FAULT, begin_ns, words, 0x510)
     if errors := record.errors_before(t_ns, BUS_NS):
         add(Reason.BUS_LOST, errors[0], f"{len(errors)} error frames within {ms(t_ns - errors[0])} before")
     if emergency:
@@ -224,13 +222,6 @@ def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate
         return []
     words = f"{doubt}: 0x525 is not believed for {ms(t_ns - believed_ns)}"
     return [shown(Reason.WHEELS_STALE.slug, ChainLink(believed_ns, words, 0x525))]
-
-
-def _own_pause(record: Record, t_ns: int) -> list[tuple[int, int]]:
-    """The first pause of the AI computer's cycle that ended just before it asked: (since when, how long)."""
-    times = record.times(0x510)
-    before = times[: np.searchsorted(times, t_ns, side="right")][-5:].tolist()
-    return [(a, b - a) for a, b in pairwise(before) if b - a >= CONFIG.send_lost_ns][:1]
 
 
 def _ineffective(record: Record, t_ns: int) -> list[Candidate]:

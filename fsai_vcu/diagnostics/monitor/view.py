@@ -23,7 +23,7 @@ from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, bytes_of, changed_bytes, signals_of
-from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, keys_of, measure
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, handshake_of, keys_of
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.enums import MissionStatus
@@ -139,10 +139,6 @@ class _Moment:
         self._record = record
         self._now_ns = now_ns
         self._window = record.frames.only(record.frames.t_ns > now_ns - WINDOW_NS)
-        # All figures of all messages would take as long as everything else.
-        both = self._window.only(np.isin(self._window.can_id, (sig.STATUS, 0x510)))
-        measured = measure(both, record.decoder, revision=record.revision.name)
-        self._handshake = measured[0].handshake if measured else None
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
         record, now_ns = self._record, self._now_ns
@@ -183,7 +179,7 @@ class _Moment:
             faults=tuple(signal.name for signal in sig.FAULTS if self._flag(signal)),
             warnings=tuple(signal.name for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS) if self._flag(signal)),
             shutdown_cause=self._label(sig.SHUTDOWN_CAUSE) if self._flag(sig.SHUTDOWN_CAUSE) else None,
-            handshake=self._handshake,
+            handshake=handshake_of(self._window, record.decoder),
             handshake_waiting_s=self._handshake_waiting_s(),
             load=self._load(),
             link=tuple(self._link(messages)),

@@ -149,19 +149,11 @@ class BusStatistics:
     backwards: int  # frames with a time before that of their predecessor
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "type": "bus",
-            "channel": self.channel,
-            "frames": self.frames,
-            "duration_s": round(self.duration_s, 6),
-            "load": round(self.load, 6),
-            "peak_load": round(self.peak_load, 6),
-            "bitrate": self.bitrate,
-            "error_frames": dict(self.error_frames),
-            "handshake": self.handshake.as_dict() if self.handshake else None,
-            "missing": [layout.name for layout in self.missing],
-            "backwards": self.backwards,
-        }
+        names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames")
+        found = as_json({name: getattr(self, name) for name in names}, 6)
+        handshake = self.handshake.as_dict() if self.handshake else None
+        missing = [layout.name for layout in self.missing]
+        return {"type": "bus", **found, "handshake": handshake, "missing": missing, "backwards": self.backwards}
 
 
 class Severity(Enum):
@@ -238,7 +230,7 @@ def _measure_channel(
         load=_share(int(bits.sum()), duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
         bitrate=bitrate,
-        handshake=_handshake(decoder.tables(frames, {"VCU2AI_Status", "AI2VCU_Status"})),
+        handshake=handshake_of(frames, decoder),
         frozen_counts=tuple(_frozen_counts(decoder.tables(frames, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"}))),
         backwards=backwards,
     )
@@ -326,7 +318,9 @@ def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
     return float(np.add.reduceat(bits, begins).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
-def _handshake(tables: Mapping[str, MessageTable]) -> Handshake | None:
+def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
+    """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards."""
+    tables = decoder.tables(frames, {"VCU2AI_Status", "AI2VCU_Status"})
     both = [tables[name].series.get("HANDSHAKE") for name in ("VCU2AI_Status", "AI2VCU_Status") if name in tables]
     bits = [(series.t_ns, series.raw) for series in both if series is not None and len(series.t_ns)]
     if len(bits) < 2:
