@@ -75,8 +75,7 @@ SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
 def timeline(record: Record) -> list[TimelineEntry]:
     """Every event of the log in the order of time."""
     chapters = (
-        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _gaps, _handshake,
-        _second_senders, _bus,
+        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _link, _bus,
     )  # fmt: skip
     events = [event for chapter in chapters for event in chapter(record)]
     return sorted(events, key=lambda event: (event.t_ns, ORDER.index(event.topic)))
@@ -210,8 +209,8 @@ def _early_torque(record: Record) -> Iterator[TimelineEntry]:
             yield _entry(sig.ANGLE_MAX, span.begin_ns, "steering", f"ANGLE_MAX {span.before:g} → {span.value:g} deg")
 
 
-def _gaps(record: Record) -> Iterator[TimelineEntry]:
-    """Messages that did not come, several that stopped together as one."""
+def _link(record: Record) -> Iterator[TimelineEntry]:
+    """Messages that did not come, several that stopped together as one; echoes that did not; who else sends."""
     for begin_ns, end_ns in record.silences:
         yield TimelineEntry(begin_ns, "bus", silence_words(begin_ns, end_ns), WARNING)
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
@@ -241,16 +240,10 @@ def _gaps(record: Record) -> Iterator[TimelineEntry]:
             yield TimelineEntry(begin_ns, "link", f"{text} {longest.words()}", weight, longest.can_id)
             if longest.end_ns is not None and gone:
                 yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
-
-
-def _handshake(record: Record) -> Iterator[TimelineEntry]:
     for answer in record.answers:
         if answer.waited_ns >= COMMS_LOST_NS:
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
             yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
-
-
-def _second_senders(record: Record) -> Iterator[TimelineEntry]:
     for other in record.second_senders:
         yield TimelineEntry(other.begin_ns, "intruder", other.sentence, FAULT, other.can_ids[0])
 
