@@ -26,11 +26,8 @@ from fsai_vcu.interface.frames import Frame
 DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
 OFF = bytes.fromhex("2106013020000000")
 WITHIN_S = 30.0
-HIDDEN = (
-    "NO_COLOR",
-    "COLUMNS",
-    "LINES",
-)  # of those who run the tests: a size in the environment goes before the real one
+# Of those who run the tests: a size in the environment goes before the real one
+HIDDEN = ("NO_COLOR", "COLUMNS", "LINES")
 VERB = [sys.executable, "-m", "fsai_vcu.cli.main", "monitor"]
 
 

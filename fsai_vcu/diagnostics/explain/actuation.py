@@ -63,16 +63,12 @@ def mismatches(record: Record) -> list[Incident]:
             known = [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
             stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times)
             if stretch is not None:
-                seen.setdefault(one.slug, _incident(one, times, *stretch))
+                begin_ns, end_ns = (int(times[row]) for row in stretch)
+                words = f"{one.words(sum(stretch) // 2)}, for {ms(end_ns - begin_ns)}"
+                cause = shown(one.slug, one.signal.step(begin_ns, words))
+                seen.setdefault(one.slug, Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,)))
         found += seen.values()
     return found
-
-
-def _incident(one: Mismatch, times: Ints, begin: int, end: int) -> Incident:
-    lasted_ns = int(times[end] - times[begin])
-    words = f"{one.words((begin + end) // 2)}, for {ms(lasted_ns)}"
-    cause = shown(one.slug, one.signal.step(int(times[begin]), words))
-    return Incident(IncidentKind.MISMATCH, int(times[begin]), words, (cause,))
 
 
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
