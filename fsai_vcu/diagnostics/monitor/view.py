@@ -11,16 +11,16 @@ import numpy as np
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE, CAR_TORQUE_MAX
 from fsai_vcu.diagnostics.explain.endings import emergencies
+from fsai_vcu.diagnostics.explain.evidence import error_text
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
 from fsai_vcu.diagnostics.explain.record import Record, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.explain.starting import why_not_driving
 from fsai_vcu.diagnostics.explain.timeline import timeline
-from fsai_vcu.diagnostics.log.frames import ERROR, Frames
+from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, bytes_of, changed_bytes, signals_of
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, handshake_of, keys_of
@@ -304,13 +304,8 @@ class _Moment:
         waiting_s = self._handshake_waiting_s()
         if waiting_s is not None and waiting_s >= _SLOW_ECHO_S and len(lost) < len(AI_IDS):
             found.append(f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)")
-        found += self._errors()
+        errors = self._record.error_ns[self._record.error_ns > self._now_ns - WINDOW_NS].tolist()
+        if errors:
+            many = f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s"
+            found.append(f"{many}, the last: {error_text(self._record, errors[-1])}")
         return found
-
-    def _errors(self) -> list[str]:
-        errors = self._window.only((self._window.flags & ERROR) != 0)
-        if not len(errors):
-            return []
-        last = len(errors) - 1
-        words = ", ".join(error_words(int(errors.can_id[last]), errors.payload(last)))
-        return [f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s, the last: {words}"]
