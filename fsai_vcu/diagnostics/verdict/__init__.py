@@ -113,7 +113,10 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
     """Every finding on a log. `buses`: the figures of each of its channels."""
     explanation = explained(record)
     findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
-    findings += _second_senders(record)
+    remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
+    for one in record.second_senders:
+        where = (one.begin_ns, remedy, one.can_ids, record.channel)
+        findings.append(Finding(Severity.PROBLEM, "intruder", one.sentence, *where))
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
     absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
     for bus in buses:
@@ -142,14 +145,6 @@ def _of_incident(incident: Incident) -> Finding:
         first.cause.remedy,
         tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),
     )
-
-
-def _second_senders(record: Record) -> Iterator[Finding]:
-    for other in record.second_senders:
-        remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
-        yield Finding(
-            Severity.PROBLEM, "intruder", other.sentence, other.begin_ns, remedy, other.can_ids, record.channel
-        )
 
 
 def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
