@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import story_of
+    from fsai_vcu.diagnostics.explain import explained
     from fsai_vcu.diagnostics.statistics.measure import measure
 
     decoding = Decoding("compare", args)
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         status |= sources.status
         records.append(record)
         buses.append(measure(record.frames, record.decoder, revision=record.revision.name)[0])
-        incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in story_of(record).incidents])
+        incidents.append([f"{i.kind.words}: {i.candidates[0].cause.words}" for i in explained(record).incidents])
     lines = [*_messages(*buses), *_signals(*records)]
     if records[0].revision.name != records[1].revision.name:
         lines.append(f"interface revision: {records[0].revision.name}, then {records[1].revision.name}")
@@ -69,7 +69,7 @@ def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:
 
 
 def _signals(first: Record, second: Record) -> Iterator[str]:
-    from fsai_vcu.diagnostics.explain.record import Signal
+    from fsai_vcu.diagnostics.explain.signals import Signal
 
     for layout in first.decoder.databases.layouts.values():
         for signal in layout.signals:

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import record_for, story_of
+    from fsai_vcu.diagnostics.explain import record_for
     from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
@@ -41,10 +41,9 @@ def run(args: argparse.Namespace) -> int:
     length_s = (record.end_ns - record.begin_ns) / 1e9
     if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):
         raise UserError(f"no frame of {sources.name} is in that part")
-    story = story_of(record)
     buses = measure(frames, record.decoder, revision=record.revision.name)
-    verdict = judge_log(record, story, buses).between(begin_s, end_s)
-    shown = cut(story, begin_s, end_s)
+    verdict = judge_log(record, buses).between(begin_s, end_s)
+    shown = cut(verdict.explanation, begin_s, end_s)
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)

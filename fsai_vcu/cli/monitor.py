@@ -139,7 +139,7 @@ def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> N
 
 
 def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
-    from fsai_vcu.diagnostics.monitor.plain import plain_line
+    from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 
     try:
         while True:

@@ -24,7 +24,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import story_of
     from fsai_vcu.diagnostics.report.page import page_of
 
     check_seconds(args)
@@ -36,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     chosen = record.matching((args.signals or "").split(","))
     if args.signals is not None and not chosen:
         raise UserError(f"no signal {args.signals} in {sources.name}; fsai-vcu dbc show lists them")
-    text = page_of(record, story_of(record), Path(sources.name).name, chosen)
+    text = page_of(record, Path(sources.name).name, chosen)
     try:
         _write(args.output, text)
     except OSError as error:

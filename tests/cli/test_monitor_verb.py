@@ -26,11 +26,8 @@ from fsai_vcu.interface.frames import Frame
 DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
 OFF = bytes.fromhex("2106013020000000")
 WITHIN_S = 30.0
-HIDDEN = (
-    "NO_COLOR",
-    "COLUMNS",
-    "LINES",
-)  # of those who run the tests: a size in the environment goes before the real one
+# Of those who run the tests: a size in the environment goes before the real one
+HIDDEN = ("NO_COLOR", "COLUMNS", "LINES")
 VERB = [sys.executable, "-m", "fsai_vcu.cli.main", "monitor"]
 
 
@@ -236,7 +233,7 @@ ENTER, LEAVE = re.escape("\x1b[?1049h"), re.escape("\x1b[?1049l")
 NOTHING = "nothing is received on this bus"
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, "q", "\x03"])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "q", "\x03"])
 def test_however_it_ends_the_terminal_is_left_as_it_was(terminal: Terminal, how: signal.Signals | str) -> None:
     terminal.read(NOTHING)
     assert re.search(ENTER, terminal.seen)
@@ -251,19 +248,15 @@ def test_however_it_ends_the_terminal_is_left_as_it_was(terminal: Terminal, how:
     assert terminal.seen.count("\x1b[?25l") <= terminal.seen.count("\x1b[?25h")  # the cursor
 
 
-def test_a_resized_terminal_is_drawn_in_its_new_size(terminal: Terminal) -> None:
-    terminal.read(NOTHING)
-    terminal.resize(40, 14)
-    terminal.process.send_signal(signal.SIGWINCH)  # as the kernel does for a controlling terminal
-    terminal.read(r"\x1b\[14;1H[^\n]*q quit")
-
-
-def test_p_holds_the_picture_until_it_is_pressed_again(terminal: Terminal) -> None:
+def test_p_holds_the_picture_and_a_new_size_is_drawn(terminal: Terminal) -> None:
     terminal.read(NOTHING)
     terminal.type("p")
     terminal.read("paused at [0-9:]+")
     terminal.type("p")
     terminal.read(r"listening only")
+    terminal.resize(40, 14)
+    terminal.process.send_signal(signal.SIGWINCH)  # as the kernel does for a controlling terminal
+    terminal.read(r"\x1b\[14;1H[^\n]*q quit")
 
 
 def test_while_it_is_stopped_the_terminal_is_given_back(terminal: Terminal) -> None:
@@ -290,12 +283,6 @@ def test_a_log_is_moved_in_and_no_color_is_honoured(log: str) -> None:
         assert not re.search(r"\x1b\[([\d;]*;)?[349][0-7](;[\d;]*)?m", terminal.seen)
     finally:
         terminal.close()
-
-
-def test_a_terminal_that_goes_away_ends_it(terminal: Terminal) -> None:
-    terminal.read(NOTHING)
-    terminal.process.send_signal(signal.SIGHUP)
-    assert terminal.process.wait(WITHIN_S) == 0
 
 
 def test_a_terminal_that_can_do_nothing_gets_plain_lines(log: str) -> None:

@@ -71,12 +71,6 @@ def test_an_empty_log_is_not_well(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "no frames in it" in said.err
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [(["--seconds", "nan"], "--seconds is nan, not a time"), (["--bitrate", "0"], "--bitrate is 0, not a bit rate")],
-)
-def test_wrong_use_is_one_clear_line(
-    options: list[str], words: str, well: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("stats", well, *options) == 2
-    assert capsys.readouterr().err == f"fsai-vcu stats: {words}\n"
+def test_wrong_use_is_one_clear_line(well: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("stats", well, "--bitrate", "0") == 2
+    assert capsys.readouterr().err == "fsai-vcu stats: --bitrate is 0, not a bit rate\n"

@@ -16,7 +16,8 @@ from multiprocessing.connection import Connection
 from fsai_hil.simulator.faults import FaultyWire, FrameFault
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
-from fsai_vcu.diagnostics.explain import record_for, story_of
+from fsai_vcu.diagnostics.decode.databases import Databases
+from fsai_vcu.diagnostics.explain import Explanation, explained, record_for
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.report.page import page_of
 from fsai_vcu.interface.enums import Ami, AsState
@@ -127,11 +128,20 @@ def driving(revision: str = "2026", profile: str = "specification") -> Run:
     return run
 
 
+def _with_everything_off() -> Run:
+    """A car with everything off, an AI computer that has just begun to send."""
+    run = Run.of(setup(auto=False))
+    run.go_on(0.5)
+    return run
+
+
+parked = cache(_with_everything_off)
+
+
 @cache
 def off() -> Run:
     """In AS_OFF with everything up, nobody at the switches, and no mission chosen."""
-    run = Run.of(setup(auto=False))
-    run.go_on(0.5)
+    run = _with_everything_off()
     run.switch(lvms=True, asms=True, tsms=True)
     run.until(lambda: run.state_is(AsState.AS_OFF))
     return run
@@ -140,18 +150,9 @@ def off() -> Run:
 @cache
 def ready() -> Run:
     """Half a second into AS_READY, nobody at the switches."""
-    run = Run.of(setup(auto=False))
-    run.go_on(0.5)
+    run = _with_everything_off()
     run.switch(lvms=True, asms=True, tsms=True, ami=Ami.ACCELERATION)
     run.until(lambda: run.state_is(AsState.AS_READY))
-    run.go_on(0.5)
-    return run
-
-
-@cache
-def parked() -> Run:
-    """A car with everything off, an AI computer that has just begun to send."""
-    run = Run.of(setup(auto=False))
     run.go_on(0.5)
     return run
 
@@ -171,7 +172,11 @@ def hand_made(lines: Sequence[tuple[float, int, str]]) -> Frames:
     return frames_of(LogFrame(round(t_s * 1e9), "can0", can_id, bytes.fromhex(data)) for t_s, can_id, data in lines)
 
 
+def tell(frames: Frames, databases: Databases | None = None) -> Explanation:
+    """What explain makes of these frames."""
+    return explained(record_for(frames, databases=databases))
+
+
 def page(frames: Frames, name: str) -> str:
     """The report's page on these frames."""
-    record = record_for(frames)
-    return page_of(record, story_of(record), name)
+    return page_of(record_for(frames), name)

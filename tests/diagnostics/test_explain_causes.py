@@ -4,43 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
-from story_runs import Act, Run, branch, driving, off, parked, ready
+from story_runs import Act, Run, branch, driving, off, parked, ready, tell
 
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
-from fsai_hil.simulator.faults import Drop, Freeze, WrongLength, WrongValues
-from fsai_vcu.diagnostics.explain import IncidentKind, tell
-from fsai_vcu.interface.enums import Ami, Direction, MissionStatus
+from fsai_hil.simulator.faults import Drop, FrameFault, Freeze, WrongLength, WrongValues
+from fsai_vcu.diagnostics.explain import IncidentKind
+from fsai_vcu.interface.enums import Ami, Direction
+from fsai_vcu.interface.enums import MissionStatus as Status
 from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.units import MS, S
 
 
 @dataclass(frozen=True)
 class End:
-    """One thing that goes wrong. `before_ns`, `after_ns`: how far from it the first step of the chain may lie."""
+    """One thing that goes wrong. `near_ns`: how far before and behind it the first step of the chain may lie."""
 
     name: str
     run: Callable[[], Run]
     act: Act
-    seconds: float
-    kind: IncidentKind
     slug: str
-    before_ns: int = 15 * MS
-    after_ns: int = 15 * MS
+    kind: IncidentKind = IncidentKind.EMERGENCY
+    seconds: float = 0.2
+    near_ns: tuple[int, int] = (15 * MS, 15 * MS)
     also: str = ""
+
+
+def refusal(name: str, run: Callable[[], Run], act: Act, slug: str, **others: Any) -> End:
+    """A car that does not start; where nothing else is named, for as long as it has to be waited for."""
+    return End(name, run, act, slug, IncidentKind.REFUSAL, **{"seconds": 5.2, **others})
 
 
 def switch(**values: object) -> Act:
     return lambda run: run.switch(**values)
 
 
+def spoil(*faults: FrameFault) -> Act:
+    return lambda run: run.spoil(*faults)
+
+
 def drop(*ids: int) -> Act:
-    return lambda run: run.spoil(Drop(frozenset(ids)))
+    return spoil(Drop(frozenset(ids)))
 
 
 def say(can_id: int, **values: object) -> Act:
     return lambda run: run.spoil(WrongValues(frozenset({can_id}), run.lockstep.world.codec, values))
+
+
+def says(**values: object) -> Act:
+    """In the AI computer's 0x510."""
+    return say(0x510, **values)
+
+
+def mission(status: Status) -> Act:
+    return says(mission_status=status)
 
 
 def car_drops(*ids: int) -> Act:
@@ -77,6 +97,18 @@ def silent_planner(run: Run) -> None:
 def brakeless(run: Run) -> None:
     run.lockstep.world.actuator_faults.append(no_brake)
     silent_controller(run)
+
+
+def kill_bridge(run: Run) -> None:
+    run.lockstep.computer.kill_bridge()
+
+
+def hang_for_80_ms(run: Run) -> None:
+    run.lockstep.computer.hang_bridge(run.now_ns + 80 * MS)
+
+
+def nothing(run: Run) -> None:
+    """The run goes on as it was."""
 
 
 def intrude(run: Run) -> None:
@@ -154,179 +186,87 @@ def simulator() -> Run:
     return driving("2026", "official-simulator")
 
 
-E, A, R, P = IncidentKind.EMERGENCY, IncidentKind.ABORT, IncidentKind.REFUSAL, IncidentKind.STOP
+A, P = IncidentKind.ABORT, IncidentKind.STOP
 EDGE = 60 * MS  # an AI computer's gate moves in cycles
+EDGES, SECOND = (25 * MS, 25 * MS), (1 * S, 1 * S)
+skidpad, forward = switch(ami=Ami.SKIDPAD), says(direction=Direction.FORWARD)
+brake_alone = both(say(0x512, torque_nm=0.0), say(0x511, torque_nm=0.0), say(0x514, front_pct=10.0))
 
 ENDS = [
     # ---- what people do
-    End("an E-stop button on the car", driving, switch(car_estop=True), 0.1, E, "sdc_open"),
-    End("the remote's E-stop", driving, switch(remote_estop=True), 0.1, E, "sdc_open"),
-    End("the dongle is pulled", driving, switch(dongle=False), 0.1, E, "sdc_open"),
-    End("the crash sensor", driving, switch(crash=True), 0.1, E, "sdc_open"),
-    End("the remote's radio is lost", driving, switch(remote_radio_ok=False), 0.2, E, "go_off", also="radio_lost"),
-    End("Go off", driving, switch(go=False), 0.1, E, "go_off"),
-    End("ASMS off", driving, switch(asms=False), 0.1, E, "asms_off"),
-    End("TSMS off", driving, switch(tsms=False), 0.1, E, "tsms_off"),
-    End("an E-stop button in AS_READY", ready, switch(car_estop=True), 0.1, E, "sdc_open"),
-    End("the operator's emergency brake", driving, operator, 0.1, E, "not_on_the_bus"),
+    End("an E-stop button on the car", driving, switch(car_estop=True), "sdc_open"),
+    End("the remote's E-stop", driving, switch(remote_estop=True), "sdc_open"),
+    End("the dongle is pulled", driving, switch(dongle=False), "sdc_open"),
+    End("the crash sensor", driving, switch(crash=True), "sdc_open"),
+    End("the remote's radio is lost", driving, switch(remote_radio_ok=False), "go_off", also="radio_lost"),
+    End("Go off", driving, switch(go=False), "go_off"),
+    End("ASMS off", driving, switch(asms=False), "asms_off"),
+    End("TSMS off", driving, switch(tsms=False), "tsms_off"),
+    End("an E-stop button in AS_READY", ready, switch(car_estop=True), "sdc_open"),
+    End("the operator's emergency brake", driving, operator, "not_on_the_bus"),
     # ---- what breaks in the car
-    End("the interlock opens", driving, switch(hvil_open=True), 0.1, E, "hvil_open"),
-    End("the interlock is shorted", driving, switch(hvil_short=True), 0.1, E, "hvil_short"),
-    End("EBS fault", driving, switch(ebs_fault=True), 0.1, E, "ebs_fault"),
-    End("EBS fault of a 2021 car", car_2021, switch(ebs_fault=True), 0.1, E, "ebs_fault"),
-    End("charger fault", driving, switch(offboard_charger_fault=True), 0.1, E, "offboard_charger"),
-    End("charge procedure fault", driving, switch(charge_procedure_fault=True), 0.1, E, "charge_procedure"),
-    End("BMS fault", driving, switch(bms_fault=True), 0.1, E, "bms"),
-    End("the VCU reboots", driving, reboot, 3.0, A, "vcu_reboot"),
-    End("the car is switched off", driving, switch(lvms=False), 3.0, A, "power_off"),
+    End("the interlock opens", driving, switch(hvil_open=True), "hvil_open"),
+    End("the interlock is shorted", driving, switch(hvil_short=True), "hvil_short"),
+    End("EBS fault", driving, switch(ebs_fault=True), "ebs_fault"),
+    End("EBS fault of a 2021 car", car_2021, switch(ebs_fault=True), "ebs_fault"),
+    End("charger fault", driving, switch(offboard_charger_fault=True), "offboard_charger"),
+    End("charge procedure fault", driving, switch(charge_procedure_fault=True), "charge_procedure"),
+    End("BMS fault", driving, switch(bms_fault=True), "bms"),
+    End("the VCU reboots", driving, reboot, "vcu_reboot", A, seconds=3.0),
+    End("the car is switched off", driving, switch(lvms=False), "power_off", A, seconds=3.0),
     # ---- what the AI computer says
-    End(
-        "FINISHED while moving",
-        driving,
-        say(0x510, mission_status=MissionStatus.FINISHED),
-        0.2,
-        E,
-        "finished_while_moving",
-    ),
-    End("NEUTRAL while moving", driving, say(0x510, direction=Direction.NEUTRAL), 0.2, E, "neutral_while_moving"),
-    End("torque with brake", driving, say(0x514, front_pct=20.0), 0.2, E, "torque_with_brake"),
+    End("FINISHED while moving", driving, mission(Status.FINISHED), "finished_while_moving"),
+    End("NEUTRAL while moving", driving, says(direction=Direction.NEUTRAL), "neutral_while_moving"),
+    End("torque with brake", driving, say(0x514, front_pct=20.0), "torque_with_brake"),
     # ---- the link
-    *(
-        End(f"0x{can_id:03X} is missing", driving, drop(can_id), 0.1, E, "ai_message_missing")
-        for can_id in (0x510, 0x511, 0x512, 0x513, 0x514)
-    ),
-    End("0x513 is missing, 2021", car_2021, drop(0x513), 0.2, E, "ai_message_missing"),
-    End(
-        "0x512 has a wrong length",
-        driving,
-        lambda run: run.spoil(WrongLength(frozenset({0x512}), 3)),
-        0.2,
-        E,
-        "ai_message_length",
-    ),
-    End("the bridge is killed", driving, lambda run: run.lockstep.computer.kill_bridge(), 0.2, E, "ai_silent"),
-    End(
-        "the bridge is killed in AS_READY", ready, lambda run: run.lockstep.computer.kill_bridge(), 0.2, E, "ai_silent"
-    ),
-    End("bus-off", driving, bus_off, 0.2, E, "bus_lost"),
-    End(
-        "the echo is frozen",
-        driving,
-        lambda run: run.spoil(Freeze(frozenset({0x510}))),
-        0.2,
-        E,
-        "handshake_lost",
-        25 * MS,
-        25 * MS,
-    ),
-    End("the VCU does not hear 0x514", driving, vcu_misses(0x514), 0.2, E, "ai_unheard", 0, 130 * MS),
+    *(End(f"0x{can_id:03X} is missing", driving, drop(can_id), "ai_message_missing") for can_id in AI_IDS),
+    End("0x513 is missing, 2021", car_2021, drop(0x513), "ai_message_missing"),
+    End("0x512 has a wrong length", driving, spoil(WrongLength(frozenset({0x512}), 3)), "ai_message_length"),
+    End("the bridge is killed", driving, kill_bridge, "ai_silent"),
+    End("the bridge is killed in AS_READY", ready, kill_bridge, "ai_silent"),
+    End("bus-off", driving, bus_off, "bus_lost"),
+    End("the echo is frozen", driving, spoil(Freeze(frozenset({0x510}))), "handshake_lost", near_ns=EDGES),
+    End("the VCU does not hear 0x514", driving, vcu_misses(0x514), "ai_unheard", near_ns=(0, 130 * MS)),
     # ---- what the AI side supervises
-    End("an intruder", driving, intrude, 0.1, E, "intruder"),
-    End("0x520 is missing", driving, car_drops(0x520), 1.0, A, "vcu_silent"),
-    End("0x520 is missing for 0.3 s", driving, car_is_silent_for_300_ms, 0.7, E, "vcu_silent"),
-    End("wheel speeds are missing", driving, car_drops(0x525), 1.0, E, "wheels_stale"),
-    End("steering feedback is missing", driving, car_drops(0x523), 1.0, E, "steering_stale"),
-    End("the steering is where it should not be", driving, sense(turned), 1.2, E, "steering_implausible", 0, 60 * MS),
-    End("one wheel does not fit the others", driving, sense(spinning), 1.2, E, "wheel_implausible"),
-    End(
-        "the loop hangs for 80 ms",
-        driving,
-        lambda run: run.lockstep.computer.hang_bridge(run.now_ns + 80 * MS),
-        0.2,
-        E,
-        "loop_fault",
-    ),
-    End("the brake does not work", driving, brakeless, 3.0, E, "stop_ineffective", 0, 400 * MS),
-    End("the controller falls silent", driving, silent_controller, 3.0, P, "command_stale", 25 * MS, 25 * MS),
-    End("the planner falls silent", driving, silent_planner, 4.0, P, "command_stale", 0, 600 * MS),
-    End("manual while driving", driving, manual, 3.0, P, "stop_asked", 0, EDGE),
+    End("an intruder", driving, intrude, "intruder"),
+    End("0x520 is missing", driving, car_drops(0x520), "vcu_silent", A, seconds=1.0),
+    End("0x520 is missing for 0.3 s", driving, car_is_silent_for_300_ms, "vcu_silent", seconds=0.7),
+    End("wheel speeds are missing", driving, car_drops(0x525), "wheels_stale", seconds=1.0),
+    End("steering feedback is missing", driving, car_drops(0x523), "steering_stale", seconds=1.0),
+    End("the steering is elsewhere", driving, sense(turned), "steering_implausible", seconds=1.2, near_ns=(0, 60 * MS)),
+    End("one wheel does not fit the others", driving, sense(spinning), "wheel_implausible", seconds=1.2),
+    End("the loop hangs for 80 ms", driving, hang_for_80_ms, "loop_fault"),
+    End("the brake does not work", driving, brakeless, "stop_ineffective", seconds=3.0, near_ns=(0, 400 * MS)),
+    End("the controller falls silent", driving, silent_controller, "command_stale", P, seconds=3.0, near_ns=EDGES),
+    End("the planner falls silent", driving, silent_planner, "command_stale", P, seconds=4.0, near_ns=(0, 600 * MS)),
+    End("manual while driving", driving, manual, "stop_asked", P, seconds=3.0, near_ns=(0, EDGE)),
     # ---- the official simulator
-    End(
-        "simulator: a brake is asked for",
-        simulator,
-        both(say(0x512, torque_nm=0.0), say(0x511, torque_nm=0.0), say(0x514, front_pct=10.0)),
-        0.2,
-        E,
-        "brake_request_simulator",
-    ),
-    End("simulator: ASMS off", simulator, switch(asms=False), 0.5, A, "asms_off"),
-    End(
-        "simulator: NOT_SELECTED",
-        simulator,
-        say(0x510, mission_status=MissionStatus.NOT_SELECTED),
-        0.5,
-        A,
-        "not_selected_simulator",
-    ),
-    End("simulator: 0x512 is missing", simulator, drop(0x512), 0.2, E, "ai_message_missing"),
+    End("simulator: a brake is asked for", simulator, brake_alone, "brake_request_simulator"),
+    End("simulator: ASMS off", simulator, switch(asms=False), "asms_off", A, seconds=0.5),
+    End("simulator: NOT_SELECTED", simulator, mission(Status.NOT_SELECTED), "not_selected_simulator", A, seconds=0.5),
+    End("simulator: 0x512 is missing", simulator, drop(0x512), "ai_message_missing"),
     # ---- refusals to get ready
-    End("ASMS stays off", parked, up(asms=False), 6.5, R, "asms", 0, 1 * S),
-    End("TSMS stays off", parked, up(tsms=False), 6.5, R, "tsms", 0, 1 * S),
-    End(
-        "nobody sends AI data",
-        parked,
-        both(drop(0x510, 0x511, 0x512, 0x513, 0x514), up()),
-        6.5,
-        R,
-        "no_ai_data",
-        1 * S,
-        1 * S,
-    ),
-    End("0x514 never comes", parked, both(drop(0x514), up()), 6.5, R, "ai_data_incomplete", 1 * S, 1 * S),
-    End("no mission", off, lambda run: None, 5.2, R, "no_mission", 10 * S, 0),
-    End(
-        "the AI computer stays manual",
-        off,
-        both(manual, switch(ami=Ami.SKIDPAD)),
-        5.2,
-        R,
-        "status_not_selected",
-        10 * S,
-        0,
-    ),
-    End(
-        "RUNNING too early",
-        off,
-        both(say(0x510, mission_status=MissionStatus.RUNNING), switch(ami=Ami.SKIDPAD)),
-        5.2,
-        R,
-        "status_running",
-    ),
-    End(
-        "FINISHED still",
-        off,
-        both(say(0x510, mission_status=MissionStatus.FINISHED), switch(ami=Ami.SKIDPAD)),
-        5.2,
-        R,
-        "status_finished",
-    ),
-    End("ESTOP_REQUEST is latched", off, both(operator, switch(ami=Ami.SKIDPAD)), 5.2, R, "estop_latched"),
-    End(
-        "an E-stop button is pressed",
-        off,
-        both(switch(car_estop=True), switch(ami=Ami.SKIDPAD)),
-        5.2,
-        R,
-        "ts_not_running",
-    ),
-    End("an EBS fault in AS_OFF", off, switch(ebs_fault=True, ami=Ami.SKIDPAD), 5.2, R, "fault"),
-    End("no power cycle after an emergency", ready, run_and_forget, 5.2, R, "power_cycle", 0, 17 * S),
+    refusal("ASMS stays off", parked, up(asms=False), "asms", seconds=6.5, near_ns=(0, 1 * S)),
+    refusal("TSMS stays off", parked, up(tsms=False), "tsms", seconds=6.5, near_ns=(0, 1 * S)),
+    refusal("nobody sends AI data", parked, both(drop(*AI_IDS), up()), "no_ai_data", seconds=6.5, near_ns=SECOND),
+    refusal("0x514 never comes", parked, both(drop(0x514), up()), "ai_data_incomplete", seconds=6.5, near_ns=SECOND),
+    refusal("no mission", off, nothing, "no_mission", near_ns=(10 * S, 0)),
+    refusal("the AI computer stays manual", off, both(manual, skidpad), "status_not_selected", near_ns=(10 * S, 0)),
+    refusal("RUNNING too early", off, both(mission(Status.RUNNING), skidpad), "status_running"),
+    refusal("FINISHED still", off, both(mission(Status.FINISHED), skidpad), "status_finished"),
+    refusal("ESTOP_REQUEST is latched", off, both(operator, skidpad), "estop_latched"),
+    refusal("an E-stop button is pressed", off, both(switch(car_estop=True), skidpad), "ts_not_running"),
+    refusal("an EBS fault in AS_OFF", off, switch(ebs_fault=True, ami=Ami.SKIDPAD), "fault"),
+    refusal("no power cycle after an emergency", ready, run_and_forget, "power_cycle", near_ns=(0, 17 * S)),
     # ---- refusals to drive
-    End("Go after 2 s", ready, go_after(1.5), 1.0, R, "go_too_early", 0, 0),
-    End("Go is never given", ready, lambda run: None, 5.8, R, "no_go", 0, 0),
-    End("Go is on from before", off, switch(go=True, ami=Ami.SKIDPAD), 8.0, R, "go_held"),
-    End("torque in AS_READY", ready, go_after(5.0, say(0x512, torque_nm=20.0)), 0.5, R, "torque_requested"),
-    End("steering in AS_READY", ready, go_after(5.0, say(0x513, steer_deg=3.0)), 0.5, R, "steering_requested"),
-    End("the wheels are turned", ready, go_after(5.0, sense(turned)), 0.5, R, "steering_turned"),
-    End(
-        "FORWARD in AS_READY",
-        ready,
-        go_after(5.0, say(0x510, direction=Direction.FORWARD)),
-        0.5,
-        R,
-        "direction_not_neutral",
-    ),
-    End("ASMS off in AS_READY", ready, switch(asms=False), 0.5, R, "given_up"),
+    refusal("Go after 2 s", ready, go_after(1.5), "go_too_early", seconds=1.0, near_ns=(0, 0)),
+    refusal("Go is never given", ready, nothing, "no_go", seconds=5.8, near_ns=(0, 0)),
+    refusal("Go is on from before", off, switch(go=True, ami=Ami.SKIDPAD), "go_held", seconds=8.0),
+    refusal("torque in AS_READY", ready, go_after(5.0, say(0x512, torque_nm=20.0)), "torque_requested", seconds=0.5),
+    refusal("steering in AS_READY", ready, go_after(5.0, say(0x513, steer_deg=3.0)), "steering_requested", seconds=0.5),
+    refusal("the wheels are turned", ready, go_after(5.0, sense(turned)), "steering_turned", seconds=0.5),
+    refusal("FORWARD in AS_READY", ready, go_after(5.0, forward), "direction_not_neutral", seconds=0.5),
+    refusal("ASMS off in AS_READY", ready, switch(asms=False), "given_up", seconds=0.5),
 ]
 
 
@@ -338,9 +278,8 @@ def test_the_action_on_the_car_is_named_first_with_its_time(end: End) -> None:
     assert incidents, [(i.kind, i.what) for i in story.incidents]
     first = incidents[-1].candidates[0]
     assert first.slug == end.slug, [(c.slug, c.sureness, c.steps) for c in incidents[-1].candidates]
-    if end.before_ns or end.after_ns:
-        apart_ms = (first.t_ns - log.injected_ns) / 1e6
-        assert -end.before_ns / 1e6 <= apart_ms <= end.after_ns / 1e6, first.steps
+    if any(end.near_ns):
+        assert -end.near_ns[0] <= first.t_ns - log.injected_ns <= end.near_ns[1], first.steps
     if end.also:
         assert end.also in [one.slug for one in incidents[-1].candidates]
     assert not story.clean

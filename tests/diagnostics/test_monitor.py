@@ -18,8 +18,7 @@ from story_runs import Ended, branch, driving, off, ready
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, message_row, overview
-from fsai_vcu.diagnostics.monitor.plain import plain_line
-from fsai_vcu.diagnostics.monitor.snapshot import Freshness, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, Picture, plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
@@ -309,13 +308,8 @@ def test_chunks_of_any_size_give_the_same_picture() -> None:
 
 
 def test_the_revision_is_recognised_or_as_given() -> None:
-    old = joined(
-        [
-            every_cycle(
-                0, S, (0x520, bytes.fromhex("0016110000000000")), (0x523, "0000d2000000"), (0x120, "0400010000000000")
-            )
-        ]
-    )
+    status_2021, steer, system = bytes.fromhex("0016110000000000"), "0000d2000000", "0400010000000000"
+    old = every_cycle(0, S, (0x520, status_2021), (0x523, steer), (0x120, system))
     assert seen(old).revision == "2021"
     assert "TS_STATE" not in seen(old).states
     given = View("can0", REVISIONS["2026"])

@@ -209,9 +209,3 @@ def test_plots_work_with_the_keyboard_and_have_text_alternatives(shown: Callable
     canvas.send_keys("+")
     canvas.send_keys("\ue014")  # arrow to the right
     WebDriverWait(browser, 10).until(lambda b: b.find_element(By.ID, "range").text.startswith("at "))
-
-
-def test_what_a_log_is_called_is_text_and_never_markup(shown: Callable[..., Chrome]) -> None:
-    browser = shown(1280)
-    assert browser.find_element(By.TAG_NAME, "h1").text.startswith("a <b>run</b> & its log")
-    assert browser.find_elements(By.CSS_SELECTOR, "h1 b") == []

@@ -1,10 +1,10 @@
-"""The story of a run: what happened on the car's bus, and why.
+"""A run explained: what happened on the car's bus, and why.
 
-    story = tell(frames)                      # frames.Frames of a whole log
-    story.events, story.incidents             # timeline; emergency brakes, refusals to start, early stops, with causes
-    print_story(story, …) / json_lines(story) # telling.py
+    explanation = explained(record_for(frames))     # frames.Frames of a whole log
+    explanation.events, explanation.incidents       # timeline; emergency brakes, refusals to start, early stops, causes
+    text_lines(explanation, …), json_lines(…)       # render.py
 
-`record.py` sorts a log into signals; `timeline.py` names what changed; `emergencies.py`, `starting.py` and `stops.py`
+`record.py` sorts a log into signals; `timeline.py` names what changed; `endings.py` and `starting.py`
 find causes by rules, with `causes.py` as the table of their words; nothing here knows where frames come from.
 """
 
@@ -13,36 +13,28 @@ from __future__ import annotations
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain.actuation import mismatches
-from fsai_vcu.diagnostics.explain.emergencies import emergencies
+from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
 from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
-from fsai_vcu.diagnostics.explain.record import Record, record_of
+from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
-from fsai_vcu.diagnostics.explain.stops import early_stops
 from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision as revision_named
 
-__all__ = ["Explanation", "Incident", "IncidentKind", "TimelineEntry", "record_for", "story_of", "tell"]
+__all__ = ["Explanation", "Incident", "IncidentKind", "TimelineEntry", "explained", "record_for"]
 
 
 def record_for(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Record:
-    """The frames sorted for a story; the revision is guessed if none is given. Raises ValueError."""
-    chosen, reason = guess_revision(frames) if revision is None else (revision_named(revision), "given")
-    return record_of(frames, chosen, reason, databases)
+    """The frames of a log sorted; the revision is guessed if none is given. Raises ValueError."""
+    return Record(frames, None if revision is None else revision_named(revision), databases)
 
 
-def tell(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Explanation:
-    """The story of a log. Raises ValueError for a log without frames, or an unknown revision."""
-    return story_of(record_for(frames, revision, databases))
-
-
-def story_of(record: Record) -> Explanation:
-    """The story of a log that is sorted already."""
+def explained(record: Record) -> Explanation:
+    """What happened in a log, and why."""
     incidents = [*emergencies(record), *refusals(record), *early_stops(record), *mismatches(record)]
     return Explanation(
         heading={
@@ -71,7 +63,7 @@ def _closing(record: Record) -> str:
 
 
 def _missing(record: Record) -> list[str]:
-    """What this log lacks for the whole story."""
+    """What this log lacks to be explained whole."""
     lacking = []
     if not record.has(STATUS):
         lacking.append(

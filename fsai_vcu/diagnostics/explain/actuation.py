@@ -11,11 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Incident, IncidentKind, shown
-from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values, ms
-from fsai_vcu.diagnostics.explain.signals import car_of
+from fsai_vcu.diagnostics.explain.record import Record, Values, ms
+from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import Ints, Mask
 from fsai_vcu.interface.specification import PERIOD_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
@@ -60,20 +59,16 @@ def mismatches(record: Record) -> list[Incident]:
         if span.value != sig.DRIVING or len(times) <= STEER_TIME_NS // PERIOD_NS:
             continue
         seen: dict[str, Incident] = {}  # an axle that does not do it is enough
-        for one in _all(record, car_of(record), times):
+        for one in _all(record, times):
             known = [_fresh(record, each, times) for each in (one.signal, one.asked, sig.WHEELS[0])]
             stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times)
             if stretch is not None:
-                seen.setdefault(one.slug, _incident(one, times, *stretch))
+                begin_ns, end_ns = (int(times[row]) for row in stretch)
+                words = f"{one.words(sum(stretch) // 2)}, for {ms(end_ns - begin_ns)}"
+                cause = shown(one.slug, one.signal.step(begin_ns, words))
+                seen.setdefault(one.slug, Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,)))
         found += seen.values()
     return found
-
-
-def _incident(one: Mismatch, times: Ints, begin: int, end: int) -> Incident:
-    lasted_ns = int(times[end] - times[begin])
-    words = f"{one.words((begin + end) // 2)}, for {ms(lasted_ns)}"
-    cause = shown(one.slug, one.signal.step(int(times[begin]), words))
-    return Incident(IncidentKind.MISMATCH, int(times[begin]), words, (cause,))
 
 
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
@@ -95,9 +90,12 @@ def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
     return longest if longest is not None and times[longest[1]] - times[longest[0]] >= one.least_ns else None
 
 
-def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismatch]:
+def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
+    """Every check; what the log does not have counts as 0 here, and is never fresh."""
+    car = record.car
+
     def column(signal: Signal) -> Values:
-        return sampled(record.series(signal), times)
+        return record.series(signal).sampled(times)
 
     wheels = np.stack([column(signal) for signal in sig.WHEELS])
     fastest = wheels.max(axis=0)
@@ -108,7 +106,7 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0]),
         ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1]),
     ):
-        if not driven or not len(record.series(given_signal)):
+        if not driven:
             continue
         asked, given = column(asked_signal), column(given_signal)
         given_sum += given
@@ -127,35 +125,29 @@ def _all(record: Record, car: VehicleParameters, times: Ints) -> Iterator[Mismat
         (pushed > TORQUE_NM) & (highest(fastest, START_TIME_NS) < STANDING_RPM),
         lambda row: f"{given_sum[row]:.0f} Nm are given, and no wheel turns",
     )
-    for axle, asked_signal, given_signal in (
-        ("front", sig.BRAKE_REQ_F, sig.BRAKE_F),
-        ("rear", sig.BRAKE_REQ_R, sig.BRAKE_R),
-    ):
-        if not len(record.series(given_signal)):
-            continue
+    brakes = (("front", sig.BRAKE_REQ_F, sig.BRAKE_F), ("rear", sig.BRAKE_REQ_R, sig.BRAKE_R))
+    for axle, asked_signal, given_signal in brakes:
         asked, given = column(asked_signal), column(given_signal)
         low, high = lowest(asked, BRAKE_TIME_NS), highest(asked, 2 * BRAKE_TIME_NS)
         words = asked_and_given(f"{axle} brake", "%", asked, given)
         less, more = (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), given > 1.3 * high + BRAKE_PCT
         yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, BRAKE_LASTING_NS)
         yield Mismatch("brake_unasked", given_signal, asked_signal, more, words)
-    if len(record.series(sig.ANGLE)):
-        asked, angle = column(sig.STEER), column(sig.ANGLE)
-        limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
-        within = np.clip(asked, -limit, limit)
-        low, high = lowest(within, STEER_TIME_NS), highest(within, STEER_TIME_NS)
-        off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
-        off[: STEER_TIME_NS // PERIOD_NS] = False
-        words = asked_and_given("steering", "deg", asked, angle)
-        yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words)
-    if len(record.series(sig.WHEELS[0])):
-        for number, name in enumerate(sig.WHEEL_NAMES):
-            others = np.sort(np.delete(wheels, number, axis=0), axis=0)
-            middle = others[1]
-            allowed = WHEEL_RPM + WHEEL_SHARE * middle
-            unlike = (np.abs(wheels[number] - middle) > allowed) & (others[2] - others[0] <= allowed)
-            words = compared(name, wheels[number], middle)
-            yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words)
+    asked, angle = column(sig.STEER), column(sig.ANGLE)
+    limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
+    within = np.clip(asked, -limit, limit)
+    low, high = lowest(within, STEER_TIME_NS), highest(within, STEER_TIME_NS)
+    off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
+    off[: STEER_TIME_NS // PERIOD_NS] = False
+    words = asked_and_given("steering", "deg", asked, angle)
+    yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words)
+    for number, name in enumerate(sig.WHEEL_NAMES):
+        others = np.sort(np.delete(wheels, number, axis=0), axis=0)
+        middle = others[1]
+        allowed = WHEEL_RPM + WHEEL_SHARE * middle
+        unlike = (np.abs(wheels[number] - middle) > allowed) & (others[2] - others[0] <= allowed)
+        words = compared(name, wheels[number], middle)
+        yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words)
 
 
 def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:
@@ -164,13 +156,6 @@ def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Calla
 
 def compared(wheel: str, speed: Values, others: Values) -> Callable[[int], str]:
     return lambda row: f"{wheel} at {speed[row]:.0f} rpm, the others at {others[row]:.0f} rpm"
-
-
-def sampled(series: Series, times: Ints) -> Values:
-    """The newest value of a signal at each of `times`, its first one before; zeros where the log does not have it."""
-    if not len(series):
-        return np.zeros(len(times))
-    return series.values[np.maximum(np.searchsorted(series.t_ns, times, side="right") - 1, 0)]
 
 
 def lowest(values: Values, over_ns: int) -> Values:

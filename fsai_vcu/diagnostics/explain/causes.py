@@ -1,14 +1,13 @@
 """Why a car brakes or does not start: one table from the cause to its words and to what to do about it.
 
 Causes that the AI side's supervisor knows as well have its words (core/supervision/reasons.py); the car's own have the
-names of the interface. A cause is found by the rules of `emergencies.py`, `starting.py` and `stops.py`.
+names of the interface. A cause is found by the rules of `endings.py` and `starting.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 from fsai_vcu.core.supervision.reasons import Reason
@@ -331,30 +330,26 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
 }
 
-CAUSES: Final[Mapping[str, Cause]] = MappingProxyType({slug: Cause(slug, *row) for slug, row in _CAUSES.items()})
+CAUSES: Final[Mapping[str, Cause]] = {slug: Cause(slug, *row) for slug, row in _CAUSES.items()}
 
-SHUTDOWN: Final[Mapping[ShutdownCause, str]] = MappingProxyType(
-    {
-        ShutdownCause.AI_COMPUTER_REQUEST: "ai_computer_request",
-        ShutdownCause.HVIL_OPEN_FAULT: "hvil_open",
-        ShutdownCause.HVIL_SHORT_FAULT: "hvil_short",
-        ShutdownCause.EBS_FAULT: "ebs_fault",
-        ShutdownCause.OFFBOARD_CHARGER_FAULT: "offboard_charger",
-        ShutdownCause.AI_COMMS_FAULT: "ai_comms_lost",
-        ShutdownCause.AUTONOMOUS_BRAKING_FAULT: "neutral_while_moving",
-        ShutdownCause.MISSION_STATUS_FAULT: "finished_while_moving",
-        ShutdownCause.CHARGE_PROCEDURE_FAULT: "charge_procedure",
-        ShutdownCause.BMS_FAULT: "bms",
-        ShutdownCause.BRAKE_PLAUSIBILITY_FAULT: "torque_with_brake",
-    }
-)
+SHUTDOWN: Final[Mapping[ShutdownCause, str]] = {
+    ShutdownCause.AI_COMPUTER_REQUEST: "ai_computer_request",
+    ShutdownCause.HVIL_OPEN_FAULT: "hvil_open",
+    ShutdownCause.HVIL_SHORT_FAULT: "hvil_short",
+    ShutdownCause.EBS_FAULT: "ebs_fault",
+    ShutdownCause.OFFBOARD_CHARGER_FAULT: "offboard_charger",
+    ShutdownCause.AI_COMMS_FAULT: "ai_comms_lost",
+    ShutdownCause.AUTONOMOUS_BRAKING_FAULT: "neutral_while_moving",
+    ShutdownCause.MISSION_STATUS_FAULT: "finished_while_moving",
+    ShutdownCause.CHARGE_PROCEDURE_FAULT: "charge_procedure",
+    ShutdownCause.BMS_FAULT: "bms",
+    ShutdownCause.BRAKE_PLAUSIBILITY_FAULT: "torque_with_brake",
+}
 """SHUTDOWN_CAUSE of 0x520 -> cause. Every value but NO_SHUTDOWN has a row."""
 
-FAULT_BITS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "AI_ESTOP_REQUEST": SHUTDOWN[ShutdownCause.AI_COMPUTER_REQUEST],
-        "AI_COMMS_LOST": SHUTDOWN[ShutdownCause.AI_COMMS_FAULT],
-        **{cause.name: slug for cause, slug in SHUTDOWN.items() if cause.name in FAULT_NAMES.values()},
-    }
-)
+FAULT_BITS: Final[Mapping[str, str]] = {
+    "AI_ESTOP_REQUEST": SHUTDOWN[ShutdownCause.AI_COMPUTER_REQUEST],
+    "AI_COMMS_LOST": SHUTDOWN[ShutdownCause.AI_COMMS_FAULT],
+    **{cause.name: slug for cause, slug in SHUTDOWN.items() if cause.name in FAULT_NAMES.values()},
+}
 """Fault bit of 0x520 -> cause. Every bit has a row."""

@@ -1,6 +1,7 @@
-"""Why did the AI computer ask: what the frames show before an ESTOP_REQUEST or before its service-brake stop.
+"""What the frames show of the moments before: how the link was lost, and why the AI computer asked.
 
-The conditions and times are those of the supervisor (core/supervision): its own checks are run over the log.
+The conditions and times of an ESTOP_REQUEST or a service-brake stop are those of the supervisor (core/supervision): its
+own checks are run over the log.
 """
 
 from __future__ import annotations
@@ -15,24 +16,131 @@ from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.plausibility import SteeringCheck, WheelCheck, check_steering, check_wheels
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.wheel_speeds import WheelBelief, on_counts, on_speeds
+from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.actuation import sampled
-from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, shown
-from fsai_vcu.diagnostics.explain.link import dead_bus, gap_at
-from fsai_vcu.diagnostics.explain.record import Record, Signal, Values, ms
-from fsai_vcu.diagnostics.explain.signals import car_of, label
-from fsai_vcu.diagnostics.log.frames import Ints
+from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate, shown
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Values, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.log.frames import ERROR, Ints
+from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.messages import AiCommand, VcuSteer, WheelCounts, WheelSpeeds
-from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.fields import fields_of
+from fsai_vcu.interface.messages import (
+    AiBrake,
+    AiCommand,
+    AiDriveFront,
+    AiDriveRear,
+    VcuSteer,
+    WheelCounts,
+    WheelSpeeds,
+)
+from fsai_vcu.interface.reserved import AI_IDS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
+EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
+AT_ONCE_NS: Final = 30 * MS  # messages that stop within this time stop together
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off …
+REBOOT_NS: Final = 3 * S  # … unless it is back by then: a VCU that restarted by itself
+LOOK_BACK_NS: Final = 2 * S
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
 BUS_NS: Final = 1 * S
 JUDGED_NS: Final = 30 * S  # implausibility is looked for over so much of the drive
 BELIEVED_NS: Final = 4 * S  # so much before is needed to compare wheel speeds with pulse counts
 SLACK_NS: Final = 25 * MS
+
+
+# ---------------------------------------------------------------- the link
+
+
+def gap_at(record: Record, can_id: int, t_ns: int, least_ns: int) -> Gap | None:
+    """The gap of that message which had lasted `least_ns` (or nearly) at `t_ns`, or had ended shortly before."""
+    for gap in record.gaps(can_id, least_ns - EARLY_NS):
+        if gap.begin_ns + least_ns - EARLY_NS <= t_ns and gap.over_ns >= t_ns - AT_ONCE_NS:
+            return None if record.silence_in(gap) else gap
+    return None
+
+
+def silence_words(begin_ns: int, end_ns: int) -> str:
+    return f"nothing at all is received for {ms(end_ns - begin_ns)}: the bus was dead, or the recording paused"
+
+
+def dead_bus(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
+    """Nothing was received just before `t_ns`: then no single message can be blamed."""
+    for begin_ns, end_ns in record.silences:
+        if begin_ns < t_ns and end_ns >= t_ns - AT_ONCE_NS:
+            return [candidate("bus_lost", sureness, ChainLink(begin_ns, silence_words(begin_ns, end_ns)))]
+    return []
+
+
+def error_text(record: Record, t_ns: int) -> str:
+    """What the error frame at `t_ns` says."""
+    frames = record.frames
+    rows = np.flatnonzero(((frames.flags & ERROR) != 0) & (frames.t_ns == t_ns))
+    return ", ".join(error_words(int(frames.can_id[rows[0]]), frames.payload(int(rows[0]))))
+
+
+def link_losses(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
+    """What explains AI_COMMS_LOST at `t_ns`, the likeliest first. Empty where the frames show a sound link.
+
+    `sureness`: how sure it is that the link was lost at all.
+    """
+    if found := dead_bus(record, t_ns, sureness):
+        return found
+    gaps = {can_id: gap for can_id in AI_IDS if (gap := gap_at(record, can_id, t_ns, COMMS_LOST_NS)) is not None}
+    begins = [gap.begin_ns for gap in gaps.values()]
+    if len(gaps) == len(AI_IDS) and max(begins) - min(begins) <= AT_ONCE_NS:
+        return [_silent(record, t_ns, list(gaps.values()), sureness)]
+    for can_id, gap in gaps.items():
+        wrong = record.wrong_length.get(can_id)
+        if wrong is not None and wrong[1] <= t_ns:
+            slug, words = "ai_message_length", f"{BY_ID[can_id]} comes with the wrong length"
+        else:
+            length = "to the end of the log" if gap.end_ns is None else gap.words()
+            slug = "ai_message_missing"
+            words = f"the last {BY_ID[can_id]} before it is missing {length}, while others go on"
+        found.append(candidate(slug, sureness, ChainLink(gap.begin_ns, words, can_id)))
+    for can_id in AI_IDS if record.ai_speaks else ():
+        if not record.has(can_id):
+            begin_ns = min(int(record.times(i)[0]) for i in AI_IDS if record.has(i))
+            wrong = record.wrong_length.get(can_id)
+            slug = "ai_message_length" if wrong else "ai_message_missing"
+            words = f"{BY_ID[can_id]} " + ("always has the wrong length" if wrong else "never comes")
+            found.append(candidate(slug, sureness, ChainLink(begin_ns, words, can_id)))
+    return found or _handshake(record, t_ns, sureness)
+
+
+def _silent(record: Record, t_ns: int, gaps: list[Gap], sureness: Sureness) -> Candidate:
+    """All five messages stopped together."""
+    first = min(gap.begin_ns for gap in gaps)
+    back = min((gap.end_ns for gap in gaps if gap.end_ns is not None), default=None)
+    ends = "and did not come back" if back is None else f"for {ms(back - first)}"
+    steps = [ChainLink(first, f"the last frame of the AI computer: 0x510 to 0x514 are silent {ends}", 0x510)]
+    errors = record.errors_before(t_ns, LOOK_BACK_NS)
+    if errors:
+        many = f"{len(errors)} error frame{'s' if len(errors) > 1 else ''}"
+        steps.append(ChainLink(errors[0], f"{many} on the bus: {error_text(record, errors[0])}"))
+    if record.at(sig.ESTOP, first):
+        steps.append(sig.ESTOP.step(first, "its last words were ESTOP_REQUEST 1: it was stopped on purpose"))
+    # An adapter that goes bus-off silences a program that runs on.
+    off = any("bus-off" in error_text(record, t_error_ns) for t_error_ns in errors)
+    return candidate("bus_lost" if off else "ai_silent", sureness, *steps)
+
+
+def _handshake(record: Record, t_ns: int, sureness: Sureness) -> list[Candidate]:
+    for answer in record.answers:
+        over_ns = record.end_ns if answer.echo_ns is None else answer.echo_ns
+        due_ns = answer.toggle_ns + COMMS_LOST_NS - EARLY_NS
+        if answer.waited_ns >= COMMS_LOST_NS - EARLY_NS and due_ns <= t_ns and over_ns >= t_ns - AT_ONCE_NS:
+            words = (
+                f"HANDSHAKE becomes {answer.bit}, and 0x510 keeps saying {1 - answer.bit} for {ms(answer.waited_ns)}"
+            )
+            return [candidate("handshake_lost", sureness, ChainLink(answer.toggle_ns, words, 0x520, "HANDSHAKE"))]
+    return []
+
+
+# ---------------------------------------------------------------- why the AI computer asked
 
 
 def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: bool) -> list[Candidate]:
@@ -64,13 +172,11 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
     found += dead_bus(record, t_ns, Sureness.SHOWN)
     implausible_ns = CONFIG.implausible_lost_ns if emergency else CONFIG.implausible_ns
     found += _implausible(record, t_ns, drive_begin_ns, implausible_ns)
-    for begin_ns, length_ns in _own_pause(record, t_ns):
-        add(
-            Reason.LOOP_FAULT,
-            begin_ns,
-            f"the AI computer itself paused for {ms(length_ns)} (its cycle is 10 ms)",
-            0x510,
-        )
+    times = record.times(0x510)
+    recent = times[: np.searchsorted(times, t_ns, side="right")][-5:].tolist()
+    for begin_ns, end_ns in [pair for pair in pairwise(recent) if pair[1] - pair[0] >= CONFIG.send_lost_ns][:1]:
+        words = f"the AI computer itself paused for {ms(end_ns - begin_ns)} (its cycle is 10 ms)"
+        add(Reason.LOOP_FAULT, begin_ns, words, 0x510)
     if errors := record.errors_before(t_ns, BUS_NS):
         add(Reason.BUS_LOST, errors[0], f"{len(errors)} error frames within {ms(t_ns - errors[0])} before")
     if emergency:
@@ -93,7 +199,7 @@ def found_before(record: Record, t_ns: int, drive_begin_ns: int, *, emergency: b
 
 def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate]:
     """Wheel speeds that came and were not believed for so long, by the supervisor's own rules."""
-    car = car_of(record)
+    car = record.car
     times, counts_ns = record.times(0x525), record.times(0x526)
     rows = range(int(np.searchsorted(times, t_ns - BELIEVED_NS)), int(np.searchsorted(times, t_ns, side="right")))
     speeds = [record.series(signal).values for signal in sig.WHEELS]
@@ -118,16 +224,9 @@ def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate
     return [shown(Reason.WHEELS_STALE.slug, ChainLink(believed_ns, words, 0x525))]
 
 
-def _own_pause(record: Record, t_ns: int) -> list[tuple[int, int]]:
-    """The first pause of the AI computer's cycle that ended just before it asked: (since when, how long)."""
-    times = record.times(0x510)
-    before = times[: np.searchsorted(times, t_ns, side="right")][-5:].tolist()
-    return [(a, b - a) for a, b in pairwise(before) if b - a >= CONFIG.send_lost_ns][:1]
-
-
 def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
     """The service brake was asked for, and the wheels did not slow down."""
-    wheels = record.fastest_wheel()
+    wheels = record.fastest_wheel
     now = wheels.at(t_ns)
     if now is None or now < STANDING_RPM:
         return []
@@ -147,7 +246,7 @@ def _ineffective(record: Record, t_ns: int) -> list[Candidate]:
 
 def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: int) -> list[Candidate]:
     """The supervisor's plausibility checks, run over the log up to `t_ns`."""
-    car = car_of(record)
+    car = record.car
     begin_ns = max(drive_begin_ns + CONFIG.launch_wait_ns, t_ns - JUDGED_NS)
     steer, wheel = SteeringCheck(), WheelCheck()
     times = record.times(0x513)
@@ -156,7 +255,7 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
         return []
 
     def column(signal: Signal) -> Values:
-        return sampled(record.series(signal), times)
+        return record.series(signal).sampled(times)
 
     def received_ns(can_id: int) -> Ints:
         """When the newest one came, for each of the times."""
@@ -165,13 +264,10 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
 
     angle, angle_ns, asked = column(sig.ANGLE), received_ns(0x523), column(sig.STEER)
     rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], received_ns(0x525)
-    requests: dict[str, Any] = {
-        "front_torque_nm": column(sig.TORQUE_F).tolist(),
-        "rear_torque_nm": column(sig.TORQUE_R).tolist(),
-        "front_brake_pct": column(sig.BRAKE_REQ_F).tolist(),
-        "rear_brake_pct": column(sig.BRAKE_REQ_R).tolist(),
-        "front_motor_speed_max_rpm": column(sig.SPEED_MAX_F).astype(np.int64).tolist(),
-        "rear_motor_speed_max_rpm": column(sig.SPEED_MAX_R).astype(np.int64).tolist(),
+    requests: dict[Any, list[Any]] = {
+        one.command: column(Signal(message.dbc_name, one.signal)).astype(one.holds).tolist()
+        for message in (AiDriveFront, AiDriveRear, AiBrake)
+        for one in fields_of(message)
     }
     inspected = record.at(sig.AMI, t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
     for row, now_ns in enumerate(times.tolist()):

@@ -1,10 +1,10 @@
-"""What a story is made of: events of the timeline, and incidents with their candidate causes."""
+"""What an explanation is made of: events of the timeline, and incidents with their candidate causes."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any
 
@@ -66,7 +66,7 @@ class Sureness(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ChainLink:
-    """One link of a cause chain: what a frame said, and when."""
+    """One link of a cause chain: what a frame shows, and when."""
 
     t_ns: int
     words: str
@@ -98,15 +98,10 @@ class Candidate:
     def t_ns(self) -> int:
         return self.steps[0].t_ns
 
-    def with_steps(self, *steps: ChainLink) -> Candidate:
-        """The same with more evidence behind it, all in the order of time and each step once."""
-        every = sorted((*self.steps, *steps), key=lambda step: step.t_ns)
-        return replace(self, steps=tuple(dict.fromkeys(every)))
-
 
 def candidate(slug: str, sureness: Sureness, *steps: ChainLink) -> Candidate:
-    """A candidate with its steps in the order of time. Raises KeyError for a cause that the table does not have."""
-    return Candidate(CAUSES[slug].slug, sureness, tuple(sorted(steps, key=lambda step: step.t_ns)))
+    """A candidate with its steps in the order of time, each once. Raises KeyError for a cause that is in no table."""
+    return Candidate(CAUSES[slug].slug, sureness, tuple(sorted(dict.fromkeys(steps), key=lambda step: step.t_ns)))
 
 
 def shown(slug: str, *steps: ChainLink) -> Candidate:

@@ -1,4 +1,4 @@
-"""A log as a story reads it: signals over time, gaps, the handshake, and who else was on the bus.
+"""A log as explanations read it: signals over time, gaps, the handshake, and who else was on the bus.
 
 Everything here comes from the frames alone, of both directions. Times are nanoseconds of the log's clock, made
 monotonic: where that clock was set back, what follows is moved forward by as much.
@@ -7,23 +7,25 @@ monotonic: where that clock was set back, what follows is moved forward by as mu
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
 from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
-from fsai_vcu.diagnostics.explain.incident import ChainLink
+from fsai_vcu.diagnostics.decode.revision import guess_revision
+from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.signals import Signal
 from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
-from fsai_vcu.interface.bus_table import BY_ID, BY_NAME, Flow
+from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
-from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
 
 Values = npt.NDArray[np.float64]
@@ -40,29 +42,18 @@ def ms(length_ns: int) -> str:
     return f"{length_ns / S:.2f} s"
 
 
-class Signal(NamedTuple):
-    """A signal by the names of the databases."""
-
-    message: str
-    name: str
-
-    @property
-    def can_id(self) -> int:
-        return BY_NAME[self.message].can_id
-
-    def step(self, t_ns: int, words: str) -> ChainLink:
-        """A link of a cause chain which a frame with this signal shows."""
-        return ChainLink(t_ns, words, self.can_id, self.name)
-
-
 @dataclass(frozen=True)
 class Span:
-    """A value that held from `begin_ns` until the frame at `end_ns` said another, or until the last frame."""
+    """A value that held from `begin_ns` until the frame at `end_ns` had another, or until the last frame.
+
+    before, after: the values that it followed and that followed it; None at the log's ends, and at a pause.
+    """
 
     begin_ns: int
     end_ns: int
     value: float
-    before: float | None = None  # None: the first value of the log
+    before: float | None
+    after: float | None
 
 
 @dataclass(frozen=True)
@@ -83,25 +74,35 @@ class Series:
     @cached_property
     def spans(self) -> Sequence[Span]:
         """What was sent, change by change."""
+        return self.spans_within(np.iinfo(np.int64).max)
+
+    def spans_within(self, longest_ns: int) -> Sequence[Span]:
+        """What was sent, change by change; where no frame came for longer, a span ends with the last one before."""
         if not len(self.t_ns):
             return ()
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(self.values)) + 1))
+        missing = np.diff(self.t_ns, prepend=self.t_ns[0]) > longest_ns
+        starts = np.flatnonzero(np.append(True, np.diff(self.values) != 0) | missing)
         begins, values = self.t_ns[starts].tolist(), self.values[starts].tolist()
-        ends, before = [*begins[1:], int(self.t_ns[-1])], [None, *values[:-1]]
-        return tuple(map(Span, begins, ends, values, before))
+        ends = np.append(self.t_ns[starts[1:] - missing[starts[1:]]], self.t_ns[-1]).tolist()
+        apart = missing[starts[1:]].tolist()
+        before = [None if pause else value for pause, value in zip(apart, values, strict=False)]
+        after = [None if pause else value for pause, value in zip(apart, values[1:], strict=True)]
+        return tuple(map(Span, begins, ends, values, [None, *before], [*after, None]))
 
     def span_at(self, t_ns: int) -> Span | None:
         """The span in force at `t_ns`."""
         return next((span for span in reversed(self.spans) if span.begin_ns <= t_ns), None)
 
-    def changes(self, begin_ns: int, end_ns: int) -> list[Span]:
-        """Spans that begin with a change (not with the log) from `begin_ns` up to and including `end_ns`."""
-        return [s for s in self.spans if s.before is not None and begin_ns <= s.begin_ns <= end_ns]
-
     def between(self, begin_ns: int, end_ns: int) -> Series:
         """The part from `begin_ns` up to and including `end_ns`."""
         low, high = np.searchsorted(self.t_ns, (begin_ns, end_ns + 1))
         return Series(self.t_ns[low:high], self.values[low:high])
+
+    def sampled(self, times: Ints) -> Values:
+        """The newest value at each of `times`, the first one before; zeros where the log does not have the signal."""
+        if not len(self):
+            return np.zeros(len(times))
+        return self.values[np.maximum(np.searchsorted(self.t_ns, times, side="right") - 1, 0)]
 
 
 NOTHING: Final = Series(np.zeros(0, np.int64), np.zeros(0))
@@ -135,30 +136,47 @@ class HandshakeToggle:
     echo_ns: int | None
     waited_ns: int
 
-    @property
-    def lost(self) -> bool:
-        return self.waited_ns >= COMMS_LOST_NS
 
-
-@dataclass
 class Record:
-    """The frames of one car's bus, by message and signal. Made by `record_of`."""
+    """The frames of one car's bus, by message and signal.
 
-    revision: Revision
-    revision_reason: str
-    channel: str
-    begin_ns: int
-    end_ns: int
-    frames: Frames = field(repr=False)  # of that bus, with the monotonic times
-    decoder: Decoder = field(repr=False)
-    error_ns: Ints = field(repr=False)
-    set_back: Sequence[tuple[int, int]] = ()  # where the log's clock was set back, and by how much
-    wrong_length: Mapping[int, tuple[int, int]] = field(default_factory=dict)  # id: how often, first time
-    unknown_ids: Mapping[int, int] = field(default_factory=dict)
-    other_channels: Mapping[str, int] = field(default_factory=dict)
-    _rows: dict[int, Ints] = field(default_factory=dict, repr=False)  # by key, as in MessageLayout
-    _tables: dict[str, MessageTable] = field(default_factory=dict, repr=False)
-    _series: dict[Signal, Series] = field(default_factory=dict, repr=False)
+    frames: of the one bus that has the car's messages, with the monotonic times; error_ns: when an error frame came.
+    wrong_length: how often a message came so, and when first. set_back: where the log's clock was, and by how much.
+    """
+
+    def __init__(self, frames: Frames, revision: Revision | None = None, databases: Databases | None = None) -> None:
+        """revision: guessed from the frames where none is given. `databases` replaces the revision's own.
+
+        Raises ValueError for a log without a frame.
+        """
+        if not len(frames):
+            raise ValueError("there is no frame to be explained")
+        self.revision, self.revision_reason = (revision, "given") if revision else guess_revision(frames)
+        chosen = _car_channel(frames)
+        self.channel = frames.channels[chosen]
+        counts = np.bincount(frames.channel, minlength=len(frames.channels)).tolist()
+        others = zip(frames.channels, counts, strict=True)
+        self.other_channels = {name: count for name, count in others if count and name != self.channel}
+        straight, self.set_back = _monotonic(frames.t_ns)
+        self.begin_ns, self.end_ns = int(straight[0]), int(straight[-1])
+        self.frames = frames.at(straight).only(frames.channel == chosen)
+        self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
+        self.decoder = Decoder(databases or _own_databases(self.revision.name))
+        self.wrong_length: dict[int, tuple[int, int]] = {}
+        self.unknown_ids: Counter[int] = Counter()
+        self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
+        self._tables: dict[str, MessageTable] = {}
+        self._series: dict[Signal, Series] = {}
+        for layout, rows in self.decoder.by_message(self.frames):
+            if layout is None:
+                self.unknown_ids.update(self.frames.can_id[rows].tolist())
+                continue
+            right = self.frames.length[rows] == layout.length
+            if not right.all():
+                strange = rows[~right]
+                self.wrong_length[layout.can_id] = (len(strange), int(self.frames.t_ns[strange[0]]))
+            if right.any():
+                self._rows[layout.key] = rows[right]
 
     # ------------------------------------------------------------ signals
 
@@ -212,22 +230,32 @@ class Record:
         return self.series(signal).span_at(t_ns)
 
     def changes(self, signal: Signal, begin_ns: int, end_ns: int, to: float | None = None) -> list[Span]:
-        """The signal's changes (to a value, if one is named) from `begin_ns` up to and including `end_ns`."""
-        return [s for s in self.series(signal).changes(begin_ns, end_ns) if to is None or s.value == to]
+        """Spans that begin with a change (to a value, if one is named) from `begin_ns` up to and including `end_ns`."""
+        changes = [s for s in self.series(signal).spans if s.before is not None and begin_ns <= s.begin_ns <= end_ns]
+        return [s for s in changes if to is None or s.value == to]
 
     def errors_before(self, t_ns: int, length_ns: int) -> list[int]:
         """The times of error frames in the `length_ns` up to `t_ns`."""
         found: list[int] = self.error_ns[(self.error_ns >= t_ns - length_ns) & (self.error_ns <= t_ns)].tolist()
         return found
 
+    @cached_property
     def fastest_wheel(self) -> Series:
         """The fastest of the four wheels, rpm."""
-        key = Signal("VCU2AI_Speeds", "fastest")
-        if key not in self._series:
-            wheels = [self.series(Signal("VCU2AI_Speeds", f"{w}_WHEEL_SPEED")) for w in ("FL", "FR", "RL", "RR")]
-            values = np.maximum.reduce([wheel.values for wheel in wheels])
-            self._series[key] = Series(wheels[0].t_ns, values)
-        return self._series[key]
+        wheels = [self.series(signal) for signal in sig.WHEELS]
+        return Series(wheels[0].t_ns, np.maximum.reduce([wheel.values for wheel in wheels]))
+
+    @cached_property
+    def like_official_simulator(self) -> bool:
+        """The official simulator sends STATUS_BRK and STATUS_EBS as 0, always; a car in AS_READY never does."""
+        brake, ebs = self.series(sig.STATUS_BRK), self.series(sig.STATUS_EBS)
+        beyond_off = (self.series(sig.AS_STATE).values >= sig.READY).any()
+        return bool(beyond_off and len(brake) and not brake.values.any() and not ebs.values.any())
+
+    @property
+    def car(self) -> VehicleParameters:
+        """The figures of the car that wrote the log."""
+        return CARS["official-simulator" if self.like_official_simulator else self.revision.name]
 
     # ------------------------------------------------------------ the link
 
@@ -241,22 +269,20 @@ class Record:
 
     @cached_property
     def silences(self) -> Sequence[tuple[int, int]]:
-        """(from, to) where nobody at all was heard: the bus was dead, or the recording paused."""
+        """(from, to) where no frame at all was received: the bus was dead, or the recording paused."""
         times = self.frames.t_ns
         return tuple((int(times[place]), int(times[place + 1])) for place in np.flatnonzero(np.diff(times) > DEAD_NS))
 
-    def silence_in(self, gap: Gap) -> tuple[int, int] | None:
-        """The silence of everybody that is nearly all of this gap of one message."""
-        for begin_ns, end_ns in self.silences:
-            if min(end_ns, gap.over_ns) - max(begin_ns, gap.begin_ns) > DEAD_SHARE * gap.length_ns:
-                return begin_ns, end_ns
-        return None
+    def silence_in(self, gap: Gap) -> bool:
+        """Whether a silence of everybody is nearly all of this gap of one message."""
+        shared = (min(end_ns, gap.over_ns) - max(begin_ns, gap.begin_ns) for begin_ns, end_ns in self.silences)
+        return any(length_ns > DEAD_SHARE * gap.length_ns for length_ns in shared)
 
     @cached_property
     def answers(self) -> Sequence[HandshakeToggle]:
         """Every toggle of the VCU's handshake while the AI computer speaks, and its echo."""
-        asked = self.series(Signal("VCU2AI_Status", "HANDSHAKE"))
-        echo = self.series(Signal("AI2VCU_Status", "HANDSHAKE"))
+        asked = self.series(sig.HANDSHAKE)
+        echo = self.series(sig.ECHO)
         times = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
         found = []
         for span in asked.spans if len(echo) else ():
@@ -272,51 +298,6 @@ class Record:
     def second_senders(self) -> Sequence[SecondSender]:
         """Where somebody else sends on the AI computer's ids, in the order of time."""
         return second_senders(self.frames, self.decoder.databases)
-
-
-def record_of(frames: Frames, revision: Revision, reason: str = "given", databases: Databases | None = None) -> Record:
-    """Sort the frames of a log by message. Where it has several buses, the one with the car's messages counts.
-
-    `databases` replaces the revision's own. Raises ValueError for a log without a frame.
-    """
-    if not len(frames):
-        raise ValueError("there is no frame to tell about")
-    chosen = _car_channel(frames)
-    straight, set_back = _monotonic(frames.t_ns)
-    bus = replace(frames, t_ns=straight).only(frames.channel == chosen)
-    decoder = Decoder(databases or _own_databases(revision.name))
-    rows_of: dict[int, Ints] = {}
-    wrong: dict[int, tuple[int, int]] = {}
-    unknown: Counter[int] = Counter()
-    for layout, rows in decoder.by_message(bus):
-        if layout is None:
-            unknown.update(bus.can_id[rows].tolist())
-            continue
-        right = bus.length[rows] == layout.length
-        if not right.all():
-            strange = rows[~right]
-            wrong[layout.can_id] = (len(strange), int(bus.t_ns[strange[0]]))
-        if right.any():
-            rows_of[layout.key] = rows[right]
-    return Record(
-        revision,
-        reason,
-        frames.channels[chosen],
-        int(straight[0]),
-        int(straight[-1]),
-        bus,
-        decoder,
-        bus.t_ns[(bus.flags & ERROR) != 0],
-        set_back,
-        wrong,
-        unknown,
-        {
-            name: int((frames.channel == number).sum())
-            for number, name in enumerate(frames.channels)
-            if number != chosen and (frames.channel == number).any()
-        },
-        rows_of,
-    )
 
 
 @cache

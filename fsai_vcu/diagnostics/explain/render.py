@@ -1,4 +1,4 @@
-"""The story as people read it, and as programs do."""
+"""An explanation as people read it, and as programs do."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fsai_vcu.diagnostics.explain.incident import (
 
 WIDTH: Final = 110
 EPOCH_NS: Final = 946_684_800 * 1_000_000_000  # 2000: earlier stamps count from something else than a calendar
-_ALSO: Final = 3  # further candidates told in full sentences
+_ALSO: Final = 3  # further candidates in full sentences
 _COLOURS: Final = {Weight.FAULT: "31;1", Weight.WARNING: "33", Weight.STATE: "1", Weight.NOTE: "2"}
 
 
@@ -39,7 +39,7 @@ def extent(story: Explanation) -> str:
 
 
 def cut(story: Explanation, from_s: float | None, to_s: float | None) -> Explanation:
-    """The part of a story from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
+    """The part from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
     low = float("-inf") if from_s is None else from_s
     high = float("inf") if to_s is None else to_s
     return replace(
@@ -53,7 +53,7 @@ def cut(story: Explanation, from_s: float | None, to_s: float | None) -> Explana
 
 
 def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterator[str]:
-    """The story as lines: timeline first, so that the answer stands at the end, where the eye is."""
+    """The explanation as lines: timeline first, so that the answer stands at the end, where the eye is."""
 
     def paint(text: str, code: str) -> str:
         return f"\033[{code}m{text}\033[0m" if colour and code else text
@@ -123,7 +123,7 @@ def _wrapped(text: str, indent: str, paint: Any, code: str = "") -> Iterator[str
 
 
 def verdict(story: Explanation) -> str:
-    """One line that ends the story."""
+    """One line that ends the explanation."""
     counts = [(kind, sum(i.bad for i in story.incidents if i.kind is kind)) for kind in IncidentKind]
     bad = [f"{count} {kind.one if count == 1 else kind.many}" for kind, count in counts if count]
     planned = any(incident.planned for incident in story.incidents)
@@ -152,18 +152,11 @@ def json_lines(story: Explanation, name: str) -> Iterator[str]:
         )
     for incident in story.incidents:
         yield json.dumps(incident_dict(story, incident))
-    yield json.dumps(
-        {
-            "type": "summary",
-            "clean": story.clean,
-            "emergency_brakes": sum(i.kind is IncidentKind.EMERGENCY for i in story.incidents),
-            "refusals": sum(i.kind is IncidentKind.REFUSAL for i in story.incidents),
-            "aborts": sum(i.kind is IncidentKind.ABORT for i in story.incidents),
-            "early_stops": sum(i.kind is IncidentKind.STOP for i in story.incidents),
-            "words": verdict(story),
-            "ends": story.closing,
-        }
-    )
+    counted = {"emergency_brakes": IncidentKind.EMERGENCY, "refusals": IncidentKind.REFUSAL}
+    counted |= {"aborts": IncidentKind.ABORT, "early_stops": IncidentKind.STOP}
+    counts = {name: sum(one.kind is kind for one in story.incidents) for name, kind in counted.items()}
+    last = {"words": verdict(story), "ends": story.closing}
+    yield json.dumps({"type": "summary", "clean": story.clean, **counts, **last})
 
 
 def incident_dict(story: Explanation, incident: Incident) -> dict[str, Any]:

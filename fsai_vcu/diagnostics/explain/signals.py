@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
-from fsai_vcu.core.vehicle.parameters import CARS, VehicleParameters
-from fsai_vcu.diagnostics.explain.record import Record, Signal
-from fsai_vcu.interface.bus_table import BY_ID
-from fsai_vcu.interface.enums import (
-    Ami,
-    AsState,
-    BrakeStatus,
-    CarEnum,
-    Direction,
-    EbsState,
-    EbsStatus,
-    MissionStatus,
-    OpState,
-    ShutdownCause,
-    SteeringStatus,
-    TsState,
-)
-from fsai_vcu.interface.messages import FAULT_NAMES
+from fsai_vcu.diagnostics.explain.incident import ChainLink
+from fsai_vcu.interface.bus_table import BY_ID, BY_NAME
+from fsai_vcu.interface.enums import AsState, CarEnum
+from fsai_vcu.interface.fields import fields_of
+from fsai_vcu.interface.messages import FAULT_NAMES, AiStatus, VcuBrake, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
+
+
+class Signal(NamedTuple):
+    """A signal by the names of the databases."""
+
+    message: str
+    name: str
+
+    @property
+    def can_id(self) -> int:
+        return BY_NAME[self.message].can_id
+
+    def step(self, t_ns: int, words: str) -> ChainLink:
+        """A link of a cause chain which a frame with this signal shows."""
+        return ChainLink(t_ns, words, self.can_id, self.name)
+
 
 DRIVING: Final = float(AsState.AS_DRIVING)
 READY: Final = float(AsState.AS_READY)
@@ -33,6 +36,7 @@ STATUS: Final = 0x520
 AS_STATE: Final = Signal("VCU2AI_Status", "AS_STATE")
 AS_SWITCH: Final = Signal("VCU2AI_Status", "AS_SWITCH_STATUS")
 TS_SWITCH: Final = Signal("VCU2AI_Status", "TS_SWITCH_STATUS")
+HANDSHAKE: Final = Signal("VCU2AI_Status", "HANDSHAKE")
 GO: Final = Signal("VCU2AI_Status", "GO_SIGNAL")
 STEERING_STATUS: Final = Signal("VCU2AI_Status", "STEERING_STATUS")
 AMI: Final = Signal("VCU2AI_Status", "AMI_STATE")
@@ -55,6 +59,7 @@ STATUS_EBS: Final = Signal("VCU2AI_Brake", "STATUS_EBS")
 BRAKE_F: Final = Signal("VCU2AI_Brake", "HYD_PRESS_F_pct")
 BRAKE_R: Final = Signal("VCU2AI_Brake", "HYD_PRESS_R_pct")
 
+ECHO: Final = Signal("AI2VCU_Status", "HANDSHAKE")
 ESTOP: Final = Signal("AI2VCU_Status", "ESTOP_REQUEST")
 MISSION_STATUS: Final = Signal("AI2VCU_Status", "MISSION_STATUS")
 DIRECTION: Final = Signal("AI2VCU_Status", "DIRECTION_REQUEST")
@@ -83,17 +88,10 @@ RADIO_STRENGTH: Final = Signal("RES_TPDO", "RADIO_STRENGTH")
 
 # Where a number has the car's own word
 LABELS: Final[dict[Signal, type[CarEnum]]] = {
-    AS_STATE: AsState,
-    AMI: Ami,
-    SHUTDOWN_CAUSE: ShutdownCause,
-    OP_STATE: OpState,
-    TS_STATE: TsState,
-    EBS_STATE: EbsState,
-    STEERING_STATUS: SteeringStatus,
-    STATUS_BRK: BrakeStatus,
-    STATUS_EBS: EbsStatus,
-    MISSION_STATUS: MissionStatus,
-    DIRECTION: Direction,
+    Signal(message.dbc_name, one.signal): one.holds
+    for message in (AiStatus, VcuStatus, VcuBrake)
+    for one in fields_of(message)
+    if issubclass(one.holds, CarEnum)
 }
 
 
@@ -107,15 +105,3 @@ def label(signal: Signal, value: float | None) -> str:
         return LABELS[signal](int(value)).label
     except ValueError:
         return f"{int(value)} (not in the interface's table)"
-
-
-def car_of(record: Record) -> VehicleParameters:
-    """The figures of the car that wrote the log."""
-    return CARS["official-simulator" if like_official_simulator(record) else record.revision.name]
-
-
-def like_official_simulator(record: Record) -> bool:
-    """The official simulator sends STATUS_BRK and STATUS_EBS as 0, always; a car in AS_READY never does."""
-    brake, ebs = record.series(STATUS_BRK), record.series(STATUS_EBS)
-    beyond_off = (record.series(AS_STATE).values >= READY).any()
-    return bool(beyond_off and len(brake) and not brake.values.any() and not ebs.values.any())

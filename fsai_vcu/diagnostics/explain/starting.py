@@ -1,4 +1,4 @@
-"""Why the car does not start: every condition between power-up and AS_DRIVING, as two tables.
+"""Why the car does not start, in a log or at one moment: the conditions from power-up to AS_DRIVING as two tables.
 
 `TO_READY` are the conditions of AS_OFF -> AS_READY (and of leaving AS_INIT), `TO_DRIVING` those of AS_READY ->
 AS_DRIVING. A condition that cannot be met before another one is, is named as what follows from it.
@@ -6,14 +6,15 @@ AS_DRIVING. A condition that cannot be met before another one is, is named as wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import groupby, zip_longest
 from operator import not_
 from typing import Final
 
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.emergencies import restarted
+from fsai_vcu.diagnostics.explain.causes import CAUSES
+from fsai_vcu.diagnostics.explain.endings import restarted, switched
+from fsai_vcu.diagnostics.explain.evidence import GONE_NS
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
     ChainLink,
@@ -23,18 +24,18 @@ from fsai_vcu.diagnostics.explain.incident import (
     candidate,
     shown,
 )
-from fsai_vcu.diagnostics.explain.link import GONE_NS
-from fsai_vcu.diagnostics.explain.record import Record, Signal, Span, ms
-from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
+from fsai_vcu.diagnostics.explain.record import Record, Span, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, BrakeStatus, Direction, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.specification import READY_STEER_DEG, READY_WAIT_NS
+from fsai_vcu.interface.specification import COMMS_LOST_NS, READY_STEER_DEG, READY_WAIT_NS
 from fsai_vcu.interface.units import MS, S
 
 PATIENCE_NS: Final = 5 * S  # shorter waits in AS_INIT and AS_OFF are a car that comes up
 NO_GO_NS: Final = READY_WAIT_NS + 1 * S
 ANSWER_NS: Final = 200 * MS  # from Go to AS_DRIVING
-HEARD_NS: Final = 500 * MS
+RECENT_NS: Final = 500 * MS
 COMMS_LOST: Final = Signal("VCU2AI_Status", "AI_COMMS_LOST")
 
 Unmet = Callable[[Record, int], "ChainLink | None"]
@@ -73,24 +74,19 @@ def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
     last_ns = max(_last(record, can_id, t_ns) for can_id in AI_IDS)
     if not last_ns:
         return ChainLink(record.begin_ns, "no 0x510 to 0x514 up to then")
-    if t_ns - last_ns < HEARD_NS:
+    if t_ns - last_ns < RECENT_NS:
         return None
     return ChainLink(last_ns, f"the last frame of the AI computer, {ms(t_ns - last_ns)} before")
 
 
 def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
-    missing = [i for i in AI_IDS if t_ns - _last(record, i, t_ns) >= HEARD_NS]
+    missing = [i for i in AI_IDS if t_ns - _last(record, i, t_ns) >= RECENT_NS]
     if not missing or len(missing) == len(AI_IDS):
         return None
     words = f"{', '.join(f'0x{i:03X}' for i in missing)} {'does' if len(missing) == 1 else 'do'} not come"
     if any(i in record.wrong_length for i in missing):
         words += ", or with the wrong length"
     return ChainLink(max(_last(record, missing[0], t_ns), record.begin_ns), words, missing[0])
-
-
-def _link_lost(record: Record, t_ns: int) -> ChainLink | None:
-    span = record.span_at(COMMS_LOST, t_ns)
-    return COMMS_LOST.step(span.begin_ns, "AI_COMMS_LOST is 1") if span is not None and span.value else None
 
 
 def _ebs(record: Record, t_ns: int) -> ChainLink | None:
@@ -106,7 +102,7 @@ def _status(wrong: MissionStatus) -> Unmet:
 
 def _power_cycle(record: Record, t_ns: int) -> ChainLink | None:
     ends = (sig.EMERGENCY,) if record.revision.name == "2021" else (sig.EMERGENCY, sig.FINISHED)
-    if like_official_simulator(record):
+    if record.like_official_simulator:
         return None  # ASMS alone resets it
     runs = [s for s in record.series(sig.AS_STATE).spans if s.begin_ns <= t_ns and s.value in ends]
     if not runs or any(runs[-1].end_ns <= g.begin_ns <= t_ns for g in record.gaps(sig.STATUS, GONE_NS)):
@@ -131,10 +127,10 @@ TO_READY: Final[tuple[StartCondition, ...]] = (
     StartCondition("power_cycle", _power_cycle),
     StartCondition("asms", _is(sig.AS_SWITCH, bool)),
     StartCondition("tsms", _is(sig.TS_SWITCH, bool)),
-    StartCondition("shutting_down", _is(sig.SHUTDOWN_REQUEST, lambda value: not value), after=("tsms",)),
+    StartCondition("shutting_down", _is(sig.SHUTDOWN_REQUEST, not_), after=("tsms",)),
     StartCondition("fault", _fault, after=_LINK),
-    StartCondition("link_lost", _link_lost, after=_LINK),
-    StartCondition("estop_latched", _is(sig.ESTOP, lambda value: not value), after=("no_ai_data",)),
+    StartCondition("link_lost", _is(COMMS_LOST, not_), after=_LINK),
+    StartCondition("estop_latched", _is(sig.ESTOP, not_), after=("no_ai_data",)),
     StartCondition("no_mission", _is(sig.AMI, bool)),
     StartCondition(
         "status_not_selected", _status(MissionStatus.NOT_SELECTED), after=("no_ai_data", "no_mission", "estop_latched")
@@ -163,7 +159,7 @@ def _too_early(record: Record, t_ns: int) -> ChainLink | None:
 
 
 def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
-    if not like_official_simulator(record):
+    if not record.like_official_simulator:
         return None
     return _is(sig.MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
 
@@ -175,11 +171,11 @@ def _torque(record: Record, t_ns: int) -> ChainLink | None:
 TO_DRIVING: Final[tuple[StartCondition, ...]] = (
     StartCondition("go_too_early", _too_early),
     StartCondition("torque_requested", _torque),
-    StartCondition("steering_requested", _is(sig.STEER, lambda value: value == 0)),
+    StartCondition("steering_requested", _is(sig.STEER, not_)),
     StartCondition("steering_turned", _is(sig.ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
     StartCondition("direction_not_neutral", _is(sig.DIRECTION, lambda value: value == Direction.NEUTRAL)),
     StartCondition("ready_not_selected", _ready_not_selected),
-    StartCondition("link_lost", _link_lost),
+    StartCondition("link_lost", _is(COMMS_LOST, not_)),
     StartCondition("no_ai_data", _no_ai_data),
     StartCondition("steering_inactive", _is(sig.STEERING_STATUS, bool), hint=True),
     StartCondition("brakes_not_ready", _is(sig.STATUS_BRK, lambda value: value in (0, BrakeStatus.READY)), hint=True),
@@ -206,7 +202,7 @@ def refusals(record: Record) -> list[Incident]:
 
 def _never_ready(record: Record) -> list[Incident]:
     found = []
-    for begin_ns, end_ns, after_run, following in _off_stretches(record):
+    for begin_ns, end_ns, after_run, following in _off_stays(record):
         if following is not None or end_ns - begin_ns < PATIENCE_NS:
             continue
         if after_run and not any(s.value for s in record.changes(sig.AS_SWITCH, begin_ns, end_ns)):
@@ -220,27 +216,14 @@ def _never_ready(record: Record) -> list[Incident]:
     return found
 
 
-def _off_stretches(record: Record) -> list[tuple[int, int, bool, float | None]]:
+def _off_stays(record: Record) -> Iterator[tuple[int, int, bool, float | None]]:
     """(begin, end, whether a run was before, the state after) of each stay in AS_INIT and AS_OFF while 0x520 came."""
-    found: list[tuple[int, int, bool, float | None]] = []
-    away = record.gaps(sig.STATUS, GONE_NS)
-    spans = record.series(sig.AS_STATE).spans
-    for off, group in groupby(spans, key=lambda span: span.value in OFF_LIKE):
-        if not off:
-            continue
-        stay = list(group)
-        begin_ns, before, end_ns = stay[0].begin_ns, stay[0].before, stay[-1].end_ns
-        after_run = before is not None and before not in OFF_LIKE
-        following = next((span.value for span in spans if span.begin_ns == end_ns), None)
-        for gap in away:
-            if begin_ns <= gap.begin_ns < end_ns and gap.end_ns is not None:
-                if gap.begin_ns > begin_ns:
-                    found.append((begin_ns, gap.begin_ns, after_run, None))
-                begin_ns, after_run = gap.end_ns, False
-            elif gap.end_ns == begin_ns:
-                after_run = False
-        found.append((begin_ns, end_ns, after_run, following))
-    return found
+    begin_ns, after_run = 0, False
+    for span in record.series(sig.AS_STATE).spans_within(GONE_NS):
+        if span.value in OFF_LIKE and span.before not in OFF_LIKE:
+            begin_ns, after_run = span.begin_ns, span.before is not None
+        if span.value in OFF_LIKE and span.after not in OFF_LIKE:
+            yield begin_ns, span.end_ns, after_run, span.after
 
 
 def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
@@ -252,20 +235,18 @@ def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
 
 def _never_driving(record: Record) -> list[Incident]:
     found = []
-    spans = record.series(sig.AS_STATE).spans
-    for span, after in zip_longest(spans, spans[1:]):
+    for span in record.series(sig.AS_STATE).spans:
         if span.value == sig.READY:
-            following = after.value if after is not None else None
-            incident = _refused_go(record, span, following)
-            if incident is None and following not in (sig.DRIVING, sig.EMERGENCY):
-                incident = _waited_in_vain(record, span, following)
+            incident = _refused_go(record, span)
+            if incident is None and span.after not in (sig.DRIVING, sig.EMERGENCY):
+                incident = _waited_in_vain(record, span)
             found += [incident] if incident is not None else []
     return found
 
 
-def _refused_go(record: Record, span: Span, following: float | None) -> Incident | None:
+def _refused_go(record: Record, span: Span) -> Incident | None:
     """Go was given, and the car stayed in AS_READY."""
-    given_up = following not in (sig.DRIVING, None)
+    given_up = span.after not in (sig.DRIVING, None)
     refused = [
         s.begin_ns
         for s in record.changes(sig.GO, span.begin_ns, span.end_ns)
@@ -281,24 +262,23 @@ def _refused_go(record: Record, span: Span, following: float | None) -> Incident
     if not any(one.sureness >= Sureness.SHOWN for one in found.values()):
         found["start_unknown"] = candidate("start_unknown", Sureness.POSSIBLE, pressed[0])
     times = f" ({len(refused)} times)" if len(refused) > 1 else ""
-    later = ", later it did" if following == sig.DRIVING else ""
+    later = ", later it did" if span.after == sig.DRIVING else ""
     order = sorted(found.values(), key=lambda one: -one.sureness)
     what = f"Go was given{times} and the car did not start{later}"
     return Incident(IncidentKind.REFUSAL, refused[0], what, tuple(order))
 
 
-def _waited_in_vain(record: Record, span: Span, following: float | None) -> Incident | None:
+def _waited_in_vain(record: Record, span: Span) -> Incident | None:
     """AS_READY ended, or the log did, without a Go that counts."""
     waited_ns = span.end_ns - span.begin_ns
-    state = label(sig.AS_STATE, following)
+    state = label(sig.AS_STATE, span.after)
     found: list[Candidate] = []
-    if following in OFF_LIKE:
-        for s in record.changes(sig.AS_SWITCH, span.begin_ns, span.end_ns, to=0):
-            found.append(shown("given_up", sig.AS_SWITCH.step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0")))
+    if span.after in OFF_LIKE:
+        found += switched(record, "given_up", sig.AS_SWITCH, span.end_ns, "AS_SWITCH_STATUS 1 → 0", within_ns=waited_ns)
         silences = [gap for gap in record.gaps(sig.STATUS, ANSWER_NS) if gap.end_ns == span.end_ns]
         found += [restarted(gap, f", then {state}") for gap in silences]
     if waited_ns >= NO_GO_NS and not found:
-        end_ns = span.end_ns - 1 if following is not None else span.end_ns
+        end_ns = span.end_ns - 1 if span.after is not None else span.end_ns
         go = record.span_at(sig.GO, end_ns)
         found += [one for one in unmet(TO_DRIVING, record, end_ns) if one.slug != "go_too_early"]
         if go is not None and go.value and go.begin_ns <= span.begin_ns:
@@ -306,12 +286,84 @@ def _waited_in_vain(record: Record, span: Span, following: float | None) -> Inci
         elif go is not None and not go.value:
             words = f"GO_SIGNAL stays 0 for the {ms(waited_ns)} of AS_READY"
             found.append(shown("no_go", sig.GO.step(span.begin_ns, words)))
-    elif following is None and not found:
+    elif span.after is None and not found:
         return None  # the log ends while the 5 s run
     if not found:
         step = sig.AS_STATE.step(span.end_ns, f"AS_STATE AS_READY → {state}")
         found.append(candidate("start_unknown", Sureness.POSSIBLE, step))
-    ended = "the log ends" if following is None else f"{state} follows"
+    ended = "the log ends" if span.after is None else f"{state} follows"
     order = sorted(found, key=lambda one: -one.sureness)
     what = f"AS_READY for {ms(waited_ns)} without a start, then {ended}"
     return Incident(IncidentKind.REFUSAL, span.end_ns, what, tuple(order))
+
+
+# ---------------------------------------------------------------- at one moment
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """One thing that stands between now and driving. `follows`: it goes by itself once the ones above it are gone."""
+
+    words: str
+    evidence: str = ""
+    remedy: str = ""
+    follows: bool = False
+
+
+def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> Iterator[Obstacle]:
+    """What stands between now and driving, what must be put right first in front. Nothing in AS_DRIVING.
+
+    emergency: the newest entry into EMERGENCY_BRAKE with its causes, where that was seen.
+    """
+    span = record.span_at(sig.AS_STATE, now_ns)
+    if span is None and record.wrong_length.get(sig.STATUS):
+        yield Obstacle(f"{BY_ID[sig.STATUS]} has the wrong length: it counts as missing")
+        return
+    if span is None:
+        remedy = "LVMS on; then check the CAN plug, the bit rate and the interface (ip -details link show)"
+        yield Obstacle("no 0x520 from the car yet", remedy=remedy)
+        return
+    silent_ns = now_ns - int(record.times(sig.STATUS)[-1])
+    state = label(sig.AS_STATE, span.value)
+    if silent_ns >= COMMS_LOST_NS:
+        remedy = "switched off, or unplugged: LVMS, CAN plug" if silent_ns >= S else CAUSES["vcu_silent"].remedy
+        yield Obstacle(f"0x520 is missing for {ms(silent_ns)}: the car is silent", f"the last one was {state}", remedy)
+    elif span.value == sig.EMERGENCY:
+        yield from _braked(emergency)
+    elif span.value == sig.FINISHED:
+        yield Obstacle("the mission is finished (AS_FINISHED)", remedy="ASMS off ends the run")
+    elif span.value == sig.READY:
+        yield from _in_ready(record, span, now_ns)
+    elif span.value != sig.DRIVING:
+        found = [_obstacle(one) for one in unmet(TO_READY, record, now_ns)]
+        if span.value not in OFF_LIKE:
+            yield Obstacle(f"AS_STATE is {state}")
+        elif not found:
+            yield Obstacle(f"{state}: all that the bus shows is met; the VCU goes to AS_READY by itself")
+        yield from found
+
+
+def _braked(emergency: Incident | None) -> Iterator[Obstacle]:
+    if emergency is None:
+        words = "the car is in EMERGENCY_BRAKE, and was before this began to listen"
+        yield Obstacle(words, remedy=CAUSES["before_the_log"].remedy)
+        return
+    for one in emergency.candidates[:2]:
+        evidence = "" if one.sureness >= Sureness.SHOWN else one.sureness.words
+        yield Obstacle(one.cause.words, evidence, one.cause.remedy, follows=one.sureness < Sureness.FITS)
+
+
+def _in_ready(record: Record, span: Span, now_ns: int) -> Iterator[Obstacle]:
+    yield from (_obstacle(one) for one in unmet(TO_DRIVING, record, now_ns) if one.slug != "go_too_early")
+    left_ns = READY_WAIT_NS - (now_ns - span.begin_ns)
+    if left_ns > 0 and span.before is not None:
+        yield Obstacle(f"waiting in AS_READY: {left_ns / S:.1f} s of {READY_WAIT_NS // S} s left")
+    if record.at(sig.GO, now_ns):
+        yield Obstacle(CAUSES["go_held"].words, "GO_SIGNAL is 1", CAUSES["go_held"].remedy)
+    else:
+        yield Obstacle("waiting for Go", "GO_SIGNAL is 0", CAUSES["no_go"].remedy, follows=left_ns > 0)
+
+
+def _obstacle(one: Candidate) -> Obstacle:
+    evidence = "; ".join(step.words for step in one.steps[-2:])
+    return Obstacle(one.cause.words, evidence, one.cause.remedy, follows=one.sureness < Sureness.SHOWN)

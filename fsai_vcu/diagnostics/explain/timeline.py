@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.explain import signals as sig
+from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS, GONE_NS, error_text, silence_words
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS, GONE_NS, error_text, silence_words
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Series, Signal, ms
-from fsai_vcu.diagnostics.explain.signals import label
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Series, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import OFF_LIKE, EbsState, EbsStatus, MissionStatus, TsState
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
-from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 GAP_PERIODS: Final = 5  # of ten that are a loss: worth a line
@@ -75,8 +75,7 @@ SM_SYS_NAMES: Final = (  # interface specification v4.0: SM_SYS of 0x120
 def timeline(record: Record) -> list[TimelineEntry]:
     """Every event of the log in the order of time."""
     chapters = (
-        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _gaps, _handshake,
-        _second_senders, _bus,
+        _speakers, _switches, _states, _flags, _mode, _motion, _first_requests, _early_torque, _link, _bus,
     )  # fmt: skip
     events = [event for chapter in chapters for event in chapter(record)]
     return sorted(events, key=lambda event: (event.t_ns, ORDER.index(event.topic)))
@@ -164,7 +163,7 @@ def _mode(record: Record) -> Iterator[TimelineEntry]:
 
 def _motion(record: Record) -> Iterator[TimelineEntry]:
     """When the car sets off and when it stands."""
-    wheels = record.fastest_wheel()
+    wheels = record.fastest_wheel
     turning = Series(wheels.t_ns, (wheels.values >= STANDING_RPM).astype(np.float64))
     for span in turning.spans:
         if span.before is None and span.value:
@@ -210,8 +209,8 @@ def _early_torque(record: Record) -> Iterator[TimelineEntry]:
             yield _entry(sig.ANGLE_MAX, span.begin_ns, "steering", f"ANGLE_MAX {span.before:g} → {span.value:g} deg")
 
 
-def _gaps(record: Record) -> Iterator[TimelineEntry]:
-    """Messages that did not come, several that stopped together as one."""
+def _link(record: Record) -> Iterator[TimelineEntry]:
+    """Messages that did not come, several that stopped together as one; echoes that did not; who else sends."""
     for begin_ns, end_ns in record.silences:
         yield TimelineEntry(begin_ns, "bus", silence_words(begin_ns, end_ns), WARNING)
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
@@ -241,16 +240,10 @@ def _gaps(record: Record) -> Iterator[TimelineEntry]:
             yield TimelineEntry(begin_ns, "link", f"{text} {longest.words()}", weight, longest.can_id)
             if longest.end_ns is not None and gone:
                 yield TimelineEntry(longest.end_ns, "link", f"{who} speaks again", STATE, longest.can_id)
-
-
-def _handshake(record: Record) -> Iterator[TimelineEntry]:
     for answer in record.answers:
-        if answer.lost:
+        if answer.waited_ns >= COMMS_LOST_NS:
             text = f"the handshake's echo is missing for {ms(answer.waited_ns)} (100 ms are a loss)"
             yield TimelineEntry(answer.toggle_ns, "link", text, WARNING, 0x510, "HANDSHAKE")
-
-
-def _second_senders(record: Record) -> Iterator[TimelineEntry]:
     for other in record.second_senders:
         yield TimelineEntry(other.begin_ns, "intruder", other.sentence, FAULT, other.can_ids[0])
 

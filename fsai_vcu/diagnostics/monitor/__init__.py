@@ -3,9 +3,9 @@
     view = View()                       # view.py: frames in, with their times; knows no clock
     view.update(frames)                 # frames.Frames, as they come
     picture = view.picture(now_ns)      # snapshot.py: everything there is to show, as plain data
-    view.signals(["*_TRQ*"], now_ns)    # changes.py: values and when they changed; bytes and events likewise
+    view.signals(["*_TRQ*"], now_ns)    # state_history.py: values and when they changed; bytes and events likewise
     source = Live(chunks, view)         # sources.py: a bus as it is now, or Log: any moment of a log
-    MonitorApp(source, 0.25).run()      # app.py, drawing.py: pages on a terminal; plain.py: one line
+    MonitorApp(source, 0.25).run()      # app.py, drawing.py: pages on a terminal
 
-`why_not_driving.py` says what stands between now and driving, by the rules that explain a log.
+What stands between now and driving is said by the rules that explain a log (explain/starting.py).
 """

@@ -1,4 +1,4 @@
-"""One moment on the bus as plain data: what is drawn, and what is printed as JSON.
+"""One moment on the bus as plain data: what is drawn, what is printed as JSON or in a line. No terminal is touched.
 
 A value is None where it was never received, or where its message has been missing for so long that it counts as lost: a
 message that stops coming must not leave its last values looking fresh.
@@ -6,14 +6,16 @@ message that stops coming must not leave its last values looking fresh.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-from fsai_vcu.diagnostics.statistics.measure import Handshake
+from fsai_vcu.diagnostics.explain.starting import Obstacle
+from fsai_vcu.diagnostics.statistics.measure import Handshake, as_json
+
+NO_VALUE: Final = "-"
 
 
 class Freshness(Enum):
@@ -73,16 +75,6 @@ class History:
 
 
 @dataclass(frozen=True, slots=True)
-class Obstacle:
-    """One thing that stands between now and driving. `follows`: it goes by itself once the ones above it are gone."""
-
-    words: str
-    evidence: str = ""
-    remedy: str = ""
-    follows: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class Picture:
     """Everything at one moment of the view's clock. Labels are the interface's own words."""
 
@@ -125,9 +117,21 @@ class Picture:
         median_ms = self.handshake.response.p50_ms if self.handshake else None
         return "no answers" if median_ms is None else f"{median_ms:.1f} ms"
 
+    @property
+    def last_state(self) -> str:
+        """Of a car that is silent: its last AS state, and when it was."""
+        if self.as_state_heard is None or self.status_age_s is None:
+            return ""
+        return f" ({self.as_state_heard} {duration(self.status_age_s)} ago)"
+
+    @property
+    def all_faults(self) -> list[str]:
+        cause = [f"SHUTDOWN_CAUSE {self.shutdown_cause}"] if self.shutdown_cause else []
+        return [*self.faults, *cause]
+
     def as_dict(self) -> dict[str, Any]:
         """As JSON types, without the time, which is the caller's to name."""
-        found: dict[str, Any] = _plain({each.name: getattr(self, each.name) for each in dataclasses.fields(self)})
+        found: dict[str, Any] = as_json(self, 4)
         found["handshake"] = self.handshake.as_dict() if self.handshake else None
         for message in found["messages"]:
             message["id"], message["message"] = message.pop("can_id"), message.pop("name")
@@ -135,16 +139,49 @@ class Picture:
         return found
 
 
-def _plain(value: Any) -> Any:
-    """Dataclasses, tuples, words and bytes as JSON types; numbers with four digits."""
-    if isinstance(value, float):
-        return round(value, 4)
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return _plain(dataclasses.asdict(value)) if dataclasses.is_dataclass(value) else value  # type: ignore[arg-type]
+# ---------------------------------------------------------------- in words
+
+
+def plain_line(picture: Picture, clock: str, signals: Sequence[History] = ()) -> str:
+    """Everything that matters in one line, for a log or a terminal that can do no more."""
+    words = [
+        clock,
+        picture.as_state or f"no 0x520{picture.last_state}",
+        picture.mission or "",
+        f"mode {picture.mode}",
+        f"Go {on_off(picture.go)}",
+        f"{number(picture.speed_mps)} m/s",
+        *(f"{name} {number(one.asked)} > {number(one.given)} {one.unit}" for name, one in picture.actuators.items()),
+        f"handshake {picture.response}",
+        *(f"{one.name} {one.value}" for one in signals),
+        f"faults: {', '.join(picture.all_faults)}" if picture.all_faults else "",
+        *picture.link,
+    ]
+    if picture.why_not_driving:
+        words.append("why not driving: " + "; ".join(one.words for one in picture.why_not_driving))
+    return " | ".join(printable(word) for word in words if word)
+
+
+def printable(text: str) -> str:
+    """Control characters of foreign names never reach the terminal."""
+    return "".join(char if char.isprintable() else "?" for char in text)
+
+
+def on_off(on: bool | None) -> str:
+    return NO_VALUE if on is None else "on" if on else "off"
+
+
+def number(value: float | None) -> str:
+    return NO_VALUE if value is None else f"{value:.1f}"
+
+
+def age(age_s: float) -> str:
+    return f"{age_s * 1000:.0f} ms" if age_s < 1.0 else duration(age_s)
+
+
+def duration(time_s: float) -> str:
+    if time_s < 60.0:
+        return f"{time_s:.1f} s"
+    minutes, seconds = divmod(int(time_s), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02} h" if hours else f"{minutes}:{seconds:02} min"

@@ -11,23 +11,22 @@ import numpy as np
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
-from fsai_vcu.diagnostics.decode.error_frames import error_words
-from fsai_vcu.diagnostics.decode.revision import guess_revision
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.emergencies import emergencies
+from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE, CAR_TORQUE_MAX
+from fsai_vcu.diagnostics.explain.endings import emergencies
+from fsai_vcu.diagnostics.explain.evidence import error_text
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
-from fsai_vcu.diagnostics.explain.link import ms
-from fsai_vcu.diagnostics.explain.record import Record, Signal, record_of
-from fsai_vcu.diagnostics.explain.signals import label
+from fsai_vcu.diagnostics.explain.record import Record, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
+from fsai_vcu.diagnostics.explain.starting import why_not_driving
 from fsai_vcu.diagnostics.explain.timeline import timeline
-from fsai_vcu.diagnostics.log.frames import ERROR, Frames
-from fsai_vcu.diagnostics.monitor.changes import bytes_of, changed_bytes, signals_of
+from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
-from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, keys_of
-from fsai_vcu.diagnostics.monitor.why_not_driving import mode, why_not_driving
-from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, measure
+from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, bytes_of, changed_bytes, signals_of
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, handshake_of, keys_of
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
+from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.units import S
@@ -46,15 +45,10 @@ _EVENTFUL: Final = frozenset({0x510, sig.STATUS, 0x524})  # messages all of whos
 _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake are all there
 
 
-def _torque(message: str, axle: str) -> tuple[Signal, Signal]:
-    """What an axle gives, and the most that it may."""
-    return Signal(message, f"{axle}_AXLE_TRQ"), Signal(message, f"{axle}_AXLE_TRQ_MAX")
-
-
 _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "steering": (sig.STEER, sig.ANGLE, sig.ANGLE_MAX, "deg"),
-    "torque front": (sig.TORQUE_F, *_torque("VCU2AI_Drive_F", "FRONT"), "Nm"),
-    "torque rear": (sig.TORQUE_R, *_torque("VCU2AI_Drive_R", "REAR"), "Nm"),
+    "torque front": (sig.TORQUE_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0], "Nm"),
+    "torque rear": (sig.TORQUE_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1], "Nm"),
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
@@ -122,8 +116,7 @@ class View:
         return self.memory.condensed(self.memory.window(now_ns, LONG_NS))
 
     def _record(self, frames: Frames) -> Record:
-        revision, reason = (self._revision, "given") if self._revision else guess_revision(frames)
-        return record_of(frames, revision, reason, self._databases)
+        return Record(frames, self._revision, self._databases)
 
     def _look_for_emergency(self, record: Record, now_ns: int) -> None:
         """The causes of an emergency brake are found while the frames before it are remembered whole, and kept."""
@@ -146,10 +139,6 @@ class _Moment:
         self._record = record
         self._now_ns = now_ns
         self._window = record.frames.only(record.frames.t_ns > now_ns - WINDOW_NS)
-        # All figures of all messages would take as long as everything else.
-        both = self._window.only(np.isin(self._window.can_id, (sig.STATUS, 0x510)))
-        measured = measure(both, record.decoder, revision=record.revision.name)
-        self._handshake = measured[0].handshake if measured else None
 
     def picture(self, emergency: Incident | None, channel: str) -> Picture:
         record, now_ns = self._record, self._now_ns
@@ -170,7 +159,7 @@ class _Moment:
             as_state_heard=None if span is None else label(sig.AS_STATE, span.value),
             status_age_s=(now_ns - int(times[-1])) / S if len(times) else None,
             mission=self._label(sig.AMI),
-            mode=mode(record, now_ns, self._fresh(0x510)),
+            mode=self._mode(),
             mission_status=self._label(sig.MISSION_STATUS),
             direction=self._label(sig.DIRECTION),
             estop_request=self._flag(sig.ESTOP),
@@ -179,7 +168,7 @@ class _Moment:
             ts_switch=self._flag(sig.TS_SWITCH),
             states=self._states(),
             driving=status and span is not None and span.value == sig.DRIVING,
-            why_not_driving=why_not_driving(record, now_ns, emergency),
+            why_not_driving=tuple(why_not_driving(record, now_ns, emergency)),
             wheels_rpm=wheels,
             speed_mps=car.speed_of_wheel_rpm(sum(wheels.values()) / len(wheels)) if wheels else None,
             speed_actual_kmh=self._value(_CAR_SPEED),
@@ -190,7 +179,7 @@ class _Moment:
             faults=tuple(signal.name for signal in sig.FAULTS if self._flag(signal)),
             warnings=tuple(signal.name for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS) if self._flag(signal)),
             shutdown_cause=self._label(sig.SHUTDOWN_CAUSE) if self._flag(sig.SHUTDOWN_CAUSE) else None,
-            handshake=self._handshake,
+            handshake=handshake_of(self._window, record.decoder),
             handshake_waiting_s=self._handshake_waiting_s(),
             load=self._load(),
             link=tuple(self._link(messages)),
@@ -210,6 +199,17 @@ class _Moment:
     def _label(self, signal: Signal) -> str | None:
         value = self._value(signal)
         return None if value is None else label(signal, value)
+
+    def _mode(self) -> str:
+        """The AI side's mode as far as the bus shows it: by what the AI computer acknowledges.
+
+        A mission that is chosen and not acknowledged means manual mode, or planner and controller have yet to confirm.
+        """
+        if not self._fresh(0x510):
+            return "unknown"
+        if self._record.at(sig.MISSION_STATUS, self._now_ns) != MissionStatus.NOT_SELECTED:
+            return "autonomous"
+        return "manual or unconfirmed" if self._record.at(sig.AMI, self._now_ns) else "unknown before a mission"
 
     def _states(self) -> dict[str, str]:
         found = {}
@@ -304,13 +304,8 @@ class _Moment:
         waiting_s = self._handshake_waiting_s()
         if waiting_s is not None and waiting_s >= _SLOW_ECHO_S and len(lost) < len(AI_IDS):
             found.append(f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)")
-        found += self._errors()
+        errors = self._record.error_ns[self._record.error_ns > self._now_ns - WINDOW_NS].tolist()
+        if errors:
+            many = f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s"
+            found.append(f"{many}, the last: {error_text(self._record, errors[-1])}")
         return found
-
-    def _errors(self) -> list[str]:
-        errors = self._window.only((self._window.flags & ERROR) != 0)
-        if not len(errors):
-            return []
-        last = len(errors) - 1
-        words = ", ".join(error_words(int(errors.can_id[last]), errors.payload(last)))
-        return [f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s, the last: {words}"]

@@ -1,8 +1,8 @@
-"""What the page draws: curves thinned out without losing a peak, and lanes of states."""
+"""What the page draws: curves thinned out without losing a peak, lanes of states, the way driven; and its figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -12,20 +12,25 @@ from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE
-from fsai_vcu.diagnostics.explain.record import Record, Series, Signal, Values
-from fsai_vcu.diagnostics.explain.signals import car_of, label
+from fsai_vcu.diagnostics.explain.record import Record, Series, Values
+from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import Ints
 from fsai_vcu.diagnostics.statistics.measure import BITRATE, LOAD_WINDOW_NS
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS
-from fsai_vcu.interface.units import KMH_PER_MPS, MS
+from fsai_vcu.interface.units import KMH_PER_MPS, MS, S
 
 BUCKETS: Final = 1000  # a wide screen has not many more points than twice as many
 BREAK_NS: Final = 250 * MS  # a value so old is not drawn on: a message that stopped must not look alive
 LANE_SPANS: Final = 400
 CURVES: Final = 7  # of any signals on one axis: as many as there are colours
+BRIDGED_NS: Final = 250 * MS  # over a longer gap of 0x525 nothing is known of the way
+SHORT_M: Final = 1.0  # less is no way to be drawn
+POINTS: Final = 600
+SIDE: Final = 480.0
+MARGIN: Final = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +80,7 @@ _OF_SIGNALS: Final = (
 
 def plots(record: Record) -> list[Plot]:
     """Every plot for which the log has something."""
-    found = [Plot("speed", "Speed", "m/s", 2, _speeds(record, car_of(record)))]
+    found = [Plot("speed", "Speed", "m/s", 2, _speeds(record, record.car))]
     for slug, title, unit, digits, signals in _OF_SIGNALS:
         curves = [Curve(name, record.series(signal)) for signal, name in signals]
         pairs = [curves[at : at + 2] for at in range(0, len(curves), 2)]
@@ -158,22 +163,14 @@ def thinned(series: Series, begin_ns: int, end_ns: int, buckets: int = BUCKETS) 
     rows = np.flatnonzero(turns)
     if len(rows) > 4 * buckets:
         slices = (t_ns[rows] - begin_ns) * buckets // max(end_ns - begin_ns + 1, 1)
-        starts = np.flatnonzero(np.diff(slices, prepend=-1))
-        lows, highs = _extremes(values[rows], starts, np.minimum), _extremes(values[rows], starts, np.maximum)
-        ends = np.append(starts[1:], len(rows)) - 1
+        ends = np.flatnonzero(np.diff(slices, append=buckets))
+        starts = np.append(0, ends[:-1] + 1)
+        # In each slice by value, the first of equals first
+        lows, highs = (np.lexsort((sign * values[rows], slices))[starts] for sign in (1, -1))
         rows = np.unique(np.concatenate((rows[starts], rows[lows], rows[highs], rows[ends], breaks, breaks + 1)))
     t_out, v_out = t_ns[rows], values[rows]
     holes = np.flatnonzero(np.isin(rows, breaks)) + 1
     return np.insert(t_out, holes, t_out[holes - 1] + 1), np.insert(v_out, holes, np.nan)
-
-
-def _extremes(values: Values, starts: Ints, choose: np.ufunc) -> Ints:
-    """Where in each slice the extreme value stands."""
-    extremes = choose.reduceat(values, starts)
-    lengths = np.diff(np.append(starts, len(values)))
-    hits = np.flatnonzero(values == np.repeat(extremes, lengths))
-    slice_of = np.repeat(np.arange(len(starts)), lengths)[hits]
-    return hits[np.flatnonzero(np.diff(slice_of, prepend=-1))]
 
 
 def packed(curve: Curve, digits: int, begin_ns: int, end_ns: int) -> dict[str, Any]:
@@ -237,17 +234,71 @@ def lanes(record: Record) -> list[dict[str, Any]]:
 
 def _spans(record: Record, signal: Signal) -> list[tuple[int, int, float]]:
     """Values over time, with holes where the message was missing."""
-    series = record.series(signal)
-    if not len(series):
-        return []
-    holes = [(int(series.t_ns[i]), int(series.t_ns[i + 1])) for i in np.flatnonzero(np.diff(series.t_ns) > BREAK_NS)]
-    spans: list[tuple[int, int, float]] = []
-    for span in series.spans:
-        begin_ns = span.begin_ns
-        for low, high in holes:
-            if begin_ns <= low < span.end_ns:
-                spans.append((begin_ns, low, span.value))
-                begin_ns = high
-        if begin_ns < span.end_ns or begin_ns == span.begin_ns:
-            spans.append((begin_ns, span.end_ns, span.value))
-    return spans
+    spans = record.series(signal).spans_within(BREAK_NS)
+    return [(span.begin_ns, span.end_ns, span.value) for span in spans]
+
+
+# ---------------------------------------------------------------- the way driven
+
+
+@dataclass(frozen=True)
+class Way:
+    """x_m, y_m [n] in a frame with its origin and x axis where the car began; speed_mps [n]."""
+
+    x_m: Values
+    y_m: Values
+    speed_mps: Values
+
+    @property
+    def length_m(self) -> float:
+        return float(np.hypot(np.diff(self.x_m), np.diff(self.y_m)).sum())
+
+
+def way_of(record: Record) -> Way | None:
+    """The way driven; None without wheel speeds."""
+    rear = [record.series(signal) for signal in sig.WHEELS[2:]]
+    if not all(len(series) for series in rear):
+        return None
+    car = record.car
+    t_ns = rear[0].t_ns
+    speed = car.speed_of_wheel_rpm(1.0) * (rear[0].values + rear[1].values) / 2.0
+    steps_ns = np.diff(t_ns, prepend=t_ns[0])
+    way_m = speed * np.where(steps_ns < BRIDGED_NS, steps_ns, 0) / S
+    curvature = np.tan(np.radians(record.series(sig.ANGLE).sampled(t_ns))) / car.wheelbase_m
+    heading = np.cumsum(way_m * curvature)
+    return Way(np.cumsum(way_m * np.cos(heading)), np.cumsum(way_m * np.sin(heading)), speed)
+
+
+def figures(record: Record, way: Way | None) -> Iterator[tuple[str, str]]:
+    """(name, text) of each figure of the run."""
+    if way is not None:
+        top = float(way.speed_mps.max())
+        yield "top speed", f"{top:.1f} m/s ({top * KMH_PER_MPS:.0f} km/h)"
+        yield "distance", f"{way.length_m:.0f} m, by the rear wheels"
+    spent: dict[float, int] = {}
+    for span in record.series(sig.AS_STATE).spans:
+        spent[span.value] = spent.get(span.value, 0) + span.end_ns - span.begin_ns
+    if spent:
+        yield "time in each state", ", ".join(f"{label(sig.AS_STATE, v)} {ns / S:.1f} s" for v, ns in spent.items())
+    missions = dict.fromkeys(label(sig.AMI, span.value) for span in record.series(sig.AMI).spans if span.value)
+    if missions:
+        yield "mission", ", ".join(missions)
+
+
+def drawing(way: Way | None) -> str:
+    """The way as an SVG picture that takes the page's colours; empty where the car did not move."""
+    if way is None or way.length_m < SHORT_M:
+        return ""
+    moved = np.concatenate(([True], np.hypot(np.diff(way.x_m), np.diff(way.y_m)) > 0.0))
+    x, y = way.x_m[moved], -way.y_m[moved]  # SVG's y axis points down
+    thin = np.unique(np.linspace(0, len(x) - 1, POINTS).astype(np.int64))
+    scale = (SIDE - 2 * MARGIN) / max(float(np.ptp(x)), float(np.ptp(y)))
+    points = np.stack([(x[thin] - x.min()) * scale + MARGIN, (y[thin] - y.min()) * scale + MARGIN], axis=1)
+    width, height = (float(side) * scale + 2 * MARGIN for side in (np.ptp(x), np.ptp(y)))
+    line = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
+    (ax, ay), (bx, by) = points[0], points[-1]
+    return (
+        f'<svg class="way" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="the way driven, from above:'
+        f' {way.length_m:.0f} m"><polyline points="{line}"/><circle class="from" cx="{ax:.1f}" cy="{ay:.1f}" r="5"/>'
+        f'<circle class="to" cx="{bx:.1f}" cy="{by:.1f}" r="5"/></svg>'
+    )

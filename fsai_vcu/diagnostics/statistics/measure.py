@@ -7,21 +7,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from enum import Enum
 from typing import Any, Final
 
 import numpy as np
 
-from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.decode.decoder import Decoder, raw_of
+from fsai_vcu.diagnostics.decode.decoder import Decoder, MessageTable
 from fsai_vcu.diagnostics.decode.error_frames import error_words
 from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY, MessageLayout
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, SENT, Frames, Ints
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.diagnostics.statistics.senders import batched
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
-from fsai_vcu.interface.bus_table import BY_ID, BusMessage, Flow
+from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS, RESERVED_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, PERIOD_NS
 from fsai_vcu.interface.units import MS, S
@@ -38,15 +37,32 @@ _FROZEN_COUNTS_NS = S
 _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor in a second
 
 
-def _plain(statistics: Any, names: Mapping[str, str]) -> dict[str, Any]:
-    """The fields for JSON, some of them under other names; numbers to six decimals."""
+def as_json(value: Any, digits: int) -> Any:
+    """Dataclasses, tuples, words and bytes as JSON types; numbers with so many decimals."""
+    if isinstance(value, float):
+        return round(value, digits)
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, Mapping):
+        return {name: as_json(each, digits) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(each, digits) for each in value]
+    return as_json(asdict(value), digits) if is_dataclass(value) else value  # type: ignore[arg-type]
 
-    def rounded(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: rounded(each) for key, each in value.items()}
-        return round(value, 6) if isinstance(value, float) else value
 
-    return {names.get(name, name): rounded(value) for name, value in asdict(statistics).items()}
+def _renamed(statistics: Any, names: Mapping[str, str]) -> dict[str, Any]:
+    """The fields for JSON, some of them under other names."""
+    return {names.get(name, name): value for name, value in as_json(statistics, 6).items()}
+
+
+def keys_of(frames: Frames) -> Ints:
+    """The key of each frame's message (layouts.EXTENDED_KEY); -1 for error frames."""
+    keys = frames.can_id.astype(np.int64)
+    keys[(frames.flags & EXTENDED) != 0] |= EXTENDED_KEY
+    keys[(frames.flags & ERROR) != 0] = -1
+    return keys
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +113,7 @@ class MessageStatistics:
 
     def as_dict(self) -> dict[str, Any]:
         names = {"can_id": "id", "name": "message", "interval": "interval_ms", "jitter": "jitter_ms"}
-        return {"type": "message", **_plain(self, names)}
+        return {"type": "message", **_renamed(self, names)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +127,7 @@ class Handshake:
     above_patience: int  # answers that took 100 ms or longer
 
     def as_dict(self) -> dict[str, Any]:
-        return _plain(self, {"response": "response_ms", "above_patience": "above_100_ms"})
+        return _renamed(self, {"response": "response_ms", "above_patience": "above_100_ms"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,19 +149,11 @@ class BusStatistics:
     backwards: int  # frames with a time before that of their predecessor
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "type": "bus",
-            "channel": self.channel,
-            "frames": self.frames,
-            "duration_s": round(self.duration_s, 6),
-            "load": round(self.load, 6),
-            "peak_load": round(self.peak_load, 6),
-            "bitrate": self.bitrate,
-            "error_frames": dict(self.error_frames),
-            "handshake": self.handshake.as_dict() if self.handshake else None,
-            "missing": [layout.name for layout in self.missing],
-            "backwards": self.backwards,
-        }
+        names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames")
+        found = as_json({name: getattr(self, name) for name in names}, 6)
+        handshake = self.handshake.as_dict() if self.handshake else None
+        missing = [layout.name for layout in self.missing]
+        return {"type": "bus", **found, "handshake": handshake, "missing": missing, "backwards": self.backwards}
 
 
 class Severity(Enum):
@@ -199,8 +207,7 @@ def _measure_channel(
         words[", ".join(error_words(int(frames.can_id[row]), frames.payload(row)))] += 1
     layouts = decoder.databases.layouts
     messages = []
-    keys = frames.can_id.astype(np.int64) | np.where((frames.flags & EXTENDED) != 0, EXTENDED_KEY, 0)
-    keys[errors] = -1
+    keys = keys_of(frames)
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     begins = np.flatnonzero(np.diff(keys, prepend=-2))
@@ -210,28 +217,21 @@ def _measure_channel(
             expected_ns = expected_period_ns(key, layouts.get(key), revision)
             messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
     received = set(distinct.tolist())
-    missing = (
-        ()
-        if received.isdisjoint(layouts)
-        else tuple(
-            layout
-            for key, layout in layouts.items()
-            if key not in received and expected_period_ns(key, layout, revision) is not None
-        )
-    )
+    described = {} if received.isdisjoint(layouts) else layouts
+    expected = [key for key, layout in described.items() if expected_period_ns(key, layout, revision) is not None]
     return BusStatistics(
         channel=channel,
         frames=len(frames),
         duration_s=duration_ns / S,
         timed=duration_ns > 0,
         messages=tuple(messages),
-        missing=missing,
+        missing=tuple(layouts[key] for key in expected if key not in received),
         error_frames=dict(words),
         load=_share(int(bits.sum()), duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
         bitrate=bitrate,
-        handshake=_handshake(frames, decoder.databases),
-        frozen_counts=tuple(_frozen_counts(frames, decoder)),
+        handshake=handshake_of(frames, decoder),
+        frozen_counts=tuple(_frozen_counts(decoder.tables(frames, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"}))),
         backwards=backwards,
     )
 
@@ -318,13 +318,14 @@ def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
     return float(np.add.reduceat(bits, begins).max()) / (bitrate * LOAD_WINDOW_NS / S)
 
 
-def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
-    asked = _bit(frames, databases, "VCU2AI_Status")
-    answered = _bit(frames, databases, "AI2VCU_Status")
-    if asked is None or answered is None:
+def handshake_of(frames: Frames, decoder: Decoder) -> Handshake | None:
+    """None where one of the two has no HANDSHAKE in these frames of one bus, whose times must not go backwards."""
+    tables = decoder.tables(frames, {"VCU2AI_Status", "AI2VCU_Status"})
+    both = [tables[name].series.get("HANDSHAKE") for name in ("VCU2AI_Status", "AI2VCU_Status") if name in tables]
+    bits = [(series.t_ns, series.raw) for series in both if series is not None and len(series.t_ns)]
+    if len(bits) < 2:
         return None
-    asked_ns, asked_bits = asked
-    answer_ns, answer_bits = answered
+    (asked_ns, asked_bits), (answer_ns, answer_bits) = bits
     # The very first bit asks for an answer too. Where no 0x510 came for 100 ms there is nobody who could give one.
     toggles = np.append(0, np.flatnonzero(asked_bits[1:] != asked_bits[:-1]) + 1)
     next_ns = np.append(asked_ns[toggles[1:]], np.iinfo(np.int64).max)
@@ -350,22 +351,8 @@ def _handshake(frames: Frames, databases: Databases) -> Handshake | None:
     )
 
 
-def _bit(frames: Frames, databases: Databases, name: str) -> tuple[Ints, Ints] | None:
-    """(times, HANDSHAKE) of a message's whole frames."""
-    layout = databases.by_name(name)
-    signal = next((s for s in layout.signals if s.name == "HANDSHAKE"), None) if layout else None
-    if layout is None or signal is None or not layout.plain:
-        return None
-    ours = (frames.can_id == layout.can_id) & (frames.length == layout.length)
-    ours &= (frames.flags & (ERROR | REMOTE | EXTENDED)) == (EXTENDED if layout.extended else 0)
-    if not ours.any():
-        return None
-    return frames.t_ns[ours], raw_of(signal, frames.word[ours]).astype(np.int64)
-
-
-def _frozen_counts(frames: Frames, decoder: Decoder) -> Iterator[tuple[str, float, float]]:
-    """Pulse counters that stood while the wheel speed said that the wheel turned."""
-    tables = decoder.tables(frames, {"VCU2AI_Speeds", "VCU2AI_Wheel_counts"})
+def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, float, float]]:
+    """Pulse counters that stood while, by the wheel speed, the wheel turned."""
     if len(tables) < 2:
         return
     speeds, counts = tables["VCU2AI_Speeds"], tables["VCU2AI_Wheel_counts"]
@@ -389,8 +376,8 @@ def _frozen_counts(frames: Frames, decoder: Decoder) -> Iterator[tuple[str, floa
 def judge(bus: BusStatistics) -> list[Finding]:
     """Everything that is not as it should be, the grave first."""
     found = [*_judge_bus(bus), *(finding for message in bus.messages for finding in _judge_message(message))]
-    ours = [replace(finding, channel=bus.channel) for finding in found]
-    return sorted(ours, key=lambda finding: finding.severity is not Severity.PROBLEM)
+    found.sort(key=lambda finding: finding.severity is not Severity.PROBLEM)
+    return [replace(finding, channel=bus.channel) for finding in found]
 
 
 def _finding(grave: bool, kind: str, text: str, can_id: int | None = None, t_s: float | None = None) -> Finding:
@@ -414,8 +401,8 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     for layout in bus.missing:
         own = BY_ID.get(layout.can_id)
         name = _name(layout.can_id, layout.name, layout.extended)
-        between = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
-        if between and own is not None and own.timeout_ns is not None:
+        ours = own is not None and own.name == layout.name and own.flow in (Flow.TO_VCU, Flow.FROM_VCU)
+        if own is not None and ours and own.timeout_ns is not None:
             yield _finding(True, "missing", f"{name} was never received", layout.can_id)
         else:
             absent.append(name)
@@ -458,33 +445,27 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
     if not message.extended and message.sent and can_id in RESERVED_IDS:
         text = f"{name}: sent {message.sent} times by this computer, which must not"
         yield _finding(True, "reserved", text, can_id)
-    if message.expected_ms is not None and message.longest_gap_ms is not None and message.interval.p50_ms is not None:
-        own = None if message.extended else BY_ID.get(can_id)
-        own = own if own is not None and own.name == message.name else None
-        yield from _judge_times(
-            message, name, own, message.expected_ms, message.longest_gap_ms, message.interval.p50_ms
-        )
-
-
-def _judge_times(
-    message: MessageStatistics, name: str, own: BusMessage | None, expected_ms: float, gap_ms: float, p50_ms: float
-) -> Iterator[Finding]:
+    expected_ms, gap_ms, p50_ms = message.expected_ms, message.longest_gap_ms, message.interval.p50_ms
+    if expected_ms is None or gap_ms is None or p50_ms is None:
+        return
+    own = None if message.extended else BY_ID.get(can_id)
+    own = own if own is not None and own.name == message.name else None
     supervised = own is None or own.timeout_ns is not None
     lost_ms = own.timeout_ns / MS if own is not None and own.timeout_ns else _LOST_PERIODS * expected_ms
     if message.silent_ms >= lost_ms:
         text = f"{name} is silent for the last {message.silent_ms:.0f} ms of the log"
-        yield _finding(supervised, "stopped", text, message.can_id, message.last_s)
+        yield _finding(supervised, "stopped", text, can_id, message.last_s)
     if gap_ms >= lost_ms:
         text = f"{name} was silent for {gap_ms:.1f} ms: {lost_ms:g} ms count as lost"
-        yield _finding(supervised, "gap", text, message.can_id, message.longest_gap_at_s)
+        yield _finding(supervised, "gap", text, can_id, message.longest_gap_at_s)
     elif message.gaps:
         text = f"{name}: frames missing {message.gaps} times, the longest gap {gap_ms:.1f} ms"
-        yield _finding(False, "gap", text, message.can_id, message.longest_gap_at_s)
+        yield _finding(False, "gap", text, can_id, message.longest_gap_at_s)
     # A gap moves the mean, and a rhythm of short and long moves the median: a wrong period moves both.
     off = min(abs(period_ms / expected_ms - 1.0) for period_ms in (p50_ms, message.mean_ms or 0.0))
     if message.count > _ENOUGH_INTERVALS and off > _PERIOD_TOLERANCE:
         text = f"{name} comes every {p50_ms:.2f} ms, but should every {expected_ms:g} ms"
-        yield _finding(supervised, "period", text, message.can_id)
+        yield _finding(supervised, "period", text, can_id)
 
 
 def _name(can_id: int, name: str | None, extended: bool) -> str:

@@ -1,6 +1,7 @@
 """One judgement of a log, shared by check, stats, explain and report: its findings, and the exit status they give.
 
-verdict = judge_log(record, story, buses)     # explain.record_for, explain.story_of, statistics.measure
+verdict = judge_log(record, buses)            # explain.record_for, statistics.measure
+verdict.explanation                           # explain.explained
 verdict.findings                              # the gravest first, each with its moment and what to do
 verdict.status, verdict.line()                # 0 only where everything is known and nothing is wrong
 """
@@ -14,8 +15,8 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from fsai_vcu.diagnostics.decode.revision import told_revision
-from fsai_vcu.diagnostics.explain import Explanation, Incident
-from fsai_vcu.diagnostics.explain.link import AT_ONCE_NS
+from fsai_vcu.diagnostics.explain import Explanation, Incident, explained
+from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, DRIVING, READY, STATUS
@@ -34,6 +35,7 @@ class Verdict:
     """`unknown`: what could not be judged, and why; where there is such a thing nothing is called OK."""
 
     begin_ns: int
+    explanation: Explanation
     findings: tuple[Finding, ...]
     unknown: tuple[str, ...] = ()
 
@@ -107,11 +109,14 @@ class Verdict:
         }
 
 
-def judge_log(record: Record, story: Explanation, buses: Sequence[BusStatistics]) -> Verdict:
-    """Everything that is to be said of a log. `buses`: the figures of each of its channels."""
-    findings = [_of_incident(incident) for incident in story.incidents if not incident.planned]
-    findings += _second_senders(record)
-    unknown = tuple(_unknown(record))
+def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
+    """Every finding on a log. `buses`: the figures of each of its channels."""
+    explanation = explained(record)
+    findings = [_of_incident(incident) for incident in explanation.incidents if not incident.planned]
+    remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
+    for one in record.second_senders:
+        where = (one.begin_ns, remedy, one.can_ids, record.channel)
+        findings.append(Finding(Severity.PROBLEM, "intruder", one.sentence, *where))
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
     absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
     for bus in buses:
@@ -121,13 +126,13 @@ def judge_log(record: Record, story: Explanation, buses: Sequence[BusStatistics]
         findings += [
             finding
             for finding in _of_bus(bus)
-            # What follows from a second sender, or is said as what is unknown, is not said again.
+            # What follows from a second sender, or is named as unknown, is not named again.
             if not (finding.kind == "stopped" and gone.issuperset(finding.can_ids))
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
     findings.sort(key=lambda finding: (finding.severity is not Severity.PROBLEM, finding.t_ns or 0))
-    return Verdict(record.begin_ns, tuple(findings), unknown)
+    return Verdict(record.begin_ns, explanation, tuple(findings), tuple(_unknown(record)))
 
 
 def _of_incident(incident: Incident) -> Finding:
@@ -140,14 +145,6 @@ def _of_incident(incident: Incident) -> Finding:
         first.cause.remedy,
         tuple(sorted({step.can_id for step in first.steps if step.can_id is not None})),
     )
-
-
-def _second_senders(record: Record) -> Iterator[Finding]:
-    for other in record.second_senders:
-        remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
-        yield Finding(
-            Severity.PROBLEM, "intruder", other.sentence, other.begin_ns, remedy, other.can_ids, record.channel
-        )
 
 
 def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
@@ -166,11 +163,10 @@ def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
         if finding.kind != "gap":
             yield finding
             continue
-        together = next((pause for pause in pauses if same(pause[0], finding)), None)
-        if together is None:
-            pauses.append([finding])
-        else:
-            together.append(finding)
+        together: list[Finding] = next((pause for pause in pauses if same(pause[0], finding)), [])
+        if not together:
+            pauses.append(together)
+        together.append(finding)
     for pause in pauses:
         ids = tuple(sorted(finding.can_ids[0] for finding in pause))
         severity = min((finding.severity for finding in pause), key=lambda s: s is not Severity.PROBLEM)
@@ -226,8 +222,8 @@ def _unknown(record: Record) -> Iterator[str]:
         yield "the log is shorter than a second"
     elif not record.ai_speaks:
         yield "no frame of the AI computer (0x510 to 0x514): it did not run, or one direction only was recorded"
-    told = told_revision(record.frames)
-    if told is not None and told[0].name != record.revision.name:
+    seen = told_revision(record.frames)
+    if seen is not None and seen[0].name != record.revision.name:
         yield (
-            f"the frames are of interface revision {told[0].name} ({told[1]}), and were read as {record.revision.name}"
+            f"the frames are of interface revision {seen[0].name} ({seen[1]}), and were read as {record.revision.name}"
         )

@@ -1,20 +1,30 @@
-"""Every EMERGENCY_BRAKE, and every drive that was cut off: what brought it about.
+"""Every EMERGENCY_BRAKE, every drive that was cut off, and those that ended regularly, but early: the cause.
 
-First comes what the car itself says (SHUTDOWN_CAUSE, fault bits), then what the frames show of the conditions of the
-AS state machine; behind an ESTOP_REQUEST and a lost link the search goes one step further back.
+First comes what the car itself reports (SHUTDOWN_CAUSE, fault bits), then what the frames show of the conditions of the
+AS state machine; behind an ESTOP_REQUEST and a lost link the search goes one step further back. Where the AI computer
+stopped the car by its service brake, how it brakes shows why: commands that fall silent leave torque 0 and the steering
+held for 200 ms before the brake comes; everything else brakes at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from types import MappingProxyType
 from typing import Final
+
+import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
-from fsai_vcu.diagnostics.explain.evidence import found_before
+from fsai_vcu.diagnostics.explain.evidence import (
+    CONFIG,
+    GONE_NS,
+    REBOOT_NS,
+    SLACK_NS,
+    found_before,
+    gap_at,
+    link_losses,
+)
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
     ChainLink,
@@ -25,12 +35,11 @@ from fsai_vcu.diagnostics.explain.incident import (
     ranked,
     shown,
 )
-from fsai_vcu.diagnostics.explain.link import GONE_NS, REBOOT_NS, gap_at, link_losses, timeouts_said
-from fsai_vcu.diagnostics.explain.record import Gap, Record, Signal, Span, ms
-from fsai_vcu.diagnostics.explain.signals import label, like_official_simulator
+from fsai_vcu.diagnostics.explain.record import Gap, Record, Span, ms
+from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import OFF_LIKE, Ami, AsState, Direction, EbsState, EbsStatus, MissionStatus
-from fsai_vcu.interface.specification import STANDING_RPM
+from fsai_vcu.interface.specification import READY_WAIT_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of state belongs to it
@@ -39,6 +48,10 @@ BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
+FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
+IDLE_NS: Final = 8 * S  # 3 s of standing still, and as long again for the first torque
+NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no frame shows
+HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 
 
 def emergencies(record: Record) -> list[Incident]:
@@ -64,43 +77,57 @@ def _emergency(record: Record, span: Span) -> Incident:
     came = f"{before} → EMERGENCY_BRAKE" if before else "EMERGENCY_BRAKE"
     end = sig.AS_STATE.step(t_ns, f"AS_STATE {came}{'; ' if names else ''}{', '.join(names)}")
     candidates: list[Candidate] = []
-    said = _said(record, span)
-    for slug, sureness in said.items():
+    reported = _reported(record, span)
+    for slug, sureness in reported.items():
         candidates += CHAINS.get(slug, _plain)(record, t_ns, slug, sureness)
-    candidates += [*_switch_off(record, t_ns), *_radio(record, t_ns)]
-    if not said:
-        candidates += [*_asked_unsaid(record, t_ns), *_link_unsaid(record, t_ns), *_simulators_brake(record, t_ns)]
-    candidates += _impossible(record, span)
-    if not candidates or (span.before is None and not said):
+    driven = span.before == sig.DRIVING
+    if driven:
+        candidates += switched(record, "asms_off", sig.AS_SWITCH, t_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off")
+    if driven and not record.like_official_simulator:
+        candidates += switched(record, "go_off", sig.GO, t_ns, "GO_SIGNAL 1 → 0")
+    candidates += _radio(record, t_ns)
+    if not reported:
+        candidates += _unreported(record, t_ns) if driven else []
+        losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
+        candidates += [one for one in losses if t_ns - one.t_ns <= BEHIND_NS]
+        candidates += _simulators_brake(record, t_ns)
+    candidates += _impossible(span)
+    if not candidates or (span.before is None and not reported):
         candidates += _nothing_shown(record, span)
     chains = ranked(candidates)
     what = f"EMERGENCY_BRAKE{f' in {before}' if before else ''}"
-    ended = tuple(replace(one, steps=(*_marks(record, one), *one.steps)).with_steps(end) for one in chains)
+    ended = tuple(candidate(one.slug, one.sureness, *_marks(record, one), *one.steps, end) for one in chains)
     return Incident(IncidentKind.EMERGENCY, t_ns, what, ended, planned=chains[0].slug == "planned_end")
 
 
 def _marks(record: Record, one: Candidate) -> list[ChainLink]:
-    """What 0x120 says belongs to a chain about the link."""
-    about_link = one.slug.startswith(("ai_message", "ai_silent", "handshake", "ai_unheard", "ai_comms"))
-    return timeouts_said(record, one.t_ns, one.t_ns + BEHIND_NS)[:2] if about_link else []
+    """What 0x120 (2021) reports as missing belongs to a chain about the link."""
+    if not one.slug.startswith(("ai_message", "ai_silent", "handshake", "ai_unheard", "ai_comms")):
+        return []
+    return [
+        signal.step(change.begin_ns, f"the VCU misses {what}")
+        for signal, what in sig.MISSED.items()
+        for change in record.changes(signal, one.t_ns, one.t_ns + BEHIND_NS)
+        if change.value
+    ][:2]
 
 
-def _said(record: Record, span: Span) -> dict[str, Sureness]:
+def _reported(record: Record, span: Span) -> dict[str, Sureness]:
     """The causes that the car names itself, the surest first."""
     t_ns = span.begin_ns
     until_ns = min(t_ns + AROUND_NS, span.end_ns)
-    said: dict[str, Sureness] = {}
+    reported: dict[str, Sureness] = {}
     value = int(record.at(sig.SHUTDOWN_CAUSE, until_ns) or 0)
     slugs = {int(cause): slug for cause, slug in SHUTDOWN.items()}
     if value in slugs:  # one outside the table is named in the timeline, and says nothing here
-        said[slugs[value]] = Sureness.SAID
+        reported[slugs[value]] = Sureness.SAID
     for signal in sig.FAULTS:
         series = record.series(signal)
         if series.at(until_ns):
             rose = any(s.value and abs(s.begin_ns - t_ns) <= AROUND_NS for s in series.spans)
             sureness = Sureness.SAID if rose or span.before is None else Sureness.FITS
-            said.setdefault(FAULT_BITS[signal.name], sureness)
-    return said
+            reported.setdefault(FAULT_BITS[signal.name], sureness)
+    return reported
 
 
 # ---------------------------------------------------------------- chains behind what the car says
@@ -131,11 +158,11 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
         return [candidate(slug, sureness, step)]
     request = sig.ESTOP.step(first.begin_ns, "ESTOP_REQUEST 0 → 1: the AI computer asks")
     drive_ns = _drive_begin(record, t_ns)
-    # Who asked is said by the car; why, by the frames before.
+    # Who asked is reported by the car; why, by the frames before.
     if roots := found_before(record, first.begin_ns, drive_ns, emergency=True):
-        return list(ranked(replace(root, sureness=sureness, steps=(*root.steps, request)) for root in roots))
+        return list(ranked(candidate(root.slug, sureness, *root.steps, request) for root in roots))
     ami = record.at(sig.AMI, t_ns)
-    moved = (record.fastest_wheel().between(drive_ns, t_ns).values >= STANDING_RPM).any()
+    moved = (record.fastest_wheel.between(drive_ns, t_ns).values >= STANDING_RPM).any()
     if ami == Ami.STATIC_INSPECTION_B or (ami == Ami.AUTONOMOUS_DEMO and moved):
         mission = sig.AMI.step(drive_ns, f"the mission is {label(sig.AMI, ami)}")
         return [candidate("planned_end", sureness, mission, request)]
@@ -174,24 +201,22 @@ def _both_asked(record: Record, t_ns: int) -> ChainLink | None:
 
 
 def _turning(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
-    """NEUTRAL or FINISHED while a wheel turned: since when it was said."""
+    """NEUTRAL or FINISHED while a wheel turned: since when it was sent."""
     signal, value = TURNING[slug]
-    said = [s for s in record.series(signal).spans if s.value == value and s.begin_ns <= t_ns]
-    if not said:
+    reported = [s for s in record.series(signal).spans if s.value == value and s.begin_ns <= t_ns]
+    if not reported:
         step = ChainLink(t_ns, f"no 0x510 of this log says {label(signal, value)}", sig.STATUS)
         return [candidate(slug, sureness, step)]
-    wheels = record.fastest_wheel().at(t_ns)
+    wheels = record.fastest_wheel.at(t_ns)
     turn = "" if wheels is None else f" while a wheel turns at {wheels:.0f} rpm"
-    words = f"{signal.name} {label(signal, said[-1].before)} → {label(signal, value)}{turn}"
-    return [candidate(slug, sureness, signal.step(said[-1].begin_ns, words))]
+    words = f"{signal.name} {label(signal, reported[-1].before)} → {label(signal, value)}{turn}"
+    return [candidate(slug, sureness, signal.step(reported[-1].begin_ns, words))]
 
 
-TURNING: Final[Mapping[str, tuple[Signal, float]]] = MappingProxyType(
-    {
-        "neutral_while_moving": (sig.DIRECTION, float(Direction.NEUTRAL)),
-        "finished_while_moving": (sig.MISSION_STATUS, float(MissionStatus.FINISHED)),
-    }
-)
+TURNING: Final[Mapping[str, tuple[Signal, float]]] = {
+    "neutral_while_moving": (sig.DIRECTION, float(Direction.NEUTRAL)),
+    "finished_while_moving": (sig.MISSION_STATUS, float(MissionStatus.FINISHED)),
+}
 
 
 def _ebs(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
@@ -211,37 +236,25 @@ def _ebs(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candi
 
 
 Chain = Callable[[Record, int, str, Sureness], list[Candidate]]
-CHAINS: Final[Mapping[str, Chain]] = MappingProxyType(
-    {
-        "ai_computer_request": _requested,
-        "ai_comms_lost": _link,
-        "torque_with_brake": _torque_with_brake,
-        "neutral_while_moving": _turning,
-        "finished_while_moving": _turning,
-        "ebs_fault": _ebs,
-    }
-)
+CHAINS: Final[Mapping[str, Chain]] = {
+    "ai_computer_request": _requested,
+    "ai_comms_lost": _link,
+    "torque_with_brake": _torque_with_brake,
+    "neutral_while_moving": _turning,
+    "finished_while_moving": _turning,
+    "ebs_fault": _ebs,
+}
 
 
 # ---------------------------------------------------------------- conditions that the frames show
 
 
-def _was_driving(record: Record, t_ns: int) -> bool:
-    return any(s.begin_ns == t_ns and s.before == sig.DRIVING for s in record.series(sig.AS_STATE).spans)
-
-
-def _asms_off(record: Record, t_ns: int) -> list[Candidate]:
-    return [
-        shown("asms_off", sig.AS_SWITCH.step(s.begin_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off"))
-        for s in record.changes(sig.AS_SWITCH, t_ns - JUST_BEFORE_NS, t_ns, to=0)
-    ]
-
-
-def _switch_off(record: Record, t_ns: int) -> list[Candidate]:
-    if not _was_driving(record, t_ns):
-        return []
-    go_off = [] if like_official_simulator(record) else record.changes(sig.GO, t_ns - JUST_BEFORE_NS, t_ns, to=0)
-    return [*_asms_off(record, t_ns), *(shown("go_off", sig.GO.step(s.begin_ns, "GO_SIGNAL 1 → 0")) for s in go_off)]
+def switched(
+    record: Record, slug: str, signal: Signal, t_ns: int, words: str, to: float = 0, within_ns: int = JUST_BEFORE_NS
+) -> list[Candidate]:
+    """The cause for each change of the signal to that value just before."""
+    changes = record.changes(signal, t_ns - within_ns, t_ns, to)
+    return [shown(slug, signal.step(change.begin_ns, words)) for change in changes]
 
 
 def _radio(record: Record, t_ns: int) -> list[Candidate]:
@@ -255,24 +268,20 @@ def _radio(record: Record, t_ns: int) -> list[Candidate]:
     if silent is not None:
         step = ChainLink(silent.begin_ns, "the last 0x181 (RES_TPDO) before it is missing", sig.REMOTE_ESTOP.can_id)
         found.append(shown("radio_lost", step))
-    weak = record.changes(sig.RADIO_STRENGTH, t_ns - 2 * S, t_ns, to=0)
+    weak = switched(record, "radio_lost", sig.RADIO_STRENGTH, t_ns, "RADIO_STRENGTH falls to 0 %", within_ns=2 * S)
     if weak:
-        step = sig.RADIO_STRENGTH.step(weak[-1].begin_ns, "RADIO_STRENGTH falls to 0 %")
-        found.append(shown("radio_lost", step))
+        found += weak[-1:]
     elif record.changes(sig.GO, t_ns - JUST_BEFORE_NS, t_ns, to=0):
         step = sig.GO.step(t_ns, "Go vanishes with the remote's radio, too")
         found.append(candidate("radio_lost", Sureness.POSSIBLE, step))
     return found
 
 
-def _asked_unsaid(record: Record, t_ns: int) -> list[Candidate]:
-    """Conditions of the AS state machine that the frames show and the car (or this database) does not name."""
-    found: list[Candidate] = []
-    if not _was_driving(record, t_ns):
-        return found
-    if record.at(sig.ESTOP, t_ns):
-        found += _requested(record, t_ns, "ai_computer_request", Sureness.SHOWN)
-    wheels = record.fastest_wheel().at(t_ns)
+def _unreported(record: Record, t_ns: int) -> list[Candidate]:
+    """Conditions to leave AS_DRIVING that the frames show and the car (or this database) does not name."""
+    asked = record.at(sig.ESTOP, t_ns)
+    found = _requested(record, t_ns, "ai_computer_request", Sureness.SHOWN) if asked else []
+    wheels = record.fastest_wheel.at(t_ns)
     for slug, (signal, value) in TURNING.items():
         recent = record.changes(signal, t_ns - JUST_BEFORE_NS, t_ns, to=value)
         if recent and wheels is not None and wheels > STANDING_RPM:
@@ -281,13 +290,8 @@ def _asked_unsaid(record: Record, t_ns: int) -> list[Candidate]:
     return found if both is None else [*found, shown("torque_with_brake", both)]
 
 
-def _link_unsaid(record: Record, t_ns: int) -> list[Candidate]:
-    losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
-    return [one for one in losses if t_ns - one.t_ns <= BEHIND_NS]
-
-
 def _simulators_brake(record: Record, t_ns: int) -> list[Candidate]:
-    for signal in (sig.BRAKE_REQ_F, sig.BRAKE_REQ_R) if like_official_simulator(record) else ():
+    for signal in (sig.BRAKE_REQ_F, sig.BRAKE_REQ_R) if record.like_official_simulator else ():
         for s in record.changes(signal, t_ns - JUST_BEFORE_NS, t_ns):
             if s.value > 0 and s.before == 0:
                 step = sig.BRAKE_REQ_F.step(s.begin_ns, f"a brake of {s.value:g} % is asked for")
@@ -295,11 +299,9 @@ def _simulators_brake(record: Record, t_ns: int) -> list[Candidate]:
     return []
 
 
-def _impossible(record: Record, span: Span) -> list[Candidate]:
+def _impossible(span: Span) -> list[Candidate]:
     """A state that the car shows for a moment in AS_DRIVING, and from which there is no way back to it."""
-    following = next((s for s in record.series(sig.AS_STATE).spans if s.begin_ns == span.end_ns), None)
-    back = following is not None and following.value == sig.DRIVING and span.end_ns - span.begin_ns <= BACK_NS
-    if span.before != sig.DRIVING or not back:
+    if not span.before == span.after == sig.DRIVING or span.end_ns - span.begin_ns > BACK_NS:
         return []
     words = f"AS_DRIVING again {ms(span.end_ns - span.begin_ns)} later: there is no such way back"
     return [shown("frames_wrong", sig.AS_STATE.step(span.begin_ns, words))]
@@ -337,15 +339,14 @@ def _cut_off(record: Record, span: Span) -> Incident:
     end = sig.AS_STATE.step(t_ns, f"AS_STATE AS_DRIVING → {state}")
     silences = [gap for gap in record.gaps(sig.STATUS, SILENT_NS) if gap.end_ns == t_ns and span.value in OFF_LIKE]
     found = [restarted(gap) for gap in silences[:1]]
-    found += _asms_off(record, t_ns)
-    for s in record.changes(sig.MISSION_STATUS, t_ns - JUST_BEFORE_NS, t_ns, to=MissionStatus.NOT_SELECTED):
-        step = sig.MISSION_STATUS.step(s.begin_ns, "MISSION_STATUS becomes NOT_SELECTED")
-        found.append(shown("not_selected_simulator", step))
+    found += switched(record, "asms_off", sig.AS_SWITCH, t_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off")
+    words, unselected = "MISSION_STATUS becomes NOT_SELECTED", MissionStatus.NOT_SELECTED
+    found += switched(record, "not_selected_simulator", sig.MISSION_STATUS, t_ns, words, unselected)
     if "not in the interface" in state:
         found.append(shown(Reason.AS_STATE_UNKNOWN.slug, end))
     elif not found:
-        found += _impossible(record, span) or [candidate("unknown", Sureness.POSSIBLE, end)]
-    chains = tuple(replace(c, steps=tuple(dict.fromkeys((*c.steps, end)))) for c in ranked(found))
+        found += _impossible(span) or [candidate("unknown", Sureness.POSSIBLE, end)]
+    chains = tuple(candidate(one.slug, one.sureness, *one.steps, end) for one in ranked(found))
     return Incident(IncidentKind.ABORT, t_ns, f"AS_DRIVING ended in {state}", chains)
 
 
@@ -360,3 +361,104 @@ def _lost_car(record: Record) -> list[Incident]:
     still = any(int(record.times(can_id)[-1]) > last_ns + SILENT_NS for can_id in received)
     cause = shown("vcu_silent" if still else "power_off", ChainLink(last_ns, words, sig.STATUS))
     return [Incident(IncidentKind.ABORT, last_ns, "the car fell silent in AS_DRIVING", (cause,))]
+
+
+# ---------------------------------------------------------------- service-brake stops
+
+
+def early_stops(record: Record) -> list[Incident]:
+    """Every service-brake stop from speed in a drive that was not ended by an emergency brake."""
+    found = []
+    for span in record.series(sig.AS_STATE).spans:
+        if span.value != sig.DRIVING or span.after == sig.EMERGENCY:
+            continue
+        began_ns = _service_brake(record, span.begin_ns, span.end_ns)
+        if began_ns is None or record.at(sig.ESTOP, began_ns):
+            found += _without_a_stop(record, span)
+            continue
+        stop = _stop(record, began_ns, span.begin_ns)
+        # Slow after a drive, or on stands, a mission that is done stops like this: then only what the bus shows counts.
+        wheels = record.fastest_wheel.between(span.begin_ns, began_ns).values
+        slow = len(wheels) and wheels[-1] < FAST_RPM <= wheels.max()
+        on_stands = record.at(sig.AMI, began_ns) == Ami.STATIC_INSPECTION_A
+        if any(one.slug not in NOT_SHOWN for one in stop.candidates) or not (slow or on_stands):
+            found.append(stop)
+    return found
+
+
+def _without_a_stop(record: Record, span: Span) -> list[Incident]:
+    """AS_DRIVING that was over before it drove, or that the AI computer does not take for a drive of its own."""
+    wheels = record.fastest_wheel.between(span.begin_ns, span.end_ns).values
+    asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
+    if span.before is None or not len(wheels) or not all(map(len, asked)):
+        return []
+    finished = span.after == sig.FINISHED
+    over = record.span_at(sig.MISSION_STATUS, span.end_ns) if finished else None
+    over_ns = span.end_ns if over is None else over.begin_ns
+    candidates = found_before(record, over_ns, span.begin_ns, emergency=False) if finished else []
+    idle = span.end_ns - span.begin_ns >= IDLE_NS and not any(series.values.any() for series in asked)
+    if wheels.max() < STANDING_RPM and (finished or idle):
+        candidates += _start_was_wrong(record, span)
+        if record.at(sig.AMI, span.end_ns) not in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B):
+            step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
+            candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
+    if not candidates:
+        return []
+    what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
+    return [Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))]
+
+
+def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:
+    if not record.at(sig.AMI, span.begin_ns):
+        return [shown(Reason.NO_MISSION.slug, sig.AMI.step(span.begin_ns, "AMI_STATE is 0: no mission is chosen"))]
+    ready = record.span_at(sig.AS_STATE, span.begin_ns - 1)
+    go = record.span_at(sig.GO, span.begin_ns)
+    if ready is None or ready.value != sig.READY:
+        return []
+    waited_ns = span.begin_ns - ready.begin_ns
+    if waited_ns < READY_WAIT_NS - SLACK_NS:
+        step = sig.AS_STATE.step(ready.begin_ns, f"AS_READY for {ms(waited_ns)}: 5 s have to pass")
+    elif go is not None and go.value and go.begin_ns <= ready.begin_ns:
+        step = sig.GO.step(go.begin_ns, "GO_SIGNAL is 1 since before AS_READY began: no Go was given in it")
+    else:
+        return []
+    return [shown(Reason.SEQUENCE_SHORT.slug, step)]
+
+
+def _service_brake(record: Record, begin_ns: int, end_ns: int) -> int | None:
+    """When the brake went to the service-brake stop's pressure, with the motors' speed limit at 0 from then on."""
+    brake = record.series(sig.BRAKE_REQ_F).between(begin_ns, end_ns)
+    limited = record.series(sig.SPEED_MAX_R).sampled(brake.t_ns) == 0
+    driven = np.flatnonzero(~limited)
+    if not len(driven):
+        return None
+    stopping = np.flatnonzero(np.abs(brake.values[driven[-1] :] - CONFIG.stop_brake_pct) < 1.0)
+    return int(brake.t_ns[driven[-1] + stopping[0]]) if len(stopping) else None
+
+
+def _stop(record: Record, t_ns: int, drive_begin_ns: int) -> Incident:
+    brake = sig.BRAKE_REQ_F.step(t_ns, f"the brake goes to {CONFIG.stop_brake_pct:g} %, torque 0: stopping for good")
+    before = found_before(record, t_ns, drive_begin_ns, emergency=False)
+    candidates = [candidate(one.slug, one.sureness, *one.steps, brake) for one in before]
+    held_ns = _held_before(record, t_ns)
+    if held_ns is not None:
+        stale_ms = CONFIG.command_stale_ns // MS
+        words = f"torque 0 and the steering held: no fresh command for {stale_ms} ms by then"
+        lost = ChainLink(held_ns - CONFIG.command_stale_ns, "about when the last fresh command came (not on the bus)")
+        step = sig.TORQUE_R.step(held_ns, words)
+        candidates.append(candidate(Reason.COMMAND_STALE.slug, Sureness.FITS, lost, step, brake))
+    candidates.append(candidate("stop_asked", Sureness.POSSIBLE, brake))
+    what = f"service-brake stop from {record.fastest_wheel.at(t_ns) or 0:.0f} rpm"
+    return Incident(IncidentKind.STOP, t_ns, what, ranked(candidates))
+
+
+def _held_before(record: Record, t_ns: int) -> int | None:
+    """Since when torque was 0 and steering and brake stood still, if for about the 200 ms of stale commands."""
+    signals, until_ns = (sig.TORQUE_F, sig.TORQUE_R, sig.STEER), t_ns - SLACK_NS
+    for signal in signals:
+        values = record.series(signal).between(t_ns - HELD_NS, until_ns).values
+        if len(values) and (values.max() != values.min() or (signal is not sig.STEER and values.max() > 0)):
+            return None
+    spans = [record.span_at(signal, until_ns) for signal in signals]
+    latest = max((span.begin_ns for span in spans if span is not None), default=t_ns - HELD_NS)
+    return max(latest, t_ns - (CONFIG.command_lost_ns - CONFIG.command_stale_ns))
