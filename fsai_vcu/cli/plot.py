@@ -72,8 +72,8 @@ def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]
     rows[-1, 0].set_xlabel("seconds since the log's first frame")
     figure.tight_layout()
     try:
-        figure.savefig(path)
+        figure.savefig(path, format=path.suffix[1:] or "png")
     except (OSError, ValueError) as error:
-        raise UserError(f"cannot write {path}: {error}") from error
+        raise UserError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
     finally:
         pyplot.close(figure)
