@@ -277,8 +277,6 @@ class Sources:
         except KeyboardInterrupt:
             if not self.live:
                 raise
-        if self._part and self.first_ns is not None and not count:
-            raise UserError(f"no frame of {self.name} is in that part")
         if self.live and not count:
             self._say(f"nothing was received on {self.name}")
             self.status = 1
@@ -298,6 +296,7 @@ class Sources:
     def _log_chunks(self) -> Iterator[Frames]:
         from fsai_vcu.diagnostics.log.reader import open_log
 
+        inside = 0
         for name, rule in self._rules:
             count = 0
             with open_log(name) as log:
@@ -305,8 +304,12 @@ class Sources:
                     count += len(frames)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
-                    yield self._passing(frames, rule)
+                    passing = self._passing(frames, rule)
+                    inside += len(passing)
+                    yield passing
             self.status |= report_problems(self.verb, log.name, count, log.problems)
+        if self._part and self.first_ns is not None and not inside:
+            raise UserError(f"no frame of {self.name} is in that part")
 
     def _passing(self, frames: Frames, rule: FrameFilter) -> Frames:
         if self.first_ns is None and len(frames):
