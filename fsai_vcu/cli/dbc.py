@@ -18,12 +18,12 @@ ABOUT = """\
 A database is a file that cantools reads, or the name of an interface revision
 (2021 or 2026). list: its messages; show: signals by message name, pattern or
 identifier; diff: what differs. Exit status: 0 done (diff: no difference), 1
-nothing found or a difference, 2 wrong use."""
+a message is not found, or a difference, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description}\n\n{ABOUT}"
-    parser.add_argument("what", choices=("list", "show", "diff"), help="what to print")
+    parser.add_argument("what", choices=("list", "show", "diff"), metavar="list|show|diff", help="what to print")
     parser.add_argument("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
     parser.add_argument(
         "--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)"
@@ -39,12 +39,13 @@ def run(args: argparse.Namespace) -> int:
         return 1 if lines else 0
     layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
     chosen = [layout for layout in layouts if not args.names or any(map(layout.is_called, args.names))]
-    if not chosen:
-        raise UserError(f"no message {' or '.join(args.names)} in {args.dbc}")
+    unknown = [name for name in args.names if not any(layout.is_called(name) for layout in layouts)]
     for layout in chosen:
         print(_head(layout))
         if args.what == "show":
             print("".join(f"    {_signal(signal)}\n" for signal in layout.signals), end="")
+    if unknown:
+        raise UserError(f"no message {' or '.join(unknown)} in {args.dbc}")
     return 0
 
 

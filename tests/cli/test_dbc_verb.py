@@ -33,6 +33,7 @@ def test_a_database_does_not_differ_from_itself(capsys: pytest.CaptureFixture[st
     ("words", "status", "error"),
     [
         (["show", "nothing"], 1, "no message nothing in 2026"),
+        (["show", "0x513", "nothing"], 1, "no message nothing in 2026"),
         (["diff", "2021"], 2, "diff takes two databases"),
         (["list", "--dbc", "/nowhere.dbc"], 1, "/nowhere.dbc"),
     ],
