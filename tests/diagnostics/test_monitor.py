@@ -17,10 +17,9 @@ from story_runs import Ended, branch, driving, off, ready
 
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
-from fsai_vcu.diagnostics.monitor.changes import History
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, message_row, overview
 from fsai_vcu.diagnostics.monitor.plain import plain_line
-from fsai_vcu.diagnostics.monitor.snapshot import Freshness, Picture
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, Picture
 from fsai_vcu.diagnostics.monitor.sources import Live, Log
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
