@@ -58,9 +58,8 @@ def _load(name: str) -> Databases:
 
 def _head(layout: MessageLayout) -> str:
     period = "" if layout.period_ms is None else f", every {layout.period_ms} ms"
-    return (
-        f"{_number(layout)} {layout.name}: {layout.length} bytes{period}, from {', '.join(layout.senders) or 'nobody'}"
-    )
+    length = "1 byte" if layout.length == 1 else f"{layout.length} bytes"
+    return f"{_number(layout)} {layout.name}: {length}{period}, from {', '.join(layout.senders) or 'nobody'}"
 
 
 def _number(layout: MessageLayout) -> str:
@@ -73,9 +72,8 @@ def _signal(signal: SignalLayout) -> str:
     scale = f", x {signal.scale:g}" if signal.scale != 1 else ""
     offset = f" {signal.offset:+g}" if signal.offset else ""
     words = ", ".join(f"{value} {word}" for value, word in sorted(signal.choices.items()))
-    return (
-        f"{signal.name}: bit {signal.start}, {signal.length} {kind}{scale}{offset}{unit}{': ' + words if words else ''}"
-    )
+    bits = "1 bit" if signal.length == 1 else f"{signal.length} bits"
+    return f"{signal.name}: bit {signal.start}, {bits} {kind}{scale}{offset}{unit}{': ' + words if words else ''}"
 
 
 def _differences(ours: Mapping[int, MessageLayout], theirs: Mapping[int, MessageLayout]) -> Iterator[str]:
