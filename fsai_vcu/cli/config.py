@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "what",
         choices=("check", "show", "environment"),
+        metavar="check|show|environment",
         help="check: is it right? show: every setting in force; environment: what a ROS program of one's own needs to "
         "hear the nodes, as for systemd's EnvironmentFile=",
     )

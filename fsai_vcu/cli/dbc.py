@@ -18,12 +18,12 @@ ABOUT = """\
 A database is a file that cantools reads, or the name of an interface revision
 (2021 or 2026). list: its messages; show: signals by message name, pattern or
 identifier; diff: what differs. Exit status: 0 done (diff: no difference), 1
-nothing found or a difference, 2 wrong use."""
+a message is not found, or a difference, 2 wrong use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("what", choices=("list", "show", "diff"), help="what to print")
+    add("what", choices=("list", "show", "diff"), metavar="list|show|diff", help="what to print")
     add("names", nargs="*", metavar="NAME", help="show: messages; diff: two databases")
     add("--dbc", metavar="FILE|REVISION", default="2026", help="list, show: the database (default: 2026)")
 
@@ -37,12 +37,13 @@ def run(args: argparse.Namespace) -> int:
         return 1 if lines else 0
     layouts = sorted(_load(args.dbc).layouts.values(), key=lambda layout: (layout.extended, layout.can_id))
     chosen = [layout for layout in layouts if not args.names or any(map(layout.is_called, args.names))]
-    if not chosen:
-        raise UserError(f"no message {' or '.join(args.names)} in {args.dbc}")
+    unknown = [name for name in args.names if not any(layout.is_called(name) for layout in layouts)]
     for layout in chosen:
         print(_head(layout))
         if args.what == "show":
             print("".join(f"    {_signal(signal)}\n" for signal in layout.signals), end="")
+    if unknown:
+        raise UserError(f"no message {' or '.join(unknown)} in {args.dbc}")
     return 0
 
 
@@ -55,9 +56,8 @@ def _load(name: str) -> Databases:
 
 def _head(layout: MessageLayout) -> str:
     period = "" if layout.period_ms is None else f", every {layout.period_ms} ms"
-    return (
-        f"{_number(layout)} {layout.name}: {layout.length} bytes{period}, from {', '.join(layout.senders) or 'nobody'}"
-    )
+    length = "1 byte" if layout.length == 1 else f"{layout.length} bytes"
+    return f"{_number(layout)} {layout.name}: {length}{period}, from {', '.join(layout.senders) or 'nobody'}"
 
 
 def _number(layout: MessageLayout) -> str:
@@ -70,9 +70,8 @@ def _signal(signal: SignalLayout) -> str:
     scale = f", x {signal.scale:g}" if signal.scale != 1 else ""
     offset = f" {signal.offset:+g}" if signal.offset else ""
     words = ", ".join(f"{value} {word}" for value, word in sorted(signal.choices.items()))
-    return (
-        f"{signal.name}: bit {signal.start}, {signal.length} {kind}{scale}{offset}{unit}{': ' + words if words else ''}"
-    )
+    bits = "1 bit" if signal.length == 1 else f"{signal.length} bits"
+    return f"{signal.name}: bit {signal.start}, {bits} {kind}{scale}{offset}{unit}{': ' + words if words else ''}"
 
 
 def _differences(ours: Mapping[int, MessageLayout], theirs: Mapping[int, MessageLayout]) -> Iterator[str]:

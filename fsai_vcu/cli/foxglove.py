@@ -66,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
         server = foxglove.start_server(name=f"fsai-vcu {sources.name}", host=args.host, port=args.port)
     except (OSError, RuntimeError) as error:
         raise UserError(f"cannot listen on {args.host}:{args.port}: {error}") from error
-    print(f"ws://{args.host}:{args.port} shows {sources.name}, until Ctrl-C", flush=True)
+    how_long = "until Ctrl-C" if sources.live else "once, as fast as it was recorded"
+    print(f"ws://{args.host}:{args.port} shows {sources.name}, {how_long}", flush=True)
     topics = Topics(lambda name: foxglove.Channel(name, message_encoding="json"))
     ended: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: ended.append(number))  # the SDK takes no interruption
@@ -76,6 +77,9 @@ def run(args: argparse.Namespace) -> int:
             if ended:
                 break
             topics.show(frames, decoding)
+    except KeyboardInterrupt:  # a script's SIGTERM
+        if not sources.live:
+            raise
     finally:
         signal.signal(signal.SIGINT, before)
         server.stop()

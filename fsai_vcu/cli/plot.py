@@ -66,13 +66,13 @@ def _save(path: Path, record: Record, groups: dict[str, list[tuple[str, Series]]
             axes.plot((series.t_ns - record.begin_ns) / 1e9, series.values, drawstyle="steps-post", label=name, lw=1)
         axes.set_ylabel(unit or "raw")
         axes.grid(alpha=0.3)
-        axes.legend(loc="upper right", fontsize="small")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small")  # beside, so that it hides nothing
     rows[0, 0].set_title(title)
     rows[-1, 0].set_xlabel("seconds since the log's first frame")
     figure.tight_layout()
     try:
-        figure.savefig(path)
+        figure.savefig(path, format=path.suffix[1:] or "png")
     except (OSError, ValueError) as error:
-        raise UserError(f"cannot write {path}: {error}") from error
+        raise UserError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
     finally:
         pyplot.close(figure)

@@ -256,8 +256,6 @@ class Sources:
         except KeyboardInterrupt:
             if not self.live:
                 raise
-        if self._part and self.first_ns is not None and not count:
-            raise UserError(f"no frame of {self.name} is in that part")
         if self.live and not count:
             self._say(f"nothing was received on {self.name}")
             self.status = 1
@@ -277,6 +275,7 @@ class Sources:
     def _log_chunks(self) -> Iterator[Frames]:
         from fsai_vcu.diagnostics.log.reader import open_log
 
+        inside = 0
         for name, rule in self._rules:
             count = 0
             with open_log(name) as log:
@@ -284,8 +283,12 @@ class Sources:
                     count += len(frames)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
-                    yield self._passing(frames, rule)
+                    passing = self._passing(frames, rule)
+                    inside += len(passing)
+                    yield passing
             self._report(log.name, count, log.problems)
+        if self._part and self.first_ns is not None and not inside:
+            raise UserError(f"no frame of {self.name} is in that part")
 
     def _report(self, name: str, frames: int, problems: Problems) -> None:
         """Say what could not be read of a log of so many frames."""

@@ -13,7 +13,7 @@ def test_a_message_is_shown_by_number_name_or_pattern(name: str, capsys: pytest.
     lines = capsys.readouterr().out.splitlines()
     assert lines == [
         "0x513 AI2VCU_Steer: 2 bytes, every 10 ms, from AI",
-        "    STEER_REQUEST: bit 0, 16 signed, x 0.1 deg",
+        "    STEER_REQUEST: bit 0, 16 bits signed, x 0.1 deg",
     ]
 
 
@@ -21,7 +21,7 @@ def test_two_revisions_differ_message_by_message(capsys: pytest.CaptureFixture[s
     assert main(["dbc", "diff", "2021", "2026"]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert "- 0x120 VCU_STATUS: 8 bytes, every 10 ms, from VCU" in lines
-    assert any(line.startswith("+ 0x520 VCU2AI_Status: TS_STATE: bit 28, 4 unsigned: 0 TS_INIT") for line in lines)
+    assert any(line.startswith("+ 0x520 VCU2AI_Status: TS_STATE: bit 28, 4 bits unsigned: 0 TS_INIT") for line in lines)
 
 
 def test_a_database_does_not_differ_from_itself(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,6 +33,7 @@ def test_a_database_does_not_differ_from_itself(capsys: pytest.CaptureFixture[st
     ("words", "status", "error"),
     [
         (["show", "nothing"], 1, "no message nothing in 2026"),
+        (["show", "0x513", "nothing"], 1, "no message nothing in 2026"),
         (["diff", "2021"], 2, "diff takes two databases"),
         (["list", "--dbc", "/nowhere.dbc"], 1, "/nowhere.dbc"),
     ],

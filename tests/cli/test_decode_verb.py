@@ -37,6 +37,12 @@ def test_each_frame_is_one_line_as_cantools_writes_it(log: Path, capsys: pytest.
     assert capsys.readouterr().out == LINE * 3
 
 
+@pytest.mark.parametrize("verb", ["decode", "dump"])
+def test_a_part_without_frames_is_named(verb: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([verb, str(log), "--from", "500"]) == 1
+    assert capsys.readouterr() == ("", f"fsai-vcu {verb}: no frame of {log} is in that part\n")
+
+
 def test_a_long_log_is_decoded_like_many_short_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chance = random.Random(3)
     ids = [layout.can_id for layout in load_databases().layouts.values()]

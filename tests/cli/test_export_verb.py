@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import resource
 import signal
 import subprocess
@@ -132,6 +133,14 @@ def test_a_missing_extra_is_the_line_that_installs_it(
     assert main(["export", str(log), "--to", form, "-o", str(log.with_name("out"))]) == 1
     assert capsys.readouterr().err == (f"fsai-vcu export: {form} needs {package}: pip install 'fsai-vcu[{form}]'\n")
     assert not log.with_name("out").exists()
+
+
+def test_a_pipe_or_a_device_is_not_replaced(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pipe = log.with_name("pipe")
+    os.mkfifo(pipe)
+    assert main(["export", str(log), "--to", "csv", "--wide", "-o", str(pipe)]) == 1
+    assert f"{pipe} is a device or a pipe" in capsys.readouterr().err
+    assert pipe.is_fifo()
 
 
 def test_words_are_for_tables_that_have_only_one_of_both(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,6 +25,16 @@ def test_chosen_signals_are_drawn_with_their_names(tmp_path: Path, capsys: pytes
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_picture_has_the_name_that_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'fsai-vcu[plot]'")
+    run = str(log(tmp_path / "a.log"))
+    assert main(["plot", run, "ANGLE", "-o", str(tmp_path / "angle")]) == 0
+    assert (tmp_path / "angle").read_bytes().startswith(b"\x89PNG")
+    capsys.readouterr()
+    assert main(["plot", run, "ANGLE", "-o", "/nowhere/angle.png"]) == 1
+    assert capsys.readouterr().err == "fsai-vcu plot: cannot write /nowhere/angle.png: No such file or directory\n"
+
+
 def test_a_signal_that_the_log_lacks_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plot", str(log(tmp_path / "a.log")), "STEER_REQUEST"]) == 1
     assert "no signal STEER_REQUEST" in capsys.readouterr().err

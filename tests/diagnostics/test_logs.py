@@ -97,6 +97,44 @@ def test_mf4_is_read_packed_too(tmp_path: Path) -> None:
     assert plainly(read(path)) == plainly(read(packed)) == plainly(MIXED)
 
 
+def test_mf4_is_read_with_frames_of_every_kind_in_time(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    expected = [
+        frame(0x510, bytes(range(12)), fd=True, brs=True, channel="can1", sent=True),
+        frame(0x511, b"", remote=True, length=4, t_ns=T0_NS + 1_000_000, channel="can2", sent=False),
+        frame(0x004, b"\x01\x02", error=True, t_ns=T0_NS + 2_000_000, channel="can1", sent=False),
+        frame(0x18FF0001, b"\x7f", extended=True, t_ns=T0_NS + 3_000_000, channel="can2", sent=False),
+    ]
+    with can.Logger(tmp_path / "run.mf4") as writer:
+        for f in expected:
+            writer.on_message_received(
+                can.Message(
+                    timestamp=f.t_ns / 1e9,
+                    arbitration_id=f.can_id,
+                    data=f.data,
+                    dlc=f.length,
+                    channel=int(f.channel[-1]),
+                    is_extended_id=f.extended,
+                    is_remote_frame=f.remote,
+                    is_error_frame=f.error,
+                    is_fd=f.fd,
+                    bitrate_switch=f.brs,
+                    is_rx=not f.sent,
+                )
+            )
+    assert read(tmp_path / "run.mf4") == expected
+
+
+def test_an_mf4_of_signals_is_not_taken_for_an_empty_log(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    path = tmp_path / "run.mf4"
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append(asammdf.Signal(np.arange(3), np.arange(3.0), name="ANGLE"))
+        mdf.save(path)
+    frames, problems = problems_of(path, path.read_bytes())
+    assert (frames, problems) == ([], [f"{path}: an MF4 of signals, not of a bus's frames"])
+
+
 def test_mf4_without_its_package_names_what_installs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     frames, problems = problems_of(tmp_path / "run.mf4", b"MDF     4.10    ")

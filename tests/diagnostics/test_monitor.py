@@ -18,7 +18,7 @@ from story_runs import Ended, branch, driving, off, ready
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.monitor.drawing import head, history_row, message_row, overview
-from fsai_vcu.diagnostics.monitor.snapshot import Freshness, Picture, plain_line
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, Picture, plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
@@ -566,6 +566,13 @@ def test_changed_bytes_and_values_are_highlighted() -> None:
     now, later = (history_row(view.bytes(0x7AA, t_ns)[1], 80) for t_ns in (S + 100 * MS, 3 * S))
     marked = [[span for span in each.spans if "reverse" in str(span.style)] for each in (now, later)]
     assert list(map(len, marked)) == [1, 0] and "100 ms ago, 1×, was 02" in now.plain
+
+
+def test_a_value_that_does_not_fit_ends_in_a_mark() -> None:
+    moved = History("VCU2AI_Steer.ANGLE", "12.5 deg", 0.0, 12, 0.03, "12.4 deg", "-21.4321 … 17.1234")
+    wide, narrow = (history_row(moved, width).plain for width in (79, 39))
+    assert wide.endswith("30 ms ago, 12×, -21.432…") and len(wide) <= 79
+    assert narrow.endswith("12.5 deg  30 ms") and len(narrow) <= 39
 
 
 def test_control_characters_in_names_never_reach_the_terminal(go_off: Ended) -> None:

@@ -75,6 +75,8 @@ def export(
         raise ExportError(f"{path} is {what} already; name a new folder for the tables")
     if not folder and path.is_dir():
         raise ExportError(f"{path} is a folder; name a file")
+    if path.exists() and not path.is_dir() and not path.is_file():
+        raise ExportError(f"{path} is a device or a pipe, which a file would replace; name a file")
     # Beside its place, so that it can be moved there in one step.
     work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.resolve().parent))
     try:

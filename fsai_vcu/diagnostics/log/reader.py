@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 STDIN: Final = "-"
 _BLOCK_BYTES: Final = 1 << 20  # what fits a processor's cache is read fastest
 _BATCH: Final = 10_000
-
+_MF4_BATCH: Final = 100_000  # of columns, which cost little more than their memory
 
 _KEPT_PROBLEMS: Final = 1000  # kept as text; all are counted
 _GZIP: Final = b"\x1f\x8b"
@@ -95,6 +95,9 @@ class Log:
     def chunks(self) -> Iterator[Frames]:
         """All frames as columns, some ten thousand at a time."""
         channels: list[str] = []
+        if self.kind == "MF4":
+            yield from self._mf4_chunks()
+            return
         if self.kind not in _OF_LINES:
             messages = self._messages()
             while batch := list(islice(messages, _BATCH)):
@@ -170,8 +173,6 @@ class Log:
                 yield frame
             if self._is_cut_off():
                 self.problems.add(f"{self.name}: cut off after frame {read}")
-        except LogError as error:
-            self.problems.add(str(error))
         except Exception as error:  # the readers have no common base class for what a broken file makes them raise
             self.problems.add(f"{self.name}: not readable as {self.kind} after frame {read}: {_why(error)}")
 
@@ -182,41 +183,48 @@ class Log:
             reader = BLFReader(self._stream)  # type: ignore[arg-type]
             self._announced_bytes = reader.file_size
             return iter(reader)
-        if self.kind in ("ASC", "TRC"):
-            from can.io.asc import ASCReader
-            from can.io.trc import TRCReader
+        from can.io.asc import ASCReader
+        from can.io.trc import TRCReader
 
-            text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
-            if self.kind == "TRC":  # rows that its reader skips, error frames among them, are named in its own log only
-                skipped = logging.getLogger(TRCReader.__module__)
-                skipped.setLevel(logging.INFO)
-                skipped.filters = [self._row_skipped]
-            return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
-        return self._mf4_reader()
+        text = io.TextIOWrapper(self._stream, encoding="utf-8", errors="replace")
+        if self.kind == "TRC":  # rows that its reader skips, error frames among them, are named in its own log only
+            skipped = logging.getLogger(TRCReader.__module__)
+            skipped.setLevel(logging.INFO)
+            skipped.filters = [self._row_skipped]
+        return iter(TRCReader(text) if self.kind == "TRC" else ASCReader(text, relative_timestamp=False))
 
     def _row_skipped(self, record: logging.LogRecord) -> bool:
         if record.levelno >= logging.INFO:
             self.problems.add(f"{self.name}: a row is left out: {record.getMessage().removeprefix('TRCReader: ')}")
         return False
 
-    def _mf4_reader(self) -> Iterator[can.Message]:
+    def _mf4_chunks(self) -> Iterator[Frames]:
+        """Through asammdf alone: python-can's reader works on each frame."""
         try:
-            import asammdf  # type: ignore[import-not-found]  # noqa: F401  found missing here, not as an error of the log
-            from can.io.mf4 import MF4Reader
+            import asammdf  # type: ignore[import-not-found]
         except ImportError:
-            raise LogError(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'") from None
+            self.problems.add(f"{self.name}: MF4 needs asammdf: pip install 'fsai-vcu[mf4]'")
+            return
+        from fsai_vcu.diagnostics.log.mf4 import bus_frames
+
         is_file = self._path is not None and isinstance(self._stream, io.BufferedReader)
         # What asammdf cannot read it also cannot close when it is thrown away, and would say so on stderr.
         hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
         try:
-            try:
-                return iter(MF4Reader(self._path if is_file else io.BytesIO(self._stream.read())))  # type: ignore[arg-type]
-            except Exception as error:  # the same as in _messages
-                why = _why(error)
+            with asammdf.MDF(self._path if is_file else io.BytesIO(self._stream.read())) as mdf:
+                frames = bus_frames(mdf, lambda problem: self.problems.add(f"{self.name}: {problem}"))
+        except Exception as error:  # the same as in _messages
+            self.problems.add(f"{self.name}: not readable as MF4: {_why(error)}")
+            frames = frames_of(())
+            error.__traceback__ = None
             gc.collect()
         finally:
             sys.unraisablehook = hook
-        raise LogError(f"{self.name}: not readable as MF4: {why}")
+        if frames is None:
+            self.problems.add(f"{self.name}: an MF4 of signals, not of a bus's frames")
+            return
+        for begin in range(0, len(frames), _MF4_BATCH):
+            yield frames.only(np.arange(begin, min(begin + _MF4_BATCH, len(frames)), dtype=np.int64))
 
     def _is_cut_off(self) -> bool:
         """python-can's readers end quietly where a file ends: this looks whether it should have ended there."""

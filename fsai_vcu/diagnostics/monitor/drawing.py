@@ -92,11 +92,15 @@ def history_row(history: History, width: int, *, full: bool = False) -> Text:
     changed = ""
     if history.changed_s is not None:
         beyond = history.extent or f"was {history.before}"
-        changed = f"{age(history.changed_s):>7} ago, {history.changes}×, {beyond}"
+        changed = f"{age(history.changed_s):>6}"
+        if width >= _NARROW:
+            changed = f" {changed} ago, {history.changes}×, {beyond}"
     old = f"   {age(history.age_s)} old" if history.age_s > 1.0 else ""
     style = STRONG if history.changed_s is None or history.changed_s > 1.0 else "bold reverse"
     blanks = " " * (14 - len(history.value))
-    return line(f"{name:{room}} {blanks}", (history.value, style), (f" {changed}{old}", FAINT))
+    row = line(f"{name:{room}} {blanks}", (history.value, style), (f" {changed}{old}", FAINT))
+    row.truncate(width, overflow="ellipsis")
+    return row
 
 
 def event_row(event: TimelineEntry, clock: str, *, later: bool) -> Text:
