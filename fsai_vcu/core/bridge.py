@@ -55,7 +55,7 @@ from fsai_vcu.interface.messages import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
-from fsai_vcu.interface.revisions import TELLING_IDS, Revision, told_by_frame
+from fsai_vcu.interface.revisions import REVISION_IDS, Revision, revision_by_frame
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "BridgeState", "official_simulator"]
 
@@ -129,7 +129,7 @@ class Bridge:
             if frame.can_id in AI_IDS:
                 self._on_intruder(frame)
                 return
-            if frame.can_id in TELLING_IDS:
+            if frame.can_id in REVISION_IDS:
                 self._on_revision(frame)
         decoded = self._codec.decode(frame)
         for problem in decoded.problems:
@@ -186,10 +186,10 @@ class Bridge:
         state, tally, t_ns = self._state, self.tally, status.t_rx_ns
         before, odometry = state.supervisor, state.odometry
         now = supervisor.on_status(self._config, before, status)
-        said = self._vehicle_news.get("status", state.vehicle.status)
+        last = self._vehicle_news.get("status", state.vehicle.status)
         self._vehicle_news["status_known"] = True
-        if now.driving and said is not None:
-            for reason, detail in changes(said, status):
+        if now.driving and last is not None:
+            for reason, detail in changes(last, status):
                 tally.note(reason, detail)
                 now = supervisor.strike(now, reason, detail, t_ns)
         if before.status_ns is not None and t_ns - before.status_ns >= self._config.vcu_stale_ns:
@@ -201,9 +201,9 @@ class Bridge:
         self._state = replace(state, supervisor=now, odometry=odometry, status_doubt="", reopened_ns=None)
 
     def _on_revision(self, frame: Frame) -> None:
-        told = told_by_frame(frame.can_id, frame.data)
-        if told is not None:
-            self.tally.on_revision(*told, self._codec.revision.name)
+        found = revision_by_frame(frame.can_id, frame.data)
+        if found is not None:
+            self.tally.on_revision(*found, self._codec.revision.name)
 
     def _on_intruder(self, frame: Frame) -> None:
         if self._config.listen_only:
@@ -284,7 +284,7 @@ class Bridge:
             self._state = replace(self._state, bus_lost=why)
 
     def bus_back(self, now_ns: int) -> None:
-        """The interface is open again. Silent until the car is heard, but not for longer than it may be."""
+        """The interface is open again. Silent until the car is received, but not for longer than it may be."""
         state = self._state
         if state.bus_lost is None:
             return
@@ -438,7 +438,7 @@ class Bridge:
             self._state = replace(self._state, supervisor=supervising)
 
     def _moved(self, state: BridgeState) -> OdometryState:
-        """Dead reckoning by the newest that the car has said."""
+        """Dead reckoning by the newest that the car has reported."""
         return advance(self._car, state.odometry, state.vehicle, state.gps)
 
     def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:

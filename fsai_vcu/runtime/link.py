@@ -5,7 +5,7 @@ without waiting: where the other side does not read, it is dropped, and the next
 process is seen at once, as the end of the stream. A command or a report costs 4 us like this; shared memory would cost
 3 us, and need polling, a guard against torn reads, and another way to notice a death.
 
-The pair is private to the two processes, so messages are pickled objects; a report's datagram is told from the others
+The pair is private to the two processes, so messages are pickled objects; a report's datagram differs from the others
 by its first byte, so that of several that wait only the newest is unpacked.
 """
 

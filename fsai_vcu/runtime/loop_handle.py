@@ -57,7 +57,7 @@ class LoopHandle:
         self._awaited: int | None = None  # the request whose answer somebody waits for
         self._answer: Answer | None = None
         self._active = False
-        self._hangs = False  # it did not end when it was told to
+        self._hangs = False  # it did not end when it was asked to
         self.failure = ""  # why the loop ended by itself
 
     @property
@@ -230,7 +230,7 @@ class LoopHandle:
 
 
 def start_loop_process(bus: str) -> LoopHandle:
-    """Start the loop's process. `bus` is for whoever lists processes; the settings name it for the loop."""
+    """Start the loop's process. `bus` is for lists of processes; the settings name it for the loop."""
     ours, theirs = link_pair()
     environ = dict(os.environ, WATCHDOG_PID="")  # systemd named the edge; the watchdog is the loop's to feed
     with theirs:

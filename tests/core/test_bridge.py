@@ -444,11 +444,11 @@ def test_an_intruder_outside_as_driving_is_only_reported() -> None:
 
 def test_an_intruder_prevents_driving_for_5_s_after_its_frame() -> None:
     rig, words = Rig().ready(), "an intruder sends on our ids: 0x512 [00 00 00 00]"
-    heard_ns = rig.now_ns
-    rig.hear(Frame(0x512, bytes(4), heard_ns))
-    assert words in rig.bridge.report(heard_ns + 5 * S - 1).why_not_driving
-    assert words not in rig.bridge.report(heard_ns + 5 * S).why_not_driving
-    assert rig.bridge.report(heard_ns + 5 * S).reason_details == {"intruder": "0x512 [00 00 00 00]"}
+    received_ns = rig.now_ns
+    rig.hear(Frame(0x512, bytes(4), received_ns))
+    assert words in rig.bridge.report(received_ns + 5 * S - 1).why_not_driving
+    assert words not in rig.bridge.report(received_ns + 5 * S).why_not_driving
+    assert rig.bridge.report(received_ns + 5 * S).reason_details == {"intruder": "0x512 [00 00 00 00]"}
 
 
 def test_the_report_says_what_the_database_lacks() -> None:

@@ -95,7 +95,7 @@ Situation = tuple[SupervisorState, Inputs]
 
 def driving(now_ns: int = NOW, rpm: int = 200, **changes: Any) -> Situation:
     """Driving by command for a while, with everything received just now, but for what `changes` says (see `but`)."""
-    state = replace(roll(launched(), rpm, now_ns), status_ns=now_ns, heard_ns=now_ns)
+    state = replace(roll(launched(), rpm, now_ns), status_ns=now_ns, received_ns=now_ns)
     command = VehicleCommand(now_ns, state.run_id, throttle=0.5)
     return but((state, Inputs(now_ns, command, now_ns, steer_ns=now_ns)), **changes)
 
@@ -118,7 +118,7 @@ COMMAND_FIELDS = {each.name for each in fields(VehicleCommand)} - {"run_id"}
 def refreshed(situation: Situation, now_ns: int, **changes: Any) -> Situation:
     """Everything received anew at `now_ns`: the tests then age one thing alone."""
     state, inputs = situation
-    state = roll(replace(state, status_ns=now_ns, heard_ns=now_ns), state.fastest_rpm, now_ns)
+    state = roll(replace(state, status_ns=now_ns, received_ns=now_ns), state.fastest_rpm, now_ns)
     if inputs.command is not None:
         inputs = replace(inputs, command=replace(inputs.command, t_sensor_ns=now_ns))
     return but((state, replace(inputs, now_ns=now_ns, command_ns=now_ns, steer_ns=now_ns)), **changes)
@@ -642,7 +642,7 @@ def test_reset_is_refused_while_nobody_knows_the_as_state() -> None:
     assert not supervisor.reset(CONFIG, latched(OFF), T0 + 100 * MS)[1]
     assert supervisor.reset(CONFIG, SupervisorState(), T0)[1:] == (
         False,
-        "reset refused: the car has not said its AS state yet (no 0x520)",
+        "reset refused: the car has not reported its AS state yet (no 0x520)",
     )
 
 

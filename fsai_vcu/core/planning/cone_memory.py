@@ -63,7 +63,7 @@ class ConeMemory:
         self._hits: Floats = np.zeros(0)
         self._misses: Floats = np.zeros(0)
         self._votes: Floats = np.zeros((0, N_COLORS))
-        self._side: Floats = np.zeros(0)  # what the lane said: votes for left minus votes for right
+        self._side: Floats = np.zeros(0)  # by the lane: votes for left minus votes for right
         self._seen_at_m: Floats = np.zeros(0)
         self.total = 0  # cones ever believed
 
