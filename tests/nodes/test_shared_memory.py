@@ -58,12 +58,6 @@ def detector() -> Iterator[subprocess.Popen[str]]:
     assert node.returncode == 0, output
 
 
-def test_a_program_with_the_usual_transports_finds_a_node(detector: subprocess.Popen[str]) -> None:
-    program = started("cone_detector", "leaves")
-    output, _ = program.communicate(timeout=LONG_S)
-    assert output == "found\n"
-
-
 def mapped(pid: int) -> set[str]:
     """The process's files of shared memory, ports that others may have open as well among them."""
     words = (line.split() for line in Path(f"/proc/{pid}/maps").read_text().splitlines())
