@@ -7,10 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from diagnostic_msgs.msg import DiagnosticArray
 from fsai_msgs.action import RunMission
 from fsai_msgs.msg import RunState, VehicleCommand, VehicleState

@@ -13,9 +13,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_nodes.config_arguments import Configured, ros_arguments
 from fsai_nodes.parameters import NodeError
 from fsai_vcu.diagnostics.doctor.collect import listening_addresses, listening_sockets
@@ -175,23 +172,3 @@ def test_a_wrong_configuration_is_refused_with_its_file_and_line(tmp_path: Path)
         Configured(["bridge", "--config", str(tmp_path / "fsai.toml")], "vcu_bridge")
     with pytest.raises(NodeError, match="--interface needs --config"):
         Configured(["bridge", "--interface", "can0"], "vcu_bridge")
-
-
-def test_the_limits_in_force_are_published_and_in_status() -> None:
-    import math
-
-    from builtin_interfaces.msg import Time
-
-    from fsai_nodes.conversions import state_to_msg
-    from fsai_vcu.cli.status import _as_dict, _as_text
-    from fsai_vcu.core.bridge import Bridge
-    from fsai_vcu.core.limits import OperationalLimits
-    from fsai_vcu.core.vehicle.parameters import CARS
-    from fsai_vcu.interface.codec import Codec
-    from fsai_vcu.interface.revisions import revision
-
-    limits = OperationalLimits(max_speed_mps=3.5)
-    bridge = Bridge(Codec(revision("2026")), revision("2026"), CARS["2026"], limits=limits, now_ns=0)
-    state = state_to_msg(bridge.report(0), Time(), math.nan)
-    assert "limits    max_speed_mps = 3.5, max_axle_torque_nm = not limited" in _as_text(state)
-    assert _as_dict(state)["operational_limits"][0] == "max_speed_mps = 3.5"

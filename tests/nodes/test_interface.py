@@ -8,10 +8,6 @@ import re
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_msgs.msg import RunState, VehicleState
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration

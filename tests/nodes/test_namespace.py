@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_msgs.msg import VehicleState
 from fsai_msgs.srv import SetMode
 from ros_rig import RosRig, ScriptedVcu, overrides

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-
 from fsai_vcu.diagnostics.doctor.collect import dds_leftovers
 from fsai_vcu.runtime.transport import VARIABLES, loopback_environment
 

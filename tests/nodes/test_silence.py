@@ -6,12 +6,6 @@ import time
 from functools import partial
 
 import pytest
-
-from fsai_vcu.interface.units import MS
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_msgs.msg import ConeArray, ResetConfirmation, VehicleCommand
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -27,6 +21,7 @@ from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import VcuStatus
+from fsai_vcu.interface.units import MS
 
 warnings, errors = (partial(logged, level=level) for level in (30, 40))  # of rcl_interfaces/Log: its own are bytes
 
