@@ -309,12 +309,11 @@ def parse_configuration(text: str, path: Path) -> Configuration:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError([_problem(path, line_of(error), f"not valid TOML: {words_of(error)}")]) from error
-    lines = TomlLines(text)
     problems: list[tuple[int, str]] = []
     values: dict[tuple[str, str], object] = {}
 
     def refuse(words: str, *place: str) -> None:
-        line = lines.of(*place)
+        line = TomlLines(text).of(*place)
         problems.append((line or 0, _problem(path, line, words)))
 
     for table, content in document.items():
