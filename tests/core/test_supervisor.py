@@ -582,11 +582,12 @@ def test_autonomous_at_power_up_waits_for_standstill_in_as_off(as_state: AsState
         assert at_rest(as_state, T0, config).mode is Mode.MANUAL
 
 
-@pytest.mark.parametrize("lost_by", ["a request", "an early request", "itself"])
+@pytest.mark.parametrize("lost_by", ["a request", "an early request", "itself", "itself, chosen by a person"])
 def test_a_lost_mode_returns_only_at_the_next_power_up(lost_by: str) -> None:
     state = at_rest(OFF, T0, CONFIG if lost_by == "an early request" else POWER_UP)
-    if lost_by == "itself":  # as the loss of a command does
+    if lost_by == "itself, chosen by a person":
         state, _, _ = supervisor.set_mode(POWER_UP, replace(state, power_up=True), "autonomous", T0)
+    if "itself" in lost_by:  # as the loss of a command does
         state = replace(state, mode=Mode.MANUAL)
     else:
         state, _, _ = supervisor.set_mode(POWER_UP, state, "manual", T0)
