@@ -28,11 +28,11 @@ from fsai_vcu.core.supervision.changes import changes
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.supervision.gate import gate, gate_config, sent
 from fsai_vcu.core.supervision.plausibility import (
+    NEW_STEERING,
     SteeringCheck,
     WheelCheck,
     check_steering,
     check_wheels,
-    forget_steering,
     forget_wheels,
 )
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
@@ -445,7 +445,7 @@ class Bridge:
         """Compare what the car does with what it is asked for, as far as AS_DRIVING goes."""
         config, car, vehicle, wheels = self._config, self._car, state.vehicle, state.wheels
         if not state.supervisor.driving:
-            return forget_steering(), forget_wheels(wheels)
+            return NEW_STEERING, forget_wheels(wheels)
         steering = check_steering(config, car, state.steering, asked.steer_deg, vehicle.steer, now_ns)
         if state.supervisor.mission not in _WHEELS_IN_THE_AIR:
             doubted = bool(state.speeds_doubt)

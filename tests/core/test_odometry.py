@@ -207,14 +207,9 @@ def test_a_yaw_rate_is_as_sure_as_what_it_is_taken_from() -> None:
     assert by_steering.yaw_rate_sd_radps == pytest.approx(5.0 * SETTINGS.curvature_sd_1pm, rel=0.01)
     now = 10 * MS
     sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
-    assert Odometry(CAR).update(state(5.0, 10.0, now), sensed).yaw_rate_sd_radps == SETTINGS.yaw_rate_sd_radps
-
-
-def test_a_reset_makes_the_pose_sure_again() -> None:
-    odometry = Odometry(CAR)
-    drive(odometry, 5.0, 5.0, 3.0)
-    odometry.reset(3_000 * MS)
-    assert (odometry.motion.position_sd_m, odometry.motion.yaw_sd_rad) == (0.0, 0.0)
+    by_sensor = Odometry(CAR).update(state(5.0, 10.0, now), sensed)
+    assert by_sensor.yaw_rate_sd_radps == SETTINGS.yaw_rate_sd_radps
+    assert by_sensor.yaw_rate_radps == pytest.approx(math.radians(SOUND_DEGPS))
 
 
 BY_STEERING = 5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m  # rad/s at 5 m/s and 10 deg
@@ -225,14 +220,6 @@ def turning(vehicle: VehicleState, sensed_degps: float, now_ns: int, age_ms: int
     """The yaw rate in rad/s that follows from one look at a car and its sensor."""
     gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=sensed_degps, t_rx_ns=now_ns - age_ms * MS))
     return Odometry(CAR).update(vehicle, gps).yaw_rate_radps
-
-
-def test_a_fresh_yaw_rate_sensor_is_believed_before_the_steering() -> None:
-    odometry = Odometry(CAR)
-    now = 10 * MS
-    sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
-    motion = odometry.update(state(5.0, 10.0, now), sensed)
-    assert motion.yaw_rate_radps == pytest.approx(math.radians(SOUND_DEGPS))
 
 
 def test_a_yaw_rate_that_is_older_than_100_ms_is_not_believed() -> None:

@@ -181,37 +181,42 @@ def test_the_last_path_is_kept_for_one_second_without_cones() -> None:
         assert (len(plan.path_m) > 0) is kept
 
 
-def test_a_reset_forgets_cones_and_laps() -> None:
-    planner = planner_for(Ami.TRACKDRIVE)
-    for step in range(3):
-        planner.on_cones(observation(LANE, step), Motion(t_ns=step))
+def resets(planner: Planner) -> None:
     planner.reset(Run(4, Ami.TRACKDRIVE))
-    plan = planner.on_cones(observation([], 10), Motion(t_ns=10))
-    assert plan is not None
-    assert (plan.run_id, len(plan.path_m), plan.cones_count_all, plan.laps) == (4, 0, 0, 0)
 
 
-def test_odometry_that_begins_anew_makes_the_planner_forget() -> None:
+def another_mission(planner: Planner) -> None:
+    planner.on_run(Run(3, Ami.AUTOCROSS, AsState.AS_READY))
+
+
+def another_run(planner: Planner) -> None:
+    planner.on_run(Run(4, Ami.TRACKDRIVE, AsState.AS_READY))
+
+
+def same_run(planner: Planner) -> None:
+    planner.on_run(Run(3, Ami.TRACKDRIVE, AsState.AS_READY))
+
+
+@pytest.mark.parametrize(
+    ("happens", "distance_m", "forgets"),
+    [
+        (resets, 50.0, True),
+        (another_mission, 50.0, True),
+        (another_run, 50.0, True),
+        (same_run, 0.0, True),  # odometry began anew
+        (same_run, 50.0, False),
+    ],
+)
+def test_a_new_run_or_odometry_makes_the_planner_forget(
+    happens: Callable[[Planner], None], distance_m: float, forgets: bool
+) -> None:
     planner = planner_for(Ami.TRACKDRIVE)
     for step in range(3):
         planner.on_cones(observation(LANE, step), Motion(t_ns=step, distance_m=50.0))
-    plan = planner.on_cones(observation([], 10), Motion(t_ns=10, distance_m=0.0))
-    assert plan is not None
-    assert plan.cones_count_all == 0
-
-
-def test_another_run_or_mission_resets_and_the_same_run_does_not() -> None:
-    planner = planner_for(Ami.TRACKDRIVE)
-    for step in range(3):
-        planner.on_cones(observation(LANE, step), Motion(t_ns=step))
-    planner.on_run(Run(3, Ami.TRACKDRIVE, AsState.AS_READY))
-    plan = planner.on_cones(observation(LANE, 5), Motion(t_ns=5))
-    assert plan is not None and plan.cones_count_all > 0
-    planner.on_run(Run(3, Ami.AUTOCROSS, AsState.AS_READY))
-    assert planner.run.mission is Ami.AUTOCROSS
-    plan = planner.on_cones(observation(LANE, 6), Motion(t_ns=6))
-    assert plan is not None
-    assert (plan.mission, plan.cones_count_all) == (Ami.AUTOCROSS, 0)
+    happens(planner)
+    plan = planner.on_cones(observation([], 10), Motion(t_ns=10, distance_m=distance_m))
+    assert plan is not None and (plan.run_id, plan.mission) == (planner.run.run_id, planner.run.mission)
+    assert (plan.cones_count_all == 0 and not len(plan.path_m)) is forgets
 
 
 def test_the_staging_place_is_where_the_pushed_car_starts() -> None:

@@ -14,7 +14,6 @@ from fsai_vcu.core.supervision.plausibility import (
     WheelCheck,
     check_steering,
     check_wheels,
-    forget_steering,
     forget_wheels,
     wheel_factors,
 )
@@ -395,4 +394,3 @@ def test_outside_as_driving_only_slip_causes_are_kept() -> None:
     check = WheelCheck(T, "front left", 1, 2, 3)
     assert forget_wheels(check) == WheelCheck(None, "", 1, 2, 3)
     assert forget_wheels(WheelCheck()) == WheelCheck()
-    assert forget_steering() == SteeringCheck()
