@@ -19,6 +19,7 @@ from fsai_vcu.diagnostics.doctor.collect import listening_addresses, listening_s
 from fsai_vcu.runtime.transport import VARIABLES
 
 LONG_S = 60.0
+_RANGE, _BUILTIN = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_BUILTIN_TRANSPORTS"
 
 
 @pytest.fixture
@@ -81,66 +82,57 @@ class Watched:
         return any((task / "comm").read_text().startswith("dds.shm") for task in tasks)
 
 
-def test_a_node_notifies_systemd_and_listens_on_no_network(file: Path, tmp_path: Path) -> None:
-    node = Watched("cone_detector", "--config", str(file), folder=tmp_path)
+@pytest.mark.parametrize(
+    ("module", "said"),
+    [
+        ("cone_detector", ["configuration {file}: revision 2021, car 2021"]),
+        (
+            "vcu_bridge",
+            [
+                f"active on loopback:configured-{os.getpid()}, interface revision 2021, car 2021",
+                "operational limits: max_speed_mps = 3.5",
+            ],
+        ),
+    ],
+)
+def test_a_node_takes_the_file_notifies_systemd_and_is_local(
+    file: Path, tmp_path: Path, module: str, said: list[str]
+) -> None:
+    node = Watched(module, "--config", str(file), folder=tmp_path)
     node.await_told("READY=1")
     node.await_told("WATCHDOG=1")
     assert node.addresses() == set()
     output = node.end()
-    assert f"configuration {file}: revision 2021, car 2021" in output
+    assert all(words.format(file=file) in output for words in said)
     assert not (tmp_path / ".ros").exists(), "no log files of ROS's own beside the journal"
 
 
 @pytest.mark.parametrize(
-    ("module", "transport"),
+    ("module", "transport", "open_to_networks", "shared_memory", "words"),
     [
-        ("composed", {}),
-        ("cone_detector", {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}),
-        ("cone_detector", {"ROS_LOCALHOST_ONLY": "1"}),
-    ],
-    ids=["nothing set", "LOCALHOST", "LOCALHOST_ONLY"],
-)
-def test_without_a_configuration_too_it_is_the_loopback_alone(
-    tmp_path: Path, module: str, transport: dict[str, str]
-) -> None:
-    node = Watched(module, folder=tmp_path, transport=transport)
-    node.await_told("READY=1")
-    assert node.addresses() == set() and not node.shares_memory()
-    assert "transport:" not in node.end()
-
-
-@pytest.mark.parametrize(
-    ("transport", "open_to_networks", "shared_memory", "words"),
-    [
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, True, False, "transport: UDP, on every network"),
-        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, False, True, "FASTDDS_BUILTIN_TRANSPORTS=SHM of the environment holds"),
+        ("composed", {}, False, False, ""),
+        ("cone_detector", {_RANGE: "LOCALHOST"}, False, False, ""),
+        ("cone_detector", {"ROS_LOCALHOST_ONLY": "1"}, False, False, ""),
+        ("cone_detector", {_RANGE: "SUBNET"}, True, False, "transport: UDP, on every network"),
         (
-            {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+            "cone_detector",
+            {_BUILTIN: "SHM"},
+            False,
             True,
-            True,
-            "shared memory is used all the same",
+            "FASTDDS_BUILTIN_TRANSPORTS=SHM of the environment",
         ),
+        ("cone_detector", {_BUILTIN: "UDPv4", _RANGE: "LOCALHOST"}, True, True, "shared memory is used all the same"),
     ],
-    ids=["SUBNET", "SHM", "UDPv4 and LOCALHOST"],
 )
-def test_an_operators_own_transport_holds_and_one_line_says_so(
-    tmp_path: Path, transport: dict[str, str], open_to_networks: bool, shared_memory: bool, words: str
+def test_it_is_the_loopback_alone_unless_the_operator_has_chosen(
+    tmp_path: Path, module: str, transport: dict[str, str], open_to_networks: bool, shared_memory: bool, words: str
 ) -> None:
-    node = Watched("cone_detector", folder=tmp_path, transport=transport)
+    """And then one line says so."""
+    node = Watched(module, folder=tmp_path, transport=transport)
     node.await_told("READY=1")
     assert (node.addresses() != set(), node.shares_memory()) == (open_to_networks, shared_memory)
     output = node.end()
-    assert words in output and output.count("transport:") == 1
-
-
-def test_the_bridge_takes_bus_revision_and_limits_from_the_file(file: Path, tmp_path: Path) -> None:
-    node = Watched("vcu_bridge", "--config", str(file), folder=tmp_path)
-    node.await_told("READY=1")
-    node.await_told("WATCHDOG=1")
-    assert node.addresses() == set()
-    output = node.end()
-    assert f"active on loopback:configured-{os.getpid()}, interface revision 2021, car 2021" in output
-    assert "operational limits: max_speed_mps = 3.5" in output
+    assert words in output and output.count("transport:") == bool(words)
 
 
 def test_the_interface_of_the_service_goes_before_the_files(file: Path) -> None:
