@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.driving import Motion, Run
-from fsai_vcu.core.missions.request import CarView
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import driven_rpm
-from fsai_vcu.core.missions.steering_sweep import SweepState, advance_sweep
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 
@@ -115,12 +113,6 @@ def test_a_stuck_steering_does_not_block_an_inspection() -> None:
     stand = InTheAir(ADS_DV_2026, Ami.STATIC_INSPECTION_A, steer_stuck=True)
     stand.run(40.0)
     assert stand.commands[-1].mission_finished
-
-
-def test_a_sweep_that_is_done_stays_done() -> None:
-    done = SweepState(end=3, angle_rad=0.0)
-    view = CarView(10**9, Motion(), (0.0,) * 4, 0.0, True)
-    assert advance_sweep(done, view, 0.5, SETTINGS) == done
 
 
 def test_blocked_wheels_end_it_within_a_quarter_of_the_torque() -> None:

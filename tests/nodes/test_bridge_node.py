@@ -216,13 +216,6 @@ def test_deactivation_silences_the_bus_until_activation(rig: RosRig, bus: str) -
         rig.spin_until(somebody_sends, "frames after activation")
 
 
-def test_an_absent_bus_leaves_the_node_inactive(rig: RosRig) -> None:
-    rig.start(VcuBridge, autostart=False, can_interface="nosuch0")
-    assert change(rig, Transition.TRANSITION_CONFIGURE)
-    assert not change(rig, Transition.TRANSITION_ACTIVATE)
-    assert state_of(rig) == "inactive"
-
-
 # ---------------------------------------------------------------- /run_mission
 
 

@@ -7,7 +7,6 @@ import gc
 import socket
 import threading
 import time
-import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from loop_rig import (
     drop_all,
     eventually,
     eventually_within,
-    make_loop,
     moving_car,
     status_received,
     systemd,
@@ -41,13 +39,8 @@ from fsai_vcu.runtime.pacing import MIN_GAP_NS
 
 
 @pytest.fixture
-def spec() -> str:
-    return f"loopback:{uuid.uuid4()}"
-
-
-@pytest.fixture
 def loop(spec: str) -> Iterator[ThreadedLoop]:
-    made = make_loop(spec)
+    made = ThreadedLoop(spec)
     made.start()
     yield made
     made.stop()
@@ -67,7 +60,7 @@ def test_without_a_car_it_sends_the_five_idle_frames_alone(loop: ThreadedLoop, s
 
 def test_a_listener_never_sends(spec: str) -> None:
     with open_bus(spec) as car:
-        loop = make_loop(spec, BridgeConfig(listen_only=True))
+        loop = ThreadedLoop(spec, BridgeConfig(listen_only=True))
         loop.start()
         car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_OFF)))
         assert eventually(lambda: loop.report().run.as_state is AsState.AS_OFF)
@@ -141,8 +134,8 @@ def test_whatever_keeps_it_from_starting_the_lock_is_free_again(spec: str, monke
     with monkeypatch.context() as patched:
         patched.setattr(loop_module, "open_bus", refuse)
         with pytest.raises(OSError, match="Too many") as kept:  # and with it all that the constructor held
-            make_loop(spec)
-    again = make_loop(spec)
+            ThreadedLoop(spec)
+    again = ThreadedLoop(spec)
     again.start()
     again.stop()
     assert kept.value
@@ -175,7 +168,7 @@ def test_full_garbage_collections_are_rare_in_any_mode(
 ) -> None:
     collected: list[int] = []
     monkeypatch.setattr(loop_module.gc, "collect", lambda generation=2: collected.append(generation))
-    loop = make_loop(spec, BridgeConfig(listen_only=listen_only))
+    loop = ThreadedLoop(spec, BridgeConfig(listen_only=listen_only))
     loop.start()
     try:
         assert eventually(lambda: len(collected) > 30)
@@ -252,7 +245,7 @@ def test_the_watchdog_is_fed_and_a_stop_works_without_the_bus(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with systemd(tmp_path, monkeypatch, 20_000) as told:
-        loop = make_loop(spec)
+        loop = ThreadedLoop(spec)
         loop.start()
 
         def absent(*args: object, **kwargs: object) -> CanBus:
@@ -338,7 +331,7 @@ def test_others_on_our_ids_are_received_and_own_frames_not(loop: ThreadedLoop, s
 
 
 def test_a_stop_while_moving_requests_emergency_then_is_silent(spec: str) -> None:
-    loop = make_loop(spec)
+    loop = ThreadedLoop(spec)
     loop.start()
     with moving_car(spec) as received:
         assert eventually(lambda: bool(received))
@@ -385,7 +378,7 @@ def test_cycles_past_their_deadline_do_not_feed_the_watchdog(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with systemd(tmp_path, monkeypatch, 2_000) as told:
-        loop = make_loop(spec)
+        loop = ThreadedLoop(spec)
         late = threading.Event()
         monkeypatch.setattr(loop.loop, "_missed", lambda *_: late.is_set())
         late.set()
@@ -400,7 +393,7 @@ def test_a_silent_edge_starves_the_watchdog_but_in_a_drive(
 ) -> None:
     monkeypatch.setattr(loop_module, "EDGE_HUNG_NS", 0)
     with systemd(tmp_path, monkeypatch, 2_000) as told, open_bus(spec) as car:
-        loop = make_loop(spec)
+        loop = ThreadedLoop(spec)
         starve(loop, told)
         car.send(CODEC.encode(VcuStatus(as_state=AsState.AS_DRIVING, go_signal=True)))
         assert told.recv(64) == b"WATCHDOG=1"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Iterator
 
 import can
@@ -10,11 +9,6 @@ import pytest
 
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
-
-
-@pytest.fixture
-def spec() -> str:
-    return f"loopback:{uuid.uuid4()}"
 
 
 @pytest.fixture
