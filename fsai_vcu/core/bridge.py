@@ -14,7 +14,6 @@ out before it (safety rule 1).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
@@ -39,7 +38,7 @@ from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Inputs, SupervisorState
 from fsai_vcu.core.tally import Tally
-from fsai_vcu.core.vehicle.odometry import OdometryState, advance, begin_run, standing_start
+from fsai_vcu.core.vehicle.odometry import advance, begin_run, standing_start
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, MissionStatus
@@ -49,8 +48,8 @@ from fsai_vcu.interface.messages import (
     GPS_FIELD_OF,
     VEHICLE_FIELD_OF,
     AiCommand,
+    Image,
     VcuStatus,
-    VehicleState,
     WheelCounts,
     WheelSpeeds,
 )
@@ -331,7 +330,7 @@ class Bridge:
         """What to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
         config, state = self._config, self.state
         vehicle, supervising = state.vehicle, state.supervisor
-        odometry = self._moved(state)
+        odometry = advance(self._car, state.odometry, vehicle, state.gps)
         reopened_ns = state.reopened_ns
         if reopened_ns is not None and now_ns - reopened_ns >= config.vcu_lost_ns:
             reopened_ns = None
@@ -437,10 +436,6 @@ class Bridge:
         if supervising is not self._state.supervisor:
             self._state = replace(self._state, supervisor=supervising)
 
-    def _moved(self, state: BridgeState) -> OdometryState:
-        """Dead reckoning by the newest that the car has reported."""
-        return advance(self._car, state.odometry, state.vehicle, state.gps)
-
     def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
         """Compare what the car does with what it is asked for, as far as AS_DRIVING goes."""
         config, car, vehicle, wheels = self._config, self._car, state.vehicle, state.wheels
@@ -499,12 +494,10 @@ class Bridge:
             response_max_ns=tally.response_max_ns,
             rx_counts=MappingProxyType(dict(tally.rx)),
             problem_counts=MappingProxyType(dict(tally.problems)),
-            ages_ns=MappingProxyType(dict(_ages(vehicle, now_ns))),
+            ages_ns=MappingProxyType({name: _age_ns(getattr(vehicle, name), now_ns) for name in _AGES}),
             unknown=self._codec.unknown,
         )
 
 
-def _ages(vehicle: VehicleState, now_ns: int) -> Iterable[tuple[str, int | None]]:
-    for name in _AGES:
-        image = getattr(vehicle, name)
-        yield name, None if image is None else now_ns - image.t_rx_ns
+def _age_ns(image: Image | None, now_ns: int) -> int | None:
+    return None if image is None else now_ns - image.t_rx_ns
