@@ -38,7 +38,7 @@ from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Asked, Inputs, SupervisorState
 from fsai_vcu.core.tally import Tally
-from fsai_vcu.core.vehicle.odometry import advance, begin_run, standing_start
+from fsai_vcu.core.vehicle.odometry import OdometryState, advance, begin_run, standing_start
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, MissionStatus
@@ -330,7 +330,7 @@ class Bridge:
         """What to send now; None: stay silent. The handshake is the last one received (safety rule 9)."""
         config, state = self._config, self.state
         vehicle, supervising = state.vehicle, state.supervisor
-        odometry = advance(self._car, state.odometry, vehicle, state.gps)
+        odometry = self._moved(state)
         reopened_ns = state.reopened_ns
         if reopened_ns is not None and now_ns - reopened_ns >= config.vcu_lost_ns:
             reopened_ns = None
@@ -435,6 +435,10 @@ class Bridge:
     def _supervise(self, supervising: SupervisorState) -> None:
         if supervising is not self._state.supervisor:
             self._state = replace(self._state, supervisor=supervising)
+
+    def _moved(self, state: BridgeState) -> OdometryState:
+        """Dead reckoning by the newest that the car has reported."""
+        return advance(self._car, state.odometry, state.vehicle, state.gps)
 
     def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
         """Compare what the car does with what it is asked for, as far as AS_DRIVING goes."""
