@@ -146,8 +146,8 @@ def test_a_motion_is_of_the_instant_of_its_wheel_speeds() -> None:
     assert motion.t_ns == 7
 
 
-def test_a_car_that_falls_silent_is_where_it_was_heard_last() -> None:
-    """Whatever else is still heard, and however often it is looked at."""
+def test_a_car_that_falls_silent_is_where_it_was_received_last() -> None:
+    """Whatever else is still received, and however often it is looked at."""
     odometry = Odometry(CAR)
     last = drive(odometry, 5.0, 0.0, 1.0)
     speeds = wheels(CAR, 5.0, 0.0, 1_000 * MS)
@@ -186,12 +186,12 @@ def test_position_and_heading_get_less_sure_with_the_way() -> None:
         assert motion.position_sd_m == pytest.approx(expected, rel=0.02)
 
 
-def test_what_was_driven_unheard_is_added_whole() -> None:
-    before, heard = gap(100)
-    _, unheard = gap(1_100)
-    assert heard.position_sd_m - before.position_sd_m < 0.1
-    assert unheard.position_sd_m - before.position_sd_m > 5.0
-    assert unheard.yaw_sd_rad - before.yaw_sd_rad > SETTINGS.missing_yaw_rate_radps
+def test_what_was_driven_unreceived_is_added_whole() -> None:
+    before, short = gap(100)
+    _, long = gap(1_100)
+    assert short.position_sd_m - before.position_sd_m < 0.1
+    assert long.position_sd_m - before.position_sd_m > 5.0
+    assert long.yaw_sd_rad - before.yaw_sd_rad > SETTINGS.missing_yaw_rate_radps
     _, stood = gap(87_000, speed_mps=0.0)
     assert (stood.position_sd_m, stood.yaw_sd_rad) == (0.0, 0.0)
 

@@ -236,7 +236,7 @@ def test_a_run_that_has_ended_is_said_to_have_ended() -> None:
     )
 
 
-def test_what_was_never_heard_is_not_taken_for_heard() -> None:
+def test_what_was_never_received_is_not_taken_for_received() -> None:
     assert answer(vehicle={"status": None}) == ("no 0x520 from the car yet",)
     assert answer(state={"status_ns": None}) == ("no 0x520 from the car yet",)
     assert answer(vehicle={"brake": None, "steer": None}) == (GO,)

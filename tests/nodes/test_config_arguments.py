@@ -1,4 +1,4 @@
-"""A node started with --config takes everything from that file, and is heard by this machine alone."""
+"""A node started with --config takes everything from that file, and is received by this machine alone."""
 
 from __future__ import annotations
 

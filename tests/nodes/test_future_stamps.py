@@ -17,7 +17,7 @@ def test_the_planner_refuses_cones_and_states_of_the_future(rig: RosRig) -> None
     planner = rig.start(PathPlanner)
     rig.announce()
     stand = Stand(rig)
-    paths = rig.hear(Path, "/path", qos.PLAN)
+    paths = rig.subscribe(Path, "/path", qos.PLAN)
 
     def state_refused() -> bool:
         stand.state(run_id=6)  # of another run

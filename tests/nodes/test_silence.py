@@ -51,11 +51,11 @@ def test_the_detector_says_that_its_sensor_fell_silent(rig: RosRig) -> None:
     log = rig.log()
     rig.start(ConeDetector)
     cones = rig.tester.create_publisher(ConeArray, "/raw_cones", qos.SENSOR)
-    heard = rig.hear(ConeArray, "/detected_cones", qos.SENSOR)
+    received = rig.subscribe(ConeArray, "/detected_cones", qos.SENSOR)
 
     def detected() -> bool:
         cones.publish(ConeArray())
-        return bool(heard)
+        return bool(received)
 
     rig.spin_until(detected, "cones pass")
     rig.spin_until(lambda: bool(warnings(log, "/raw_cones of tester has been silent")), "the silence is said")
@@ -69,7 +69,7 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
     planner, controller = rig.start(PathPlanner), rig.start(VehicleController)
     rig.announce()
     stand = Stand(rig)
-    commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    commands = rig.subscribe(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
 
     def planned() -> bool:
         stand.state()
@@ -96,7 +96,7 @@ def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
     controller = rig.start(VehicleController)
     rig.announce()
     stand = Stand(rig, rig.add(Node("some_planner")))
-    commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    commands = rig.subscribe(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
 
     def planned() -> bool:
         stand.state()

@@ -48,9 +48,9 @@ def loop(spec: str) -> Iterator[ThreadedLoop]:
 
 def test_without_a_car_it_sends_the_five_idle_frames_alone(loop: ThreadedLoop, spec: str) -> None:
     with open_bus(spec) as car:
-        heard = [frame for frame in (car.recv(1.0) for _ in range(25)) if frame is not None]
-    assert {frame.can_id for frame in heard} == set(AI_IDS)
-    decoded = [CODEC.decode(frame).image for frame in heard if frame.can_id == 0x510]
+        received = [frame for frame in (car.recv(1.0) for _ in range(25)) if frame is not None]
+    assert {frame.can_id for frame in received} == set(AI_IDS)
+    decoded = [CODEC.decode(frame).image for frame in received if frame.can_id == 0x510]
     assert all(isinstance(i, AiStatus) and i.mission_status is MissionStatus.NOT_SELECTED for i in decoded)
     assert loop.loop._bus is not None
     for can_id in (0x501, 0x520):
