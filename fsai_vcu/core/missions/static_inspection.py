@@ -54,12 +54,10 @@ class InspectionState(Immutable):
 
 
 def inspection_of(mission: Ami, settings: MissionSettings) -> Inspection:
-    spin = (InspectionPhase.SPIN_UP, InspectionPhase.HOLD)
+    sweep, spin_up, hold, rest, brake = InspectionPhase
     if mission is Ami.STATIC_INSPECTION_A:
-        phases = (InspectionPhase.SWEEP, *spin, InspectionPhase.REST)
-        return Inspection(phases, settings.inspection_a_rpm, settings.inspection_a_hold_s)
-    phases = (*spin, InspectionPhase.EMERGENCY_BRAKE)
-    return Inspection(phases, settings.inspection_b_rpm, settings.inspection_b_hold_s)
+        return Inspection((sweep, spin_up, hold, rest), settings.inspection_a_rpm, settings.inspection_a_hold_s)
+    return Inspection((spin_up, hold, brake), settings.inspection_b_rpm, settings.inspection_b_hold_s)
 
 
 def driven_rpm(car: VehicleParameters, wheel_rpm: tuple[float, float, float, float]) -> float:
