@@ -14,7 +14,6 @@ out before it (safety rule 1).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
@@ -28,11 +27,11 @@ from fsai_vcu.core.supervision.changes import changes
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.supervision.gate import gate, gate_config, sent
 from fsai_vcu.core.supervision.plausibility import (
+    NEW_STEERING,
     SteeringCheck,
     WheelCheck,
     check_steering,
     check_wheels,
-    forget_steering,
     forget_wheels,
 )
 from fsai_vcu.core.supervision.readiness import Circumstances, why_not_driving
@@ -49,13 +48,13 @@ from fsai_vcu.interface.messages import (
     GPS_FIELD_OF,
     VEHICLE_FIELD_OF,
     AiCommand,
+    Image,
     VcuStatus,
-    VehicleState,
     WheelCounts,
     WheelSpeeds,
 )
 from fsai_vcu.interface.reserved import AI_IDS, STATUS_ID
-from fsai_vcu.interface.revisions import TELLING_IDS, Revision, told_by_frame
+from fsai_vcu.interface.revisions import REVISION_IDS, Revision, revision_by_frame
 
 __all__ = ["Bridge", "BridgeConfig", "BridgeReport", "BridgeState", "official_simulator"]
 
@@ -129,7 +128,7 @@ class Bridge:
             if frame.can_id in AI_IDS:
                 self._on_intruder(frame)
                 return
-            if frame.can_id in TELLING_IDS:
+            if frame.can_id in REVISION_IDS:
                 self._on_revision(frame)
         decoded = self._codec.decode(frame)
         for problem in decoded.problems:
@@ -186,10 +185,10 @@ class Bridge:
         state, tally, t_ns = self._state, self.tally, status.t_rx_ns
         before, odometry = state.supervisor, state.odometry
         now = supervisor.on_status(self._config, before, status)
-        said = self._vehicle_news.get("status", state.vehicle.status)
+        last = self._vehicle_news.get("status", state.vehicle.status)
         self._vehicle_news["status_known"] = True
-        if now.driving and said is not None:
-            for reason, detail in changes(said, status):
+        if now.driving and last is not None:
+            for reason, detail in changes(last, status):
                 tally.note(reason, detail)
                 now = supervisor.strike(now, reason, detail, t_ns)
         if before.status_ns is not None and t_ns - before.status_ns >= self._config.vcu_stale_ns:
@@ -201,9 +200,9 @@ class Bridge:
         self._state = replace(state, supervisor=now, odometry=odometry, status_doubt="", reopened_ns=None)
 
     def _on_revision(self, frame: Frame) -> None:
-        told = told_by_frame(frame.can_id, frame.data)
-        if told is not None:
-            self.tally.on_revision(*told, self._codec.revision.name)
+        found = revision_by_frame(frame.can_id, frame.data)
+        if found is not None:
+            self.tally.on_revision(*found, self._codec.revision.name)
 
     def _on_intruder(self, frame: Frame) -> None:
         if self._config.listen_only:
@@ -284,7 +283,7 @@ class Bridge:
             self._state = replace(self._state, bus_lost=why)
 
     def bus_back(self, now_ns: int) -> None:
-        """The interface is open again. Silent until the car is heard, but not for longer than it may be."""
+        """The interface is open again. Silent until the car is received, but not for longer than it may be."""
         state = self._state
         if state.bus_lost is None:
             return
@@ -438,14 +437,14 @@ class Bridge:
             self._state = replace(self._state, supervisor=supervising)
 
     def _moved(self, state: BridgeState) -> OdometryState:
-        """Dead reckoning by the newest that the car has said."""
+        """Dead reckoning by the newest that the car has reported."""
         return advance(self._car, state.odometry, state.vehicle, state.gps)
 
     def _checked(self, state: BridgeState, asked: AiCommand, now_ns: int) -> tuple[SteeringCheck, WheelCheck]:
         """Compare what the car does with what it is asked for, as far as AS_DRIVING goes."""
         config, car, vehicle, wheels = self._config, self._car, state.vehicle, state.wheels
         if not state.supervisor.driving:
-            return forget_steering(), forget_wheels(wheels)
+            return NEW_STEERING, forget_wheels(wheels)
         steering = check_steering(config, car, state.steering, asked.steer_deg, vehicle.steer, now_ns)
         if state.supervisor.mission not in _WHEELS_IN_THE_AIR:
             doubted = bool(state.speeds_doubt)
@@ -499,12 +498,10 @@ class Bridge:
             response_max_ns=tally.response_max_ns,
             rx_counts=MappingProxyType(dict(tally.rx)),
             problem_counts=MappingProxyType(dict(tally.problems)),
-            ages_ns=MappingProxyType(dict(_ages(vehicle, now_ns))),
+            ages_ns=MappingProxyType({name: _age_ns(getattr(vehicle, name), now_ns) for name in _AGES}),
             unknown=self._codec.unknown,
         )
 
 
-def _ages(vehicle: VehicleState, now_ns: int) -> Iterable[tuple[str, int | None]]:
-    for name in _AGES:
-        image = getattr(vehicle, name)
-        yield name, None if image is None else now_ns - image.t_rx_ns
+def _age_ns(image: Image | None, now_ns: int) -> int | None:
+    return None if image is None else now_ns - image.t_rx_ns

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 
 from fsai_vcu.core.driving import Motion, Run
-from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
+from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.supervision.reasons import words_of
 from fsai_vcu.interface.immutable import Immutable
 from fsai_vcu.interface.messages import AiCommand, GpsImu, VehicleState
-
-NOTHING: Mapping[str, int] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +36,17 @@ class BridgeReport(Immutable):
     bus_lost: str | None
     shutdown_requested: bool  # SHUTDOWN_REQUEST seen at rest: flush the logs
     listen_only: bool
-    limits: OperationalLimits = UNLIMITED
-    cycles: int = 0  # made
-    incomplete_cycles: int = 0  # not sent whole
-    vcu_gaps: int = 0  # times that 0x520 was missing for 50 ms or more
-    loop_faults: int = 0  # exceptions and missed deadlines, in any AS state
-    response_ns: int | None = None  # from the newest 0x520 to the cycle that answered it
-    response_max_ns: int | None = None
-    rx_counts: Mapping[int, int] = field(default_factory=lambda: MappingProxyType({}))  # by id
-    problem_counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)  # of received frames, by their words
-    ages_ns: Mapping[str, int | None] = field(default_factory=lambda: MappingProxyType({}))  # by message
-    unknown: str = ""  # what the signal database lacks, and what follows
+    limits: OperationalLimits
+    cycles: int  # made
+    incomplete_cycles: int  # not sent whole
+    vcu_gaps: int  # times that 0x520 was missing for 50 ms or more
+    loop_faults: int  # exceptions and missed deadlines, in any AS state
+    response_ns: int | None  # from the newest 0x520 to the cycle that answered it
+    response_max_ns: int | None
+    rx_counts: Mapping[int, int]  # by id
+    problem_counts: Mapping[str, int]  # of received frames, by their words
+    ages_ns: Mapping[str, int | None]  # by message
+    unknown: str  # what the signal database lacks, and what follows
 
     @property
     def autonomous(self) -> bool:

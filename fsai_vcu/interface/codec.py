@@ -1,9 +1,9 @@
 """Between frames and images, both ways.
 
-The layout of every message comes from the loaded signal database and from nowhere else; whoever needs a position asks
-`Codec.mask` for it. At load each message gets a function that shifts and masks (a bridge decodes 1500 frames a second
-and a simulation a hundred times as many). That function answers only for what is plainly in order; anything doubtful
-goes to the careful path, which finds out what is wrong and says it. Messages that shifting cannot do (big-endian,
+The layout of every message comes from the loaded signal database and from nowhere else; `Codec.mask` gives a position.
+At load each message gets a function that shifts and masks (a bridge decodes 1500 frames a second and a simulation a
+hundred times as many). That function answers only for what is plainly in order; anything doubtful goes to the careful
+path, which finds out what is wrong and reports it. Messages that shifting cannot do (big-endian,
 multiplexed) take the careful path always, with cantools doing the bits.
 """
 
@@ -46,7 +46,7 @@ class EncodeError(ValueError):
 
 
 class Decoded(NamedTuple):
-    """What a frame said. `image` is None where it said nothing that may be believed.
+    """What a frame reports. `image` is None where it reports nothing that may be believed.
 
     `problems` are sentences for people. `handshake` is the bit of a 0x520, set even where its image was not believed.
     """
@@ -144,7 +144,7 @@ class Codec:
         """What `frame` says. Never raises: what cannot be believed is in `problems`."""
         latest = self._latest
         if frame is latest[0]:
-            return latest[1]  # whoever else hears the same frame asks next: a checker beside a bridge
+            return latest[1]  # another receiver of the same frame asks next: a checker beside a bridge
         decoded = self._decode(frame)
         self._latest = (frame, decoded)
         return decoded
@@ -160,13 +160,12 @@ class Codec:
             return _NOTHING
         length, decode = known
         if len(frame.data) != length:
-            said = f"0x{frame.can_id:03X}: {len(frame.data)} bytes where {length} belong"
-            return Decoded(None, (said,))
+            return Decoded(None, (f"0x{frame.can_id:03X}: {len(frame.data)} bytes where {length} belong",))
         return decode(frame.data, frame.t_ns)
 
 
 def command_of(images: Mapping[type, AiImage]) -> AiCommand:
-    """One command out of the newest image of each of the five messages; those not yet heard count as safe defaults."""
+    """One command out of the newest image of each of the five messages; those not received count as safe defaults."""
     values: dict[str, Any] = {}
     for image_type, names in COMMAND_FIELDS.items():
         image = images.get(image_type)
@@ -228,8 +227,8 @@ def _lacking_line(paths: Sequence[Path | str], lacking: Sequence[_Lack], by_natu
             names.setdefault(consequence, []).append(name)
     if not names:
         return ""
-    told = "; ".join(f"{consequence} ({', '.join(these)})" for consequence, these in names.items())
-    return f"{_files(paths)}: lacks signals of the car's interface: {told}"
+    listed = "; ".join(f"{consequence} ({', '.join(these)})" for consequence, these in names.items())
+    return f"{_files(paths)}: lacks signals of the car's interface: {listed}"
 
 
 # ---------------------------------------------------------------- one message

@@ -311,7 +311,7 @@ class VcuSystemStatus(Message, name="VCU_STATUS"):
 
 @dataclass(frozen=True, slots=True)
 class VehicleState(Immutable):
-    """What the car has said so far. None means never received; each image carries the time of its frame.
+    """What the car has reported so far. None means never received; each image carries the time of its frame.
 
     `handshake` is the bit of the newest 0x520, believed even when the rest of that frame was not
     (an AS_STATE outside the table leaves `status` as it was, to grow stale); `status_known` tells of such a frame.

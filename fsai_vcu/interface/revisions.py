@@ -47,10 +47,10 @@ _STATES_2026: Final = 0xF << 4 | 0xF << 28 | 0xF << 36
 _AS_STATE_BIT: Final = 16
 
 
-def told_by_status(word: int) -> tuple[str, str] | None:
-    """The revision that a payload of 0x520 (eight bytes, as a little-endian number) tells, and the observation.
+def revision_by_status(word: int) -> tuple[str, str] | None:
+    """The revision that a payload of 0x520 (eight bytes, as a little-endian number) shows, and the observation.
 
-    None where it may be of either: states of 0 tell nothing, the official simulator of 2026 leaves them so.
+    None where it may be of either: states of 0 show nothing, the official simulator of 2026 leaves them so.
     """
     if word & _STATES_2026:
         return "2026", "0x520 carries OP_STATE, TS_STATE or EBS_STATE"
@@ -59,13 +59,13 @@ def told_by_status(word: int) -> tuple[str, str] | None:
 
 _STATUS: Final = BY_NAME["VCU2AI_Status"]
 _SYSTEM: Final = BY_NAME["VCU_STATUS"]
-TELLING_IDS: Final = frozenset({_STATUS.can_id, _SYSTEM.can_id})
+REVISION_IDS: Final = frozenset({_STATUS.can_id, _SYSTEM.can_id})
 
 
-def told_by_frame(can_id: int, data: bytes) -> tuple[str, str] | None:
-    """As `told_by_status`, of one frame of the VCU on one of `TELLING_IDS`."""
+def revision_by_frame(can_id: int, data: bytes) -> tuple[str, str] | None:
+    """As `revision_by_status`, of one frame of the VCU on one of `REVISION_IDS`."""
     if can_id == _STATUS.can_id and len(data) == _STATUS.dlc:
-        return told_by_status(int.from_bytes(data, "little"))
+        return revision_by_status(int.from_bytes(data, "little"))
     if can_id == _SYSTEM.can_id and len(data) == _SYSTEM.dlc:
         return "2021", f"{_SYSTEM} is only in 2021"
     return None
@@ -76,8 +76,8 @@ _ANGLE_MAX_BIT: Final = 16
 _ANGLE_MAX_DEG: Final = 0.1
 
 
-def told_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
-    """As `told_by_status`, of all payloads of 0x523 (six bytes): the steering goes further in one than in the other."""
+def revision_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
+    """As `revision_by_status`, of all payloads of 0x523 (six bytes): the steering goes further in one of the two."""
     most_deg = max((word >> _ANGLE_MAX_BIT & 0xFFFF for word in words), default=0) * _ANGLE_MAX_DEG
     if most_deg < REVISIONS["2021"].steer_limit_deg:
         return None
@@ -85,8 +85,8 @@ def told_by_steer(words: Iterable[int]) -> tuple[str, str] | None:
     return name, f"ANGLE_MAX is {most_deg:g} deg"
 
 
-def told_by_init(words: Iterable[int]) -> tuple[str, str] | None:
-    """As `told_by_status`, of all payloads of 0x520: AS_INIT is a state of the later revision alone."""
+def revision_by_init(words: Iterable[int]) -> tuple[str, str] | None:
+    """As `revision_by_status`, of all payloads of 0x520: AS_INIT is a state of the later revision alone."""
     if any(word >> _AS_STATE_BIT & 0xF == 0 for word in words):
         return "2026", "AS_STATE is 0 (AS_INIT) at times"
     return None

@@ -2,8 +2,8 @@
 
 A frame either went out, or was dropped because the transmit queue is full (`send` returns False: a normal event), or
 the bus is gone (`BusLost`). Any python-can interface serves: `vcan0` and `can0` are SocketCAN channels, `loopback:NAME`
-is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. On one where a sender hears
-itself nobody may drive: his frames would look like an intruder's.
+is the stand-in of this computer, and `KIND:CHANNEL` names any other python-can interface. Where a sender receives its
+own frames nobody may drive: they would look like an intruder's.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MOST_WAITING = 1000  # frames: more than a socket keeps
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h: struct can_frame
 _TIMESPEC = struct.Struct("@ll")
 _STAMP_SPACE_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
-_ECHOES_OWN = frozenset({"udp_multicast"})  # python-can interfaces on which a sender hears itself
+_ECHOES_OWN = frozenset({"udp_multicast"})  # python-can interfaces on which a sender receives its own frames
 _STAMPED_BY_WALL_CLOCK = frozenset({"fsai_loopback", "virtual"})  # besides SocketCAN, whose kernel does it
 _ERROR_BUS_OFF = 0x040  # linux/can/error.h: CAN_ERR_BUSOFF, a bit of an error frame's id
 
@@ -242,7 +242,7 @@ class SocketCanBus(CanBus):
 def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Iterable[int] | None = None) -> CanBus:
     """Open the bus `spec`.
 
-    receive: 11-bit ids to hear (a kernel filter on SocketCAN); None hears everything.
+    receive: 11-bit ids to receive (a kernel filter on SocketCAN); None: all.
     may_send: see CanBus.
     Raises BusError with one clear line.
     """

@@ -34,7 +34,7 @@ SAME_AS_REVISION = "same_as_revision"
 BITRATE = 500_000  # interface specification v4.0: 500 kbit/s
 QUEUE_FRAMES = 10  # two cycles of commands; more would be stale before they left
 
-# What a text must look like, and how that is said. Services run in /, so a path that is not whole leads nowhere there.
+# What a text must look like, and the words for it. Services run in /, so a path that is not whole leads nowhere there.
 _BUS = (r"[\w.-]{1,15}|[\w-]+:\S+", "a CAN interface such as can0, or KIND:CHANNEL")  # linux/if.h: IFNAMSIZ
 _PATH = (r"/[^\0]*", "a whole path, from / on")
 _PATH_OR_EMPTY = (rf"({_PATH[0]})?", _PATH[1])
@@ -304,17 +304,16 @@ def read_configuration(path: Path | str) -> Configuration:
 
 
 def parse_configuration(text: str, path: Path) -> Configuration:
-    """As `read_configuration`, of a text that is said to come from `path`."""
+    """As `read_configuration`, of a text as if from `path`."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError([_problem(path, line_of(error), f"not valid TOML: {words_of(error)}")]) from error
-    lines = TomlLines(text)
     problems: list[tuple[int, str]] = []
     values: dict[tuple[str, str], object] = {}
 
     def refuse(words: str, *place: str) -> None:
-        line = lines.of(*place)
+        line = TomlLines(text).of(*place)
         problems.append((line or 0, _problem(path, line, words)))
 
     for table, content in document.items():
@@ -351,7 +350,7 @@ def parse_configuration(text: str, path: Path) -> Configuration:
 
 
 def usual_environment(environ: Mapping[str, str] | None = None) -> dict[str, str]:
-    """What a command of the operator's needs besides `environ` to hear the car's nodes: nothing without the file.
+    """What a command of the operator's needs besides `environ` to reach the car's nodes: nothing without the file.
 
     What the caller has set goes before the file; a file that cannot be used is somebody else's to complain of. Raises
     ConfigurationError where this user may not read it: the car's nodes would be looked for in the wrong place.

@@ -27,12 +27,11 @@ def read_limits(path: Path | str) -> OperationalLimits:
     except tomllib.TOMLDecodeError as error:
         place = _place(line_of(error))
         raise LimitsError(f"the operational limits {path}{place} are not valid TOML: {words_of(error)}") from error
-    lines = TomlLines(text)
     for name, value in mapping.items():
         try:
             parse_limits({name: value})
         except LimitsError as error:
-            raise LimitsError(f"the operational limits {path}{_place(lines.of(name))}: {error}") from error
+            raise LimitsError(f"the operational limits {path}{_place(TomlLines(text).of(name))}: {error}") from error
     return parse_limits(mapping)
 
 

@@ -5,7 +5,7 @@ without waiting: where the other side does not read, it is dropped, and the next
 process is seen at once, as the end of the stream. A command or a report costs 4 us like this; shared memory would cost
 3 us, and need polling, a guard against torn reads, and another way to notice a death.
 
-The pair is private to the two processes, so messages are pickled objects; a report's datagram is told from the others
+The pair is private to the two processes, so messages are pickled objects; a report's datagram differs from the others
 by its first byte, so that of several that wait only the newest is unpacked.
 """
 
@@ -52,29 +52,6 @@ class LoopSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Configure:
-    """Read the database. Like each request it has a number, which its Answer has, too."""
-
-    number: int
-    settings: LoopSettings
-
-
-@dataclass(frozen=True, slots=True)
-class Activate:
-    """Take the interface's lock, open the bus and run."""
-
-    number: int
-    first_run_id: int
-
-
-@dataclass(frozen=True, slots=True)
-class Deactivate:
-    """Stop in order, fall silent, give lock and bus back; answered then."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
 class ResetConfirmed:
     """`role` has forgotten the previous run and is ready for `run_id`."""
 
@@ -89,15 +66,22 @@ class Alive:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A request that wants an answer. After `until_ns` nobody waits any more: it is refused then, unless it is
-    `better_late` than never.
+    """A request that wants an Answer of its number. After `until_ns` nobody waits any more: it is refused then, unless
+    it is `better_late` than never. The process is asked to
+
+        configure (LoopSettings): read the database;
+        activate (the first run's id): take the interface's lock, open the bus and run;
+
+    and the loop that runs then for set_mode (its name), emergency_brake (why), reset, and to
+
+        deactivate: stop in order, fall silent, give lock and bus back; answered then.
     """
 
     number: int
-    what: str  # set_mode, emergency_brake or reset
-    argument: str
+    what: str
+    argument: Any
     until_ns: int
-    better_late: bool = False
+    better_late: bool
 
 
 # ---------------------------------------------------------------- from the loop to the edge: these, and log records

@@ -21,7 +21,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
-from fsai_vcu.runtime.link import Alive, Answer, Ask, Deactivate, Ended, LinkEnd, LoopReport, ResetConfirmed
+from fsai_vcu.runtime.link import Alive, Answer, Ask, Ended, LinkEnd, LoopReport, ResetConfirmed
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
@@ -162,11 +162,11 @@ class BridgeLoop:
                     command = message
                 case ResetConfirmed():
                     self._bridge.on_reset_confirmed(message.role, message.run_id)
-                case Ask():
-                    self._answer(message, now_ns)
-                case Deactivate():
+                case Ask(what="deactivate"):
                     self._stop_number = message.number
                     self._begin_stop(now_ns)
+                case Ask():
+                    self._answer(message, now_ns)
                 case _:
                     logger.error("unknown message of the edge: %r", message)
         if command is not None:

@@ -19,12 +19,9 @@ from dataclasses import replace
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.runtime.link import (
-    Activate,
     Alive,
     Answer,
     Ask,
-    Configure,
-    Deactivate,
     Ended,
     LinkEnd,
     LoopReport,
@@ -57,7 +54,7 @@ class LoopHandle:
         self._awaited: int | None = None  # the request whose answer somebody waits for
         self._answer: Answer | None = None
         self._active = False
-        self._hangs = False  # it did not end when it was told to
+        self._hangs = False  # it did not end when it was asked to
         self.failure = ""  # why the loop ended by itself
 
     @property
@@ -74,12 +71,12 @@ class LoopHandle:
 
     def configure(self, settings: LoopSettings) -> None:
         """Hand over the settings; the loop's process reads the database. Raises LoopError."""
-        self._settle(Configure(self._next(), settings), "does not start")
+        self._settle("configure", settings, "does not start")
 
     def activate(self, first_run_id: int) -> None:
         """Take the interface's lock, open the bus and run. Raises LoopError."""
         self._newest, self.failure = None, ""
-        self._settle(Activate(self._next(), first_run_id), "does not begin")
+        self._settle("activate", first_run_id, "does not begin")
         self._active = True
         self._await(lambda: self._newest is not None or not self.running, _START_TIMEOUT_S)
         if self._newest is None:
@@ -92,7 +89,7 @@ class LoopHandle:
         """
         if self.running:
             self._active = False
-            answer = self._answer_to(Deactivate(self._next()), _STOP_TIMEOUT_S)
+            answer = self._answer_to("deactivate", None, _STOP_TIMEOUT_S)
             self._hangs = answer is None and not self._link.closed
         return not self._hangs
 
@@ -107,8 +104,8 @@ class LoopHandle:
                 self._process.kill()
                 self._process.wait()
 
-    def _settle(self, request: Configure | Activate, does_not: str) -> None:
-        answer = self._answer_to(request, _START_TIMEOUT_S)
+    def _settle(self, what: str, argument: object, does_not: str) -> None:
+        answer = self._answer_to(what, argument, _START_TIMEOUT_S)
         if answer is None:
             ended = self._link.closed
             raise LoopError(
@@ -139,26 +136,23 @@ class LoopHandle:
         return self._ask("emergency_brake", why, better_late=True)
 
     def reset(self) -> tuple[bool, str]:
-        return self._ask("reset", "")
+        return self._ask("reset", None)
 
-    def _ask(self, what: str, argument: str, *, better_late: bool = False) -> tuple[bool, str]:
+    def _ask(self, what: str, argument: object, *, better_late: bool = False) -> tuple[bool, str]:
         if not self.running:
             return False, _NOT_RUNNING
-        until_ns = time.monotonic_ns() + round(REQUEST_TIMEOUT_S * 1e9)
-        answer = self._answer_to(Ask(self._next(), what, argument, until_ns, better_late), REQUEST_TIMEOUT_S)
+        answer = self._answer_to(what, argument, REQUEST_TIMEOUT_S, better_late=better_late)
         if answer is None:
             return False, "the CAN loop does not answer" if self._active else _NOT_RUNNING
         return answer.accepted, answer.message
 
-    def _next(self) -> int:
+    def _answer_to(self, what: str, argument: object, timeout_s: float, *, better_late: bool = True) -> Answer | None:
+        """The answer; None where none comes in time. One that comes later is for nobody."""
         self._number += 1
-        return self._number
-
-    def _answer_to(self, request: Configure | Activate | Deactivate | Ask, timeout_s: float) -> Answer | None:
-        """The answer of that number; None where none comes. One that comes later is for nobody."""
-        self._awaited, self._answer = request.number, None
+        self._awaited, self._answer = self._number, None
         active = self._active
-        self._link.send(request)
+        until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
+        self._link.send(Ask(self._number, what, argument, until_ns, better_late))
         self._await(lambda: self._answer is not None or self._active is not active, timeout_s)
         self._awaited = None
         return self._answer
@@ -230,7 +224,7 @@ class LoopHandle:
 
 
 def start_loop_process(bus: str) -> LoopHandle:
-    """Start the loop's process. `bus` is for whoever lists processes; the settings name it for the loop."""
+    """Start the loop's process. `bus` is for lists of processes; the settings name it for the loop."""
     ours, theirs = link_pair()
     environ = dict(os.environ, WATCHDOG_PID="")  # systemd named the edge; the watchdog is the loop's to feed
     with theirs:

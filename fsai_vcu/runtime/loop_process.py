@@ -1,8 +1,8 @@
 """The process of the CAN loop: `python -m fsai_vcu.runtime.loop_process DESCRIPTOR BUS`, started by its edge.
 
 It imports neither ROS nor its middleware. The edge hands it one end of a link and the settings; it reads the database,
-and runs the loop from each Activate to the Deactivate that follows. It ends with the link: when its edge is gone, and
-the car does not drive any more.
+and runs the loop whenever it is asked to activate, until it is asked to deactivate. It ends with the link: when its
+edge is gone, and the car does not drive any more.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.database import DatabaseError
 from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.runtime.bus import BusError
-from fsai_vcu.runtime.link import Activate, Answer, Configure, LinkEnd, LinkHandler, LoopSettings
+from fsai_vcu.runtime.link import Answer, Ask, LinkEnd, LinkHandler, LoopSettings
 from fsai_vcu.runtime.lock import AlreadyRunning
 from fsai_vcu.runtime.loop import BridgeLoop
 
@@ -38,8 +38,7 @@ def serve(link: LinkEnd) -> None:
         select.select([link], [], [], None if link.flush() else _FLUSH_AGAIN_S)
         for message in link.receive():
             match message:
-                case Configure():
-                    settings = message.settings
+                case Ask(what="configure", argument=LoopSettings() as settings):
                     try:
                         codec = _codec(settings)
                     except (DatabaseError, ValueError) as error:
@@ -48,7 +47,7 @@ def serve(link: LinkEnd) -> None:
                         if codec.unknown:
                             logger.warning("%s", codec.unknown)
                         link.send(Answer(message.number, True))
-                case Activate() if settings is not None and codec is not None:
+                case Ask(what="activate") if settings is not None and codec is not None:
                     _run(link, settings, codec, message)
                 case _:
                     pass  # what was meant for a run that has ended
@@ -58,14 +57,14 @@ def _codec(settings: LoopSettings) -> Codec:
     return Codec(REVISIONS[settings.revision], list(settings.dbc_files) or None, settings.wheel_mapping)
 
 
-def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, activate: Activate) -> None:
+def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, activate: Ask) -> None:
     bridge = Bridge(
         codec,
         REVISIONS[settings.revision],
         CARS[settings.car],
         settings.config,
         settings.limits,
-        first_run_id=activate.first_run_id,
+        first_run_id=activate.argument,
         now_ns=time.monotonic_ns(),
     )
     try:

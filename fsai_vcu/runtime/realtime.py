@@ -1,4 +1,4 @@
-"""Real-time scheduling for the loop's process, when the machine allows it; said in words when not."""
+"""Real-time scheduling for the loop's process, when the machine allows it; reported in words when not."""
 
 from __future__ import annotations
 

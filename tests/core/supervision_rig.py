@@ -10,7 +10,6 @@ from functools import cache
 from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, BridgeReport
 from fsai_vcu.core.command import VehicleCommand
-from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec, command_of
 from fsai_vcu.interface.enums import (
@@ -43,6 +42,19 @@ from fsai_vcu.interface.units import MS, S
 CYCLE = 10 * MS
 
 
+WELL = VcuStatus(
+    as_switch=True,
+    ts_switch=True,
+    as_state=AsState.AS_OFF,
+    ami=Ami.TRACKDRIVE,
+    steering_status=SteeringStatus.ACTIVE,
+    op_state=OpState.OP_AUTO,
+    ts_state=TsState.TS_RUNNING,
+    ebs_state=EbsState.EBS_ARMED,
+)
+"""0x520 of a car with which all is as it should be."""
+
+
 @cache
 def codec_of(name: str) -> Codec:
     return Codec(revision(name))
@@ -56,14 +68,13 @@ class Rig:
         config: BridgeConfig | None = None,
         *,
         revision_name: str = "2026",
-        limits: OperationalLimits | None = None,
         start_ns: int = 0,
     ) -> None:
         self.codec = codec_of(revision_name)
         self.config = config or BridgeConfig()
         self.car = CARS[revision_name]
         entry = revision(revision_name)
-        self.bridge = Bridge(self.codec, entry, self.car, self.config, limits, now_ns=start_ns)
+        self.bridge = Bridge(self.codec, entry, self.car, self.config, now_ns=start_ns)
         self.now_ns = start_ns
         self.wire = WireChecker(
             self.codec,
@@ -71,23 +82,10 @@ class Rig:
             handshake_in_flight_ns=0,
             clock_slack_ns=0,
             car=self.car,
-            limits=limits or UNLIMITED,
-            steer_rate_degps=self.config.steer_rate_degps,
             from_start=True,
-            motor_brakes=self.config.motor_brakes,
-            short_sequence=self.config.short_sequence_allowed,
         )
         # What the car says
-        self.status = VcuStatus(
-            as_switch=True,
-            ts_switch=True,
-            as_state=AsState.AS_OFF,
-            ami=Ami.TRACKDRIVE,
-            steering_status=SteeringStatus.ACTIVE,
-            op_state=OpState.OP_AUTO,
-            ts_state=TsState.TS_RUNNING,
-            ebs_state=EbsState.EBS_ARMED,
-        )
+        self.status = WELL
         self.rpm: tuple[int, int, int, int] = (0, 0, 0, 0)
         self.pulse_rpm: tuple[int, int, int, int] | None = None  # None: the counts run as the wheel speeds say
         self.turns = [0.0, 0.0, 0.0, 0.0]
@@ -111,9 +109,9 @@ class Rig:
     def say(self, image: Image) -> None:
         """One message of the car's, now."""
         frame = self.codec.encode(image)
-        self.hear(Frame(frame.can_id, frame.data, self.now_ns))
+        self.receive(Frame(frame.can_id, frame.data, self.now_ns))
 
-    def hear(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """A frame reaches the bridge; who watches the bus takes those of the AI computer's ids for the bridge's own."""
         self.bridge.on_frame(frame)
         if frame.can_id not in AI_IDS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import ControllerSettings
 from fsai_vcu.core.control.speed_profile import curvature_along, speed_demand
 from fsai_vcu.core.driving import Motion, Plan, Run
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS, VehicleParameters
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.units import MS
@@ -182,9 +185,9 @@ def test_a_bend_ahead_is_braked_for_in_time() -> None:
 def test_corner_speed_keeps_to_the_lateral_acceleration() -> None:
     corner = arc(6.0)
     allowed = math.sqrt(SETTINGS.lateral_mps2 * 6.0)
-    demand = speed_demand(corner, np.arange(len(corner)) * 0.5, 5.0, 20.0, None, SETTINGS)
-    assert demand.allowed_mps <= math.sqrt(SETTINGS.end_of_path_mps**2 + 2 * SETTINGS.braking_mps2 * 18.0)
-    assert demand.allowed_mps == pytest.approx(allowed, rel=0.05)
+    allowed_mps, _ = speed_demand(corner, np.arange(len(corner)) * 0.5, 5.0, 20.0, None, SETTINGS)
+    assert allowed_mps <= math.sqrt(SETTINGS.end_of_path_mps**2 + 2 * SETTINGS.braking_mps2 * 18.0)
+    assert allowed_mps == pytest.approx(allowed, rel=0.05)
 
 
 def test_curvature_is_that_of_the_circle() -> None:
@@ -315,7 +318,18 @@ def test_every_command_is_valid_and_never_has_throttle_and_brake(
         assert not (command.throttle > 0.0 and command.brake > 0.0)
 
 
-@pytest.mark.parametrize(("name", "value"), [("max_speed_mps", 0.0), ("max_steer_rad", 1.0), ("delay_s", math.nan)])
-def test_a_setting_outside_its_range_is_refused_by_name(name: str, value: float) -> None:
+@pytest.mark.parametrize(
+    ("settings_class", "name", "value"),
+    [
+        (ControllerSettings, "max_speed_mps", 0.0),
+        (ControllerSettings, "max_steer_rad", 1.0),
+        (ControllerSettings, "delay_s", math.nan),
+        (PlannerSettings, "beam", 0),
+        (PlannerSettings, "smoothing_m", math.nan),
+        (MissionSettings, "trackdrive_laps", 0),
+        (MissionSettings, "demo_length_m", math.nan),
+    ],
+)
+def test_a_setting_outside_its_range_is_refused_by_name(settings_class: Any, name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
-        ControllerSettings(**{name: value})
+        settings_class(**{name: value})

@@ -12,9 +12,6 @@ from fsai_vcu.core.limits import UNLIMITED, LimitsError, OperationalLimits, pars
 def test_given_limits_are_taken_and_missing_ones_do_not_limit() -> None:
     limits = parse_limits({"max_speed_mps": 5, "max_steer_deg": 12.5})
     assert limits == OperationalLimits(max_speed_mps=5.0, max_axle_torque_nm=math.inf, max_steer_deg=12.5)
-
-
-def test_no_limits_at_all_are_no_error() -> None:
     assert parse_limits({}) == UNLIMITED
 
 

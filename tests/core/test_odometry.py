@@ -146,8 +146,8 @@ def test_a_motion_is_of_the_instant_of_its_wheel_speeds() -> None:
     assert motion.t_ns == 7
 
 
-def test_a_car_that_falls_silent_is_where_it_was_heard_last() -> None:
-    """Whatever else is still heard, and however often it is looked at."""
+def test_a_car_that_falls_silent_is_where_it_was_received_last() -> None:
+    """Whatever else is still received, and however often it is looked at."""
     odometry = Odometry(CAR)
     last = drive(odometry, 5.0, 0.0, 1.0)
     speeds = wheels(CAR, 5.0, 0.0, 1_000 * MS)
@@ -186,12 +186,12 @@ def test_position_and_heading_get_less_sure_with_the_way() -> None:
         assert motion.position_sd_m == pytest.approx(expected, rel=0.02)
 
 
-def test_what_was_driven_unheard_is_added_whole() -> None:
-    before, heard = gap(100)
-    _, unheard = gap(1_100)
-    assert heard.position_sd_m - before.position_sd_m < 0.1
-    assert unheard.position_sd_m - before.position_sd_m > 5.0
-    assert unheard.yaw_sd_rad - before.yaw_sd_rad > SETTINGS.missing_yaw_rate_radps
+def test_what_was_driven_unreceived_is_added_whole() -> None:
+    before, short = gap(100)
+    _, long = gap(1_100)
+    assert short.position_sd_m - before.position_sd_m < 0.1
+    assert long.position_sd_m - before.position_sd_m > 5.0
+    assert long.yaw_sd_rad - before.yaw_sd_rad > SETTINGS.missing_yaw_rate_radps
     _, stood = gap(87_000, speed_mps=0.0)
     assert (stood.position_sd_m, stood.yaw_sd_rad) == (0.0, 0.0)
 
@@ -207,14 +207,9 @@ def test_a_yaw_rate_is_as_sure_as_what_it_is_taken_from() -> None:
     assert by_steering.yaw_rate_sd_radps == pytest.approx(5.0 * SETTINGS.curvature_sd_1pm, rel=0.01)
     now = 10 * MS
     sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
-    assert Odometry(CAR).update(state(5.0, 10.0, now), sensed).yaw_rate_sd_radps == SETTINGS.yaw_rate_sd_radps
-
-
-def test_a_reset_makes_the_pose_sure_again() -> None:
-    odometry = Odometry(CAR)
-    drive(odometry, 5.0, 5.0, 3.0)
-    odometry.reset(3_000 * MS)
-    assert (odometry.motion.position_sd_m, odometry.motion.yaw_sd_rad) == (0.0, 0.0)
+    by_sensor = Odometry(CAR).update(state(5.0, 10.0, now), sensed)
+    assert by_sensor.yaw_rate_sd_radps == SETTINGS.yaw_rate_sd_radps
+    assert by_sensor.yaw_rate_radps == pytest.approx(math.radians(SOUND_DEGPS))
 
 
 BY_STEERING = 5.0 * math.tan(math.radians(10.0)) / CAR.wheelbase_m  # rad/s at 5 m/s and 10 deg
@@ -225,14 +220,6 @@ def turning(vehicle: VehicleState, sensed_degps: float, now_ns: int, age_ms: int
     """The yaw rate in rad/s that follows from one look at a car and its sensor."""
     gps = GpsImu(dynamics=LogDynamics2(yaw_rate_degps=sensed_degps, t_rx_ns=now_ns - age_ms * MS))
     return Odometry(CAR).update(vehicle, gps).yaw_rate_radps
-
-
-def test_a_fresh_yaw_rate_sensor_is_believed_before_the_steering() -> None:
-    odometry = Odometry(CAR)
-    now = 10 * MS
-    sensed = GpsImu(rotation_b=RotationB(z_degps=SOUND_DEGPS, t_rx_ns=now))
-    motion = odometry.update(state(5.0, 10.0, now), sensed)
-    assert motion.yaw_rate_radps == pytest.approx(math.radians(SOUND_DEGPS))
 
 
 def test_a_yaw_rate_that_is_older_than_100_ms_is_not_believed() -> None:

@@ -54,16 +54,10 @@ RADII = [math.inf, 20.0, -20.0, 9.0, -9.0, 5.5, -5.5]
 
 @pytest.mark.parametrize("colored", [True, False])
 @pytest.mark.parametrize("radius", RADII)
-def test_the_path_is_the_lanes_middle(radius: float, colored: bool) -> None:
+def test_the_path_is_the_lanes_middle_from_beside_the_car_on(radius: float, colored: bool) -> None:
     lane = find_lane(lane_cones(radius, colored), 1.0 / radius, HALF, 0.0, SETTINGS)
-    assert len(lane.path_m) >= 14
-    assert off_middle(lane.path_m, radius) < 0.3
-
-
-@pytest.mark.parametrize("colored", [True, False])
-@pytest.mark.parametrize("radius", RADII)
-def test_the_path_begins_beside_the_car_and_has_even_steps(radius: float, colored: bool) -> None:
-    path = find_lane(lane_cones(radius, colored), 1.0 / radius, HALF, 0.0, SETTINGS).path_m
+    path = lane.path_m
+    assert len(path) >= 14 and off_middle(path, radius) < 0.3
     assert math.hypot(*path[0]) < 0.4
     steps = np.hypot(*np.diff(path, axis=0).T)
     assert steps == pytest.approx(np.full(len(steps), SETTINGS.path_step_m), abs=0.03)

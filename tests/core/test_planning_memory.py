@@ -110,9 +110,3 @@ def test_what_cannot_be_a_cone_is_not_taken_in() -> None:
     xy, color = believable(observation, SETTINGS)
     assert xy.tolist() == [[5.0, 1.0], [6.0, 1.0]]
     assert color.tolist() == [ConeColor.BLUE, ConeColor.UNKNOWN]
-
-
-@pytest.mark.parametrize(("name", "value"), [("beam", 0), ("confidence_min", 1.5), ("smoothing_m", float("nan"))])
-def test_a_setting_outside_its_range_is_refused_by_name(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=name):
-        PlannerSettings(**{name: value})

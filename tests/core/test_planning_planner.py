@@ -1,145 +1,131 @@
-"""The planner as its users see it, with the small rig as the car."""
+"""The planner as its users see it, with the simulated car around it where it drives."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from driving_rig import Eyes, Result, Rig, Track, staged
 
-from fsai_hil.simulator.tracks import acceleration_track, random_circuit, skidpad_track, small_oval
-from fsai_vcu.core.control.controller import Controller
+from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.car_signals import CarFeedback
+from fsai_hil.simulator.lockstep import Lockstep, confident
+from fsai_hil.simulator.tracks import Track, acceleration_track, random_circuit, skidpad_track, small_oval
+from fsai_hil.simulator.world import WorldSetup
+from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Run
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.planning.planner import Planner
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami, AsState
 
-OVAL = staged(small_oval(), Ami.TRACKDRIVE)
-WINDING = staged(random_circuit(1), Ami.TRACKDRIVE)
-STRAIGHT = staged(acceleration_track(), Ami.ACCELERATION)
-FINISH_M = 75.0  # there
-WORN = Eyes(noise_m=0.1, miss=0.1)
-BLIND_TO_COLOR = Eyes(noise_m=0.1, miss=0.1, colors=False)
+OVAL, WINDING, STRAIGHT = small_oval(), random_circuit(1), acceleration_track()
+NOSE_M = ADS_DV_2026.nose_ahead_of_rear_axle_m
+FINISH_M = 75.0  # of STRAIGHT
+BIG = int(ConeColor.BIG_ORANGE)
 
 
-def driven(
-    track: Track,
+def unsure(seen: ConeObservation) -> ConeObservation:
+    """A detector that reports false cones, too."""
+    return seen
+
+
+def colorless(seen: ConeObservation) -> ConeObservation:
+    """A detector that sees no colours."""
+    return replace(confident(seen), color=np.zeros_like(confident(seen).color))
+
+
+def drive(
     mission: Ami,
-    eyes: Eyes | None = None,
-    laps: int = 2,
-    car: VehicleParameters = ADS_DV_2026,
-    seed: int = 1,
-    seconds: float = 150.0,
-) -> tuple[Rig, Result]:
-    missions = MissionSettings(trackdrive_laps=laps)
-    rig = Rig(track, mission, car, Planner(car, missions=missions), Controller(car, missions=missions), eyes, seed)
-    return rig, rig.drive(seconds)
+    track: Track,
+    detector: Callable[[ConeObservation], ConeObservation] = confident,
+    sensors: Callable[[CarFeedback, int], CarFeedback] | None = None,
+    watch: Callable[[Lockstep, VehicleCommand], None] = lambda *_: None,
+    **setup: Any,
+) -> Lockstep:
+    """A mission driven on the simulated car to its end, without a cone hit; everybody's work in it is at its worst."""
+    lockstep = Lockstep(WorldSetup(missions=[mission], track=track, gps=False, laps=2, **setup))
+    lockstep.detector = detector
+    if sensors is not None:
+        lockstep.world.sensor_faults.append(sensors)
 
+    def look(command: VehicleCommand, _now_ns: int) -> VehicleCommand:
+        watch(lockstep, command)
+        return command
 
-def assert_clean(track: Track, result: Result) -> None:
-    assert result.hits == set()
-    assert track.midline_m is not None and result.off_line_m(track.midline_m) < 1.75 - 0.5 * ADS_DV_2026.width_m
-    assert (result.finished, result.stands, result.laps) == (True, True, 2)
+    lockstep.computer.command_filter = look
+    verdict = lockstep.run().verdict
+    assert verdict.passed and verdict.cones_hit == 0, verdict.reasons
+    return lockstep
 
 
 @pytest.mark.parametrize(
-    ("track", "eyes", "car"),
-    [
-        (OVAL, replace(WORN, false_per_look=0.3), ADS_DV_2021),
-        (WINDING, BLIND_TO_COLOR, ADS_DV_2026),
-    ],
-    ids=["oval, false cones", "winding, no colors"],
+    ("track", "detector", "revision"), [(OVAL, unsure, "2021"), (WINDING, colorless, "2026")], ids=["oval", "winding"]
 )
-def test_a_trackdrive_keeps_to_its_lane_for_all_laps(track: Track, eyes: Eyes, car: VehicleParameters) -> None:
-    _, result = driven(track, Ami.TRACKDRIVE, eyes, car=car)
-    assert_clean(track, result)
+def test_a_trackdrive_keeps_to_its_lane_for_all_laps(track: Track, detector: Any, revision: str) -> None:
+    assert drive(Ami.TRACKDRIVE, track, detector, revision=revision).world.verdict().off_course == 0
 
 
 def test_laps_without_a_gate_count_at_the_return_to_the_start() -> None:
-    gateless = OVAL.color != ConeColor.BIG_ORANGE
-    track = replace(OVAL, xy_m=OVAL.xy_m[gateless], color=OVAL.color[gateless])
-    _, result = driven(track, Ami.TRACKDRIVE, WORN)
-    assert_clean(track, result)
+    cones = OVAL.cone_colors != BIG
+    drive(Ami.TRACKDRIVE, replace(OVAL, cones_xy_m=OVAL.cones_xy_m[cones], cone_colors=OVAL.cone_colors[cones]))
 
 
 def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
     """A second lane passes the gate's far side, as on tracks whose two sides lie back to back."""
-    xy, color = [], []
-    for x in np.arange(0.0, 60.0, 3.0):
-        xy += [(x, 1.75), (x, -1.75)]
-        color += [int(ConeColor.BLUE), int(ConeColor.YELLOW)]
-    for x in (29.8, 30.8):
-        xy += [(x, 4.2), (x, 7.7)]
-        color += [int(ConeColor.BIG_ORANGE)] * 2
-    rig, result = driven(Track(np.array(xy), np.array(color), (1.0, 0.0, 0.0)), Ami.TRACKDRIVE, seconds=14.0, laps=1)
-    assert rig.x > 40.0
-    assert not any(plan.finished for plan in result.plans)
-
-
-def test_the_same_run_gives_the_same_plans() -> None:
-    _, first = driven(WINDING, Ami.TRACKDRIVE, BLIND_TO_COLOR, seconds=12.0)
-    _, second = driven(WINDING, Ami.TRACKDRIVE, BLIND_TO_COLOR, seconds=12.0)
-    assert len(first.plans) == len(second.plans) > 50
-    for one, other in zip(first.plans, second.plans, strict=True):
-        assert np.array_equal(one.path_m, other.path_m)
+    lane = [(x, y) for x in np.arange(0.0, 60.0, 3.0) for y in (1.75, -1.75)]
+    xy = np.array([*lane, *((x, y) for x in (29.8, 30.8) for y in (4.2, 7.7))])
+    color = np.array([int(ConeColor.BLUE), int(ConeColor.YELLOW)] * 20 + [BIG] * 4)
+    planner = Planner(ADS_DV_2026, missions=MissionSettings(trackdrive_laps=1))
+    planner.reset(Run(3, Ami.TRACKDRIVE))
+    for x in np.arange(1.0, 45.0, 0.4):
+        seen = (xy[:, 0] > x) & (xy[:, 0] < x + 14.0)
+        t_ns = round(x * 1e8)
+        observation = ConeObservation(t_ns, xy[seen] - (x, 0.0), color[seen], np.ones(int(seen.sum())))
+        plan = planner.on_cones(observation, Motion(t_ns, x_m=x, speed_mps=4.0, distance_m=x))
+        assert plan is not None and (plan.laps, plan.finished) == (0, False)
 
 
 def test_acceleration_goes_straight_from_an_oblique_start() -> None:
-    track = replace(STRAIGHT, start=(STRAIGHT.start[0], 0.2, 0.03))
-    _, result = driven(track, Ami.ACCELERATION, WORN, seconds=40.0)
-    assert result.hits == set()
-    assert max(abs(y) for x, y in result.path_m if x > 30.0) < 0.4
+    start = Pose(-0.3 - NOSE_M, 0.2, 0.03)
+    driven = drive(Ami.ACCELERATION, replace(STRAIGHT, car_start=start)).world.samples
+    assert max(abs(point.y_m) for point in driven if point.x_m > 30.0) < 0.4
 
 
 def test_acceleration_has_full_throttle_to_the_finish() -> None:
-    _, result = driven(STRAIGHT, Ami.ACCELERATION, WORN, seconds=40.0)
-    for command, (x, _) in zip(result.commands, result.path_m, strict=True):
-        if STRAIGHT.start[0] + 0.5 < x < FINISH_M - 2.5:
-            assert command.throttle > 0.95
-            assert command.brake == 0.0
+    asked: list[tuple[float, float, float]] = []
+
+    def watch(lockstep: Lockstep, command: VehicleCommand) -> None:
+        asked.append((lockstep.world.car.pose.x_m, command.throttle, command.brake))
+
+    drive(Ami.ACCELERATION, STRAIGHT, watch=watch)
+    meanwhile = [pedals for x, *pedals in asked if 0.5 - NOSE_M < x < FINISH_M - 2.5]
+    assert len(meanwhile) > 100 and all(throttle > 0.95 and brake == 0.0 for throttle, brake in meanwhile)
 
 
 def test_cones_that_close_the_exit_lane_are_not_driven_over() -> None:
     wall = np.array([[FINISH_M + 24.5, y] for y in (-0.75, 0.0, 0.75)])
-    shorter = STRAIGHT.xy_m[:, 0] < FINISH_M + 25.0
-    closed = replace(
-        STRAIGHT,
-        xy_m=np.vstack((STRAIGHT.xy_m[shorter], wall)),
-        color=np.concatenate((STRAIGHT.color[shorter], [int(ConeColor.ORANGE)] * 3)),
-    )
-    _, result = driven(closed, Ami.ACCELERATION, WORN, seconds=40.0)
-    assert result.hits == set()
-    assert result.stands
+    shorter = STRAIGHT.cones_xy_m[:, 0] < FINISH_M + 25.0
+    xy = np.vstack((STRAIGHT.cones_xy_m[shorter], wall))
+    color = np.concatenate((STRAIGHT.cone_colors[shorter], [int(ConeColor.ORANGE)] * 3))
+    drive(Ami.ACCELERATION, replace(STRAIGHT, cones_xy_m=xy, cone_colors=color))
 
 
-@pytest.mark.parametrize(("back_m", "eyes"), [(2.8, WORN), (-2.7, BLIND_TO_COLOR)])
-def test_skidpad_is_found_from_a_displaced_start(back_m: float, eyes: Eyes) -> None:
-    rig, result = driven(staged(skidpad_track(), Ami.SKIDPAD, back_m), Ami.SKIDPAD, eyes, seconds=90.0)
-    assert result.hits == set()
-    assert result.laps == 4
-    assert 0.0 < rig.x < 25.0
+def drifting(feedback: CarFeedback, _now_ns: int) -> CarFeedback:
+    """Wheels that are 3 % smaller than thought."""
+    fl, fr, rl, rr = (1.03 * rpm for rpm in feedback.wheel_rpm)
+    return replace(feedback, wheel_rpm=(fl, fr, rl, rr))
 
 
-def test_odometrys_drift_does_not_matter_on_the_skidpad() -> None:
-    missions = MissionSettings()
-    car = ADS_DV_2026
-    rig = Rig(
-        staged(skidpad_track(), Ami.SKIDPAD),
-        Ami.SKIDPAD,
-        car,
-        Planner(car, missions=missions),
-        Controller(car, missions=missions),
-        WORN,
-        speed_error=0.03,
-        yaw_rate_error_radps=0.01,
-    )
-    result = rig.drive(90.0)
-    assert result.hits == set()
-    assert result.laps == 4
-    assert 0.0 < rig.x < 25.0
+@pytest.mark.parametrize(
+    ("back_m", "detector", "sensors"), [(2.8, confident, None), (-2.7, colorless, None), (0.0, confident, drifting)]
+)
+def test_skidpad_is_found_from_a_displaced_start_and_in_drift(back_m: float, detector: Any, sensors: Any) -> None:
+    start = Pose(-15.0 - NOSE_M - back_m, 0.0, 0.0)
+    assert drive(Ami.SKIDPAD, replace(skidpad_track(), car_start=start), detector, sensors).world.judge.laps == 4
 
 
 @pytest.mark.parametrize("mission", [Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO])
@@ -195,37 +181,42 @@ def test_the_last_path_is_kept_for_one_second_without_cones() -> None:
         assert (len(plan.path_m) > 0) is kept
 
 
-def test_a_reset_forgets_cones_and_laps() -> None:
-    planner = planner_for(Ami.TRACKDRIVE)
-    for step in range(3):
-        planner.on_cones(observation(LANE, step), Motion(t_ns=step))
+def resets(planner: Planner) -> None:
     planner.reset(Run(4, Ami.TRACKDRIVE))
-    plan = planner.on_cones(observation([], 10), Motion(t_ns=10))
-    assert plan is not None
-    assert (plan.run_id, len(plan.path_m), plan.cones_count_all, plan.laps) == (4, 0, 0, 0)
 
 
-def test_odometry_that_begins_anew_makes_the_planner_forget() -> None:
+def another_mission(planner: Planner) -> None:
+    planner.on_run(Run(3, Ami.AUTOCROSS, AsState.AS_READY))
+
+
+def another_run(planner: Planner) -> None:
+    planner.on_run(Run(4, Ami.TRACKDRIVE, AsState.AS_READY))
+
+
+def same_run(planner: Planner) -> None:
+    planner.on_run(Run(3, Ami.TRACKDRIVE, AsState.AS_READY))
+
+
+@pytest.mark.parametrize(
+    ("happens", "distance_m", "forgets"),
+    [
+        (resets, 50.0, True),
+        (another_mission, 50.0, True),
+        (another_run, 50.0, True),
+        (same_run, 0.0, True),  # odometry began anew
+        (same_run, 50.0, False),
+    ],
+)
+def test_a_new_run_or_odometry_makes_the_planner_forget(
+    happens: Callable[[Planner], None], distance_m: float, forgets: bool
+) -> None:
     planner = planner_for(Ami.TRACKDRIVE)
     for step in range(3):
         planner.on_cones(observation(LANE, step), Motion(t_ns=step, distance_m=50.0))
-    plan = planner.on_cones(observation([], 10), Motion(t_ns=10, distance_m=0.0))
-    assert plan is not None
-    assert plan.cones_count_all == 0
-
-
-def test_another_run_or_mission_resets_and_the_same_run_does_not() -> None:
-    planner = planner_for(Ami.TRACKDRIVE)
-    for step in range(3):
-        planner.on_cones(observation(LANE, step), Motion(t_ns=step))
-    planner.on_run(Run(3, Ami.TRACKDRIVE, AsState.AS_READY))
-    plan = planner.on_cones(observation(LANE, 5), Motion(t_ns=5))
-    assert plan is not None and plan.cones_count_all > 0
-    planner.on_run(Run(3, Ami.AUTOCROSS, AsState.AS_READY))
-    assert planner.run.mission is Ami.AUTOCROSS
-    plan = planner.on_cones(observation(LANE, 6), Motion(t_ns=6))
-    assert plan is not None
-    assert (plan.mission, plan.cones_count_all) == (Ami.AUTOCROSS, 0)
+    happens(planner)
+    plan = planner.on_cones(observation([], 10), Motion(t_ns=10, distance_m=distance_m))
+    assert plan is not None and (plan.run_id, plan.mission) == (planner.run.run_id, planner.run.mission)
+    assert (plan.cones_count_all == 0 and not len(plan.path_m)) is forgets
 
 
 def test_the_staging_place_is_where_the_pushed_car_starts() -> None:

@@ -14,7 +14,6 @@ from fsai_vcu.core.supervision.plausibility import (
     WheelCheck,
     check_steering,
     check_wheels,
-    forget_steering,
     forget_wheels,
     wheel_factors,
 )
@@ -392,7 +391,9 @@ def test_an_odd_wheel_is_not_explained_by_torque_after_it(asked: AiCommand, rpm:
 
 
 def test_outside_as_driving_only_slip_causes_are_kept() -> None:
-    check = WheelCheck(T, "front left", 1, 2, 3)
+    check = WheelCheck(T, "front left", 1, 2, 3, T)
     assert forget_wheels(check) == WheelCheck(None, "", 1, 2, 3)
+    # So they are by wheels that are believed and fit.
+    fitting = WheelSpeeds(500, 500, 500, 500, T)
+    assert check_wheels(CONFIG, CAR, check, COASTING, fitting, None, T) == WheelCheck(None, "", 1, 2, 3)
     assert forget_wheels(WheelCheck()) == WheelCheck()
-    assert forget_steering() == SteeringCheck()

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import pytest
-from supervision_rig import Rig, driven
+from supervision_rig import WELL, Rig, driven
 
 from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.supervision.config import official_simulator
@@ -24,7 +24,7 @@ from fsai_vcu.interface.enums import (
     SteeringStatus,
     TsState,
 )
-from fsai_vcu.interface.messages import Faults, VcuBrake, VcuStatus, VcuSteer, VehicleState
+from fsai_vcu.interface.messages import Faults, VcuBrake, VcuSteer, VehicleState
 from fsai_vcu.interface.units import MS, S
 
 # ---------------------------------------------------------------- what the bridge adds
@@ -32,7 +32,7 @@ from fsai_vcu.interface.units import MS, S
 
 def intruded(rig: Rig) -> None:
     for frame in rig.codec.encode_command(rig.sent)[2:3]:
-        rig.hear(frame)
+        rig.receive(frame)
 
 
 def ended(rig: Rig) -> None:
@@ -81,20 +81,9 @@ def answer(
     config: BridgeConfig | None = None,
 ) -> tuple[str, ...]:
     """Asked of a car and a process of which all is as it should be, but for what the test changes."""
-    said_last = VcuStatus(
-        as_switch=True,
-        ts_switch=True,
-        as_state=as_state,
-        ami=Ami.TRACKDRIVE,
-        steering_status=SteeringStatus.ACTIVE,
-        op_state=OpState.OP_AUTO,
-        ts_state=TsState.TS_RUNNING,
-        ebs_state=EbsState.EBS_ARMED,
-        go_signal=as_state is AsState.AS_DRIVING,
-        t_rx_ns=NOW,
-    )
+    go = as_state is AsState.AS_DRIVING
     seen: dict[str, Any] = {
-        "status": replace(said_last, **(status or {})),
+        "status": replace(WELL, **{"as_state": as_state, "go_signal": go, "t_rx_ns": NOW, **(status or {})}),
         "brake": VcuBrake(brake_status=BrakeStatus.READY, ebs_status=EbsStatus.ARMED, t_rx_ns=NOW),
         "steer": VcuSteer(0.0, 30.0, 0.0, NOW),
         **(vehicle or {}),
@@ -247,7 +236,7 @@ def test_a_run_that_has_ended_is_said_to_have_ended() -> None:
     )
 
 
-def test_what_was_never_heard_is_not_taken_for_heard() -> None:
+def test_what_was_never_received_is_not_taken_for_received() -> None:
     assert answer(vehicle={"status": None}) == ("no 0x520 from the car yet",)
     assert answer(state={"status_ns": None}) == ("no 0x520 from the car yet",)
     assert answer(vehicle={"brake": None, "steer": None}) == (GO,)

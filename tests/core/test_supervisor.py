@@ -95,7 +95,7 @@ Situation = tuple[SupervisorState, Inputs]
 
 def driving(now_ns: int = NOW, rpm: int = 200, **changes: Any) -> Situation:
     """Driving by command for a while, with everything received just now, but for what `changes` says (see `but`)."""
-    state = replace(roll(launched(), rpm, now_ns), status_ns=now_ns, heard_ns=now_ns)
+    state = replace(roll(launched(), rpm, now_ns), status_ns=now_ns, received_ns=now_ns)
     command = VehicleCommand(now_ns, state.run_id, throttle=0.5)
     return but((state, Inputs(now_ns, command, now_ns, steer_ns=now_ns)), **changes)
 
@@ -118,7 +118,7 @@ COMMAND_FIELDS = {each.name for each in fields(VehicleCommand)} - {"run_id"}
 def refreshed(situation: Situation, now_ns: int, **changes: Any) -> Situation:
     """Everything received anew at `now_ns`: the tests then age one thing alone."""
     state, inputs = situation
-    state = roll(replace(state, status_ns=now_ns, heard_ns=now_ns), state.fastest_rpm, now_ns)
+    state = roll(replace(state, status_ns=now_ns, received_ns=now_ns), state.fastest_rpm, now_ns)
     if inputs.command is not None:
         inputs = replace(inputs, command=replace(inputs.command, t_sensor_ns=now_ns))
     return but((state, replace(inputs, now_ns=now_ns, command_ns=now_ns, steer_ns=now_ns)), **changes)
@@ -162,18 +162,6 @@ def test_the_output_table_is_that_of_the_safety_rules(phase: Phase, row: str) ->
     assert len(Phase) == len(OUTPUT) == 11  # two phases with the same words would be one
 
 
-def test_the_words_of_every_phase_begin_with_its_as_state() -> None:
-    begins = {
-        Phase.IDLE: "no AS state yet, AS_INIT or AS_OFF",
-        Phase.READY: "AS_READY",
-        Phase.FINISHED: "AS_FINISHED",
-        Phase.EMERGENCY_MOVING: "EMERGENCY_BRAKE, ",
-        Phase.EMERGENCY_STANDING: "EMERGENCY_BRAKE, ",
-    }
-    for phase in Phase:
-        assert phase.value.startswith(begins.get(phase, "AS_DRIVING, ")), phase
-
-
 def test_every_reason_and_request_has_a_sentence() -> None:
     assert len(Asked) == 5 and all(len(cause.value.split()) >= 4 for cause in Asked)
     assert all(words_of(reason.slug) == reason.words and len(reason.words) > 10 for reason in Reason)
@@ -202,11 +190,6 @@ def test_a_process_that_starts_knows_and_does_nothing() -> None:
     assert (decision.mission_status, decision.direction) == (MissionStatus.NOT_SELECTED, Direction.NEUTRAL)
     assert (decision.phase, decision.steer, decision.brake) == (Phase.IDLE, Steer.ZERO, Brake.ZERO)
     assert decision.run_id == 0 < state.run_id
-
-
-def test_the_states_are_hashable_so_that_a_search_can_visit_them() -> None:
-    (state, _), decision = cycle(driving())
-    assert len({state, launched(), decision}) == 3
 
 
 @pytest.mark.parametrize(
@@ -599,11 +582,12 @@ def test_autonomous_at_power_up_waits_for_standstill_in_as_off(as_state: AsState
         assert at_rest(as_state, T0, config).mode is Mode.MANUAL
 
 
-@pytest.mark.parametrize("lost_by", ["a request", "an early request", "itself"])
+@pytest.mark.parametrize("lost_by", ["a request", "an early request", "itself", "itself, chosen by a person"])
 def test_a_lost_mode_returns_only_at_the_next_power_up(lost_by: str) -> None:
     state = at_rest(OFF, T0, CONFIG if lost_by == "an early request" else POWER_UP)
-    if lost_by == "itself":  # as the loss of a command does
+    if lost_by == "itself, chosen by a person":
         state, _, _ = supervisor.set_mode(POWER_UP, replace(state, power_up=True), "autonomous", T0)
+    if "itself" in lost_by:  # as the loss of a command does
         state = replace(state, mode=Mode.MANUAL)
     else:
         state, _, _ = supervisor.set_mode(POWER_UP, state, "manual", T0)
@@ -642,7 +626,7 @@ def test_reset_is_refused_while_nobody_knows_the_as_state() -> None:
     assert not supervisor.reset(CONFIG, latched(OFF), T0 + 100 * MS)[1]
     assert supervisor.reset(CONFIG, SupervisorState(), T0)[1:] == (
         False,
-        "reset refused: the car has not said its AS state yet (no 0x520)",
+        "reset refused: the car has not reported its AS state yet (no 0x520)",
     )
 
 

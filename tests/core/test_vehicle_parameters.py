@@ -6,12 +6,7 @@ import math
 
 import pytest
 
-from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026, CARS
-
-
-def test_cars_are_found_by_their_revision() -> None:
-    assert CARS["2021"] is ADS_DV_2021
-    assert CARS["2026"] is ADS_DV_2026
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2021, ADS_DV_2026
 
 
 def test_the_2021_car_drives_both_axles_and_2026_the_rear() -> None:

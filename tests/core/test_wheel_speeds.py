@@ -164,13 +164,6 @@ def test_each_wheels_reading_is_held_against_its_own_count(wheel: int) -> None:
         assert wheels.doubts[-1].startswith(f"the {names[wheel]} wheel")
 
 
-def test_a_lone_wheel_that_starts_to_turn_must_match_its_count() -> None:
-    wheels = Wheels().roll(200)
-    for _ in range(20):
-        wheels.step(0)
-    assert wheels.until_doubted(but(1, 200, 0), 0) is not None
-
-
 def test_a_doubted_wheel_is_believed_when_it_reads_near_standing() -> None:
     for reads, counts, believed_rpm in ((200, 0, 19), (0, 200, 10)):
         wheels = Wheels().roll(200)
@@ -293,12 +286,6 @@ def test_a_wheel_that_locks_or_spins_is_no_contradiction(delay: int) -> None:
         assert wheels.step(course[n], course[max(0, n - delay)]) == "", n
 
 
-def test_a_reading_that_rests_at_9_rpm_is_believed() -> None:
-    wheels = Wheels().roll(100)
-    for _ in range(200):
-        assert wheels.step(9, 0) == ""
-
-
 @pytest.mark.parametrize("lost", [WheelCounts, WheelSpeeds])
 def test_signals_that_are_missing_contradict_nothing(lost: type) -> None:
     wheels = Wheels().roll(200)
@@ -389,13 +376,6 @@ def test_two_pulses_are_turning_from_the_older_one_on(
     counts: tuple[int, ...], step_ns: int, turned_ms_ago: int | None
 ) -> None:
     assert frames(*counts, step_ns=step_ns).turning_ns == (None if turned_ms_ago is None else T0 - turned_ms_ago * MS)
-
-
-def test_a_pulse_of_each_wheel_is_an_edge_of_each() -> None:
-    pulses = NO_PULSES
-    for n, counts in enumerate(((1, 1, 1, 1), (2, 1, 1, 1), (2, 2, 1, 1), (2, 2, 2, 1), (2, 2, 2, 2))):
-        pulses = pulses_of(PER_S, pulses, WheelCounts(*counts, t_rx_ns=T0 + n * PERIOD))
-    assert pulses.turning_ns is None
 
 
 def test_the_latest_turning_of_all_wheels_counts() -> None:

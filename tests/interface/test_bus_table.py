@@ -73,10 +73,6 @@ def test_the_revisions_differ_in_their_steering_limit() -> None:
     assert {name: entry.steer_limit_deg for name, entry in REVISIONS.items()} == {"2021": 21.0, "2026": 30.0}
 
 
-def test_a_revision_is_found_by_its_name() -> None:
-    assert revision("2021") is REVISIONS["2021"]
-
-
 def test_an_unknown_revision_is_refused_with_the_valid_names() -> None:
     with pytest.raises(ValueError, match=r"unknown interface revision '2020': choose one of 2021, 2026"):
         revision("2020")

@@ -244,11 +244,6 @@ def test_a_command_goes_out_as_510_to_514_in_that_order(codec: Codec) -> None:
 
 
 @pytest.mark.parametrize("codec", CODECS.values(), ids=CODECS)
-def test_the_default_command_is_all_zeros(codec: Codec) -> None:
-    assert all(not any(one.data) for one in codec.encode_command(AiCommand()))
-
-
-@pytest.mark.parametrize("codec", CODECS.values(), ids=CODECS)
 def test_logged_acceleration_and_yaw_rate_have_their_own_scales(codec: Codec) -> None:
     assert str(codec.encode(LogDynamics2(1.0, -1.0, 90.0))) == "501#000200FE002D"
     image = codec.decode(frame("501#000200FE002D")).image

@@ -126,19 +126,6 @@ def test_2021_has_no_as_init() -> None:
     }
 
 
-def test_0x522_keeps_the_names_of_each_revision() -> None:
-    def names(revision: str) -> list[str]:
-        return [signal.name for signal in DATABASES[revision].get_message_by_name("VCU2AI_Drive_R").signals]
-
-    assert names("2021") == ["REAR_AXLE_TRQ", "REAR_AXLE_TRQ_REQUEST", "REAR_AXLE_TRQ_MAX"]
-    assert names("2026") == ["REAR_AXLE_TRQ_Nm", "REAR_AXLE_TRQ_REQUEST_Nm", "REAR_AXLE_TRQ_MAX_Nm"]
-
-
-def test_a_name_too_long_for_dbc_is_whole_after_loading() -> None:
-    names = [signal.name for signal in DATABASES["2021"].get_message_by_name("VCU_STATUS").signals]
-    assert "R1_AI2VCU_STATUS_HANDSHAKE_TIMEOUT_ERROR" in names
-
-
 @pytest.mark.parametrize("revision", REVISIONS.values(), ids=REVISIONS)
 def test_the_steering_range_is_the_limit_of_the_revision(revision: Revision) -> None:
     database = DATABASES[revision.name]
@@ -157,24 +144,3 @@ def test_the_pcan_gps_file_reads_in_the_encoding_of_dbc_files() -> None:
     assert unit("BMC_Acceleration", "Temperature") == "°C"
     assert unit("L3GD20_Rotation_B", "Rotation_Z") == "°/s"
     assert unit("BMC_MagneticField", "MagneticField_X") == "µT"
-
-
-@pytest.mark.parametrize(
-    ("revision", "message", "signal", "scale", "offset", "low", "high"),
-    [
-        ("2021", "AI2VCU_Drive_F", "FRONT_AXLE_TRQ_REQUEST", 0.1, 0, 0, 195),
-        ("2026", "AI2VCU_Drive_R", "REAR_MOTOR_SPEED_MAX", 1, 0, 0, 4000),
-        ("2026", "AI2VCU_Brake", "HYD_PRESS_F_REQ_pct", 0.5, 0, 0, 100),
-        ("2021", "VCU2AI_Speeds", "RL_WHEEL_SPEED", 1, 0, 0, 1250),
-        ("2021", "VCU2LOG_Dynamics1", "Steer_actual", 0.5, 0, -64, 63.5),
-        ("2026", "BMC_Acceleration", "Temperature", 0.5, 24, -40, 87.5),
-        ("2026", "BMC_Acceleration", "Acceleration_X", 3.91, 0, -20000, 20000),
-        ("2026", "VCU2OPUS_1", "LEM_500A_ADC", 0.25, -625, -625, 15758.75),
-        ("2026", "AI2LOG_Dynamics2", "Yaw_rate_degps", 0.0078125, 0, -256, 255.992),
-    ],
-)
-def test_scales_offsets_and_ranges(
-    revision: str, message: str, signal: str, scale: float, offset: float, low: float, high: float
-) -> None:
-    found = DATABASES[revision].get_message_by_name(message).get_signal_by_name(signal)
-    assert (found.scale, found.offset, found.minimum, found.maximum) == (scale, offset, low, high)

@@ -38,13 +38,6 @@ def test_a_car_that_is_wired_wrongly_can_be_simulated_and_undone() -> None:
     assert Codec(revision("2026")).decode(frame).image == WheelSpeeds(20, 30, 40, 10)
 
 
-def test_other_messages_do_not_care_about_the_wheels() -> None:
-    straight, crossed = Codec(revision("2026")), Codec(revision("2026"), mapping=CROSSED)
-    for can_id, length in ((0x520, 8), (0x521, 6), (0x524, 5)):
-        frame = Frame(can_id, bytes(length))
-        assert straight.decode(frame) == crossed.decode(frame)
-
-
 @pytest.mark.parametrize("wrong", [{"fl": "fr"}, {"fl": "xx"}, {"fl": "fr", "fr": "fr", "rl": "rl", "rr": "rr"}])
 def test_a_mapping_that_loses_a_wheel_is_refused(wrong: dict[str, str]) -> None:
     with pytest.raises(ValueError, match="must name each of fl, fr, rl, rr once"):

@@ -77,11 +77,11 @@ class RosRig:
         self.tester.destroy_client(client)
         return future.result()
 
-    def hear(self, message_type: Any, topic: str, qos: Any) -> list[Any]:
+    def subscribe(self, message_type: Any, topic: str, qos: Any) -> list[Any]:
         """What is published on `topic` from now on, as a list that grows."""
-        heard: list[Any] = []
-        self.tester.create_subscription(message_type, topic, heard.append, qos)
-        return heard
+        received: list[Any] = []
+        self.tester.create_subscription(message_type, topic, received.append, qos)
+        return received
 
     def stamp(self, age_ms: float = 0.0) -> Time:
         """A header's stamp of so long ago."""
@@ -97,15 +97,15 @@ class RosRig:
             self.executor.spin_once(timeout_sec=0.01)
 
     def log(self) -> list[Log]:
-        """What the nodes log from now on; waits until this is heard."""
-        lines = self.hear(Log, "/rosout", 1000)
+        """What the nodes log from now on; waits until this is received."""
+        lines = self.subscribe(Log, "/rosout", 1000)
         speaker = self.add(Node("speaker"))
 
-        def heard() -> bool:
-            speaker.get_logger().info("the log is heard")
+        def received() -> bool:
+            speaker.get_logger().info("the log is received")
             return any(line.name == "speaker" for line in lines)
 
-        self.spin_until(heard, "the log")
+        self.spin_until(received, "the log")
         return lines
 
     def __enter__(self) -> RosRig:
@@ -169,7 +169,7 @@ class ScriptedVcu:
         self._bus = open_bus(bus)
         self.status = status
         self.speeds = WheelSpeeds()
-        self.heard: list[AiImage] = []
+        self.received: list[AiImage] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -179,7 +179,7 @@ class ScriptedVcu:
 
     def last_status(self) -> AiStatus:
         """The newest 0x510; the default before the first."""
-        return next((image for image in reversed(self.heard) if isinstance(image, AiStatus)), AiStatus())
+        return next((image for image in reversed(self.received) if isinstance(image, AiStatus)), AiStatus())
 
     def _images(self, handshake: bool) -> Iterable[object]:
         yield replace(self.status, handshake=handshake)
@@ -202,7 +202,7 @@ class ScriptedVcu:
                 if frame is not None:
                     image = self._codec.decode(frame).image
                     if image is not None:
-                        self.heard.append(image)  # type: ignore[arg-type]
+                        self.received.append(image)  # type: ignore[arg-type]
                     if isinstance(image, AiStatus):
                         handshake = not image.handshake
 

@@ -7,10 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from diagnostic_msgs.msg import DiagnosticArray
 from fsai_msgs.action import RunMission
 from fsai_msgs.msg import RunState, VehicleCommand, VehicleState
@@ -47,7 +43,7 @@ def vcu(bus: str) -> Iterator[ScriptedVcu]:
 
 def start_bridge(rig: RosRig, bus: str, **parameters: object) -> tuple[VcuBridge, list[VehicleState]]:
     node = rig.start(VcuBridge, can_interface=bus, real_time=False, **parameters)
-    return node, rig.hear(VehicleState, "/vehicle_state", qos.STATE)
+    return node, rig.subscribe(VehicleState, "/vehicle_state", qos.STATE)
 
 
 def wait_for_car(rig: RosRig, states: list[VehicleState]) -> None:
@@ -73,7 +69,7 @@ def test_a_command_that_is_none_is_refused_and_reported(rig: RosRig, bus: str, a
     """One with a throttle that is no number; one stamped in the future."""
     log = rig.log()
     node, states = start_bridge(rig, bus)
-    diagnostics = rig.hear(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    diagnostics = rig.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
     publisher = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
     rig.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(states), "the bridge listens")
     command = VehicleCommand(run_id=states[-1].run_id, throttle=0.0 if ahead_s else math.inf)
@@ -121,7 +117,7 @@ def test_a_late_listener_learns_the_run_in_hand(rig: RosRig, bus: str) -> None:
     """Which is another one after each activation."""
     node, states = start_bridge(rig, bus)
     rig.spin_until(lambda: bool(states), "the bridge publishes")
-    runs = rig.hear(RunState, "/run_state", qos.STATE)
+    runs = rig.subscribe(RunState, "/run_state", qos.STATE)
     rig.spin_until(lambda: bool(runs), "the latched run")
     assert runs[0].run_id == states[-1].run_id
     node.trigger_deactivate()
@@ -132,7 +128,7 @@ def test_a_late_listener_learns_the_run_in_hand(rig: RosRig, bus: str) -> None:
 def test_commands_carry_the_run_and_the_stamp_of_their_data(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus)
     rig.start(VehicleController)
-    commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    commands = rig.subscribe(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
     vcu.say(ami=Ami.STATIC_INSPECTION_A)
     rig.spin_until(
         lambda: bool(commands) and bool(states) and commands[-1].run_id == states[-1].run_id, "commands of the run"
@@ -144,14 +140,14 @@ def test_commands_carry_the_run_and_the_stamp_of_their_data(rig: RosRig, bus: st
 
 def test_a_car_that_falls_silent_has_no_odometry_of_now(rig: RosRig, bus: str, vcu: ScriptedVcu) -> None:
     _, states = start_bridge(rig, bus)
-    heard = rig.hear(Odometry, "/odometry", qos.SENSOR)
-    rig.spin_until(lambda: len(heard) > 10, "odometry")
-    assert (heard[0].header.frame_id, heard[0].child_frame_id) == ("odom", "base_link")
+    received = rig.subscribe(Odometry, "/odometry", qos.SENSOR)
+    rig.spin_until(lambda: len(received) > 10, "odometry")
+    assert (received[0].header.frame_id, received[0].child_frame_id) == ("odom", "base_link")
     vcu.__exit__()
     rig.spin_until(lambda: bool(states) and states[-1].speeds_age_s > 0.3, "the car is silent")
-    said, count = len(heard), len(states)
+    said, count = len(received), len(states)
     rig.spin_until(lambda: len(states) > count + 20, "states of a silent car")
-    assert len(heard) == said
+    assert len(received) == said
     stamps_ns = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states[count:]]
     assert max(stamps_ns) - min(stamps_ns) < 10_000_000  # one measurement, whatever the two clocks do
 
@@ -161,7 +157,7 @@ def test_listen_only_is_shown_and_nothing_is_ever_sent(rig: RosRig, bus: str, vc
     wait_for_car(rig, states)
     rig.spin_until(lambda: len(states) > 20, "states")
     assert states[-1].listen_only
-    assert vcu.heard == []
+    assert vcu.received == []
 
 
 def test_limits_come_from_a_file_or_from_the_parameter(rig: RosRig, bus: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -218,13 +214,6 @@ def test_deactivation_silences_the_bus_until_activation(rig: RosRig, bus: str) -
         assert not answer.success and "not active" in answer.message
         assert change(rig, Transition.TRANSITION_ACTIVATE)
         rig.spin_until(somebody_sends, "frames after activation")
-
-
-def test_an_absent_bus_leaves_the_node_inactive(rig: RosRig) -> None:
-    rig.start(VcuBridge, autostart=False, can_interface="nosuch0")
-    assert change(rig, Transition.TRANSITION_CONFIGURE)
-    assert not change(rig, Transition.TRANSITION_ACTIVATE)
-    assert state_of(rig) == "inactive"
 
 
 # ---------------------------------------------------------------- /run_mission

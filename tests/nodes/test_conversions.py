@@ -7,19 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from builtin_interfaces.msg import Time
 from fsai_msgs.msg import Cone, ConeArray, RunState, VehicleState
 from sensor_msgs.msg import NavSatStatus
 
 from fsai_nodes import conversions as to
 from fsai_nodes.diagnosis import diagnostics_of
+from fsai_vcu.cli.status import _as_dict, _as_text
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion, Plan, Run
+from fsai_vcu.core.limits import OperationalLimits
 from fsai_vcu.core.vehicle.parameters import CARS
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -154,6 +152,12 @@ def test_diagnostics_say_what_the_database_lacks() -> None:
     told = {value.key: value.value for value in car.values}
     assert (told["ASMS"], told["TSMS"], told["steering"]) == ("unknown", "False", "unknown")
     assert not any(value.key == "not known" for value in diagnostics_of(report_after(), STAMP, {}).status[0].values)
+
+
+def test_the_limits_in_force_are_published_and_in_status() -> None:
+    state = to.state_to_msg(replace(report_after(), limits=OperationalLimits(max_speed_mps=3.5)), STAMP, math.nan)
+    assert "limits    max_speed_mps = 3.5, max_axle_torque_nm = not limited" in _as_text(state)
+    assert _as_dict(state)["operational_limits"][0] == "max_speed_mps = 3.5"
 
 
 def test_before_the_car_has_said_anything_everything_is_unknown() -> None:

@@ -11,9 +11,6 @@ from collections.abc import Iterator
 
 import pytest
 
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus

@@ -42,16 +42,16 @@ def await_it(condition: Callable[[], bool], what: str) -> None:
 
 
 def gather(recorder: TopicRecorder, topics: set[str], publish: Callable[[], None]) -> list[RosMessage]:
-    """Publish again and again until something of each topic was heard."""
-    heard: list[RosMessage] = []
+    """Publish again and again until something of each topic was received."""
+    received: list[RosMessage] = []
 
-    def all_heard() -> bool:
+    def all_received() -> bool:
         publish()
-        heard.extend(recorder.fetch())
-        return {each.topic.name for each in heard} == topics
+        received.extend(recorder.fetch())
+        return {each.topic.name for each in received} == topics
 
-    await_it(all_heard, f"messages of {topics}")
-    return heard
+    await_it(all_received, f"messages of {topics}")
+    return received
 
 
 def test_every_topic_of_the_project_is_recorded_by_default() -> None:
@@ -62,13 +62,13 @@ def test_messages_are_recorded_raw_latched_ones_too(rig: RosRig, recorder: Topic
     rig.tester.create_publisher(RunState, "/run_state", TOPICS["run_state"]).publish(RunState(run_id=7))
     command = rig.tester.create_publisher(VehicleCommand, "/vehicle_cmd", TOPICS["vehicle_cmd"])
     said = VehicleCommand(run_id=7, throttle=0.25)
-    heard = gather(recorder, {"/run_state", "/vehicle_cmd"}, lambda: command.publish(said))
-    by_topic = {each.topic.name: each for each in heard}
+    received = gather(recorder, {"/run_state", "/vehicle_cmd"}, lambda: command.publish(said))
+    by_topic = {each.topic.name: each for each in received}
     assert deserialize_message(by_topic["/run_state"].data, RunState).run_id == 7
     assert deserialize_message(by_topic["/vehicle_cmd"].data, VehicleCommand) == said
     assert by_topic["/vehicle_cmd"].topic.type_name == "fsai_msgs/msg/VehicleCommand"
     now_ns = time.time_ns()
-    assert all(0 < each.published_ns <= each.log_ns <= now_ns for each in heard)
+    assert all(0 < each.published_ns <= each.log_ns <= now_ns for each in received)
 
 
 def test_topics_that_nobody_asked_for_are_left_alone(rig: RosRig, recorder: TopicRecorder) -> None:

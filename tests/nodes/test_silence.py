@@ -6,12 +6,6 @@ import time
 from functools import partial
 
 import pytest
-
-from fsai_vcu.interface.units import MS
-
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_msgs.msg import ConeArray, ResetConfirmation, VehicleCommand
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -27,6 +21,7 @@ from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
 from fsai_vcu.interface.messages import VcuStatus
+from fsai_vcu.interface.units import MS
 
 warnings, errors = (partial(logged, level=level) for level in (30, 40))  # of rcl_interfaces/Log: its own are bytes
 
@@ -56,11 +51,11 @@ def test_the_detector_says_that_its_sensor_fell_silent(rig: RosRig) -> None:
     log = rig.log()
     rig.start(ConeDetector)
     cones = rig.tester.create_publisher(ConeArray, "/raw_cones", qos.SENSOR)
-    heard = rig.hear(ConeArray, "/detected_cones", qos.SENSOR)
+    received = rig.subscribe(ConeArray, "/detected_cones", qos.SENSOR)
 
     def detected() -> bool:
         cones.publish(ConeArray())
-        return bool(heard)
+        return bool(received)
 
     rig.spin_until(detected, "cones pass")
     rig.spin_until(lambda: bool(warnings(log, "/raw_cones of tester has been silent")), "the silence is said")
@@ -74,7 +69,7 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
     planner, controller = rig.start(PathPlanner), rig.start(VehicleController)
     rig.announce()
     stand = Stand(rig)
-    commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    commands = rig.subscribe(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
 
     def planned() -> bool:
         stand.state()
@@ -101,7 +96,7 @@ def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
     controller = rig.start(VehicleController)
     rig.announce()
     stand = Stand(rig, rig.add(Node("some_planner")))
-    commands = rig.hear(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
+    commands = rig.subscribe(VehicleCommand, "/vehicle_cmd", qos.COMMAND)
 
     def planned() -> bool:
         stand.state()

@@ -11,9 +11,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="rclpy is not installed (pip install 'fsai-vcu[ros]')")
-pytest.importorskip("fsai_msgs", reason="fsai_msgs is not built into this environment (nodes/build-messages)")
-
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.revisions import revision

@@ -55,10 +55,6 @@ class ThreadedLoop(LoopHandle):
         assert not self.thread.is_alive()
 
 
-def make_loop(spec: str, config: BridgeConfig | None = None) -> ThreadedLoop:
-    return ThreadedLoop(spec, config)
-
-
 def eventually(condition: Callable[[], bool]) -> bool:
     return eventually_within(WAIT_S, condition)
 

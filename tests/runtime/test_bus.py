@@ -56,7 +56,7 @@ def test_no_bus_is_opened_that_would_let_a_reserved_id_out(
 
 
 class SilentBus(can.BusABC):
-    """Nothing is ever heard on it; it notes how long it was asked to wait."""
+    """Nothing is ever received on it; it notes how long it was asked to wait."""
 
     def __init__(self) -> None:
         super().__init__("silent")
@@ -108,8 +108,8 @@ def test_out_of_file_descriptors_is_reported_and_the_bus_closed(
 def test_bus_off_is_a_bus_loss_and_other_error_frames_are_not() -> None:
     with open_bus("loopback:errors") as controller, open_bus("loopback:errors") as bus:
         controller.send(Frame(0x004, bytes(8), error=True))  # a problem of the controller, which goes on
-        heard = bus.recv(1.0)
-        assert heard is not None and heard.error
+        received = bus.recv(1.0)
+        assert received is not None and received.error
         controller.send(Frame(0x040, bytes(8), error=True))
         with pytest.raises(BusLost, match="bus-off"):
             bus.recv(1.0)
@@ -238,7 +238,7 @@ def test_a_full_socketcan_queue_drops_the_frame(kernel_pair: tuple[CanBus, socke
         bus.send(Frame(0x510, bytes(8)))
 
 
-def test_nobody_drives_on_a_bus_where_a_sender_hears_himself() -> None:
+def test_nobody_drives_on_a_bus_that_returns_a_senders_frames() -> None:
     with pytest.raises(BusError, match=r"its own frames back.*loopback:NAME") as refused:
         open_bus("udp_multicast:239.74.163.2", may_send=AI_IDS)
     assert "\n" not in str(refused.value)

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,11 +18,6 @@ from fsai_vcu.interface.messages import VcuStatus
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.link import LoopSettings
 from fsai_vcu.runtime.loop_handle import LoopError, LoopHandle, start_loop_process
-
-
-@pytest.fixture
-def spec() -> str:
-    return f"loopback:{uuid.uuid4()}"
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Iterator
 
 import can
@@ -10,11 +9,6 @@ import pytest
 
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
-
-
-@pytest.fixture
-def spec() -> str:
-    return f"loopback:{uuid.uuid4()}"
 
 
 @pytest.fixture
@@ -45,8 +39,8 @@ def test_frames_come_in_the_order_in_which_they_were_sent(pair: tuple[CanBus, Ca
     one, other = pair
     for number in range(200):
         one.send(Frame(0x100 + number, bytes([number])))
-    heard = [other.recv(1.0) for _ in range(200)]
-    assert [frame.can_id for frame in heard if frame] == list(range(0x100, 0x100 + 200))
+    received = [other.recv(1.0) for _ in range(200)]
+    assert [frame.can_id for frame in received if frame] == list(range(0x100, 0x100 + 200))
 
 
 def test_extended_and_error_frames_keep_their_kind(pair: tuple[CanBus, CanBus]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,27 +21,20 @@ def settled(now_ns: int = 0) -> Pacing:
     return pacing
 
 
-def test_a_status_frame_is_answered_at_once() -> None:
+@pytest.mark.parametrize(
+    ("status_ms", "due_ns"),
+    [
+        ((), FALLBACK_AFTER_NS),
+        ((10,), 10 * MS),  # answered at once,
+        ((3,), MIN_GAP_NS),  # but not sooner than 8 ms after the last send;
+        ((3, 7), MIN_GAP_NS),  # a second one does not delay the answer
+    ],
+)
+def test_a_status_frame_is_answered_as_soon_as_the_gap_allows(status_ms: tuple[int, ...], due_ns: int) -> None:
     pacing = settled(0)
-    pacing.on_status(10 * MS)
-    assert pacing.due_ns() == 10 * MS
-
-
-def test_an_answer_waits_until_8_ms_after_the_last_send() -> None:
-    pacing = settled(0)
-    pacing.on_status(3 * MS)
-    assert pacing.due_ns() == MIN_GAP_NS
-
-
-def test_a_second_status_frame_does_not_delay_a_pending_answer() -> None:
-    pacing = settled(0)
-    pacing.on_status(3 * MS)
-    pacing.on_status(7 * MS)
-    assert pacing.due_ns() == MIN_GAP_NS
-
-
-def test_without_status_frames_the_first_send_is_after_15_ms() -> None:
-    assert settled(0).due_ns() == FALLBACK_AFTER_NS
+    for at_ms in status_ms:
+        pacing.on_status(at_ms * MS)
+    assert pacing.due_ns() == due_ns
 
 
 def test_fallback_keeps_its_10_ms_grid_in_spite_of_lateness() -> None:

@@ -19,13 +19,7 @@ from fsai_vcu.core.driving import Motion, Plan, Run
 from fsai_vcu.core.missions.demo import DemoState, advance_demo
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.missions.static_inspection import (
-    Inspection,
-    InspectionState,
-    advance_inspection,
-    inspection_a,
-    inspection_b,
-)
+from fsai_vcu.core.missions.static_inspection import InspectionState, advance_inspection, inspection_of
 from fsai_vcu.core.planning.pose import lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.vehicle.odometry import MotionHistory, motion_at
 from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
@@ -125,11 +119,14 @@ class Controller:
         if run.mission is Ami.AUTONOMOUS_DEMO:
             self._demo, request = advance_demo(self._demo, view, self._max_steer_rad, self._missions, limit)
         else:
-            inspection: Inspection = (inspection_a if run.mission is Ami.STATIC_INSPECTION_A else inspection_b)(
-                self._missions
-            )
             self._inspection, request = advance_inspection(
-                inspection, self._inspection, view, self._car, self._max_steer_rad, self._missions, limit
+                inspection_of(run.mission, self._missions),
+                self._inspection,
+                view,
+                self._car,
+                self._max_steer_rad,
+                self._missions,
+                limit,
             )
         self._finished |= request.finished
         self._estop |= request.estop
@@ -197,7 +194,7 @@ class Controller:
         if age_s > settings.plan_lost_s:
             return 0.0, settings.gentle_brake
 
-        demand = speed_demand(
+        allowed_mps, needed_mps2 = speed_demand(
             here[nearest:],
             along[nearest:] - along[nearest],
             speed,
@@ -206,12 +203,12 @@ class Controller:
             settings,
         )
         threshold = settings.brake_off_mps2 if self._braking else settings.brake_on_mps2
-        self._braking = demand.needed_mps2 > threshold and speed > 0.3
+        self._braking = needed_mps2 > threshold and speed > 0.3
         if self._braking:
-            return 0.0, self._brake_for(min(demand.needed_mps2, settings.braking_max_mps2))
-        if plan.finished or age_s > settings.plan_old_s or speed >= demand.allowed_mps:
+            return 0.0, self._brake_for(min(needed_mps2, settings.braking_max_mps2))
+        if plan.finished or age_s > settings.plan_old_s or speed >= allowed_mps:
             return 0.0, 0.0
-        return self._throttle_for(settings.speed_gain_1ps * (demand.allowed_mps - speed), speed), 0.0
+        return self._throttle_for(settings.speed_gain_1ps * (allowed_mps - speed), speed), 0.0
 
     def _no_way(self) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.control.settings import ControllerSettings
 
 CURVATURE_SPAN = 3  # points to either side between which the path's direction is compared
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedDemand:
-    """`allowed_mps`: speed from which planned braking still suffices for everything ahead; `needed_mps2`: the
-    deceleration that the most pressing of it needs at the present speed."""
-
-    allowed_mps: float
-    needed_mps2: float
 
 
 def curvature_along(path_m: Floats) -> Floats:
@@ -43,8 +32,12 @@ def speed_demand(
     max_speed_mps: float,
     stop_m: float | None,
     settings: ControllerSettings,
-) -> SpeedDemand:
-    """What the path ahead demands. ahead_m: (N,) way from the car to each point; stop_m: way to the stopping place."""
+) -> tuple[float, float]:
+    """The speed (m/s) from which planned braking still suffices for everything ahead, and the deceleration (m/s2) that
+    the most pressing of it needs at the present speed.
+
+    ahead_m: (N,) way from the car to each point; stop_m: way to the stopping place.
+    """
     limit = np.minimum(settings.lateral_mps2 / np.maximum(curvature_along(path_m), 1e-6), max_speed_mps**2)
     limit[-1] = min(float(limit[-1]), settings.end_of_path_mps**2)
     room = np.maximum(ahead_m - speed_mps * settings.reaction_s, 0.0)
@@ -54,4 +47,4 @@ def speed_demand(
         stop_room = max(stop_m - speed_mps * settings.reaction_s, 0.0)
         square = min(square, 2.0 * settings.stopping_mps2 * stop_room)
         needed = max(needed, speed_mps**2 / (2.0 * max(stop_room, 0.5)))
-    return SpeedDemand(max(square, 0.0) ** 0.5, max(needed, 0.0))
+    return max(square, 0.0) ** 0.5, max(needed, 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import pairwise
 
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.request import CarView, MissionRequest
@@ -24,7 +25,7 @@ ORIGIN = Motion()
 
 
 class DemoPhase(Enum):
-    """Where the demo is."""
+    """Where the demo is, in their order."""
 
     SWEEP = "sweep"
     ACCELERATE = "accelerate"
@@ -34,13 +35,7 @@ class DemoPhase(Enum):
     EMERGENCY_BRAKE = "emergency brake"
 
 
-NEXT = {
-    DemoPhase.SWEEP: DemoPhase.ACCELERATE,
-    DemoPhase.ACCELERATE: DemoPhase.STOP,
-    DemoPhase.STOP: DemoPhase.PAUSE,
-    DemoPhase.PAUSE: DemoPhase.ACCELERATE_AGAIN,
-    DemoPhase.ACCELERATE_AGAIN: DemoPhase.EMERGENCY_BRAKE,
-}
+NEXT = dict(pairwise(DemoPhase))
 
 
 @dataclass(frozen=True, slots=True)

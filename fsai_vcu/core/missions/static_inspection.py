@@ -13,6 +13,7 @@ from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.steering_sweep import NOT_BEGUN, SweepState, advance_sweep
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import Immutable
 
 # In the air a few newton metres spin the wheels: proportional and integral throttle, and never much of it.
@@ -41,7 +42,6 @@ class Inspection:
     phases: tuple[InspectionPhase, ...]
     rpm: float
     hold_s: float
-    spin_up_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +53,11 @@ class InspectionState(Immutable):
     integral: float = 0.0
 
 
-def inspection_a(settings: MissionSettings) -> Inspection:
-    return Inspection(
-        (InspectionPhase.SWEEP, InspectionPhase.SPIN_UP, InspectionPhase.HOLD, InspectionPhase.REST),
-        settings.inspection_a_rpm,
-        settings.inspection_a_hold_s,
-        settings.inspection_a_spin_up_s,
-    )
-
-
-def inspection_b(settings: MissionSettings) -> Inspection:
-    return Inspection(
-        (InspectionPhase.SPIN_UP, InspectionPhase.HOLD, InspectionPhase.EMERGENCY_BRAKE),
-        settings.inspection_b_rpm,
-        settings.inspection_b_hold_s,
-        settings.inspection_a_spin_up_s,
-    )
+def inspection_of(mission: Ami, settings: MissionSettings) -> Inspection:
+    sweep, spin_up, hold, rest, brake = InspectionPhase
+    if mission is Ami.STATIC_INSPECTION_A:
+        return Inspection((sweep, spin_up, hold, rest), settings.inspection_a_rpm, settings.inspection_a_hold_s)
+    return Inspection((spin_up, hold, brake), settings.inspection_b_rpm, settings.inspection_b_hold_s)
 
 
 def driven_rpm(car: VehicleParameters, wheel_rpm: tuple[float, float, float, float]) -> float:
@@ -112,7 +101,7 @@ def advance_inspection(
         speed_limit_mps=min(car.speed_of_wheel_rpm(SPIN_LIMIT * inspection.rpm), max_speed_mps),
     )
     reached = rpm >= inspection.rpm
-    if phase is InspectionPhase.SPIN_UP and (reached or in_phase_s >= inspection.spin_up_s):
+    if phase is InspectionPhase.SPIN_UP and (reached or in_phase_s >= settings.inspection_a_spin_up_s):
         return _next(state, view), request
     if phase is InspectionPhase.HOLD and in_phase_s >= inspection.hold_s:
         return _next(state, view), request

@@ -31,9 +31,7 @@ NOT_BEGUN = SweepState()
 
 
 def advance_sweep(state: SweepState, view: CarView, full_rad: float, settings: MissionSettings) -> SweepState:
-    """The sweep at `view.now_ns`."""
-    if state.done:
-        return state
+    """The sweep at `view.now_ns`, which is not done yet."""
     dt_s = 0.0 if state.t_ns is None else min(max(0, view.now_ns - state.t_ns) / 1e9, STEP_MAX_S)
     target = ENDS[state.end] * full_rad
     most = settings.sweep_rate_radps * dt_s

@@ -48,38 +48,45 @@ def believable(observation: ConeObservation, settings: PlannerSettings) -> tuple
     return xy, color
 
 
+_CONE = np.dtype(
+    [
+        ("xy", np.float64, 2),
+        ("hits", np.float64),
+        ("misses", np.float64),
+        ("votes", np.float64, N_COLORS),
+        ("side", np.float64),  # by the lane: votes for left minus votes for right
+        ("seen_at_m", np.float64),
+    ]
+)
 GATE_VOTES_MIN = 2.5  # sightings as a big orange cone before one is believed; old votes fade
 
 
 class ConeMemory:
-    """Cones in the odometry frame, as arrays with one row per cone."""
+    """Cones in the odometry frame, one row of `_CONE` each."""
 
     def __init__(self, settings: PlannerSettings) -> None:
         self._settings = settings
         self.clear()
 
     def clear(self) -> None:
-        self._xy: Floats = np.zeros((0, 2))
-        self._hits: Floats = np.zeros(0)
-        self._misses: Floats = np.zeros(0)
-        self._votes: Floats = np.zeros((0, N_COLORS))
-        self._side: Floats = np.zeros(0)  # what the lane said: votes for left minus votes for right
-        self._seen_at_m: Floats = np.zeros(0)
+        self._cones = np.zeros(0, _CONE)
         self.total = 0  # cones ever believed
 
     def __len__(self) -> int:
-        return len(self._xy)
+        return len(self._cones)
 
     def add(self, xy_m: Floats, color: Ints, motion: Motion) -> None:
         """Take in one observation: vehicle-frame positions and colours, seen from `motion`."""
         settings = self._settings
-        seen = np.zeros(len(self._xy), dtype=bool)
-        before = self._hits >= settings.hits_to_believe
+        cones = self._cones
+        seen = np.zeros(len(cones), dtype=bool)
+        before = cones["hits"] >= settings.hits_to_believe
         if len(xy_m):
             at = to_odometry(motion, xy_m)
             new = np.ones(len(at), dtype=bool)
-            if len(self._xy):
-                gap = np.hypot(at[:, None, 0] - self._xy[None, :, 0], at[:, None, 1] - self._xy[None, :, 1])
+            if len(cones):
+                xy = cones["xy"]
+                gap = np.hypot(at[:, None, 0] - xy[None, :, 0], at[:, None, 1] - xy[None, :, 1])
                 nearest = gap.argmin(axis=1)
                 rows = np.arange(len(at))
                 mutual = gap[:, nearest].argmin(axis=0) == rows
@@ -87,74 +94,62 @@ class ConeMemory:
                 new = ~same & (gap[rows, nearest] > DUPLICATE_M)
                 known = nearest[same]
                 seen[known] = True
-                self._hits[known] += 1
-                share = 1.0 / np.minimum(self._hits[known], settings.average_over)
-                self._xy[known] += share[:, None] * (at[same] - self._xy[known])
-                self._votes[known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
-                self._votes[known, color[same]] += 1.0
-                self._seen_at_m[known] = motion.distance_m
-            self._append(at[new], color[new], motion.distance_m)
-            seen = np.concatenate((seen, np.ones(int(new.sum()), dtype=bool)))
-            before = np.concatenate((before, np.zeros(int(new.sum()), dtype=bool)))
-        if len(self._xy):
-            here = to_vehicle(motion, self._xy)
+                cones["hits"][known] += 1
+                share = 1.0 / np.minimum(cones["hits"][known], settings.average_over)
+                xy[known] += share[:, None] * (at[same] - xy[known])
+                cones["votes"][known] *= 1.0 - 1.0 / 30.0  # a wrong colour of long ago fades
+                cones["votes"][known, color[same]] += 1.0
+                cones["seen_at_m"][known] = motion.distance_m
+            added = np.zeros(int(new.sum()), _CONE)
+            added["xy"], added["hits"], added["seen_at_m"] = at[new], 1.0, motion.distance_m
+            added["votes"][np.arange(len(added)), color[new]] = 1.0
+            cones = np.concatenate((cones, added))
+            seen = np.concatenate((seen, np.ones(len(added), dtype=bool)))
+            before = np.concatenate((before, np.zeros(len(added), dtype=bool)))
+        if len(cones):
+            here = to_vehicle(motion, cones["xy"])
             reach = np.hypot(here[:, 0], here[:, 1])
             in_view = (
                 (reach < settings.view_range_m)
                 & (reach > 2.5)
                 & (np.abs(np.arctan2(here[:, 1], here[:, 0])) < settings.view_half_angle_rad)
             )
-            self._misses[in_view & ~seen] += 1.0
-            self.total += int(((self._hits >= settings.hits_to_believe) & ~before).sum())
+            hits, misses = cones["hits"], cones["misses"]
+            misses[in_view & ~seen] += 1.0
+            self.total += int(((hits >= settings.hits_to_believe) & ~before).sum())
             keep = (
                 (here[:, 0] > -settings.behind_m)
                 & (reach < 3.0 * settings.range_max_m)
-                & (motion.distance_m - self._seen_at_m < settings.age_m)
-                & (self._hits >= settings.hit_ratio_min * (self._hits + self._misses))
+                & (motion.distance_m - cones["seen_at_m"] < settings.age_m)
+                & (hits >= settings.hit_ratio_min * (hits + misses))
                 # Seen once or twice and then missed as often: not a cone.
-                & ~((self._hits <= 2.0) & (self._misses > self._hits))
+                & ~((hits <= 2.0) & (misses > hits))
             )
-            self._drop(keep)
-
-    def _append(self, at: Floats, color: Ints, distance_m: float) -> None:
-        count = len(at)
-        if not count:
-            return
-        votes = np.zeros((count, N_COLORS))
-        votes[np.arange(count), color] = 1.0
-        self._xy = np.concatenate((self._xy, at))
-        self._hits = np.concatenate((self._hits, np.ones(count)))
-        self._misses = np.concatenate((self._misses, np.zeros(count)))
-        self._votes = np.concatenate((self._votes, votes))
-        self._side = np.concatenate((self._side, np.zeros(count)))
-        self._seen_at_m = np.concatenate((self._seen_at_m, np.full(count, distance_m)))
-
-    def _drop(self, keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> None:
-        if keep.all():
-            return
-        self._xy, self._hits, self._misses = self._xy[keep], self._hits[keep], self._misses[keep]
-        self._votes, self._side, self._seen_at_m = self._votes[keep], self._side[keep], self._seen_at_m[keep]
+            self._cones = cones if keep.all() else cones[keep]
 
     def around(self, motion: Motion) -> Cones:
         """The cones believed, as seen from `motion`."""
-        here = to_vehicle(motion, self._xy)
+        known = self._cones
+        here = to_vehicle(motion, known["xy"])
         index = np.flatnonzero(
-            (self._hits >= self._settings.hits_to_believe)
+            (known["hits"] >= self._settings.hits_to_believe)
             & (np.hypot(here[:, 0], here[:, 1]) <= self._settings.range_max_m)
         )
-        votes = self._votes[index].copy()
+        seen = known["votes"][index]
+        votes = seen.copy()
         # A gate stops the car and counts its laps: it takes more than a slip of the detector to make one.
         big = votes[:, ConeColor.BIG_ORANGE]
         votes[(big < GATE_VOTES_MIN) | (big <= 0.5 * votes[:, 1:].sum(axis=1)), ConeColor.BIG_ORANGE] = 0.0
         colored = votes[:, 1:]
         # A colour counts where it was seen in at least every third look: colourless sightings do not outvote it.
-        has_color = colored.max(axis=1, initial=0.0) * 3.0 >= self._votes[index].sum(axis=1) - 1e-9
+        has_color = colored.max(axis=1, initial=0.0) * 3.0 >= seen.sum(axis=1) - 1e-9
         color = np.where(has_color & (colored.sum(axis=1) > 0), colored.argmax(axis=1) + 1, 0)
         by_color = np.where(color == ConeColor.BLUE, 1.0, np.where(color == ConeColor.YELLOW, -1.0, 0.0))
-        by_lane = np.clip(self._side[index] / 4.0, -0.6, 0.6)
+        by_lane = np.clip(known["side"][index] / 4.0, -0.6, 0.6)
         side = np.where(by_color != 0.0, by_color, by_lane)
         return Cones(here[index], color.astype(np.int64), side, index)
 
     def vote(self, index: Ints, side: Floats) -> None:
         """The lane has these cones on its left (+1) or right (-1), surely or less so."""
-        self._side[index] = np.clip(self._side[index] + side, -6.0, 6.0)
+        known = self._cones["side"]
+        known[index] = np.clip(known[index] + side, -6.0, 6.0)

@@ -33,7 +33,7 @@ COST_WRONG_SIDE = 1.5
 COST_BENDING = 0.8  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.25
 
-VOTE_M = 12.0  # how far ahead cones are told to be left or right, for the next time; the nearer the surer
+VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
 
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 

@@ -7,7 +7,6 @@ One strategy per family of missions: a lane found in the cones around the car (a
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -42,14 +41,8 @@ ACCELERATION_BRAKING_MPS2 = 4.5
 BRAKING_DELAY_S = 0.3
 
 
-class Strategy(Protocol):
-    """How one family of missions finds its way."""
-
-    def anchor(self, motion: Motion) -> None:
-        """The car stands at its staging place, at `motion`."""
-
-    def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
-        """The way on, after `memory` has taken in the cones seen (vehicle frame) from `motion`."""
+# How a family of missions finds its way. `anchor`: the car stands at its staging place, at `motion`; `plan`: the way
+# on, after `memory` has taken in the cones seen (vehicle frame) from `motion`.
 
 
 class LaneStrategy:
@@ -217,6 +210,9 @@ class SkidpadStrategy:
         left = course.finish_m + self._missions.skidpad_stop_m - state.progress_m
         path = path_ahead(course, state, self.HORIZON_M, self._settings.path_step_m)
         return to_vehicle(motion, path), laps_done(course, state), state.progress_m >= course.finish_m, max(0.0, left)
+
+
+Strategy = LaneStrategy | AccelerationStrategy | SkidpadStrategy
 
 
 class Planner:

@@ -173,12 +173,8 @@ def _odd_wheel(
     return None
 
 
-def forget_steering() -> SteeringCheck:
-    """Outside AS_DRIVING the car ignores steering requests: the model begins anew."""
-    return _NEW_STEERING
-
-
-_NEW_STEERING = SteeringCheck()
+NEW_STEERING = SteeringCheck()
+"""Outside AS_DRIVING the car ignores steering requests: the model begins anew."""
 
 
 def forget_wheels(check: WheelCheck) -> WheelCheck:

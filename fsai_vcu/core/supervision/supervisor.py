@@ -253,7 +253,7 @@ class SupervisorState(Immutable):
     go: bool = False
     fault: bool = False
     status_ns: int | None = None  # the last 0x520 that was believed
-    heard_ns: int | None = None  # the last 0x520 of any content
+    received_ns: int | None = None  # the last 0x520 of any content
     was_silent: bool = False  # a power cycle's silence lies before the next believed 0x520
     sequence: Sequence = Sequence.NONE
     ready_since_ns: int | None = None
@@ -327,12 +327,12 @@ class Decision(Immutable):
 
 def received(config: BridgeConfig, state: SupervisorState, t_ns: int) -> SupervisorState:
     """A frame of 0x520 came, whatever is in it: the car is switched on."""
-    return replace(state, heard_ns=t_ns, was_silent=_was_silent(config, state, t_ns))
+    return replace(state, received_ns=t_ns, was_silent=_was_silent(config, state, t_ns))
 
 
 def _was_silent(config: BridgeConfig, state: SupervisorState, now_ns: int) -> bool:
     """Whether the car has been silent for a power cycle's time since it was last believed."""
-    return state.was_silent or (state.heard_ns is not None and now_ns - state.heard_ns >= config.power_cycle_ns)
+    return state.was_silent or (state.received_ns is not None and now_ns - state.received_ns >= config.power_cycle_ns)
 
 
 def on_status(config: BridgeConfig, state: SupervisorState, status: VcuStatus) -> SupervisorState:
@@ -401,7 +401,7 @@ def on_pulses(state: SupervisorState, turning_ns: int | None) -> SupervisorState
 
 
 def on_selected_sent(state: SupervisorState, run_id: int) -> SupervisorState:
-    """A cycle of run `run_id` that said SELECTED went out whole: the mission is acknowledged."""
+    """A cycle of run `run_id` with SELECTED went out whole: the mission is acknowledged."""
     return state if state.selected_sent or run_id != state.run_id else replace(state, selected_sent=True)
 
 
@@ -436,7 +436,7 @@ def _state_name(state: SupervisorState) -> str:
 def _unknown_state(config: BridgeConfig, state: SupervisorState, now_ns: int) -> str | None:
     """Why nobody can know the AS state now; None if it is known."""
     if state.status_ns is None:
-        return "the car has not said its AS state yet (no 0x520)"
+        return "the car has not reported its AS state yet (no 0x520)"
     if vcu_lost(config, state, now_ns):
         return (
             f"the car is silent: the last 0x520 ({_state_name(state)}) is {(now_ns - state.status_ns) / 1e9:.1f} s old"
@@ -552,7 +552,7 @@ def bus_back(state: SupervisorState, now_ns: int) -> SupervisorState:
     """
     return replace(
         state,
-        heard_ns=None if state.heard_ns is None else now_ns,
+        received_ns=None if state.received_ns is None else now_ns,
         driving_since_ns=now_ns if state.driving else None,
         stop=None if state.stop is None else replace(state.stop, since_ns=now_ns),
         stop_window_rpm=None,
@@ -736,9 +736,9 @@ def _phase(config: BridgeConfig, state: SupervisorState, hold: bool, now_ns: int
 
 
 def acknowledged(state: SupervisorState) -> bool:
-    """Whether SELECTED may be said in this AS state.
+    """Whether SELECTED may be sent in this AS state.
 
-    With an emergency latched it is not said in AS_OFF: the car would come as far as AS_DRIVING only to brake.
+    With an emergency latched it is not sent in AS_OFF: the car would come as far as AS_DRIVING only to brake.
     """
     chosen = state.mission is not Ami.NOT_SELECTED and state.is_confirmed
     if state.as_state is AsState.AS_READY:
@@ -747,7 +747,7 @@ def acknowledged(state: SupervisorState) -> bool:
 
 
 def supervise(config: BridgeConfig, state: SupervisorState, inputs: Inputs) -> tuple[SupervisorState, Decision]:
-    """One cycle: what has become of the run by now, and what is to be said."""
+    """One cycle: what has become of the run by now, and what is to be sent."""
     now_ns = inputs.now_ns
     hold = True
     reasons: dict[Reason, str] = {}

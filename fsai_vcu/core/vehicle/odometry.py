@@ -1,8 +1,7 @@
 """Dead reckoning from what the car reports: wheel speeds, steering and, while it is fresh, the yaw-rate sensor.
 
 Pure: state in, state out (`standing_start`, `advance`, `begin_run`). Positions are those of the rear axle's centre in
-the odometry frame. They drift, and whoever uses them over more than some tens of metres must correct them by what is
-seen.
+the odometry frame. They drift: over more than some tens of metres they must be corrected by what is seen.
 
 The instant of a motion is that of the wheel speeds behind it: where the car says nothing, nothing goes on. How sure it
 is follows from the way driven, as a random walk (`OdometrySettings`): over `ds` metres the heading's variance grows by

@@ -77,7 +77,7 @@ def _edges(c: BridgeConfig) -> dict[str, tuple[int, ...]]:
     implausible = (c.implausible_ns, c.implausible_lost_ns)
     return {
         "status_ns": vcu,
-        "heard_ns": (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns),
+        "received_ns": (c.power_cycle_ns - CYCLE_NS, c.power_cycle_ns),
         "ready_since_ns": (c.ready_wait_ns,),
         "driving_since_ns": (
             c.launch_wait_ns,

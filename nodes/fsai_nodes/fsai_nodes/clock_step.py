@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 _ABSTIME_CANCEL_ON_SET = 1 | 2  # linux/timerfd.h: TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET
 _FAR_AWAY_S = 1 << 40  # a date that never comes
-_AGAIN_S = 0.06  # before anybody is missed; and preloaded clocks have heard of it by then
+_AGAIN_S = 0.06  # before anybody is missed; and preloaded clocks know of it by then
 
 logger = logging.getLogger("fsai_vcu.clock_step")
 

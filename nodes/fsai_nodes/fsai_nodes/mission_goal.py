@@ -74,7 +74,7 @@ class Waiting:
         return (now_ns - self._began_ns) / 1e9
 
     def step(self, as_state: AsState | None, mission: Ami, now_ns: int) -> GoalResult | None:
-        """`as_state` and `mission` as the car says them now; None while nothing has been heard."""
+        """`as_state` and `mission` as the car reports them now; None while nothing has been received."""
         goal = GOALS[self.until]
         before, self._before = self._before, as_state
         changed = before is not None and as_state is not before

@@ -40,10 +40,7 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
         configured = Configured(sys.argv if arguments is None else arguments, name)
         transport = set_transport(os.environ)
         rclpy.init(args=configured.arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except NodeError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return 1
-    except Exception as error:  # what a bad --ros-args raises has no class of its own
+    except Exception as error:  # NodeError; and what a bad --ros-args raises has no class of its own
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return 1
     listener = _forward_logging()

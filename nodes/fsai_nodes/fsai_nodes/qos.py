@@ -61,7 +61,7 @@ def publisher(node: Node, message_type: type[Any], topic: str) -> Publisher:
     """A publisher with the table's quality of service.
 
     Without rclpy's default event handlers: each is one more thing to wait for, every time that a node waits. The
-    subscriptions keep theirs, so a mismatch is still said, on the side where something is missing.
+    subscriptions keep theirs, so a mismatch is still reported, on the side where something is missing.
     """
     events = PublisherEventCallbacks(use_default_callbacks=False)
     return node.create_publisher(message_type, topic, TOPICS[topic], event_callbacks=events)

@@ -8,6 +8,7 @@ local), which is only to be had reliably.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 import time
@@ -35,8 +36,6 @@ LOOK_AGAIN_S = 0.5  # for topics that were not there before
 DEPTH = 200
 PROJECT_TOPICS = (*TOPICS, "/tf", "/tf_static")
 _RULE = "=" * 80
-_NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
-_BASIC = {"bool", "byte", "char", "float32", "float64", "string", "wstring", *_NUMBERS}
 
 
 class TopicRecorder:
@@ -153,7 +152,7 @@ def definition_of(type_name: str) -> str:
         name = waiting.pop(0)
         if name not in texts:
             texts[name] = _msg_text(name)
-            waiting += _types_in(texts[name], name.split("/")[0])
+            waiting += _types_in(name)
     first, *others = texts
     parts = [texts[first], *(f"{_RULE}\nMSG: {_short(name)}\n{texts[name]}" for name in others)]
     return "\n".join(part.rstrip("\n") for part in parts) + "\n"
@@ -169,20 +168,10 @@ def _msg_text(type_name: str) -> str:
     raise LookupError(f"there is no definition of {type_name} under share/ of {' or '.join((*prefixes, sys.prefix))}")
 
 
-def _types_in(text: str, package: str) -> list[str]:
-    found = []
-    for line in text.splitlines():
-        words = line.partition("#")[0].split()
-        if len(words) < 2:
-            continue
-        kind = words[0].partition("[")[0].partition("<")[0]
-        if kind in _BASIC:
-            continue
-        if "/" not in kind:
-            kind = f"std_msgs/{kind}" if kind == "Header" else f"{package}/{kind}"
-        parts = kind.split("/")
-        found.append(f"{parts[0]}/msg/{parts[-1]}")
-    return found
+def _types_in(type_name: str) -> list[str]:
+    """The message types of its fields: they read as 'float64', 'std_msgs/Header', 'sequence<geometry_msgs/Point>'."""
+    fields = " ".join(class_of(type_name).get_fields_and_field_types().values())
+    return [f"{package}/msg/{name}" for package, name in re.findall(r"(\w+)/(\w+)", fields)]
 
 
 def _short(type_name: str) -> str:

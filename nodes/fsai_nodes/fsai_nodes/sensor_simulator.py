@@ -1,6 +1,6 @@
 """sensor_simulator: what a cone sensor would see on the simulated car, as /raw_cones.
 
-On the car a camera's or lidar's driver takes its place. It is told the true pose by the simulated car over a side
+On the car a camera's or lidar's driver takes its place. It receives the true pose from the simulated car over a side
 channel (UDP on this machine's loopback) that no other node reads.
 """
 
@@ -51,7 +51,7 @@ SETTINGS = (
 
 
 class SensorSimulator(Node):
-    """Looks at `rate_hz`; silent while no simulated car is heard."""
+    """Looks at `rate_hz`; silent while no simulated car is received."""
 
     def __init__(self, **options: object) -> None:
         super().__init__("sensor_simulator", **options)

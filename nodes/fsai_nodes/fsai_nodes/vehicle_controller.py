@@ -46,7 +46,7 @@ class VehicleController(Node):
         self._plan: Plan | None = None
         self._states = Input(self, "vehicle_state")
         self._paths = Input(self, "path")
-        self._planner_waits: tuple[str, int] = "", 0  # for what, and when it said so
+        self._planner_waits: tuple[str, int] = "", 0  # for what, and when it reported so
         self._is_late = False  # an input is, and the log says so
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
