@@ -10,7 +10,7 @@ where there is room, and its content is moved to the disk when the machine is of
 
 What makes it fast: every system call and page fault of a process inside is a hand-over between two host processes. On
 one host processor that is a context switch; across two it is a wake-up of an idle one, which costs several times more.
-So the whole machine is kept on one processor, the least busy, and goes before all others there. Reading the clock would
+So the whole machine is kept on one processor and goes before all others there. Reading the clock would
 be such a system call, and the commonest: `clock.c` gives programs one to read without. And Python files are to be
 compiled beforehand, because nothing can be cached inside.
 """
@@ -44,7 +44,7 @@ MEMORY_MIB = 2048
 HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the stall monitor
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
-_MODULE_ROOTS = (Path("/usr/lib/uml/modules"), Path("/lib/uml/modules"))
+_MODULE_ROOTS = (Path("/usr/lib/uml"), Path("/lib/uml"))
 _BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
 _SHARED_MEMORY = Path("/dev/shm")
@@ -58,7 +58,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 class UserModeLinux:
     kernel: Path
     version: str
-    modules: Path  # the folder that has kernel/ and modules.dep
+    modules: Path  # the folder above modules/VERSION
 
 
 def find_user_mode_linux() -> UserModeLinux:
@@ -69,7 +69,7 @@ def find_user_mode_linux() -> UserModeLinux:
         )
     kernel = shutil.which("linux.uml", path=f"{os.environ.get('PATH', '')}:{_BIN}")
     missing = [] if kernel else ["linux.uml"]
-    missing += [tool for tool in ("insmod", "ip", "candump") if not shutil.which(tool, path=_BIN)]
+    missing += [tool for tool in ("modprobe", "ip", "candump") if not shutil.which(tool, path=_BIN)]
     if kernel is None or missing:
         raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
     version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
@@ -77,40 +77,17 @@ def find_user_mode_linux() -> UserModeLinux:
 
 
 def modules_of(version: str, roots: Iterable[Path] = _MODULE_ROOTS) -> Path:
-    found = [folder for root in roots if root.is_dir() for folder in root.iterdir() if any(folder.rglob("vcan.ko*"))]
-    exact = [folder for folder in found if folder.name == version]
-    if not found:
-        raise VcanError(f"User-Mode Linux {version} is installed without its modules; as root: {INSTALL}")
-    if not exact:
-        raise VcanError(f"User-Mode Linux is {version} but its modules are for {found[0].name}; as root: {INSTALL}")
-    return exact[0]
+    """The folder above modules/VERSION. Raises VcanError where the modules of this very kernel are not installed."""
+    for root in roots:
+        if (root / "modules" / version).is_dir():
+            return root
+    raise VcanError(f"User-Mode Linux {version} is installed without its modules; as root: {INSTALL}")
 
 
-def module_files(modules: Path, names: Sequence[str]) -> list[Path]:
-    """The files to load, in order, each after those it depends on. Raises VcanError for a module that is not there."""
-    by_name = {_module_name(path): path for path in (modules / "kernel").rglob("*.ko*")}
-    needs: dict[str, list[str]] = {}
-    if (listing := modules / "modules.dep").exists():
-        for line in listing.read_text().splitlines():
-            target, _, rest = line.partition(":")
-            needs[_module_name(Path(target))] = [_module_name(Path(path)) for path in rest.split()]
-    order: list[str] = []
-
-    def add(name: str) -> None:
-        if name not in by_name:
-            raise VcanError(f"the installed User-Mode Linux has no module {name}")
-        for other in reversed(needs.get(name, [])):
-            add(other)
-        if name not in order:
-            order.append(name)
-
-    for name in names:
-        add(_module_name(Path(name)))
-    return [by_name[name] for name in order]
-
-
-def _module_name(path: Path) -> str:
-    return path.name.partition(".")[0].replace("_", "-")
+def load_modules(uml: UserModeLinux, exchange: Path, names: Sequence[str]) -> str:
+    """A shell line for inside that loads the modules; modprobe finds them below `exchange`."""
+    (exchange / "lib").symlink_to(uml.modules)
+    return f"modprobe -d {_q(exchange)} -a {shlex.join(names)}"
 
 
 def run_in_uml(
@@ -152,9 +129,8 @@ def run_in_uml(
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
-        init.write_text(
-            _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, module_files(uml.modules, MODULES))
-        )
+        load = load_modules(uml, exchange, MODULES)
+        init.write_text(_init_script(argv, cwd, env, (staged, results_dir), exchange, needed, load))
         init.chmod(0o755)
         with (staged / "uml-kernel.log").open("wb") as log, processor_of_its_own() as processor:
             in_time = boot(uml, init, exchange, log, processor, memory_mib, timeout_s, slowed_clock(exchange, pace))
@@ -209,7 +185,7 @@ def _init_script(
     results: tuple[Path, Path],
     exchange: Path,
     needed: Sequence[Path],
-    modules: Sequence[Path],
+    load: str,
 ) -> str:
     def folder(path: Path, options: str, behind: Path | None = None) -> list[str]:
         # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
@@ -237,7 +213,7 @@ def _init_script(
         # counts what the host took from the machine as used by them.
         "echo -1 > /proc/sys/kernel/sched_rt_runtime_us",
         hands_over(),
-        *(f"insmod {_q(path)}" for path in modules),
+        load,
         bring_up(),
         "stty -F /dev/tty1 -opost -echo",
         "set +e",
@@ -342,11 +318,8 @@ def _settle(cpu: int) -> None:
 
 @contextlib.contextmanager
 def processor_of_its_own() -> Iterator[int]:
-    """The least busy processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the least busy.
-
-    One that has just started is not busy yet.
-    """
-    processors = _by_idleness()
+    """A processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the last."""
+    processors = sorted(os.sched_getaffinity(0), reverse=True)  # the first often has the machine's interrupts
     with socket.socket(socket.AF_UNIX) as claim:
         for cpu in processors:
             # An abstract name: no file is left behind, and the kernel drops it with the process, however it dies.
@@ -355,21 +328,6 @@ def processor_of_its_own() -> Iterator[int]:
                 yield cpu
                 return
         yield processors[0]
-
-
-def _by_idleness() -> list[int]:
-    """Our processors, first the one that idled most over a fifth of a second."""
-    before = _idle_ticks()
-    time.sleep(0.2)
-    after = _idle_ticks()
-    ours = sorted(os.sched_getaffinity(0))
-    return sorted(ours, key=lambda cpu: before.get(cpu, 0) - after.get(cpu, 0))
-
-
-def _idle_ticks() -> dict[int, int]:
-    """Ticks each processor idled since boot, from /proc/stat."""
-    lines = (line.split() for line in Path("/proc/stat").read_text().splitlines())
-    return {int(words[0][3:]): int(words[4]) for words in lines if words[0].startswith("cpu") and words[0] != "cpu"}
 
 
 def _memory_folder(memory_mib: int) -> Path:

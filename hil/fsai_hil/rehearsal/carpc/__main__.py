@@ -118,8 +118,8 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         exchange = Path(folder).resolve()
         init = exchange / "init"
         clock, slowed = preloaded_clock(exchange, pace), slowed_clock(exchange, pace)
-        modules = uml.module_files(machine.modules, MODULES)
-        init.write_text(init_script(missions, installed, results, modules, clock, short))
+        load = uml.load_modules(machine, exchange, MODULES)
+        init.write_text(init_script(missions, installed, results, load, clock, short))
         init.chmod(0o755)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
         with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, StepPrinter(results):
@@ -195,9 +195,7 @@ class StepPrinter:
             self._printed = len(steps)
 
 
-def init_script(
-    missions: str, installed: Path, results: Path, modules: list[Path], clock: Mapping[str, str], short: bool
-) -> str:
+def init_script(missions: str, installed: Path, results: Path, load: str, clock: Mapping[str, str], short: bool) -> str:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
     options = " --short" if short else ""
@@ -207,7 +205,7 @@ def init_script(
         "trap 'echo o > /proc/sysrq-trigger; sleep 60' EXIT",
         "set -ex",
         "mount -t proc proc /proc",
-        *(f"insmod {q(str(path))}" for path in modules),
+        load,
         uml.hands_over(),
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
