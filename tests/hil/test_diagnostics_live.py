@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from conftest import FRAMES, VERB, BusLog, listeners
+from conftest import FRAMES, VERB
+from fsai_hil.rehearsal.bus_watch import BusWatch, listeners
 from fsai_hil.rehearsal.stack import await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus
@@ -104,7 +105,7 @@ def test_dump_shows_signals_beside_each_frame_and_in_json(
 def test_stats_of_a_live_bus_are_those_of_its_log(
     interface: str,
     listen: Callable[..., CanBus],
-    bus_log: BusLog,
+    bus_log: BusWatch,
     tmp_path: Path,
     verb: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:

@@ -9,7 +9,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from conftest import FRAMES, VERB, BusLog, listeners
+from conftest import FRAMES, VERB
+from fsai_hil.rehearsal.bus_watch import BusWatch, listeners
 from fsai_hil.rehearsal.stack import await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
@@ -46,7 +47,7 @@ def lines(*logs: Path) -> list[str]:
 
 
 def test_a_recording_has_the_lines_of_candump(
-    interface: str, listen: Callable[..., CanBus], bus_log: BusLog, tmp_path: Path
+    interface: str, listen: Callable[..., CanBus], bus_log: BusWatch, tmp_path: Path
 ) -> None:
     log = tmp_path / "run.log"
     recorder = Recorder(interface, log)

@@ -29,7 +29,7 @@ import can
 
 from fsai_hil import CHECKOUT
 from fsai_hil.rehearsal.bench_logs import KINDS, cantools_database, logs_us
-from fsai_hil.rehearsal.carpc.recovery_times import START_TO_FIRST_FRAME_S
+from fsai_hil.rehearsal.carpc.scenes import START_TO_FIRST_FRAME_S
 from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.lockstep import Lockstep
@@ -54,7 +54,7 @@ MISSIONS = ("acceleration", "skidpad", "autocross", "trackdrive")
 TRACKDRIVE_LAPS = 1
 NODE_START = "start bridge node"
 NODE_START_WALL = f"{NODE_START}, wall"
-NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/recovery_times.py)
+NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/scenes.py)
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
 Row = dict[str, Any]
 COMMAND = AiCommand(

@@ -27,13 +27,20 @@ class StackError(Exception):
     """A process did not do what was awaited; the message is for a person, with the process's last words."""
 
 
-def await_condition(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
-    """Return as soon as `condition` holds. Raises StackError naming `what` after `timeout_s`."""
+def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:
+    """True as soon as `condition` holds, False when it does not in time; `turn` passes the time between two looks."""
     until = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > until:
-            raise StackError(f"waited {timeout_s:g} s in vain: {what}")
-        time.sleep(_POLL_S)
+            return False
+        turn()
+    return True
+
+
+def await_condition(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+    """Return as soon as `condition` holds. Raises StackError naming `what` after `timeout_s`."""
+    if not holds_within(condition, timeout_s, lambda: time.sleep(_POLL_S)):
+        raise StackError(f"waited {timeout_s:g} s in vain: {what}")
 
 
 class RunningProcess:

@@ -41,6 +41,7 @@ from fsai_hil.vcan.network import TIMED_OUT, VcanError, bring_up
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
+CONSOLE = "stty -F /dev/tty1 -opost -echo"  # what is printed there is the command's output
 HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the stall monitor
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
@@ -215,7 +216,7 @@ def _init_script(
         hands_over(),
         load,
         bring_up(),
-        "stty -F /dev/tty1 -opost -echo",
+        CONSOLE,
         "set +e",
         f"touch {_q(exchange / 'up')}",
         # `env -i`: words of its command line that the kernel does not know are in the first process's environment.

@@ -16,17 +16,15 @@ from typing import Any
 
 import pytest
 
-from conftest import BusLog, new_folder
+from conftest import logged, new_folder
+from fsai_hil.rehearsal.bus_watch import CODEC
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack
 from fsai_hil.rules.checker import WireReport, check_candump
-from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.lock import holder_pid
 
 REVISION = "2026"
-CODEC = Codec(revision(REVISION))
 START_S = 120.0  # five interpreters that import ROS at once, on one slow processor
 POWER_UP_S = 60.0
 DRIVE_S = 120.0
@@ -73,7 +71,7 @@ class Chain:
         self.wire: WireReport | None = None
 
     @contextmanager
-    def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] | None = None) -> Iterator[CarRun]:
+    def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] = ()) -> Iterator[CarRun]:
         """Powers up a car of its own for one run; at the end its process is over and the bus log has been checked.
 
         only: the ids that are logged; such a log cannot be checked.
@@ -81,7 +79,7 @@ class Chain:
         self.end_shared_car()  # there is one car on a bus
         folder = self._folder / name
         folder.mkdir(parents=True, exist_ok=True)
-        log = BusLog(self._interface, folder, only)
+        log = logged(self._interface, folder, only)
         vcu = self.start_vcu(f"{name}.vcu", "--result", str(folder / "verdict.json"), *arguments, auto=auto)
         try:
             yield CarRun(vcu, folder)
@@ -89,7 +87,7 @@ class Chain:
             vcu.stop()
             del self.stack.processes[f"{name}.vcu"]
             log.stop()
-            self.wire = check_candump(log.path, CODEC, busy_machine=True) if only is None else None
+            self.wire = check_candump(log.path, CODEC, busy_machine=True) if not only else None
 
     def start_vcu(self, name: str, *arguments: str, auto: bool) -> RunningProcess:
         words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", MISSION, "--track", TRACK]
@@ -116,7 +114,7 @@ class Chain:
         """The shared car drives, after a power cycle unless it drives already; at the end the bus log is checked."""
         folder = self._folder / name
         folder.mkdir(parents=True, exist_ok=True)
-        log = BusLog(self._interface, folder)
+        log = logged(self._interface, folder)
         try:
             run = self.driving_car()
             run.log_path = folder / "bus.log"

@@ -11,14 +11,13 @@ import json
 import shlex
 import sys
 import tempfile
-import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
+from fsai_hil.rehearsal.bus_watch import CODEC, HOUR_NS
 from fsai_hil.rehearsal.carpc import package
-from fsai_hil.rehearsal.carpc.bus_watch import CODEC, HOUR_NS
 from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_hil.rules.checker import checker_for, read_candump
 from fsai_hil.vcan import VcanError, uml
@@ -57,6 +56,8 @@ RuntimeDirectoryMode=0755
 RuntimeDirectoryPreserve=yes
 KillMode=mixed
 TimeoutStopSec=90s
+StandardOutput=tty
+TTYPath=/dev/tty1
 ExecStart=/opt/fsai/bin/python -m fsai_hil.rehearsal.carpc.scenes"""
 
 
@@ -122,7 +123,8 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         init.write_text(init_script(missions, installed, results, load, clock, short))
         init.chmod(0o755)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
-        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, StepPrinter(results):
+        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor:
+            print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
 
             def boot() -> bool:
                 return uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, pace * timeout_s, slowed)
@@ -163,38 +165,6 @@ def rules_kept(log: Path) -> bool:
     return report.ok
 
 
-class StepPrinter:
-    """Prints each step of the report as it comes."""
-
-    def __init__(self, results: Path) -> None:
-        self._report = results / "report.json"
-        self._printed = 0
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def __enter__(self) -> None:
-        print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        over = False
-        while not over:
-            over = self._over.wait(1.0)
-            try:
-                steps = json.loads(self._report.read_text())
-            except (OSError, ValueError):  # not there yet, or being written at this moment
-                continue
-            for step in steps[self._printed :]:
-                took, within = ("" if each is None else f"{each:.2f} s" for each in (step["seconds"], step["within"]))
-                mark = "ok   " if step["passed"] else "WRONG"
-                print(f"{mark} {took:>10} {within:>10}   {step['what']}  {step['words']}".rstrip(), flush=True)
-            self._printed = len(steps)
-
-
 def init_script(missions: str, installed: Path, results: Path, load: str, clock: Mapping[str, str], short: bool) -> str:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
@@ -207,6 +177,7 @@ def init_script(missions: str, installed: Path, results: Path, load: str, clock:
         "mount -t proc proc /proc",
         load,
         uml.hands_over(),
+        uml.CONSOLE,
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
         # A mount of its own for each: overlayfs wants its layers apart.
