@@ -14,7 +14,7 @@ import pytest
 from fsai_hil.rehearsal.bus_watch import CODEC, Wire, standing
 from fsai_hil.rehearsal.carpc import __main__ as rehearsal
 from fsai_hil.rehearsal.carpc import probe, scenes, wifi
-from fsai_hil.rehearsal.stall_monitor import RUNS, STALL, Disturbance
+from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_vcu.interface.messages import AiDriveFront, AiDriveRear, AiImage, AiStatus, WheelSpeeds
 from fsai_vcu.interface.units import MS
 
@@ -25,8 +25,8 @@ class Remembers:
     def __init__(self, *disturbed: bool) -> None:
         self._disturbed = list(disturbed)
 
-    def disturbances(self, since_ns: int) -> list[Disturbance]:
-        return [Disturbance(STALL, since_ns, since_ns + 80 * MS)] if self._disturbed.pop(0) else []
+    def disturbed(self, since_ns: int) -> str:
+        return "stood still for 80 ms" if self._disturbed.pop(0) else ""
 
 
 def rehearsed(*disturbed: bool) -> scenes.Rehearsal:

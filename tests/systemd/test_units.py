@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from install_rig import CHECKOUT, UNITS
 
-from fsai_hil.vcan.network import TX_QUEUE_FRAMES
+from fsai_hil.vcan.native import TX_QUEUE_FRAMES
 from fsai_vcu.runtime import loop
 from fsai_vcu.runtime.configuration import BITRATE, QUEUE_FRAMES
 

@@ -13,7 +13,7 @@ from typing import Literal
 import pytest
 
 from fsai_hil.vcan import VcanError, choose_place, native, run_in_uml, uml
-from fsai_hil.vcan.network import TIMED_OUT
+from fsai_hil.vcan.native import TIMED_OUT
 
 CHECKOUT = Path(__file__).parents[2]
 ENVIRONMENT = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "SAID": 'it\'s "quoted" $HOME'}

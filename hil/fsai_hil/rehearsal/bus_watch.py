@@ -6,12 +6,14 @@ import math
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
 from fsai_hil.rehearsal.stack import await_condition, holds_within
+from fsai_hil.rules.checker import checker_for
+from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
@@ -78,6 +80,25 @@ class Wire:
         """Between two frames with the AI computer's status."""
         times = [t_ns for t_ns, _ in self.images(AiStatus, since_ns)]
         return max((later - earlier for earlier, later in pairwise(times)), default=0)
+
+
+def responses_in(
+    frames: Iterable[Frame], codec: Codec, windows: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[ResponseTimes, list[str]]]:
+    """How long echoes took in each window, by the stamps of both frames, and the rules that were broken there.
+
+    windows: from and to, by the clock of the frames; they follow one another.
+    """
+    checker, remaining, found = checker_for(codec, busy_machine=True), iter(frames), {}
+    for name, window in windows.items():
+        for until_ns in window:
+            checker.responses, known = ResponseTimes(), len(checker.violations)
+            for frame in remaining:
+                checker.on_frame(frame)
+                if frame.t_ns >= until_ns:
+                    break
+        found[name] = checker.responses, list(checker.violations[known:])
+    return found
 
 
 def standing(wheels: WheelSpeeds) -> bool:

@@ -11,7 +11,7 @@ than at its best, everything did.
     with StallMonitor(Path("/tmp/stalls")) as monitor:
         since_ns = time.monotonic_ns()
         ...
-        why = monitor.disturbances(since_ns)
+        why = monitor.disturbed(since_ns)
 
 Its own process is this file run as a script, with the standard library only: small, and soon there.
 """
@@ -25,15 +25,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
 NOTED_NS = 20_000_000  # woken later than this: noted
-STOOD_STILL_NS = (
-    30_000_000  # noted when the loop, allowed 50 ms, is held up for longer; no run that shows so much shows anything
-)
+# Noted when the loop, allowed 50 ms, is held up for longer; no run that shows so much shows anything.
+STOOD_STILL_NS = 30_000_000
 COUNTED = range(1500)  # some 50 us of work after each sleep
 SPELL = 50  # wakes, half a second: so much is looked at as one
 SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
@@ -42,34 +39,6 @@ STALL, SLOW = "stall", "slow"
 _START_S = 20.0
 RUNS = 3  # of what failed on a disturbed machine
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
-
-
-@dataclass(frozen=True)
-class Disturbance:
-    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine stood still (STALL: the stall monitor should have been
-    woken at the first and was at the second), or ran at the fraction `speed` of its best (SLOW)."""
-
-    kind: str
-    due_ns: int
-    until_ns: int
-    speed: float = 1.0
-
-    @property
-    def lasted_ns(self) -> int:
-        return self.until_ns - self.due_ns
-
-
-def describe(disturbances: Sequence[Disturbance]) -> str:
-    """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
-    stalls, slow = ([one for one in disturbances if one.kind == kind] for kind in (STALL, SLOW))
-    words = []
-    if stalls:
-        more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
-        words.append(f"stood still for {max(one.lasted_ns for one in stalls) / 1e6:.0f} ms{more}")
-    if slow:
-        lasted_s = sum(one.lasted_ns for one in slow) / 1e9
-        words.append(f"ran at {100 * min(one.speed for one in slow):.0f} % of its speed for {lasted_s:.1f} s")
-    return " and ".join(words)
 
 
 class StallMonitor:
@@ -89,20 +58,33 @@ class StallMonitor:
                 raise OSError("the stall monitor to the machine's own delays does not start")
             time.sleep(SLEEP_NS / 1e9)
 
-    def stalls(self, since_ns: int, *, at_least_ns: int = STOOD_STILL_NS) -> list[Disturbance]:
-        """When the machine stood still for `at_least_ns` or longer since an instant of CLOCK_MONOTONIC."""
-        return [stall for stall in self._noted(STALL, since_ns) if stall.lasted_ns >= at_least_ns]
+    def stalls_ns(self, since_ns: int, at_least_ns: int = STOOD_STILL_NS) -> list[int]:
+        """How long the machine stood still, each time of `at_least_ns` or longer since then (CLOCK_MONOTONIC)."""
+        return [lasted_ns for lasted_ns, _ in self._noted(STALL, since_ns) if lasted_ns >= at_least_ns]
 
-    def disturbances(self, since_ns: int) -> list[Disturbance]:
-        """When it stood still, or ran far below its best speed: a rehearsal then shows nothing."""
-        return [*self.stalls(since_ns), *self._noted(SLOW, since_ns)]
+    def disturbed(self, since_ns: int) -> str:
+        """What befell the machine since then; '' if nothing did. A rehearsal that was disturbed shows nothing.
 
-    def _noted(self, kind: str, since_ns: int) -> list[Disturbance]:
+        In words: 'stood still for 87 ms (the longest of 3 times) and ran at 52 % of its speed for 1.5 s'.
+        """
+        words = []
+        if stalls := self.stalls_ns(since_ns):
+            more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
+            words.append(f"stood still for {max(stalls) / 1e6:.0f} ms{more}")
+        if slow := self._noted(SLOW, since_ns):
+            lasted_s = sum(lasted_ns for lasted_ns, _ in slow) / 1e9
+            words.append(f"ran at {100 * min(speed for _, speed in slow):.0f} % of its speed for {lasted_s:.1f} s")
+        return " and ".join(words)
+
+    def _noted(self, kind: str, since_ns: int) -> list[tuple[int, float]]:
+        """How long each disturbance of a kind lasted, and at which fraction of its best speed the machine ran."""
         lines = self._path.read_text().rpartition("\n")[0].splitlines()[1:]  # the last may be just being written
-        notes = [
-            Disturbance(what, int(due), int(until), float(speed)) for what, due, until, speed in map(str.split, lines)
+        notes = [line.split() for line in lines]
+        return [
+            (int(until) - int(due), float(speed))
+            for what, due, until, speed in notes
+            if what == kind and int(until) >= since_ns
         ]
-        return [one for one in notes if one.kind == kind and one.until_ns >= since_ns]
 
     def stop(self) -> None:
         self._process.kill()

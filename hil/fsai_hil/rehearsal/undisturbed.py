@@ -14,7 +14,7 @@ from collections.abc import Callable
 import pytest
 from _pytest.runner import runtestprotocol
 
-from fsai_hil.rehearsal.stall_monitor import RUNS, StallMonitor, describe
+from fsai_hil.rehearsal.stall_monitor import RUNS, StallMonitor
 
 
 class Undisturbed:
@@ -45,15 +45,13 @@ class Undisturbed:
                 return reports
             # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
             item.session._setupstate.teardown_exact(None)
-            disturbances = self._stall_monitor.disturbances(since_ns)
-            if not disturbances:
-                return reports
-            what = f"the machine {describe(disturbances)}"
-            if run < RUNS:
-                self._say(item, f"{item.name}: {what}: run {run} shows nothing")
-        why = f"never ran undisturbed: in run {RUNS} of {RUNS} too {what}"
-        self._say(item, f"{item.name}: {why}")
-        failed[0].sections.append(("the machine", why))
+            what = self._stall_monitor.disturbed(since_ns)
+            if not what:
+                break
+            last = run == RUNS
+            why = f"the machine {what}: run {run} {'of 3 too: never undisturbed' if last else 'shows nothing'}"
+            self._say(item, f"{item.name}: {why}")
+            failed[0].sections.append(("the machine", why))
         return reports
 
     def _say(self, item: pytest.Item, line: str) -> None:

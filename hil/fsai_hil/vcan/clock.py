@@ -12,7 +12,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from fsai_hil.vcan.network import VcanError
+from fsai_hil.vcan.native import VcanError
 
 SKIPPED = "/dev/mmapper"  # inside: the page that says how much idle time was skipped (`iomem=` of the kernel)
 SLOWEST_PACE = 100.0  # seconds of this machine for one inside; beyond it nobody waits for the end

@@ -21,7 +21,6 @@ import contextlib
 import ctypes
 import os
 import platform
-import selectors
 import shlex
 import shutil
 import signal
@@ -36,8 +35,7 @@ from pathlib import Path
 from typing import IO
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
-from fsai_hil.vcan.native import end_group
-from fsai_hil.vcan.network import TIMED_OUT, VcanError, bring_up
+from fsai_hil.vcan.native import BRING_UP, TIMED_OUT, VcanError, end_group
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
@@ -51,6 +49,7 @@ _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its 
 _SHARED_MEMORY = Path("/dev/shm")
 _RESULTS_MIB = 1024  # far above what a suite leaves behind
 _BOOT_S = 60.0
+_LOOK_S = 0.2
 _NICENESS = -20
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -215,7 +214,7 @@ def _init_script(
         "echo -1 > /proc/sys/kernel/sched_rt_runtime_us",
         hands_over(),
         load,
-        bring_up(),
+        BRING_UP,
         CONSOLE,
         "set +e",
         f"touch {_q(exchange / 'up')}",
@@ -278,30 +277,23 @@ def boot(
         preexec_fn=lambda: _settle(processor),
     )
     os.close(console)
+    # Not our own standard output: the machine would make it non-blocking for everybody who has it.
+    relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
+    os.close(output)
     limit = time.monotonic() + _BOOT_S
     up = False
     try:
-        with selectors.DefaultSelector() as selector:
-            selector.register(output, selectors.EVENT_READ)
-            while time.monotonic() < limit:
-                if selector.select(timeout=0.2):
-                    data = os.read(output, 65536)
-                    if not data:
-                        return True
-                    _show(data)
-                if not up and (exchange / "up").exists():
-                    up = True
-                    limit = time.monotonic() + timeout_s
+        while time.monotonic() < limit:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_LOOK_S)
+                return True
+            if not up and (exchange / "up").exists():
+                up = True
+                limit = time.monotonic() + timeout_s
         return False
     finally:
         end_group(process)
-        os.close(output)
-
-
-def _show(data: bytes) -> None:
-    sys.stdout.flush()
-    sys.stdout.buffer.write(data)
-    sys.stdout.flush()
+        relay.wait()
 
 
 def _settle(cpu: int) -> None:

@@ -27,7 +27,7 @@ from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import NODES, await_condition
 from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
 from fsai_hil.rules.checker import MS, checker_for
-from fsai_hil.vcan.network import TX_QUEUE_FRAMES
+from fsai_hil.vcan.native import TX_QUEUE_FRAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import subprocess
@@ -15,17 +14,15 @@ from pathlib import Path
 import pytest
 
 from chain.conftest import CODEC, START_S, Chain
+from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.stack import RunningProcess, await_condition
-from fsai_hil.rules.checker import MS, checker_for, read_candump
-from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.rules.checker import MS, read_candump
 from fsai_vcu.runtime.transport import LOOPBACK
 
 RESPONSE_NS = 20 * MS  # no more than a missed cycle
 CALM_S = 3.0
 RECEIVED_S = 60.0  # on one slow processor, the last in line for it
 HUNG_AT_ONCE = 3  # the loopback profile looks for 32 processes
-
-Windows = dict[str, tuple[int, int]]  # from and to by the wall clock, as the bus log is stamped
 
 
 class Programs:
@@ -88,21 +85,9 @@ def programs(chain: Chain, folder: Path) -> Iterator[Programs]:
         started.end()
 
 
-def responses(log: Path, windows: Windows) -> dict[str, ResponseTimes]:
-    """How long echoes took in each of the windows, which follow one another, by the kernel's stamps of both frames."""
-    checker, found, frames = checker_for(CODEC, busy_machine=True), {}, read_candump(log)
-    for name, (began_ns, ended_ns) in windows.items():
-        for frame in itertools.takewhile(lambda frame, began_ns=began_ns: frame.t_ns < began_ns, frames):
-            checker.on_frame(frame)
-        found[name] = checker.responses = ResponseTimes()
-        for frame in itertools.takewhile(lambda frame, ended_ns=ended_ns: frame.t_ns < ended_ns, frames):
-            checker.on_frame(frame)
-    return found
-
-
 def storm(chain: Chain, results: Path, name: str, kinds: Sequence[tuple[str, str]], count: int) -> None:
     """Programs of these kinds, each a transport and an act, `count` of each; the car is left driving."""
-    windows: Windows = {}
+    windows: dict[str, tuple[int, int]] = {}  # from and to by the wall clock, as the bus log is stamped
 
     @contextmanager
     def window(of: str) -> Iterator[None]:
@@ -119,7 +104,8 @@ def storm(chain: Chain, results: Path, name: str, kinds: Sequence[tuple[str, str
                 for _ in range(count):
                     ACTS[act](visitors, transport)
                     chain.drives_on()
-    times = responses(run.log_path, windows)
+    found = responses_in(read_candump(run.log_path), CODEC, windows)
+    times = {what: each for what, (each, _) in found.items()}
     for what, each in times.items():
         words = ", ".join(f"{each.quantile_ms(share):.2f}" for share in (0.5, 0.99, 1.0)) if len(each) else "none"
         print(f"{what}: {len(each)} echoes, p50, p99, max {words} ms")

@@ -17,7 +17,7 @@ import pytest
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, Chain
 from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
 from fsai_hil.rehearsal.stack import NODES
-from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_vcu.interface.enums import AsState
 
 pytestmark = pytest.mark.long  # the suite judges a lap that it drives anyway, in test_missions.py
@@ -63,10 +63,10 @@ def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_
                     driven_s += (ended.steady_ns - mission.steady_ns) / 1e9
                     words += f" (mission {driven})"
                 else:
-                    disturbances = stall_monitor.disturbances(mission.steady_ns)
-                    assert disturbances, result.message
+                    disturbed = stall_monitor.disturbed(mission.steady_ns)
+                    assert disturbed, result.message
                     left_out.append((mission, ended))
-                    words += f": left out, for the machine {describe(disturbances)}"
+                    words += f": left out, for the machine {disturbed}"
                     assert len(left_out) <= missions // 4, "the machine is disturbed too often to show anything"
                 if minutes:
                     print(words, flush=True)

@@ -24,7 +24,7 @@ from pathlib import Path
 from fsai_hil.rehearsal.bus_watch import HOUR_NS, BusWatch
 from fsai_hil.rehearsal.carpc import probe, wifi
 from fsai_hil.rehearsal.stack import holds_within
-from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor, describe
+from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import AiStatus, VcuStatus
@@ -190,14 +190,13 @@ class Rehearsal:
             failed = not all(step["passed"] for step in self.steps[first:])
         except CannotGoOn:
             failed = True
-        disturbances = self.stall_monitor.disturbances(since_ns) if failed else []
-        why = f"the machine {describe(disturbances)}" if disturbances else ""
+        why = self.stall_monitor.disturbed(since_ns) if failed else ""
         if why and run == RUNS:
-            self.check(f"{name}: never undisturbed", False, f"in run {run} too {why}")
+            self.check(f"{name}: never undisturbed", False, f"in run {run} too the machine {why}")
         elif why:
             for step in self.steps[first:]:
                 step["counts"] = False
-            self.note(f"{name}: run {run} shows nothing: {why}", None)
+            self.note(f"{name}: run {run} shows nothing: the machine {why}", None)
         return bool(why) and run < RUNS
 
     # ------------------------------------------------------------ the drives

@@ -5,6 +5,9 @@ arrival of its echo in a 0x510. So its own lateness is part of every figure; it 
 bus, stamped by the kernel, shows the time between the two frames alone.
 
 Before that the same simulated car, under the same loads, is answered by `polling_loop.c`, a peer to compare with.
+
+`fsai-vcu scrutineering` provides a vcan0 and runs this there, with what is to be measured as JSON. Its keys: result
+(the file for what is measured, logs go beside it), conditions (names), and what Measurement takes.
 """
 
 from __future__ import annotations
@@ -13,21 +16,23 @@ import contextlib
 import json
 import os
 import shutil
+import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, Stance
+from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, Stance, conditions_named
 from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
 from fsai_hil.rehearsal.scrutineering.machine import machine, scheduling_of
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack, StackError, await_condition
-from fsai_hil.rehearsal.stall_monitor import StallMonitor
-from fsai_hil.rules.checker import checker_for, read_candump
-from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.rehearsal.stall_monitor import NOTED_NS, StallMonitor
+from fsai_hil.rules.checker import read_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -44,7 +49,6 @@ MISSION, TRACK = "trackdrive", "small_oval"
 _ATTEMPTS = 3
 BETWEEN = "between"  # what the simulated car measures while nothing is asked
 _LOOK_S = 0.5
-_NOTED_STALL_NS = 20_000_000
 _LOG_PRIORITY = FIFO_PRIORITY - 20
 _MISSED_AT_THE_EDGES = 20  # echoes: log and measurement do not begin and end at the same instant
 _RULES_SHOWN = 20
@@ -113,7 +117,7 @@ class Measurement:
         self._car: _Car | None = None
         self._found: dict[str, dict[str, Any]] = {}  # by the condition's name
         self._lost_between = 0
-        self._windows: list[tuple[str, int, int]] = []  # name, begin and end by the wall clock, as candump stamps
+        self._windows: dict[str, tuple[int, int]] = {}  # begin and end by the wall clock, as candump stamps
         self._out_of_reach: dict[Stance, str] = {}
         self._stack: Stack
         self._monitor: StallMonitor
@@ -308,15 +312,15 @@ class Measurement:
                     ended = f"the car went to {shown}" + (f" ({stops})" if stops else "")
                     break
             after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
-            self._windows.append((condition.name, began_wall_ns, time.time_ns()))
+            self._windows[condition.name] = began_wall_ns, time.time_ns()
             car.measure(BETWEEN)
         frames, payload_bytes = after[0] - before[0], after[1] - before[1]
         bits = FRAME_BITS * frames + 8 * payload_bytes
-        stalls = self._monitor.stalls(began_ns, at_least_ns=_NOTED_STALL_NS)
+        stalls_ns = self._monitor.stalls_ns(began_ns, NOTED_NS)
         self._found[condition.name] = {
             "frames_per_s": round(frames / took_s),
             "bus_load_pct": round(100.0 * bits / took_s / BUS_BITS_PER_S, 1),
-            "machine_stalls_ms": [round(stall.lasted_ns / 1e6, 1) for stall in stalls],
+            "machine_stalls_ms": [round(stall_ns / 1e6, 1) for stall_ns in stalls_ns],
             "ended_early": ended,
             "stood": stood,
         }
@@ -335,20 +339,9 @@ class Measurement:
         """What the log of this car shows of each condition."""
         candump = self._stack.processes.pop(f"bus-{self._cars}")
         candump.stop()
-        windows, self._windows = self._windows, []
-        checker = checker_for(self._codec, busy_machine=True)
-        frames = read_candump(candump.log_path)
-        for name, began_ns, ended_ns in windows:
-            for until_ns in (began_ns, ended_ns):
-                checker.responses, known = ResponseTimes(), len(checker.violations)
-                for frame in frames:
-                    checker.on_frame(frame)
-                    if frame.t_ns >= until_ns:
-                        break
-            self._found[name] |= {
-                "wire": checker.responses.as_dict(),
-                "rules_broken": checker.violations[known:][:_RULES_SHOWN],
-            }
+        windows, self._windows = self._windows, {}
+        for name, (times, broken) in responses_in(read_candump(candump.log_path), self._codec, windows).items():
+            self._found[name] |= {"wire": times.as_dict(), "rules_broken": broken[:_RULES_SHOWN]}
 
     def _traffic(self) -> tuple[int, int]:
         """Frames and payload bytes that have been sent on the interface, by everybody."""
@@ -373,3 +366,23 @@ def _over(operator: RosOperator) -> bool:
 
 def _say(text: str) -> None:
     print(text, flush=True)
+
+
+def main() -> int:
+    plan = json.loads(sys.argv[1])
+    result, names = Path(plan.pop("result")), plan.pop("conditions")
+    # A polite kill ends everything that was started, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        measured = Measurement(folder=result.parent, **plan).run(conditions_named(names))
+    except StackError as error:
+        print(f"fsai-vcu scrutineering: {error}", file=sys.stderr, flush=True)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    result.write_text(json.dumps(measured) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
