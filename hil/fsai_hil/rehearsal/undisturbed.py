@@ -30,32 +30,21 @@ class Undisturbed:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-        for report in self._reports(item, nextitem):
-            item.ihook.pytest_runtest_logreport(report=report)
-        item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-        return True
-
-    def _reports(self, item: pytest.Item, nextitem: pytest.Item | None) -> list[pytest.TestReport]:
-        """Those of the run that counts, or of the last."""
         for run in range(1, RUNS + 1):
             since_ns = self._clock()
             reports = runtestprotocol(item, log=False, nextitem=nextitem)
             failed = [report for report in reports if report.failed]
-            if not failed:
-                return reports
-            # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
-            item.session._setupstate.teardown_exact(None)
-            what = self._stall_monitor.disturbed(since_ns)
-            if not what:
+            if failed:
+                # Whatever it left behind, in fixtures that others share too, is ended: the next run begins anew.
+                item.session._setupstate.teardown_exact(None)
+            if not failed or not (what := self._stall_monitor.disturbed(since_ns)):
                 break
-            last = run == RUNS
-            why = f"the machine {what}: run {run} {'of 3 too: never undisturbed' if last else 'shows nothing'}"
-            self._say(item, f"{item.name}: {why}")
+            why = f"the machine {what}: run {run} {'of 3 too: never undisturbed' if run == RUNS else 'shows nothing'}"
             failed[0].sections.append(("the machine", why))
-        return reports
-
-    def _say(self, item: pytest.Item, line: str) -> None:
-        terminal = item.config.pluginmanager.get_plugin("terminalreporter")
-        if terminal is not None:
-            terminal.ensure_newline()
-            terminal.write_line(line, yellow=True)
+            if terminal := item.config.pluginmanager.get_plugin("terminalreporter"):
+                terminal.ensure_newline()
+                terminal.write_line(f"{item.name}: {why}", yellow=True)
+        for report in reports:
+            item.ihook.pytest_runtest_logreport(report=report)
+        item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+        return True

@@ -40,7 +40,11 @@ from fsai_hil.vcan.native import BRING_UP, TIMED_OUT, VcanError, end_group
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
 CONSOLE = "stty -F /dev/tty1 -opost -echo"  # what is printed there is the command's output
-HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the stall monitor
+# Once /proc is there: received frames are handed over before any program goes on. What an adapter's interrupt does on a
+# PC, this thread of the kernel's does for vcan. On the only processor it would wait for whatever else runs, and bridge
+# and car would receive nothing for tens of milliseconds, which the stall monitor does not see. The priority is that of
+# a real-time kernel's interrupt threads: above the bridge, below the stall monitor.
+HANDS_OVER = "chrt --fifo --pid 50 $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
 _MODULE_ROOTS = (Path("/usr/lib/uml"), Path("/lib/uml"))
@@ -212,7 +216,7 @@ def _init_script(
         # The kernel would halt all real-time processes for 50 ms once they have used 95 % of a second, and here it
         # counts what the host took from the machine as used by them.
         "echo -1 > /proc/sys/kernel/sched_rt_runtime_us",
-        hands_over(),
+        HANDS_OVER,
         load,
         BRING_UP,
         CONSOLE,
@@ -223,16 +227,6 @@ def _init_script(
         f"echo $? > {_q(exchange / 'exit-status')}",
     ]
     return "\n".join(lines) + "\n"
-
-
-def hands_over() -> str:
-    """A shell line for inside, once /proc is there: received frames are handed over before any program goes on.
-
-    What an adapter's interrupt does on a PC, this thread of the kernel's does for vcan. On the only processor it would
-    wait for whatever else runs, and bridge and car would receive nothing for tens of milliseconds, which the stall
-    monitor does not see.
-    """
-    return f"chrt --fifo --pid {HANDS_OVER_PRIORITY} $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
 
 
 def _q(value: Path | str) -> str:
@@ -277,6 +271,7 @@ def boot(
         preexec_fn=lambda: _settle(processor),
     )
     os.close(console)
+    sys.stdout.flush()
     # Not our own standard output: the machine would make it non-blocking for everybody who has it.
     relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
     os.close(output)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from fsai_hil import CHECKOUT
 from fsai_hil.rehearsal.bus_watch import CODEC, HOUR_NS
-from fsai_hil.rehearsal.carpc import package
+from fsai_hil.rehearsal.carpc import package, scenes
 from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_hil.rules.checker import checker_for, read_candump
 from fsai_hil.vcan import VcanError, uml
@@ -31,22 +31,7 @@ SHORT_PACE = 3.0  # the short form is for changes of the sources, on any machine
 INTERFACE = "vcan0"
 # Of this machine's services none is wanted inside; and what systemd would look for there is not.
 MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
-# What one processor of User-Mode Linux has time for, as in the suite on vcan0.
-LIGHT = "--truth 25510 --quiet --gps-decimation 20 --log-decimation 10"
-CAR = f"--auto --json {LIGHT}"
-TYPED = f"--mission trackdrive --track small_oval {LIGHT}"
-# The same car with a person at its switches. It is no part of the car PC: neither an adapter that is pulled nor the
-# stop of all services ends it. A file that is open both ways has no end, whoever types and goes.
-TYPED_CAR = f"""[Unit]
-Description=Simulated VCU and car, its switches typed
-DefaultDependencies=no
-[Service]
-Type=exec
-ExecStartPre=+/bin/sh -c 'mkdir -p /run/rehearsal; [ -p /run/rehearsal/car ] || mkfifo -m 0666 /run/rehearsal/car'
-ExecStart=/bin/sh -c 'exec /opt/fsai/bin/fsai-vcu vcu -i {INTERFACE} {TYPED} <>/run/rehearsal/car'
-UMask=0077
-RestrictAddressFamilies=AF_CAN AF_UNIX AF_INET AF_NETLINK
-"""
+CAR = f"--auto --json {' '.join(scenes.LIGHT)}"
 REHEARSAL = """[Unit]
 Description=Rehearsal
 [Service]
@@ -57,8 +42,7 @@ RuntimeDirectoryPreserve=yes
 KillMode=mixed
 TimeoutStopSec=90s
 StandardOutput=tty
-TTYPath=/dev/tty1
-ExecStart=/opt/fsai/bin/python -m fsai_hil.rehearsal.carpc.scenes"""
+TTYPath=/dev/tty1"""
 
 
 def main() -> int:
@@ -169,6 +153,7 @@ def init_script(missions: str, installed: Path, results: Path, load: str, clock:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
     options = " --short" if short else ""
+    variables = {**clock, "LD_PRELOAD": "/usr/lib/rehearsal-clock.so"} if clock else {}
     lines = [
         "#!/bin/sh",
         "export PATH=/usr/sbin:/usr/bin:/sbin:/bin",
@@ -176,7 +161,7 @@ def init_script(missions: str, installed: Path, results: Path, load: str, clock:
         "set -ex",
         "mount -t proc proc /proc",
         load,
-        uml.hands_over(),
+        uml.HANDS_OVER,
         uml.CONSOLE,
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
@@ -200,12 +185,13 @@ def init_script(missions: str, installed: Path, results: Path, load: str, clock:
         "cp usr/share/fsai/bench/70-* etc/systemd/network/",
         f"sed -i 's/^interface = .*/interface = \"{INTERFACE}\"/' etc/fsai/fsai.toml",
         "sed -i 's/^keep_mib = .*/keep_mib = 100\\nleave_free_mib = 30/' etc/fsai/fsai.toml",
-        *preload(clock),
+        *preload(clock, variables),
         f"echo 'CAR_OPTIONS=--mission {missions} {CAR}' > etc/fsai/bench.env",
-        *unit("fsai-typed-car.service", TYPED_CAR),
-        # A car is never late: what the bench's own has beyond the sandbox.
-        "cp -r etc/systemd/system/fsai-simulated-car@.service.d etc/systemd/system/fsai-typed-car.service.d",
-        *unit("rehearsal.service", f"{REHEARSAL} {INTERFACE} {len(missions.split(','))}{options}"),
+        "cat > etc/systemd/system/rehearsal.service <<'UNIT'",
+        *REHEARSAL.splitlines(),
+        *(f"Environment={name}={value}" for name, value in variables.items()),
+        f"ExecStart=/opt/fsai/bin/python -m {scenes.__name__} {INTERFACE} {len(missions.split(','))}{options}",
+        "UNIT",
         f"chroot . /usr/lib/fsai/settle {INTERFACE}",
         "chroot . systemctl enable systemd-networkd.service fsai-simulated-sensors.service",
         "mkdir -p etc/systemd/system/basic.target.wants",
@@ -218,22 +204,15 @@ def init_script(missions: str, installed: Path, results: Path, load: str, clock:
     return "\n".join(lines) + "\n"
 
 
-def unit(name: str, text: str) -> list[str]:
-    """Shell lines that write a unit of systemd's."""
-    return [f"cat > etc/systemd/system/{name} <<'UNIT'", *text.splitlines(), "UNIT"]
-
-
-def preload(clock: Mapping[str, str]) -> list[str]:
+def preload(clock: Mapping[str, str], variables: Mapping[str, str]) -> list[str]:
     """Shell lines that give every service the clock that can be read without a system call."""
     if not clock:
         return []
-    library = "/usr/lib/rehearsal-clock.so"
-    variables = {**clock, "LD_PRELOAD": library}
     words = " ".join(f"{name}={value}" for name, value in variables.items())
     page = f"BindReadOnlyPaths=-{SKIPPED}\\nDeviceAllow={SKIPPED} r\\n" if "FSAI_SKIPPED" in clock else ""
     return [
         *([f"chmod a+r {SKIPPED} || true"] if page else []),  # without it the services ask the kernel for the time
-        f"cp {shlex.quote(clock['LD_PRELOAD'])} .{library}",
+        f"cp {shlex.quote(clock['LD_PRELOAD'])} .{variables['LD_PRELOAD']}",
         "mkdir -p etc/systemd/system/fsai-.service.d",
         f"printf '[Service]\\nEnvironment={words}\\n{page}' > etc/systemd/system/fsai-.service.d/90-clock.conf",
     ]

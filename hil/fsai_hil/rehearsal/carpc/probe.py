@@ -6,7 +6,6 @@ of the bridge, with every restriction of the bridge's unit.
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import errno
 import json
@@ -14,6 +13,7 @@ import mmap
 import os
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -97,13 +97,5 @@ def call(name: str, *arguments: int) -> None:
         raise OSError(ctypes.get_errno(), name)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("interface")
-    args = parser.parse_args()
-    print(json.dumps({name: ended(attempt) for name, attempt in attempts(args.interface).items()}))
-    return 0
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    print(json.dumps({name: ended(attempt) for name, attempt in attempts(sys.argv[1]).items()}))

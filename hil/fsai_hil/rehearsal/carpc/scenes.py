@@ -23,7 +23,7 @@ from pathlib import Path
 
 from fsai_hil.rehearsal.bus_watch import HOUR_NS, BusWatch
 from fsai_hil.rehearsal.carpc import probe, wifi
-from fsai_hil.rehearsal.stack import holds_within
+from fsai_hil.rehearsal.stack import RunningProcess, holds_within
 from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
@@ -35,7 +35,8 @@ from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 RESULTS = Path("/results")
 AGAIN = RESULTS / "again"  # there while the machine is to boot once more
-FIFO = Path("/run/rehearsal/car")
+# What one processor of User-Mode Linux has time for, as in the suite on vcan0.
+LIGHT = ("--truth", "25510", "--quiet", "--gps-decimation", "20", "--log-decimation", "10")
 NODES = ("fsai-detector", "fsai-planner", "fsai-controller")
 MISSION = "trackdrive"
 MISSIONS_S = 400.0
@@ -134,13 +135,14 @@ class Rehearsal:
         self.services = (*NODES, self.bridge, self.recorder)
         report = RESULTS / "report.json"
         self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
+        self.car: RunningProcess
         self.fresh_car = False  # it has just been switched on
 
     def run_short(self) -> None:
         """What every change of the sources goes through."""
         self.booted()
         self.start_car()
-        self.type("on")
+        self.car.type("on")
         self.fresh_car = True
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
@@ -214,7 +216,7 @@ class Rehearsal:
 
     def after_the_reboot(self) -> None:
         watch = self.watch("after")
-        self.type("off", "on")
+        self.car.type("off\non")
         up = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
         self.check("after the reboot the car powers up", up)
         since_ns = time.time_ns()
@@ -328,7 +330,7 @@ class Rehearsal:
         watch = self.watch(name, RESULTS / f"bus-{name}.log")
         fresh, self.fresh_car = self.fresh_car, False
         if not fresh:
-            self.type("off", "ami not_selected")
+            self.car.type("off\nami not_selected")
         drives = (
             (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
             and self._typed(watch, "on", AsState.AS_OFF)
@@ -337,7 +339,7 @@ class Rehearsal:
         )
         until = time.monotonic() + POWER_UP_S
         while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
-            self.type("go")
+            self.car.type("go")
             watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
@@ -356,15 +358,13 @@ class Rehearsal:
         return BusWatch(self.interface, Path(f"/run/rehearsal/{name}.log"), kept)
 
     def start_car(self) -> None:
-        """The simulated car as a service whose switches are typed."""
-        subprocess.run(["systemctl", "start", "fsai-typed-car"], check=True)
-
-    def type(self, *lines: str) -> None:
-        with FIFO.open("w") as fifo:
-            fifo.write("".join(f"{line}\n" for line in lines))
+        """The simulated car with its switches typed. It is no part of the car PC: no stop of a service ends it."""
+        words = ["vcu", "-i", self.interface, "--mission", MISSION, "--track", "small_oval", *LIGHT]
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", *words]
+        self.car = RunningProcess("car", argv, Path("/run/rehearsal/car.log"), os.environ, stdin=subprocess.PIPE)
 
     def _typed(self, watch: BusWatch, line: str, state: AsState) -> bool:
-        self.type(line)
+        self.car.type(line)
         return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
 
     # ------------------------------------------------------------ what must not matter

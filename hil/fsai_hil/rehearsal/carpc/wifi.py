@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -102,12 +101,5 @@ def looked(argv: list[str], seconds: float, environment: Mapping[str, str]) -> d
     return found
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("seconds", type=float)
-    print(json.dumps(nodes_seen(parser.parse_args().seconds)))
-    return 0
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    print(json.dumps(nodes_seen(float(sys.argv[1]))))
