@@ -13,7 +13,7 @@ import pytest
 
 from fsai_hil.rehearsal.bus_watch import CODEC, Wire, standing
 from fsai_hil.rehearsal.carpc import __main__ as rehearsal
-from fsai_hil.rehearsal.carpc import probe, scenes, wifi
+from fsai_hil.rehearsal.carpc import probe, scenes
 from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_vcu.interface.messages import AiDriveFront, AiDriveRear, AiImage, AiStatus, WheelSpeeds
 from fsai_vcu.interface.units import MS
@@ -152,24 +152,6 @@ def test_only_a_scene_failed_while_disturbed_is_played_again(
 def test_a_rehearsal_of_which_nothing_counts_is_not_well() -> None:
     assert not rehearsal.all_well([])
     assert not rehearsal.all_well([{"passed": True, "counts": False}])
-
-
-def test_a_listener_beyond_the_loopback_is_named() -> None:
-    listing = """udp   UNCONN 0 0        127.0.0.1:7410  0.0.0.0:* users:(("python",pid=9,fd=4))
-udp   UNCONN 0 0       127.0.0.53%lo:53  0.0.0.0:*
-tcp   LISTEN 0 128         [::1]:631      [::]:*
-udp   UNCONN 0 0          0.0.0.0:7400  0.0.0.0:* users:(("python",pid=7,fd=3))
-udp   UNCONN 0 0      239.255.0.1:7400  0.0.0.0:*
-tcp   LISTEN 0 128             *:8080         *:*
-tcp   LISTEN 0 128         [::]:22        [::]:*
-"""
-    assert wifi.listeners_in(listing) == [
-        'udp 0.0.0.0:7400 users:(("python",pid=7,fd=3))',
-        "udp 239.255.0.1:7400",
-        "tcp *:8080",
-        "tcp [::]:22",
-    ]
-    assert wifi.listeners_in("") == []
 
 
 def test_the_probe_has_the_bridges_restrictions_but_no_restart(machine: Path) -> None:

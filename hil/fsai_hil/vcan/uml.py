@@ -288,7 +288,9 @@ def boot(
         return False
     finally:
         end_group(process)
-        relay.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            relay.wait(_LOOK_S)  # what the machine has still printed
+        end_group(relay)
 
 
 def _settle(cpu: int) -> None:

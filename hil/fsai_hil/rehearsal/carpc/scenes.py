@@ -26,6 +26,7 @@ from fsai_hil.rehearsal.carpc import probe, wifi
 from fsai_hil.rehearsal.stack import RunningProcess, holds_within
 from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
 from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.diagnostics.doctor.collect import listening_sockets, local_address
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.specification import COMMS_LOST_NS
@@ -294,9 +295,9 @@ class Rehearsal:
         allowed = [name for name, how in confined.items() if not how]
         words = f"{len(confined) - len(allowed)} refused; allowed: {', '.join(allowed)}"
         self.check("inside of the bridge's, nothing but a CAN socket", allowed == [probe.CAN], words)
-        listing = output("ss", "-H", "-lntup")
-        found = wifi.listeners_in(listing)
-        words = "; ".join(found) or f"{len(listing.splitlines())} sockets, all on the loopback"
+        listing = listening_sockets().splitlines()
+        found = [line for line in listing if not local_address(line).is_loopback]
+        words = "; ".join(found) or f"{len(listing)} sockets, all on the loopback"
         self.check("nothing on this machine listens on a network", bool(listing) and not found, words)
 
     def in_the_bridges_place(self, command: str) -> str:

@@ -51,18 +51,6 @@ def talked_to(port: int) -> Iterator[None]:
         talker.wait()
 
 
-def listeners_in(listing: str) -> list[str]:
-    """Of what `ss -H -lntup` prints: who takes anything from beyond this machine, as 'udp 0.0.0.0:7400 users:…'."""
-    from fsai_vcu.diagnostics.doctor.collect import local_address  # not for the strangers, who are to start soon
-
-    found = []
-    for line in listing.splitlines():
-        protocol, _, _, _, local, _, *process = line.split()
-        if not local_address(line).is_loopback:
-            found.append(" ".join((protocol, local, *process)))
-    return found
-
-
 def nodes_seen(seconds: float) -> dict[str, object]:
     """A ROS node that joins the car's domain, looks around for so long, or until it sees the bridge."""
     import rclpy
