@@ -96,9 +96,17 @@ class RunningProcess:
 
     def type(self, line: str) -> None:
         """A line on its standard input, which is a pipe."""
+        self.check_alive()
         assert self.popen.stdin is not None
         self.popen.stdin.write(line.encode() + b"\n")
         self.popen.stdin.flush()
+
+    def ask(self, line: str, answer: str, timeout_s: float) -> str:
+        """What it has printed before its answer to a line."""
+        answers = self.log().count(answer)
+        self.type(line)
+        await_condition(lambda: self.log().count(answer) > answers, timeout_s, f"{self.name} answers '{line}'")
+        return self.log().rpartition(answer)[0]
 
     def signal(self, number: signal.Signals) -> None:
         if self.alive:
