@@ -32,7 +32,6 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
 from fsai_hil.vcan.native import BRING_UP, TIMED_OUT, VcanError, end_group
@@ -128,16 +127,13 @@ def run_in_uml(
                 raise VcanError(f"a comma in a path cannot be passed to User-Mode Linux: {path}")
         if any(character.isspace() for character in str(exchange)):
             raise VcanError(f"the folder for temporary files has a blank in its name: {exchange}")
-        init = exchange / "init"
         clock = preloaded_clock(exchange, pace)
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
         load = load_modules(uml, exchange, MODULES)
-        init.write_text(_init_script(argv, cwd, env, (staged, results_dir), exchange, needed, load))
-        init.chmod(0o755)
-        with (staged / "uml-kernel.log").open("wb") as log, processor_of_its_own() as processor:
-            in_time = boot(uml, init, exchange, log, processor, memory_mib, timeout_s, slowed_clock(exchange, pace))
+        script = _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, load)
+        in_time = boot(uml, script, exchange, staged / "uml-kernel.log", memory_mib, timeout_s, pace)
         try:
             return int((exchange / "exit-status").read_text())
         except (OSError, ValueError):
@@ -234,63 +230,63 @@ def _q(value: Path | str) -> str:
 
 
 def boot(
-    uml: UserModeLinux,
-    init: Path,
-    exchange: Path,
-    log: IO[bytes],
-    processor: int,
-    memory_mib: int,
-    timeout_s: float,
-    clock: Mapping[str, str] | None = None,
+    uml: UserModeLinux, script: str, exchange: Path, log_path: Path, memory_mib: int, timeout_s: float, pace: float
 ) -> bool:
     """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit.
 
-    clock: environment variables that give the machine inside another clock than this machine's (`slowed_clock`).
+    script: the first process. log_path: for the kernel's messages. timeout_s: of this machine, from `exchange`/up on.
     """
+    init = exchange / "init"
+    init.write_text(script)
+    init.chmod(0o755)
+    clock = slowed_clock(exchange, pace)
     output, console = os.pipe()
-    process = subprocess.Popen(
-        [
-            str(uml.kernel),
-            "rootfstype=hostfs",
-            "rootflags=/",
-            "ro",
-            f"mem={memory_mib}M",
-            f"init={init}",
-            f"uml_dir={exchange}",
-            "con=null",
-            "con0=null,fd:1",  # the kernel's console: this process's log
-            f"con1=null,fd:{console}",  # the command's
-            *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
-        ],
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        pass_fds=(console,),
-        env={"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **(clock or {})},
-        start_new_session=True,
-        preexec_fn=lambda: _settle(processor),
-    )
-    os.close(console)
+    command = [
+        str(uml.kernel),
+        "rootfstype=hostfs",
+        "rootflags=/",
+        "ro",
+        f"mem={memory_mib}M",
+        f"init={init}",
+        f"uml_dir={exchange}",
+        "con=null",
+        "con0=null,fd:1",  # the kernel's console: its log
+        f"con1=null,fd:{console}",  # the command's
+        *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
+    ]
+    environment = {"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **clock}
     sys.stdout.flush()
-    # Not our own standard output: the machine would make it non-blocking for everybody who has it.
-    relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
-    os.close(output)
-    limit = time.monotonic() + _BOOT_S
-    up = False
-    try:
-        while time.monotonic() < limit:
+    with log_path.open("ab") as log, processor_of_its_own() as processor:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            pass_fds=(console,),
+            env=environment,
+            start_new_session=True,
+            preexec_fn=lambda: _settle(processor),
+        )
+        os.close(console)
+        # Not our own standard output: the machine would make it non-blocking for everybody who has it.
+        relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
+        os.close(output)
+        limit = time.monotonic() + _BOOT_S
+        up = False
+        try:
+            while time.monotonic() < limit:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_LOOK_S)
+                    return True
+                if not up and (exchange / "up").exists():
+                    up = True
+                    limit = time.monotonic() + timeout_s
+            return False
+        finally:
+            end_group(process)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_LOOK_S)
-                return True
-            if not up and (exchange / "up").exists():
-                up = True
-                limit = time.monotonic() + timeout_s
-        return False
-    finally:
-        end_group(process)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            relay.wait(_LOOK_S)  # what the machine has still printed
-        end_group(relay)
+                relay.wait(_LOOK_S)  # what the machine has still printed
+            end_group(relay)
 
 
 def _settle(cpu: int) -> None:

@@ -21,7 +21,7 @@ from fsai_hil.rehearsal.carpc import package, scenes
 from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_hil.rules.checker import checker_for, read_candump
 from fsai_hil.vcan import VcanError, uml
-from fsai_hil.vcan.clock import SKIPPED, SLOWEST_PACE, preloaded_clock, slowed_clock
+from fsai_hil.vcan.clock import SKIPPED, SLOWEST_PACE, preloaded_clock
 from fsai_vcu.interface.errors import UserError
 
 MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
@@ -101,22 +101,18 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
         exchange = Path(folder).resolve()
-        init = exchange / "init"
-        clock, slowed = preloaded_clock(exchange, pace), slowed_clock(exchange, pace)
         load = uml.load_modules(machine, exchange, MODULES)
-        init.write_text(init_script(missions, installed, results, load, clock, short))
-        init.chmod(0o755)
+        script = init_script(missions, installed, results, load, preloaded_clock(exchange, pace), short)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
-        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor:
-            print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
+        print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
 
-            def boot() -> bool:
-                return uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, pace * timeout_s, slowed)
+        def boot() -> bool:
+            return uml.boot(machine, script, exchange, results / "console.log", MEMORY_MIB, pace * timeout_s, pace)
 
-            in_time = boot()
-            for _ in range(RUNS):
-                if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
-                    in_time = boot()
+        in_time = boot()
+        for _ in range(RUNS):
+            if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
+                in_time = boot()
     if not in_time:
         raise UserError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
     report = results / "report.json"
