@@ -1,9 +1,9 @@
 """Tests in real time count only if the machine let them run: a pytest plugin asks the stall monitor at each failure.
 
-A test that fails while the machine stood still or ran far below its speed has shown nothing, neither for nor against
-what it tests: that is said, and it is run again from the start, with every fixture made anew. A failure on an
-undisturbed machine is a failure, at once. A test that is disturbed in each of its runs has failed, and says why. No
-deadline is loosened by any of this.
+A test that fails while the machine stood still has shown nothing, neither for nor against what it tests: that is
+reported, and it is run again from the start, with every fixture made anew. A failure on an undisturbed machine is a
+failure, at once. A test that is disturbed in each of its runs has failed, and reports why. No deadline is loosened by
+any of this.
 """
 
 from __future__ import annotations

@@ -180,7 +180,7 @@ class Rehearsal:
         self.purged()
 
     def scene(self, name: str, play: Callable[[], None]) -> None:
-        """Play it; again where it failed while the machine stood still or was slow, for then it has shown nothing."""
+        """Play it; again where it failed while the machine stood still, for then it has shown nothing."""
         for run in range(1, RUNS + 1):
             if not self.shows_nothing(name, play, run):
                 return
