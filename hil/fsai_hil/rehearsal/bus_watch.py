@@ -123,7 +123,6 @@ class BusWatch(Wire):
         self._began_ns = time.time_ns()
         self.as_state: AsState | None = None
         self.fastest_rpm = 0.0
-        self.received_s = time.monotonic()  # when 0x520 was last received
         before = listeners(interface)
         filters = "".join(f",{can_id:X}:7FF" for can_id in only)
         command = ["candump", "-L", "-D", "-r", str(_BUFFER_BYTES), interface + filters]
@@ -167,7 +166,7 @@ class BusWatch(Wire):
         for frame in newest.values():
             image = CODEC.decode(frame).image
             if isinstance(image, VcuStatus):
-                self.as_state, self.received_s = image.as_state, time.monotonic()
+                self.as_state = image.as_state
             elif isinstance(image, WheelSpeeds):
                 self.fastest_rpm = fastest_rpm(image)
         return bool(newline)
@@ -180,10 +179,6 @@ class BusWatch(Wire):
             return condition()
 
         return holds_within(holds, patience_s, lambda: time.sleep(_POLL_S))
-
-    def silent_for_s(self) -> float:
-        """So long no 0x520 has been received."""
-        return time.monotonic() - self.received_s
 
     def at_rest_in(self, state: AsState) -> bool:
         return self.as_state is state and self.fastest_rpm < STANDING_RPM

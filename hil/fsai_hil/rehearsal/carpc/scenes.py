@@ -136,15 +136,12 @@ class Rehearsal:
         self.services = (*NODES, self.bridge, self.recorder)
         report = RESULTS / "report.json"
         self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
-        self.car: RunningProcess
-        self.fresh_car = False  # it has just been switched on
+        self.car: RunningProcess | None = None
 
     def run_short(self) -> None:
         """What every change of the sources goes through."""
         self.booted()
-        self.start_car()
-        self.car.type("on")
-        self.fresh_car = True
+        self.switch_car_on()
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
         self.scene(BRIDGE_KILLED.what, lambda: self.struck_in_a_drive(BRIDGE_KILLED))
@@ -159,7 +156,6 @@ class Rehearsal:
         self.scene("the sandbox", lambda: self.sandboxed(compare=True))
         self.scene("the network", self.not_found)
         self.scene("the missions", self.driven)
-        self.start_car()
         self.scene("undisturbed", self.undisturbed_drive)
         for strike in STRIKES:
             self.scene(strike.what, partial(self.struck_in_a_drive, strike))
@@ -169,7 +165,6 @@ class Rehearsal:
     def go_on(self, reboot: int) -> None:
         """After a reboot in mid-drive, the `reboot`th; one that a disturbed machine made fail is to be had again."""
         self.booted()
-        self.start_car()
         self.scene("after the reboot", self.after_the_reboot)
         if reboot > 1:
             self.rebooted(reboot)
@@ -216,8 +211,8 @@ class Rehearsal:
             self.struck(watch, strike)
 
     def after_the_reboot(self) -> None:
+        self.switch_car_on()
         watch = self.watch("after")
-        self.car.type("off\non")
         up = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
         self.check("after the reboot the car powers up", up)
         since_ns = time.time_ns()
@@ -225,7 +220,6 @@ class Rehearsal:
         still = watch.as_state is AsState.AS_OFF and watch.torque_ends(since_ns) == 0
         self.note("after the reboot nothing drives by itself", AT_EASE_S * 2, passed=still)
         watch.stop()
-        self.fresh_car = True
         with self.drive("after-reboot"):
             pass
 
@@ -328,19 +322,16 @@ class Rehearsal:
         """A power cycle of the car, which clears whatever was latched; then AS_OFF, AS_READY, Go, and it drives."""
         self.await_that(self.all_active, 60.0)
         began = time.monotonic()
+        car = self.switch_car_on()
         watch = self.watch(name, RESULTS / f"bus-{name}.log")
-        fresh, self.fresh_car = self.fresh_car, False
-        if not fresh:
-            self.car.type("off\nami not_selected")
-        drives = (
-            (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
-            and self._typed(watch, "on", AsState.AS_OFF)
-            and self._typed(watch, f"ami {MISSION}", AsState.AS_READY)
-            and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
-        )
+        drives = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
+        if drives:
+            car.type(f"ami {MISSION}")
+            drives = watch.wait(lambda: watch.as_state is AsState.AS_READY, POWER_UP_S)
+        drives = drives and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
         until = time.monotonic() + POWER_UP_S
         while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
-            self.car.type("go")
+            car.type("go")
             watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
@@ -358,15 +349,16 @@ class Rehearsal:
     def watch(self, name: str, kept: Path | None = None) -> BusWatch:
         return BusWatch(self.interface, Path(f"/run/rehearsal/{name}.log"), kept)
 
-    def start_car(self) -> None:
-        """The simulated car with its switches typed. It is no part of the car PC: no stop of a service ends it."""
+    def switch_car_on(self) -> RunningProcess:
+        """A power cycle of the simulated car, which is no part of the car PC: no stop of a service ends it."""
+        if self.car is not None:
+            self.car.stop()
+            time.sleep(OFF_S)
         words = ["vcu", "-i", self.interface, "--mission", MISSION, "--track", "small_oval", *LIGHT]
         argv = [sys.executable, "-m", "fsai_vcu.cli.main", *words]
         self.car = RunningProcess("car", argv, Path("/run/rehearsal/car.log"), os.environ, stdin=subprocess.PIPE)
-
-    def _typed(self, watch: BusWatch, line: str, state: AsState) -> bool:
-        self.car.type(line)
-        return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
+        self.car.type("on")
+        return self.car
 
     # ------------------------------------------------------------ what must not matter
 
