@@ -46,7 +46,7 @@ CONSOLE = "stty -F /dev/tty1 -opost -echo"  # what is printed there is the comma
 HANDS_OVER = "chrt --fifo --pid 50 $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
-_MODULE_ROOTS = (Path("/usr/lib/uml"), Path("/lib/uml"))
+_MODULES = Path("/usr/lib/uml")  # the folder above modules/VERSION, as the package has it
 _BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
 _SHARED_MEMORY = Path("/dev/shm")
@@ -61,7 +61,6 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 class UserModeLinux:
     kernel: Path
     version: str
-    modules: Path  # the folder above modules/VERSION
 
 
 def find_user_mode_linux() -> UserModeLinux:
@@ -76,20 +75,12 @@ def find_user_mode_linux() -> UserModeLinux:
     if kernel is None or missing:
         raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
     version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
-    return UserModeLinux(Path(kernel), version, modules_of(version))
+    return UserModeLinux(Path(kernel), version)
 
 
-def modules_of(version: str, roots: Iterable[Path] = _MODULE_ROOTS) -> Path:
-    """The folder above modules/VERSION. Raises VcanError where the modules of this very kernel are not installed."""
-    for root in roots:
-        if (root / "modules" / version).is_dir():
-            return root
-    raise VcanError(f"User-Mode Linux {version} is installed without its modules; as root: {INSTALL}")
-
-
-def load_modules(uml: UserModeLinux, exchange: Path, names: Sequence[str]) -> str:
+def load_modules(exchange: Path, names: Sequence[str]) -> str:
     """A shell line for inside that loads the modules; modprobe finds them below `exchange`."""
-    (exchange / "lib").symlink_to(uml.modules)
+    (exchange / "lib").symlink_to(_MODULES)
     return f"modprobe -d {_q(exchange)} -a {shlex.join(names)}"
 
 
@@ -131,7 +122,7 @@ def run_in_uml(
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
-        load = load_modules(uml, exchange, MODULES)
+        load = load_modules(exchange, MODULES)
         script = _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, load)
         in_time = boot(uml, script, exchange, staged / "uml-kernel.log", memory_mib, timeout_s, pace)
         try:

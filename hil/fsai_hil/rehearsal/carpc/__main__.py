@@ -101,7 +101,7 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
         exchange = Path(folder).resolve()
-        load = uml.load_modules(machine, exchange, MODULES)
+        load = uml.load_modules(exchange, MODULES)
         script = init_script(missions, installed, results, load, preloaded_clock(exchange, pace), short)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
         print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
