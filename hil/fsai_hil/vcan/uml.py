@@ -38,12 +38,6 @@ from fsai_hil.vcan.native import BRING_UP, TIMED_OUT, VcanError, end_group
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
-CONSOLE = "stty -F /dev/tty1 -opost -echo"  # what is printed there is the command's output
-# Once /proc is there: received frames are handed over before any program goes on. What an adapter's interrupt does on a
-# PC, this thread of the kernel's does for vcan. On the only processor it would wait for whatever else runs, and bridge
-# and car would receive nothing for tens of milliseconds, which the stall monitor does not see. The priority is that of
-# a real-time kernel's interrupt threads: above the bridge, below the stall monitor.
-HANDS_OVER = "chrt --fifo --pid 50 $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
 _MODULES = Path("/usr/lib/uml")  # the folder above modules/VERSION, as the package has it
@@ -76,12 +70,6 @@ def find_user_mode_linux() -> UserModeLinux:
         raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
     version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
     return UserModeLinux(Path(kernel), version)
-
-
-def load_modules(exchange: Path, names: Sequence[str]) -> str:
-    """A shell line for inside that loads the modules; modprobe finds them below `exchange`."""
-    (exchange / "lib").symlink_to(_MODULES)
-    return f"modprobe -d {_q(exchange)} -a {shlex.join(names)}"
 
 
 def run_in_uml(
@@ -122,9 +110,8 @@ def run_in_uml(
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
-        load = load_modules(exchange, MODULES)
-        script = _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, load)
-        in_time = boot(uml, script, exchange, staged / "uml-kernel.log", memory_mib, timeout_s, pace)
+        lines = _first_process(argv, cwd, env, (staged, results_dir), exchange, needed)
+        in_time = boot(uml, MODULES, lines, exchange, staged / "uml-kernel.log", memory_mib, timeout_s, pace)
         try:
             return int((exchange / "exit-status").read_text())
         except (OSError, ValueError):
@@ -169,30 +156,21 @@ def _hidden(paths: Iterable[Path]) -> list[Path]:
     return hidden
 
 
-def _init_script(
+def _first_process(
     argv: Sequence[str],
     cwd: Path,
     env: Mapping[str, str],
     results: tuple[Path, Path],
     exchange: Path,
     needed: Sequence[Path],
-    load: str,
-) -> str:
+) -> list[str]:
     def folder(path: Path, options: str, behind: Path | None = None) -> list[str]:
         # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
         return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(behind or path)} none {_q(path)}"]
 
     staged, results_dir = results
-
     environment = [_q(f"{name}={value}") for name, value in env.items()]
-    lines = [
-        "#!/bin/sh",
-        f"export PATH={_BIN}",
-        # Whatever fails before the command starts ends the machine; the kernel's log has the failed command's message.
-        "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
-        "trap power_off EXIT",
-        "set -e",
-        "mount -t proc proc /proc",
+    return [
         "mount -t sysfs sysfs /sys",
         *(f"mkdir -p {path}; mount -t tmpfs tmpfs {path}" for path in _IN_MEMORY),
         "mkdir -p /dev/pts; mount -t devpts devpts /dev/pts",
@@ -203,17 +181,13 @@ def _init_script(
         # The kernel would halt all real-time processes for 50 ms once they have used 95 % of a second, and here it
         # counts what the host took from the machine as used by them.
         "echo -1 > /proc/sys/kernel/sched_rt_runtime_us",
-        HANDS_OVER,
-        load,
         BRING_UP,
-        CONSOLE,
         "set +e",
         f"touch {_q(exchange / 'up')}",
         # `env -i`: words of its command line that the kernel does not know are in the first process's environment.
         f"(cd {_q(cwd)} && exec env -i {' '.join(environment)} {shlex.join(argv)}) < /dev/null > /dev/tty1 2>&1",
         f"echo $? > {_q(exchange / 'exit-status')}",
     ]
-    return "\n".join(lines) + "\n"
 
 
 def _q(value: Path | str) -> str:
@@ -221,14 +195,40 @@ def _q(value: Path | str) -> str:
 
 
 def boot(
-    uml: UserModeLinux, script: str, exchange: Path, log_path: Path, memory_mib: int, timeout_s: float, pace: float
+    uml: UserModeLinux,
+    modules: Sequence[str],
+    lines: Sequence[str],
+    exchange: Path,
+    log_path: Path,
+    memory_mib: int,
+    timeout_s: float,
+    pace: float,
 ) -> bool:
     """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit.
 
-    script: the first process. log_path: for the kernel's messages. timeout_s: of this machine, from `exchange`/up on.
+    lines: of shell, what the first process does once the modules are there; what is printed on /dev/tty1 is the output.
+    log_path: for the kernel's messages. timeout_s: of this machine, from `exchange`/up on.
     """
+    (exchange / "lib").unlink(missing_ok=True)
+    (exchange / "lib").symlink_to(_MODULES)  # where modprobe looks below its root
+    begin = [
+        "#!/bin/sh",
+        f"export PATH={_BIN}",
+        # Whatever fails ends the machine; the kernel's log has the failed command's message.
+        "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
+        "trap power_off EXIT",
+        "set -e",
+        "mount -t proc proc /proc",
+        # Received frames are handed over before any program goes on. What an adapter's interrupt does on a PC, this
+        # thread of the kernel's does for vcan. On the only processor it would wait for whatever else runs, and bridge
+        # and car would receive nothing for tens of milliseconds, which the stall monitor does not see. The priority is
+        # that of a real-time kernel's interrupt threads: above the bridge, below the stall monitor.
+        "chrt --fifo --pid 50 $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)",
+        f"modprobe -d {_q(exchange)} -a {shlex.join(modules)}",
+        "stty -F /dev/tty1 -opost -echo",
+    ]
     init = exchange / "init"
-    init.write_text(script)
+    init.write_text("\n".join((*begin, *lines, "")))
     init.chmod(0o755)
     clock = slowed_clock(exchange, pace)
     output, console = os.pipe()

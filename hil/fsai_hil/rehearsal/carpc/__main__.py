@@ -101,13 +101,13 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
         exchange = Path(folder).resolve()
-        load = uml.load_modules(exchange, MODULES)
-        script = init_script(missions, installed, results, load, preloaded_clock(exchange, pace), short)
+        lines = first_process(missions, installed, results, preloaded_clock(exchange, pace), short)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
         print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
 
         def boot() -> bool:
-            return uml.boot(machine, script, exchange, results / "console.log", MEMORY_MIB, pace * timeout_s, pace)
+            log = results / "console.log"
+            return uml.boot(machine, MODULES, lines, exchange, log, MEMORY_MIB, pace * timeout_s, pace)
 
         in_time = boot()
         for _ in range(RUNS):
@@ -145,20 +145,13 @@ def rules_kept(log: Path) -> bool:
     return report.ok
 
 
-def init_script(missions: str, installed: Path, results: Path, load: str, clock: Mapping[str, str], short: bool) -> str:
+def first_process(missions: str, installed: Path, results: Path, clock: Mapping[str, str], short: bool) -> list[str]:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
     options = " --short" if short else ""
     variables = {**clock, "LD_PRELOAD": "/usr/lib/rehearsal-clock.so"} if clock else {}
-    lines = [
-        "#!/bin/sh",
-        "export PATH=/usr/sbin:/usr/bin:/sbin:/bin",
-        "trap 'echo o > /proc/sysrq-trigger; sleep 60' EXIT",
-        "set -ex",
-        "mount -t proc proc /proc",
-        load,
-        uml.HANDS_OVER,
-        uml.CONSOLE,
+    return [
+        "set -x",
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
         # A mount of its own for each: overlayfs wants its layers apart.
@@ -197,7 +190,6 @@ def init_script(missions: str, installed: Path, results: Path, load: str, clock:
         "trap - EXIT",
         "exec chroot . /usr/lib/systemd/systemd --log-target=kmsg < /dev/console > /dev/console 2>&1",
     ]
-    return "\n".join(lines) + "\n"
 
 
 def preload(clock: Mapping[str, str], variables: Mapping[str, str]) -> list[str]:
