@@ -1,7 +1,7 @@
 """Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
 
 The suite is run by `fsai-vcu hil`, which provides the interface. Every test ends on a silent bus. A stall
-monitor watches the machine: what fails while it stood still or was too slow is run again, and that is said
+monitor watches the machine: what fails while it stood still is run again, and that is reported
 (`fsai_hil.rehearsal.undisturbed`).
 """
 
@@ -24,7 +24,7 @@ from fsai_hil.rehearsal.undisturbed import Undisturbed
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
-SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
+SILENCE_S = 0.25  # over twenty cycles of one who sends every 10 ms, and two of the slowest message
 VERB = (sys.executable, "-m", "fsai_vcu.cli.main")
 FRAMES = (  # one of each kind
     Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),

@@ -135,5 +135,5 @@ def test_a_bus_that_goes_away_ends_the_listening_with_one_line(words: str, other
     subprocess.run(["ip", "link", "set", other, "down"], check=True)
     assert ours.process.wait(WITHIN_S) == 1
     assert ours.process.stderr is not None
-    said = ours.process.stderr.read().decode()
-    assert said.startswith(f"fsai-vcu {verb}: {other}: ") and said.count("\n") == 1
+    printed = ours.process.stderr.read().decode()
+    assert printed.startswith(f"fsai-vcu {verb}: {other}: ") and printed.count("\n") == 1

@@ -20,7 +20,7 @@ _STAMP = re.compile(r"\(\d+\.\d+\) ")
 
 
 class Recorder:
-    """`fsai-vcu record`, listening; `said` is what it has printed."""
+    """`fsai-vcu record`, listening; `printed` is what it has printed."""
 
     def __init__(self, interface: str, output: Path, *options: str) -> None:
         before = listeners(interface)
@@ -30,11 +30,11 @@ class Recorder:
             self.process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stderr=errors)
         await_condition(lambda: listeners(interface) > before, WITHIN_S, "the recorder listens")
 
-    def said(self) -> str:
+    def printed(self) -> str:
         return self._errors.read_text()
 
     def await_words(self, words: str) -> None:
-        await_condition(lambda: words in self.said(), WITHIN_S, f"the recorder says '{words}'")
+        await_condition(lambda: words in self.printed(), WITHIN_S, f"the recorder prints '{words}'")
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
@@ -76,4 +76,4 @@ def test_a_recording_outlives_an_interface_that_goes_down(other: str, tmp_path: 
     await_condition(lambda: len(lines(log)) == 2, WITHIN_S, "the second frame is on the disk")
     assert recorder.stop() == 0
     assert lines(log) == [f"{other} 520#01", f"{other} 520#02"]
-    assert recorder.said().count("\n") == 3
+    assert recorder.printed().count("\n") == 3

@@ -1,4 +1,4 @@
-"""A failure while the machine stood still is run again, and said; one on a machine that ran is never repeated."""
+"""A failure while the machine stood still is run again, and reported; one on a machine that ran is never repeated."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ def test_a_failure_in_a_stall_is_reported_and_run_again_afresh(pytester: pytest.
     result, notes = run(pytester, [True, True], FAILS_TWICE)
     result.assert_outcomes(passed=1)
     assert notes == ["up", "run", "down"] * 3
-    said = [line for line in result.stdout.lines if "stood still" in line]
-    assert said == [f"test_it: the machine stood still for 52 ms: run {number} shows nothing" for number in (1, 2)]
+    printed = [line for line in result.stdout.lines if "stood still" in line]
+    assert printed == [f"test_it: the machine stood still for 52 ms: run {number} shows nothing" for number in (1, 2)]
 
 
 def test_a_test_that_never_ran_undisturbed_fails_and_says_so(pytester: pytest.Pytester) -> None:
@@ -149,7 +149,7 @@ def test_the_monitor_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("runs", "status", "said"),
+    ("runs", "status", "printed"),
     [
         ([(0, True)], 0, []),
         ([(1, False)], 1, []),
@@ -163,7 +163,7 @@ def test_the_monitor_notes_that_it_was_itself_held_up(tmp_path: Path) -> None:
 def test_the_demo_drives_again_only_after_a_failure_in_a_stall(
     runs: list[tuple[int | None, bool]],
     status: int,
-    said: list[str],
+    printed: list[str],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -181,4 +181,4 @@ def test_the_demo_drives_again_only_after_a_failure_in_a_stall(
     assert rehearse(drive) == status
     assert left == []
     lines = [line for line in capsys.readouterr().out.splitlines() if "stood still" in line]
-    assert len(lines) == len(said) and all(words in line for words, line in zip(said, lines, strict=True))
+    assert len(lines) == len(printed) and all(words in line for words, line in zip(printed, lines, strict=True))

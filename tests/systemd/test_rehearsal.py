@@ -20,7 +20,7 @@ from fsai_vcu.interface.units import MS
 
 
 class Remembers:
-    """A stall monitor to a machine of which each run of a scene was disturbed or not, as told."""
+    """A stall monitor to a machine of which each run of a scene was disturbed or not, as given."""
 
     def __init__(self, *disturbed: bool) -> None:
         self._disturbed = list(disturbed)
@@ -173,4 +173,4 @@ def test_the_probe_distinguishes_refused_from_allowed(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "it leaves nothing behind"
     assert probe.ended(probe.writing_to(tmp_path / "absent")) == "ENOENT"
     assert probe.ended((tmp_path / "absent").read_bytes) == "ENOENT"
-    assert probe.ended(lambda: probe.hear(0, 0.01)) == "timed out"
+    assert probe.ended(lambda: probe.receive_on(0, 0.01)) == "timed out"

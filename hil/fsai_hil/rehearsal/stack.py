@@ -143,7 +143,7 @@ class Stack:
         self.bus = bus
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        # Two rehearsals side by side must not hear each other; ids up to 101 are safe on every platform.
+        # Two rehearsals side by side must not receive each other's messages; ids up to 101 are safe on every platform.
         self.domain_id = 1 + os.getpid() % 100
         self.truth_port = 30000 + os.getpid() % 20000
         self.processes: dict[str, RunningProcess] = {}

@@ -2,9 +2,9 @@
 
 A rehearsal in real time is judged by milliseconds, and a shared machine may stand still for longer: another guest has
 the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. The bridge must answer
-that with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The stall monitor tells
-the two apart. It shares nothing with bridge and simulated car and goes before both (a higher real-time priority): when
-it wakes late, nothing on this machine could have run in time.
+that with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The stall monitor
+separates the two. It shares nothing with bridge and simulated car and goes before both (a higher real-time priority):
+when it wakes late, nothing on this machine could have run in time.
 
     with StallMonitor(Path("/tmp/stalls")) as monitor:
         since_ns = time.monotonic_ns()

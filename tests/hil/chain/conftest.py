@@ -164,7 +164,7 @@ class Chain:
         """Wait until the car drives at speed."""
 
         def decided() -> bool:
-            state = self.state  # an age that is not a number is no young one either: nothing was heard yet
+            state = self.state  # an age that is not a number is no young one either: nothing was received yet
             over = state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED) and state.status_age_s < 0.5
             return bool(over or (state.as_state == AsState.AS_DRIVING and state.speed_mps > DRIVES_MPS))
 

@@ -40,7 +40,7 @@ Period = tuple[Instant, Instant]
 
 
 def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_monitor: StallMonitor) -> None:
-    """A mission that failed on a disturbed machine shows nothing: it is told and left out, and the next one counts."""
+    """A mission that failed on a disturbed machine shows nothing: reported and left out, and the next one counts."""
     minutes = float(os.environ.get("FSAI_HIL_SOAK_MINUTES", "0"))
     missions = 1 + math.ceil(60.0 * minutes / LAP_S)
     pids = chain.pids
@@ -74,7 +74,7 @@ def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_
                     break
                 if driven == 1 and not left_out:
                     began, driven_s = Instant(), 0.0
-                # The result may be here before the state that it tells of.
+                # The result may be here before the state that it is about.
                 over = result.as_state
                 chain.operator.await_state(lambda s, over=over: s.as_state_label == over, POWER_UP_S, f"{over}")
                 chain.operator.await_state(lambda s, over=over: s.as_state_label != over, POWER_UP_S, "power-up")
@@ -87,6 +87,6 @@ def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_
     )
     print(f"\n{flatness}", flush=True)
     left_out_s = sum(b.steady_ns - a.steady_ns for a, b in left_out) / 1e9
-    story = {**flatness.as_dict(), "missions": driven, "left_out": len(left_out), "left_out_s": left_out_s}
-    (results / "soak.json").write_text(json.dumps(story, indent=2) + "\n")
+    found = {**flatness.as_dict(), "missions": driven, "left_out": len(left_out), "left_out_s": left_out_s}
+    (results / "soak.json").write_text(json.dumps(found, indent=2) + "\n")
     assert flatness.flat, str(flatness)

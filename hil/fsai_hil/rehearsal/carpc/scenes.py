@@ -501,7 +501,7 @@ class Rehearsal:
             image.direction is Direction.FORWARD and image.mission_status is MissionStatus.RUNNING for image in goodbye
         )
         asked_s = in_s(watch.estop_after(asked_ns))
-        # When the services are stopped is systemd's to say, so this is no time of the bridge's.
+        # When the services are stopped is up to systemd, so this is no time of the bridge's.
         self.note(f"{what}: ESTOP_REQUEST", asked_s, passed=asked_s is not None)
         words = f"{len(goodbye)} cycles, {'FORWARD' if right else 'WRONG'}"
         self.check(f"{what}: the goodbye", right and len(goodbye) == GOODBYE_CYCLES, words)

@@ -28,7 +28,7 @@ def plug_in() -> None:
         f"-n {_ELSEWHERE} addr add {THERE}/24 dev sta0",
         f"-n {_ELSEWHERE} link set lo up",
         f"-n {_ELSEWHERE} link set sta0 up",
-        # What says nothing of where it goes, as discovery does, goes there.
+        # Datagrams to a group, as discovery sends them, go there.
         f"-n {_ELSEWHERE} route add 224.0.0.0/4 dev sta0",
     ):
         subprocess.run(["ip", *words.split()], check=True)
