@@ -39,7 +39,8 @@ class Undisturbed:
                 item.session._setupstate.teardown_exact(None)
             if not failed or not (what := self._stall_monitor.disturbed(since_ns)):
                 break
-            why = f"the machine {what}: run {run} {'of 3 too: never undisturbed' if run == RUNS else 'shows nothing'}"
+            then = "shows nothing" if run < RUNS else f"of {RUNS} too: never undisturbed"
+            why = f"the machine {what}: run {run} {then}"
             failed[0].sections.append(("the machine", why))
             if terminal := item.config.pluginmanager.get_plugin("terminalreporter"):
                 terminal.ensure_newline()
