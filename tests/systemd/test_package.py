@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fsai_hil.rehearsal.carpc import package as rehearsed
+from fsai_hil.rehearsal.carpc import __main__ as rehearsed
 from fsai_hil.vcan import VcanError
 
 TOOLS = ("dpkg", "systemctl", "systemd-sysusers", "systemd-tmpfiles")

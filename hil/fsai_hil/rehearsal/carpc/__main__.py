@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -17,13 +20,16 @@ from pathlib import Path
 
 from fsai_hil import CHECKOUT
 from fsai_hil.rehearsal.bus_watch import CODEC, HOUR_NS
-from fsai_hil.rehearsal.carpc import package, scenes
+from fsai_hil.rehearsal.carpc import scenes
 from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_hil.rules.checker import checker_for, read_candump
 from fsai_hil.vcan import VcanError, uml
 from fsai_hil.vcan.clock import SKIPPED, SLOWEST_PACE, preloaded_clock
 from fsai_vcu.interface.errors import UserError
 
+PACKAGE = "fsai-vcu"
+_DPKG = Path("var/lib/dpkg")
+_MARK = ".unpacked-from"
 MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
@@ -92,9 +98,11 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         old.unlink(missing_ok=True)
     installed = results / ("laid-out" if short else "root")
     if short:
-        package.lay_out(installed)
+        shutil.rmtree(installed / "etc", ignore_errors=True)  # a configuration of an earlier rehearsal is not kept
+        install_car("install", DESTDIR=installed, ENVIRONMENT=Path(sys.prefix))
     else:
-        package.unpack(package.make(results), installed)
+        install_car("deb", results, PAYLOAD=results / "payload")
+        unpack(max(results.glob(f"{PACKAGE}_*.deb"), key=lambda path: path.stat().st_mtime_ns), installed)
     if not Path("/usr/lib/systemd/systemd-udevd").exists():
         raise UserError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
     if pace != 1.0:
@@ -122,6 +130,38 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         raise UserError(f"the machine did not come back from its reboot: {results / 'console.log'}")
     kept = [rules_kept(log) for log in sorted(results.glob("bus-*.log"))]
     return 0 if all_well(json.loads(report.read_text())) and all(kept) else 1
+
+
+def install_car(*words: str | Path, **variables: Path) -> None:
+    """What is up to date is left alone. Raises VcanError."""
+    environment = {**os.environ, **{name: str(path) for name, path in variables.items()}}
+    done = subprocess.run([CHECKOUT / "scripts" / "install-car", *words], env=environment, check=False)
+    if done.returncode != 0:
+        raise VcanError(f"scripts/install-car {words[0]} failed")
+
+
+def unpack(package: Path, root: Path, dpkg: Path = Path("/") / _DPKG) -> None:
+    """Unpack it below `root` by dpkg, beside what this machine says is installed; what is configured is left to do.
+
+    Its dependencies are judged when it is configured, which is done in the rehearsed machine.
+    """
+    status = package.stat()
+    mark = f"{package.name} {status.st_size} {status.st_mtime_ns}\n"
+    if (root / _MARK).is_file() and (root / _MARK).read_text() == mark:
+        return
+    shutil.rmtree(root, ignore_errors=True)
+    root.mkdir(parents=True)
+    shutil.copytree(dpkg, root / _DPKG, symlinks=True)
+    words = ["dpkg", f"--root={root}", "--force-unsafe-io", "--unpack", str(package)]
+    if os.geteuid() != 0:
+        if shutil.which("fakeroot") is None:
+            raise VcanError("dpkg unpacks as root only; as another: sudo apt-get install -y fakeroot")
+        words = ["fakeroot", *words]
+    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+    done = subprocess.run(words, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise VcanError(f"dpkg does not unpack {package.name}: {done.stderr.strip()[-300:]}")
+    (root / _MARK).write_text(mark)
 
 
 def all_well(steps: list[dict[str, object]]) -> bool:
@@ -168,7 +208,7 @@ def first_process(missions: str, installed: Path, results: Path, clock: Mapping[
         ": > etc/fstab",
         "echo car-pc > etc/hostname",
         *(f"ln -sf /dev/null etc/systemd/system/{unit}" for unit in MASKED),
-        *([] if short else [f"chroot . dpkg --configure {package.NAME}"]),
+        *([] if short else [f"chroot . dpkg --configure {PACKAGE}"]),
         # The bench: vcan0, the simulated car and what it is seen with.
         "cp -r usr/share/fsai/bench/fsai-* etc/systemd/system/",
         "cp usr/share/fsai/bench/70-* etc/systemd/network/",
