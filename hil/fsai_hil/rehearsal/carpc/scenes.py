@@ -642,31 +642,27 @@ def main() -> int:
     parser.add_argument("missions", type=int)
     parser.add_argument("--short", action="store_true")
     args = parser.parse_args()
-    again = AGAIN.read_text().strip() if AGAIN.exists() else ""
+    reboot = int(AGAIN.read_text().strip() or 0) if AGAIN.exists() else 0  # 0 on the first boot
     AGAIN.unlink(missing_ok=True)
     with StallMonitor(Path("/run/rehearsal/stall_monitor")) as stall_monitor:
-        return played(Rehearsal(args.interface, args.missions, stall_monitor), int(again or 0), short=args.short)
-
-
-def played(rehearsal: Rehearsal, reboot: int, *, short: bool) -> int:
-    """reboot: 0 on the first boot."""
-    try:
-        if reboot:
-            rehearsal.go_on(reboot)
-        elif short:
-            rehearsal.run_short()
-        else:
-            rehearsal.run()
-    except Exception as error:
-        AGAIN.unlink(missing_ok=True)
-        rehearsal.note(f"the rehearsal itself failed: {type(error).__name__}: {error}", None, passed=False)
-        raise
-    finally:
-        journal = f"journal-after-reboot-{reboot}.txt" if reboot else "journal.txt"
-        (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
-        if not AGAIN.exists():
-            (RESULTS / "done").touch()
-            systemctl("poweroff", "--force")
+        rehearsal = Rehearsal(args.interface, args.missions, stall_monitor)
+        try:
+            if reboot:
+                rehearsal.go_on(reboot)
+            elif args.short:
+                rehearsal.run_short()
+            else:
+                rehearsal.run()
+        except Exception as error:
+            AGAIN.unlink(missing_ok=True)
+            rehearsal.note(f"the rehearsal itself failed: {type(error).__name__}: {error}", None, passed=False)
+            raise
+        finally:
+            journal = f"journal-after-reboot-{reboot}.txt" if reboot else "journal.txt"
+            (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
+            if not AGAIN.exists():
+                (RESULTS / "done").touch()
+                systemctl("poweroff", "--force")
     return 0
 
 
