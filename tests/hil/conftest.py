@@ -2,7 +2,7 @@
 
 The suite is run by `fsai-vcu hil`, which provides the interface. Every test ends on a silent bus. A stall
 monitor watches the machine: what fails while it stood still is run again, and that is reported
-(`fsai_hil.rehearsal.undisturbed`).
+(`undisturbed.py`).
 """
 
 from __future__ import annotations
@@ -12,18 +12,19 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
-from fsai_hil.rehearsal.bus_watch import BusWatch
-from fsai_hil.rehearsal.stack import Stack
+from fsai_hil.rehearsal.bus_watch import BusWatch, listeners
+from fsai_hil.rehearsal.stack import RunningProcess, Stack, await_condition
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
-from fsai_hil.rehearsal.undisturbed import Undisturbed
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
+from undisturbed import Undisturbed
 
+LISTENS_S = 20.0
 SILENCE_S = 0.25  # over twenty cycles of one who sends every 10 ms, and two of the slowest message
 VERB = (sys.executable, "-m", "fsai_vcu.cli.main")
 FRAMES = (  # one of each kind
@@ -141,6 +142,14 @@ def stack(interface: str, results: Path, bus_log: BusWatch) -> Iterator[Stack]:
     """Starts real processes on the bus, which is logged; whatever the test does, they are ended after it."""
     with Stack(interface, results) as running:
         yield running
+
+
+def listening(interface: str, argv: Sequence[str], output: Path) -> RunningProcess:
+    """A command that has begun to listen to the bus; what it prints is in `output`."""
+    before = listeners(interface)
+    process = RunningProcess(argv[0], argv, output, os.environ)
+    await_condition(lambda: listeners(interface) > before, LISTENS_S, f"{argv} listens")
+    return process
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ pytest_plugins = ["pytester"]
 
 PLUGIN = """
 import pathlib, pytest
-from fsai_hil.rehearsal.undisturbed import Undisturbed
+from undisturbed import Undisturbed
 
 SCRIPT = {script!r}  # of each failed run: whether the machine stood still in it
 
@@ -53,6 +53,7 @@ def shared():
 def run(pytester: pytest.Pytester, script: list[bool], tests: str) -> tuple[pytest.RunResult, list[str]]:
     """The result of the tests under a stall monitor that answers by the script, and what the tests noted."""
     pytester.syspathinsert()
+    pytester.syspathinsert(Path(__file__).parents[1] / "hil")
     pytester._monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # others' plugins cost a second each time
     pytester.makepyfile(scripted=PLUGIN.format(script=script))
     pytester.makepyfile("from scripted import note\n" + textwrap.dedent(tests))

@@ -661,7 +661,6 @@ def main() -> int:
             journal = f"journal-after-reboot-{reboot}.txt" if reboot else "journal.txt"
             (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
             if not AGAIN.exists():
-                (RESULTS / "done").touch()
                 systemctl("poweroff", "--force")
     return 0
 
