@@ -114,15 +114,19 @@ def listen(interface: str) -> Iterator[Callable[..., CanBus]]:
         bus.close()
 
 
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True)
+
+
 @pytest.fixture
 def other() -> Iterator[str]:
     """An interface of one's own, to be taken down."""
-    subprocess.run(["ip", "link", "add", "dev", "vcan3", "type", "vcan"], check=True)
+    ip("link", "add", "dev", "vcan3", "type", "vcan")
     try:
-        subprocess.run(["ip", "link", "set", "vcan3", "up"], check=True)
+        ip("link", "set", "vcan3", "up")
         yield "vcan3"
     finally:
-        subprocess.run(["ip", "link", "del", "vcan3"], check=True)
+        ip("link", "del", "vcan3")
 
 
 def logged(interface: str, folder: Path, only: Iterable[int] = ()) -> BusWatch:

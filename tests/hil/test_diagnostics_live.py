@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from conftest import FRAMES, VERB, listening
+from conftest import FRAMES, VERB, ip, listening
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
@@ -111,7 +111,7 @@ def test_stats_of_a_live_bus_are_those_of_its_log(
 def test_a_bus_that_goes_away_ends_the_listening_with_one_line(words: str, other: str, tmp_path: Path) -> None:
     verb, *options = words.split()
     ours = listening(other, [*VERB, verb, other, *options], tmp_path / "shown.txt")
-    subprocess.run(["ip", "link", "set", other, "down"], check=True)
+    ip("link", "set", other, "down")
     assert ours.wait(WITHIN_S) == 1
     *shown, error = ours.log().splitlines()
     assert error.startswith(f"fsai-vcu {verb}: {other}: ")

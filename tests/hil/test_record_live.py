@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from conftest import FRAMES, VERB, listening
+from conftest import FRAMES, VERB, ip, listening
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
@@ -48,9 +47,9 @@ def test_a_recording_outlives_an_interface_that_goes_down(other: str, tmp_path: 
         assert bus.send(Frame(0x520, b"\x01"))
     log = folder / f"{other}-000001.log"
     await_condition(lambda: log.exists() and log.stat().st_size > 0, WITHIN_S, "the first frame is on the disk")
-    subprocess.run(["ip", "link", "set", other, "down"], check=True)
+    ip("link", "set", other, "down")
     recorder.await_log("waiting for it to come back", WITHIN_S)
-    subprocess.run(["ip", "link", "set", other, "up"], check=True)
+    ip("link", "set", other, "up")
     recorder.await_log(f"{other} is back after", WITHIN_S)
     with open_bus(other) as bus:
         assert bus.send(Frame(0x520, b"\x02"))

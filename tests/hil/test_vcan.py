@@ -9,15 +9,12 @@ from collections.abc import Callable
 
 import pytest
 
+from conftest import ip
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 
 WITHIN_S = 5.0
 CLOCK_GETTIME = 228  # the system call, on x86-64
-
-
-def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True)
 
 
 def cansend(interface: str, frame: str) -> None:

@@ -21,12 +21,23 @@ from pathlib import Path
 
 import pytest
 
-from chain.conftest import CODEC, MISSION, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
-from conftest import logged, new_folder
+from chain.conftest import (
+    FLOOD_ID,
+    INTRUDER,
+    MISSION,
+    POWER_CYCLE_S,
+    POWER_UP_S,
+    START_S,
+    STOP_S,
+    CarRun,
+    Chain,
+    rules_kept,
+)
+from conftest import ip, logged, new_folder
 from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import NODES, await_condition
 from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
-from fsai_hil.rules.checker import MS, checker_for
+from fsai_hil.rules.checker import MS
 from fsai_hil.vcan.native import TX_QUEUE_FRAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState
@@ -43,8 +54,6 @@ VCU_PATIENCE_NS = 100 * MS  # interface specification v4.0: AI_COMMS_LOST
 AT_EASE_S = 0.5  # so long after the end of a run the bus is still watched
 BITRATE = 500_000
 FRAME_BITS = 128  # as the queue counts a classic frame of 8 bytes; on a wire it is 111 and stuff bits
-FLOOD_ID = 0x7FF
-INTRUDER = bytes.fromhex("00000F0000C0FFEE")  # no torque, and not to be mistaken for a frame of ours
 CAN_ERR_BUSOFF = 0x040  # linux/can/error.h
 ADJ_SETOFFSET, TIMEX_TIME_AT = 0x0100, 72  # linux/timex.h, where a long has 64 bits
 
@@ -72,17 +81,6 @@ def car(chain: Chain) -> CarRun:
     return chain.shared_car()
 
 
-@pytest.fixture
-def drive(chain: Chain, car: CarRun, results: Path, interface: str) -> Iterator[BusWatch]:
-    """The car drives; afterwards the bus log has kept the rules, and nothing has set off again."""
-    log = logged(interface, results)
-    try:
-        chain.driving_car()
-        yield log
-    finally:
-        log.stop()
-
-
 def comes_to_rest(chain: Chain, *states: AsState) -> None:
     """The run ends in one of `states`, the car stands, and all is quiet for a while."""
     state = chain.operator.await_state(
@@ -94,22 +92,6 @@ def comes_to_rest(chain: Chain, *states: AsState) -> None:
     while time.monotonic() < until:
         chain.operator.spin()
     assert chain.state.as_state in states, chain.operator.describe()
-
-
-def rules_kept(wire: BusWatch, *, lost_ns: int | None = None) -> None:
-    """The rules that a log shows. Frames of those who do not belong there are no part of it.
-
-    lost_ns: when the bus was lost.
-    """
-    checker = checker_for(CODEC, busy_machine=True)
-    for frame in wire.frames:
-        if lost_ns is not None and frame.t_ns >= lost_ns:
-            checker.on_bus_lost()
-            lost_ns = None
-        if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER):
-            checker.on_frame(frame)
-    report = checker.report()
-    assert report.ok, report
 
 
 # ---------------------------------------------------------------- processes
@@ -384,10 +366,6 @@ def step_clock(seconds: int) -> None:
 
 def _more(now: dict[str, str], before: dict[str, str], key: str, count: int) -> bool:
     return int(now[key]) >= int(before[key]) + count
-
-
-def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True)
 
 
 @contextmanager
