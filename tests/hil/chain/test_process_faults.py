@@ -29,7 +29,6 @@ from chain.conftest import (
     POWER_UP_S,
     START_S,
     STOP_S,
-    CarRun,
     Chain,
     rules_kept,
 )
@@ -74,11 +73,6 @@ def first_gap(drive: BusWatch, since_ns: int, gap_ns: int) -> int:
 
 def state_after(drive: BusWatch, since_ns: int, state: AsState) -> float:
     return drive.first(VcuStatus, since_ns, lambda status: status.as_state is state)
-
-
-@pytest.fixture
-def car(chain: Chain) -> CarRun:
-    return chain.shared_car()
 
 
 def comes_to_rest(chain: Chain, *states: AsState) -> None:
@@ -216,7 +210,8 @@ def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: 
 
 
 @long
-def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, car: CarRun, drive: BusWatch) -> None:
+def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, drive: BusWatch) -> None:
+    car = chain.shared_car()
     car.vcu.signal(signal.SIGKILL)
     car.vcu.wait(STOP_S)
     chain.operator.await_state(lambda s: s.emergency and s.status_age_s > POWER_CYCLE_S, STOP_S, "the car is missed")
