@@ -1,8 +1,8 @@
 """Fixtures of the hardware-in-the-loop suite: real processes on a real SocketCAN interface.
 
 The suite is run by `fsai-vcu hil`, which provides the interface. Every test ends on a silent bus. A stall
-monitor watches the machine: what fails while it stood still or was too slow is run again, and that is said
-(`fsai_hil.rehearsal.undisturbed`).
+monitor watches the machine: what fails while it stood still is run again, and that is reported
+(`undisturbed.py`).
 """
 
 from __future__ import annotations
@@ -10,25 +10,22 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import shutil
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
-from fsai_hil.rehearsal.stack import Stack, await_condition
+from fsai_hil.rehearsal.bus_watch import BusWatch, listeners
+from fsai_hil.rehearsal.stack import RunningProcess, Stack, await_condition
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
-from fsai_hil.rehearsal.undisturbed import Undisturbed
-from fsai_vcu.diagnostics.log.reader import open_log
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
+from undisturbed import Undisturbed
 
-SILENCE_S = 0.25  # over twenty cycles of whoever sends every 10 ms, and two of the slowest message
-LOG_BUFFER_BYTES = 16 << 20  # ten seconds of a full bus: everything else here goes before the logger
-LOG_DRAINED_S = 0.1
+LISTENS_S = 20.0
+SILENCE_S = 0.25  # over twenty cycles of one who sends every 10 ms, and two of the slowest message
 VERB = (sys.executable, "-m", "fsai_vcu.cli.main")
 FRAMES = (  # one of each kind
     Frame(0x520, bytes.fromhex("21 1E 43 30 20 00 00 00")),
@@ -117,82 +114,46 @@ def listen(interface: str) -> Iterator[Callable[..., CanBus]]:
         bus.close()
 
 
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True)
+
+
 @pytest.fixture
 def other() -> Iterator[str]:
     """An interface of one's own, to be taken down."""
-    subprocess.run(["ip", "link", "add", "dev", "vcan3", "type", "vcan"], check=True)
+    ip("link", "add", "dev", "vcan3", "type", "vcan")
     try:
-        subprocess.run(["ip", "link", "set", "vcan3", "up"], check=True)
+        ip("link", "set", "vcan3", "up")
         yield "vcan3"
     finally:
-        subprocess.run(["ip", "link", "del", "vcan3"], check=True)
+        ip("link", "del", "vcan3")
 
 
-def listeners(interface: str) -> int:
-    """How many filters of all sockets are on the interface, as the kernel counts them."""
-    return sum(path.read_text().split().count(interface) for path in Path("/proc/net/can").glob("rcvlist_*"))
-
-
-class BusLog:
-    """Everything (or these ids `only`) that passes on the bus during a test, by candump."""
-
-    def __init__(self, interface: str, folder: Path, only: Iterable[int] | None = None) -> None:
-        # In memory first: candump writes each line by itself, which a folder outside makes dear.
-        self.path = Path("/tmp") / f"{folder.name}.bus.log"
-        self._kept = folder / "bus.log"
-        self._file = self.path.open("wb")
-        before = listeners(interface)
-        heard = "".join(f",{can_id:X}:7FF" for can_id in only or ())
-        self._candump = subprocess.Popen(
-            ["candump", "-L", "-D", "-r", str(LOG_BUFFER_BYTES), f"{interface}{heard}"],
-            stdout=self._file,
-            stdin=subprocess.DEVNULL,
-        )
-        await_condition(lambda: listeners(interface) > before, 5.0, "candump listens")
-
-    def frames(self) -> list[Frame]:
-        """The frames so far, in order; `t_ns` is the wall clock's."""
-        with open_log(self.path) as log:
-            return [Frame(one.can_id, one.data, one.t_ns) for one in log.frames()]
-
-    def _drain(self) -> None:
-        """Wait until the log has come as far as now, or nothing comes any more."""
-        now_ns, size, grown_s = time.time_ns(), -1, time.monotonic()
-        while time.monotonic() - grown_s < LOG_DRAINED_S:
-            seen = self.path.stat().st_size
-            if seen != size:
-                size, grown_s = seen, time.monotonic()
-                with self.path.open("rb") as log:
-                    log.seek(max(0, seen - 200))
-                    stamps = [float(stamp) for stamp in re.findall(rb"\((\d+\.\d+)\) ", log.read())]
-                if stamps and stamps[-1] * 1e9 >= now_ns:
-                    return
-            time.sleep(0.01)
-
-    def stop(self) -> None:
-        """The file is complete and among the results. Idempotent."""
-        if self._file.closed:
-            return
-        self._drain()
-        self._candump.terminate()
-        self._candump.wait()
-        self._file.close()
-        shutil.move(self.path, self._kept)
-        self.path = self._kept
+def logged(interface: str, folder: Path, only: Iterable[int] = ()) -> BusWatch:
+    """The bus during a test; its log is in the end among the test's results."""
+    return BusWatch(interface, Path("/tmp") / f"{folder.name}.bus.log", folder / "bus.log", only)
 
 
 @pytest.fixture
-def bus_log(interface: str, results: Path, silent_bus: None) -> Iterator[BusLog]:
-    log = BusLog(interface, results)
+def bus_log(interface: str, results: Path, silent_bus: None) -> Iterator[BusWatch]:
+    log = logged(interface, results)
     yield log
     log.stop()
 
 
 @pytest.fixture
-def stack(interface: str, results: Path, bus_log: BusLog) -> Iterator[Stack]:
+def stack(interface: str, results: Path, bus_log: BusWatch) -> Iterator[Stack]:
     """Starts real processes on the bus, which is logged; whatever the test does, they are ended after it."""
     with Stack(interface, results) as running:
         yield running
+
+
+def listening(interface: str, argv: Sequence[str], output: Path) -> RunningProcess:
+    """A command that has begun to listen to the bus; what it prints is in `output`."""
+    before = listeners(interface)
+    process = RunningProcess(argv[0], argv, output, os.environ)
+    await_condition(lambda: listeners(interface) > before, LISTENS_S, f"{argv} listens")
+    return process
 
 
 @pytest.fixture

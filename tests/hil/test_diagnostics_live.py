@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from conftest import FRAMES, VERB, BusLog, listeners
-from fsai_hil.rehearsal.stack import await_condition
+from conftest import FRAMES, VERB, ip, listening
+from fsai_hil.rehearsal.bus_watch import BusWatch
+from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus
 
@@ -19,29 +20,10 @@ WITHIN_S = 20.0
 _STAMP = re.compile(r"\(\d+\.\d+\)")
 
 
-class Shown:
-    """What a command shows of a bus while it runs."""
-
-    def __init__(self, interface: str, argv: Sequence[str], path: Path) -> None:
-        before = listeners(interface)
-        self._ends = "-n" in argv
-        self._path = path
-        self._file = path.open("wb")
-        self.process = subprocess.Popen(argv, stdout=self._file, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        await_condition(lambda: listeners(interface) > before, WITHIN_S, f"{argv[0]} listens")
-
-    def lines(self, count: int) -> list[str]:
-        """The lines, once there are so many."""
-        await_condition(lambda: self._path.read_bytes().count(b"\n") >= count, WITHIN_S, f"{count} lines are shown")
-        return self._path.read_text().splitlines()
-
-    def stop(self) -> int:
-        """Ends it unless it ends by itself; its exit status."""
-        if not self._ends:
-            self.process.terminate()
-        status = self.process.wait(WITHIN_S)
-        self._file.close()
-        return status
+def lines_of(shown: RunningProcess, count: int) -> list[str]:
+    """What it has printed, once there are so many lines."""
+    await_condition(lambda: shown.log().count("\n") >= count, WITHIN_S, f"{count} lines are shown")
+    return shown.log().splitlines()
 
 
 @pytest.mark.parametrize(
@@ -59,13 +41,13 @@ def test_dump_shows_the_lines_of_candump(
     interface: str, listen: Callable[..., CanBus], tmp_path: Path, options: list[str], filters: str
 ) -> None:
     source = interface + filters
-    theirs = Shown(interface, ["candump", *options, source], tmp_path / "candump.txt")
+    theirs = listening(interface, ["candump", *options, source], tmp_path / "candump.txt")
     dump = [*VERB, "dump", "--no-signals", *options, source]
-    ours = Shown(interface, dump, tmp_path / "dump.txt")
+    ours = listening(interface, dump, tmp_path / "dump.txt")
     bus = listen()
     assert all(bus.send(frame) for frame in FRAMES)
     count = 3 if "-n" in options else sum(passes(frame, filters) for frame in FRAMES)
-    shown, expected = ours.lines(count), theirs.lines(count)
+    shown, expected = lines_of(ours, count), lines_of(theirs, count)
     assert [_STAMP.sub("(*)", line) for line in shown] == [_STAMP.sub("(*)", line) for line in expected]
     for ours_s, theirs_s in zip(_STAMP.findall("\n".join(shown)), _STAMP.findall("\n".join(expected)), strict=True):
         assert len(ours_s) == len(theirs_s)
@@ -84,19 +66,19 @@ def passes(frame: Frame, filters: str) -> bool:
 def test_dump_shows_signals_beside_each_frame_and_in_json(
     interface: str, listen: Callable[..., CanBus], tmp_path: Path
 ) -> None:
-    beside = Shown(interface, [*VERB, "dump", "-n", "2", interface], tmp_path / "dump.txt")
-    objects = Shown(interface, [*VERB, "dump", "--json", "-n", "2", interface], tmp_path / "dump.json")
+    beside = listening(interface, [*VERB, "dump", "-n", "2", interface], tmp_path / "dump.txt")
+    objects = listening(interface, [*VERB, "dump", "--json", "-n", "2", interface], tmp_path / "dump.json")
     bus = listen()
     assert all(bus.send(frame) for frame in FRAMES[:2])
-    lines = beside.lines(2)
+    lines = lines_of(beside, 2)
     assert lines[0].startswith(f"  {interface}  520   [8]  21 1E 43 30 20 00 00 00")
     assert "AS_STATE: AS_DRIVING, AMI_STATE: TRACK DRIVE" in lines[0]
-    entries = [json.loads(line) for line in objects.lines(2)]
+    entries = [json.loads(line) for line in lines_of(objects, 2)]
     assert [(entry["message"], entry["signals"]["HANDSHAKE"]) for entry in entries] == [
         ("VCU2AI_Status", 1),
         ("AI2VCU_Status", 1),
     ]
-    assert beside.process.wait(WITHIN_S) == objects.process.wait(WITHIN_S) == 0
+    assert beside.wait(WITHIN_S) == objects.wait(WITHIN_S) == 0
     beside.stop()
     objects.stop()
 
@@ -104,19 +86,18 @@ def test_dump_shows_signals_beside_each_frame_and_in_json(
 def test_stats_of_a_live_bus_are_those_of_its_log(
     interface: str,
     listen: Callable[..., CanBus],
-    bus_log: BusLog,
+    bus_log: BusWatch,
     tmp_path: Path,
     verb: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
     argv = [*VERB, "stats", "--json", interface]
-    live = Shown(interface, argv, tmp_path / "stats.json")
+    live = listening(interface, argv, tmp_path / "stats.json")
     bus = listen()
     assert all(bus.send(frame) for frame in FRAMES)
     await_condition(
         lambda: bus_log.path.read_bytes().count(b"\n") == len(FRAMES), WITHIN_S, "candump wrote every frame"
     )
-    live.process.terminate()
-    live.process.wait(WITHIN_S)
+    live.stop()
     ours = [json.loads(line) for line in (tmp_path / "stats.json").read_text().splitlines()]
     logged = [json.loads(line) for line in verb("stats", "--json", str(bus_log.path)).stdout.splitlines()]
     kept = ("id", "extended", "message", "count", "wrong_lengths", "bits", "remote")
@@ -124,15 +105,14 @@ def test_stats_of_a_live_bus_are_those_of_its_log(
         tuple(e[k] for k in kept) for e in logged if e["type"] == "message"
     ]
     assert len([e for e in ours if e["type"] == "message"]) == len(FRAMES)
-    live.stop()
 
 
 @pytest.mark.parametrize("words", ["dump", "monitor --plain --every 0.1"])
 def test_a_bus_that_goes_away_ends_the_listening_with_one_line(words: str, other: str, tmp_path: Path) -> None:
     verb, *options = words.split()
-    ours = Shown(other, [*VERB, verb, other, *options], tmp_path / "shown.txt")
-    subprocess.run(["ip", "link", "set", other, "down"], check=True)
-    assert ours.process.wait(WITHIN_S) == 1
-    assert ours.process.stderr is not None
-    said = ours.process.stderr.read().decode()
-    assert said.startswith(f"fsai-vcu {verb}: {other}: ") and said.count("\n") == 1
+    ours = listening(other, [*VERB, verb, other, *options], tmp_path / "shown.txt")
+    ip("link", "set", other, "down")
+    assert ours.wait(WITHIN_S) == 1
+    *shown, error = ours.log().splitlines()
+    assert error.startswith(f"fsai-vcu {verb}: {other}: ")
+    assert not any(line.startswith(("fsai-vcu ", "Traceback")) for line in shown) and (shown == [] or verb == "monitor")

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import signal
-import subprocess
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from conftest import FRAMES, VERB, BusLog, listeners
-from fsai_hil.rehearsal.stack import await_condition
+from conftest import FRAMES, VERB, ip, listening
+from fsai_hil.rehearsal.bus_watch import BusWatch
+from fsai_hil.rehearsal.stack import RunningProcess, await_condition
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import CanBus, open_bus
 
@@ -18,26 +16,9 @@ WITHIN_S = 20.0
 _STAMP = re.compile(r"\(\d+\.\d+\) ")
 
 
-class Recorder:
-    """`fsai-vcu record`, listening; `said` is what it has printed."""
-
-    def __init__(self, interface: str, output: Path, *options: str) -> None:
-        before = listeners(interface)
-        argv = [*VERB, "record", "-i", interface, "-o", str(output), *options]
-        self._errors = Path(tempfile.mkdtemp()) / "stderr"
-        with self._errors.open("wb") as errors:
-            self.process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stderr=errors)
-        await_condition(lambda: listeners(interface) > before, WITHIN_S, "the recorder listens")
-
-    def said(self) -> str:
-        return self._errors.read_text()
-
-    def await_words(self, words: str) -> None:
-        await_condition(lambda: words in self.said(), WITHIN_S, f"the recorder says '{words}'")
-
-    def stop(self) -> int:
-        self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(WITHIN_S)
+def recorder_of(interface: str, output: Path, errors: Path) -> RunningProcess:
+    """`fsai-vcu record`, listening."""
+    return listening(interface, [*VERB, "record", "-i", interface, "-o", str(output)], errors)
 
 
 def lines(*logs: Path) -> list[str]:
@@ -46,10 +27,10 @@ def lines(*logs: Path) -> list[str]:
 
 
 def test_a_recording_has_the_lines_of_candump(
-    interface: str, listen: Callable[..., CanBus], bus_log: BusLog, tmp_path: Path
+    interface: str, listen: Callable[..., CanBus], bus_log: BusWatch, tmp_path: Path
 ) -> None:
     log = tmp_path / "run.log"
-    recorder = Recorder(interface, log)
+    recorder = recorder_of(interface, log, tmp_path / "printed")
     bus = listen()
     assert all(bus.send(frame) for frame in FRAMES)
     await_condition(lambda: log.exists() and len(lines(log)) == len(FRAMES), WITHIN_S, "every frame is on the disk")
@@ -61,18 +42,18 @@ def test_a_recording_has_the_lines_of_candump(
 
 def test_a_recording_outlives_an_interface_that_goes_down(other: str, tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    recorder = Recorder(other, folder)
+    recorder = recorder_of(other, folder, tmp_path / "printed")
     with open_bus(other) as bus:
         assert bus.send(Frame(0x520, b"\x01"))
     log = folder / f"{other}-000001.log"
     await_condition(lambda: log.exists() and log.stat().st_size > 0, WITHIN_S, "the first frame is on the disk")
-    subprocess.run(["ip", "link", "set", other, "down"], check=True)
-    recorder.await_words("waiting for it to come back")
-    subprocess.run(["ip", "link", "set", other, "up"], check=True)
-    recorder.await_words(f"{other} is back after")
+    ip("link", "set", other, "down")
+    recorder.await_log("waiting for it to come back", WITHIN_S)
+    ip("link", "set", other, "up")
+    recorder.await_log(f"{other} is back after", WITHIN_S)
     with open_bus(other) as bus:
         assert bus.send(Frame(0x520, b"\x02"))
     await_condition(lambda: len(lines(log)) == 2, WITHIN_S, "the second frame is on the disk")
     assert recorder.stop() == 0
     assert lines(log) == [f"{other} 520#01", f"{other} 520#02"]
-    assert recorder.said().count("\n") == 3
+    assert recorder.log().count("\n") == 3

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from conftest import BusLog
+from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import await_condition
 
 WITHIN_S = 20.0
@@ -45,7 +45,7 @@ def bench(tmp_path: Path) -> str:
     ],
 )
 def test_send_and_cansend_of_its_dry_run_send_the_same_frame(
-    argv: tuple[str, ...], frame: str, interface: str, bench: str, bus_log: BusLog, verb: Run
+    argv: tuple[str, ...], frame: str, interface: str, bench: str, bus_log: BusWatch, verb: Run
 ) -> None:
     dry = verb("send", *argv, "--dbc", bench, "--dry-run")
     assert (dry.returncode, dry.stdout) == (0, f"{frame}\n"), dry.stderr
@@ -53,6 +53,6 @@ def test_send_and_cansend_of_its_dry_run_send_the_same_frame(
     done = verb("send", *argv, "--dbc", bench, "-i", interface, "--count", "3", "--period", "20")
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines()[-1] == f"3 frames sent on {interface}"
-    await_condition(lambda: len(bus_log.frames()) == 4, WITHIN_S, "candump wrote every frame")
-    assert len({str(each) for each in bus_log.frames()}) == 1
+    await_condition(lambda: len(bus_log.frames) == 4, WITHIN_S, "candump wrote every frame")
+    assert len({str(each) for each in bus_log.frames}) == 1
     assert bus_log.path.read_text().split()[2] == frame

@@ -9,15 +9,12 @@ from collections.abc import Callable
 
 import pytest
 
+from conftest import ip
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 
 WITHIN_S = 5.0
 CLOCK_GETTIME = 228  # the system call, on x86-64
-
-
-def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True)
 
 
 def cansend(interface: str, frame: str) -> None:
@@ -28,16 +25,16 @@ def test_ones_own_frames_do_not_come_back(listen: Callable[..., CanBus]) -> None
     bus, other = listen(), listen()
     bus.send(Frame(0x510, b"\x01"))
     other.send(Frame(0x520, b"\x02"))
-    heard = bus.recv(WITHIN_S)
-    assert heard is not None and heard.can_id == 0x520
+    received = bus.recv(WITHIN_S)
+    assert received is not None and received.can_id == 0x520
 
 
 def test_the_kernel_keeps_other_ids_from_a_bus_opened_for_some(interface: str, listen: Callable[..., CanBus]) -> None:
     bus = listen(receive={0x520, 0x521})
     for text in ("300#00", "510#00", "00000520#00", "521#07"):
         cansend(interface, text)
-    heard = bus.recv(WITHIN_S)
-    assert heard is not None and (heard.can_id, heard.extended) == (0x521, False)
+    received = bus.recv(WITHIN_S)
+    assert received is not None and (received.can_id, received.extended) == (0x521, False)
 
 
 def test_an_absent_interface_gets_one_line_with_those_there_are(interface: str) -> None:

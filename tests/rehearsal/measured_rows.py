@@ -60,7 +60,7 @@ def measured(*rows: dict[str, Any], **changes: Any) -> dict[str, Any]:
     }
 
 
-def told(*rows: dict[str, Any], **changes: Any) -> dict[str, Any]:
+def reported(*rows: dict[str, Any], **changes: Any) -> dict[str, Any]:
     """What the report is made of."""
     whole = measured(*rows)
     surroundings = {

@@ -47,12 +47,12 @@ def test_a_bridge_slower_than_1_s_to_its_first_frame_fails(
     assert main(["--quick", "-o", str(tmp_path)]) == 0, "in a hurry nothing is judged"
     capsys.readouterr()
     assert main(["-o", str(tmp_path)]) == 1
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     assert (
-        said.err
+        printed.err
         == "fsai_hil.rehearsal.bench: start bridge node: 1.04 s of processor time to its first frame, more than 1 s\n"
     )
-    assert (tmp_path / "bench.json").exists() and NODE_START_WALL in said.out
+    assert (tmp_path / "bench.json").exists() and NODE_START_WALL in printed.out
 
 
 def test_a_bridge_that_ends_without_a_frame_has_its_error_shown(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from measured_rows import measured, row, told
+from measured_rows import measured, reported, row
 
 from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary, verdict
 from fsai_hil.rules.response import ResponseTimes
@@ -44,7 +44,7 @@ def test_a_condition_that_did_not_go_well_fails_with_its_reason(changes: dict[st
 
 def test_an_unmeasured_condition_is_no_pass_and_spoils_no_other() -> None:
     why = "the car does not come as far as AS_DRIVING"
-    whole = told(row("idle"), not_measured={"driving": why, "driving-busy": why})
+    whole = reported(row("idle"), not_measured={"driving": why, "driving-busy": why})
     assert failures(whole) == [] and not_measured(whole) == [f"driving, driving-busy ({why})"]
     assert verdict(whole).startswith("INCOMPLETE. ") and verdict(whole).endswith(f"driving, driving-busy ({why}).")
     assert "| idle | 2000 |" in markdown(whole)
@@ -59,7 +59,7 @@ def test_a_condition_that_ended_early_is_no_pass() -> None:
 
 
 def test_a_car_braked_to_rest_is_measured_on_and_it_is_said() -> None:
-    whole = told(row("driving-busy", stood="drove 6 s, then stood: the command is stale"))
+    whole = reported(row("driving-busy", stood="drove 6 s, then stood: the command is stale"))
     assert verdict(whole).startswith("PASS") and not_measured(whole) == []
     assert "(drove 6 s, then stood: the command is stale)" in markdown(whole)
 
@@ -100,7 +100,7 @@ def test_a_stalled_machine_is_named_and_excuses_no_failure() -> None:
 
 
 def test_each_condition_is_a_row_with_every_required_figure() -> None:
-    text = markdown(told(row("idle", [MS] * 990 + [11 * MS] * 10), row("driving-loaded", [2 * MS])))
+    text = markdown(reported(row("idle", [MS] * 990 + [11 * MS] * 10), row("driving-loaded", [2 * MS])))
     assert "| idle | 1000 | 1.00 | 1.00 | 11.00 | 11.00 | 1.00 % | 200.00 | 200.00 | 200.00 | 100.00 % |" in text
     assert "| driving-loaded | 1 | 2.00 | 2.00 | 2.00 | 2.00 | 0.00 % | 200.00 |" in text
     assert "| idle | 1000 | 0.50 | 0.50 | 0.50 | 0.50 | 0.00 % | 200.00 |" in text
@@ -110,13 +110,13 @@ def test_each_condition_is_a_row_with_every_required_figure() -> None:
 
 
 def test_what_falsifies_or_flatters_a_figure_is_said() -> None:
-    plain = markdown(told())
+    plain = markdown(reported())
     assert "every rule kept" in plain and "User-Mode Linux" not in plain and "held up" not in plain
     assert "misses frames" not in plain and "Between the measurements" not in plain
-    gaps = markdown(told(row("idle"), row("driving", rules_broken=["1.000 s: rule 9"], log_complete=False)))
+    gaps = markdown(reported(row("idle"), row("driving", rules_broken=["1.000 s: rule 9"], log_complete=False)))
     assert "misses frames in driving" in gaps and "rule 9" not in gaps
     text = markdown(
-        told(
+        reported(
             row(held_up_ms=75.0, machine_stalls_ms=[22.0], rules_broken=["1.000 s: rule 9: handshake 1"]),
             place="uml",
             decimation={"gps": 20, "log": 10},

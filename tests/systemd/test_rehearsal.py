@@ -3,39 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from fsai_hil.rehearsal.bus_watch import CODEC, Wire, standing
 from fsai_hil.rehearsal.carpc import __main__ as rehearsal
-from fsai_hil.rehearsal.carpc import probe, scenes, wifi
-from fsai_hil.rehearsal.carpc.bus_watch import CODEC, Seen, car_was_deaf, longest_gap_s, rest_s, standing, torque_ends_s
-from fsai_hil.rehearsal.stall_monitor import RUNS, STALL, Disturbance
-from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.messages import (
-    AiBrake,
-    AiDriveFront,
-    AiDriveRear,
-    AiStatus,
-    AiSteer,
-    Faults,
-    VcuStatus,
-    WheelSpeeds,
-)
+from fsai_hil.rehearsal.carpc import probe, scenes
+from fsai_hil.rehearsal.stall_monitor import RUNS
+from fsai_vcu.interface.messages import AiDriveFront, AiDriveRear, AiImage, AiStatus, WheelSpeeds
 from fsai_vcu.interface.units import MS
 
 
 class Remembers:
-    """A stall monitor to a machine of which each run of a scene was disturbed or not, as told."""
+    """A stall monitor to a machine of which each run of a scene was disturbed or not, as given."""
 
     def __init__(self, *disturbed: bool) -> None:
         self._disturbed = list(disturbed)
 
-    def disturbances(self, since_ns: int) -> list[Disturbance]:
-        return [Disturbance(STALL, since_ns, since_ns + 80 * MS)] if self._disturbed.pop(0) else []
+    def disturbed(self, since_ns: int) -> str:
+        return "stood still for 80 ms" if self._disturbed.pop(0) else ""
 
 
 def rehearsed(*disturbed: bool) -> scenes.Rehearsal:
@@ -88,26 +79,27 @@ def test_after_the_reboot_the_report_goes_on_where_it_was(report: scenes.Rehears
     assert [step["what"] for step in again.steps] == ["before", "after"]
 
 
+def wire(*images: tuple[int, AiImage | WheelSpeeds]) -> Wire:
+    """Of these messages, and when each was on the bus in ms."""
+    return Wire(replace(CODEC.encode(image), t_ns=t_ms * MS) for t_ms, image in images)
+
+
 def test_the_last_frame_with_torque_on_either_axle_is_measured() -> None:
-    seen = [
-        Seen(100 * MS, AiDriveFront(torque_nm=5.0)),
-        Seen(120 * MS, AiDriveRear(torque_nm=5.0)),
-        Seen(130 * MS, AiDriveRear()),
-    ]
-    assert torque_ends_s(seen, 100 * MS) == pytest.approx(0.02)
-    assert torque_ends_s(seen[2:], 100 * MS) == 0.0
+    seen = wire((100, AiDriveFront(torque_nm=5.0)), (120, AiDriveRear(torque_nm=5.0)), (130, AiDriveRear()))
+    assert seen.torque_ends(100 * MS) == 20 * MS
+    assert seen.torque_ends(121 * MS) == 0
 
 
 def test_a_car_of_which_one_wheel_turns_does_not_stand() -> None:
     assert standing(WheelSpeeds(rr_rpm=9))
     assert not standing(WheelSpeeds(rr_rpm=10))
-    assert rest_s([], 0) is None
-    assert rest_s([Seen(5 * MS, WheelSpeeds(rr_rpm=10)), Seen(9 * MS, WheelSpeeds())], 0) == 0.005
+    assert wire().rests_after(0) == wire((5, WheelSpeeds(rr_rpm=10))).rests_after(0) == math.inf
+    assert wire((5, WheelSpeeds(rr_rpm=10)), (9, WheelSpeeds())).rests_after(0) == 5 * MS
 
 
 def test_the_longest_pause_is_of_the_ai_computers_frames() -> None:
-    seen = [Seen(0, AiStatus()), Seen(10 * MS, WheelSpeeds()), Seen(30 * MS, AiStatus()), Seen(40 * MS, AiStatus())]
-    assert longest_gap_s(seen) == pytest.approx(0.03)
+    seen = wire((0, AiStatus()), (10, WheelSpeeds()), (30, AiStatus()), (40, AiStatus()))
+    assert seen.longest_gap(0) == 30 * MS
 
 
 def test_a_bus_log_that_breaks_a_rule_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -162,24 +154,6 @@ def test_a_rehearsal_of_which_nothing_counts_is_not_well() -> None:
     assert not rehearsal.all_well([{"passed": True, "counts": False}])
 
 
-def test_a_listener_beyond_the_loopback_is_named() -> None:
-    listing = """udp   UNCONN 0 0        127.0.0.1:7410  0.0.0.0:* users:(("python",pid=9,fd=4))
-udp   UNCONN 0 0       127.0.0.53%lo:53  0.0.0.0:*
-tcp   LISTEN 0 128         [::1]:631      [::]:*
-udp   UNCONN 0 0          0.0.0.0:7400  0.0.0.0:* users:(("python",pid=7,fd=3))
-udp   UNCONN 0 0      239.255.0.1:7400  0.0.0.0:*
-tcp   LISTEN 0 128             *:8080         *:*
-tcp   LISTEN 0 128         [::]:22        [::]:*
-"""
-    assert wifi.listeners_in(listing) == [
-        'udp 0.0.0.0:7400 users:(("python",pid=7,fd=3))',
-        "udp 239.255.0.1:7400",
-        "tcp *:8080",
-        "tcp [::]:22",
-    ]
-    assert wifi.listeners_in("") == []
-
-
 def test_the_probe_has_the_bridges_restrictions_but_no_restart(machine: Path) -> None:
     units = machine / "usr/lib/systemd/system"
     shutil.copy(units / "fsai-bridge@.service", units / "fsai-probe@.service")
@@ -199,46 +173,4 @@ def test_the_probe_distinguishes_refused_from_allowed(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "it leaves nothing behind"
     assert probe.ended(probe.writing_to(tmp_path / "absent")) == "ENOENT"
     assert probe.ended((tmp_path / "absent").read_bytes) == "ENOENT"
-    assert probe.ended(lambda: probe.hear(0, 0.01)) == "timed out"
-
-
-def bus_of(silent_ms: int = 0, *, echoes: bool = True, lost: bool = True) -> list[Frame]:
-    """Half a second of the bus, at whose end the VCU says AI_COMMS_LOST; the AI computer falls silent before it."""
-    frames = []
-    for cycle in range(50):
-        t_ns, bit = cycle * 10 * MS, bool(cycle // 2 % 2)
-        over = lost and cycle == 49
-        state = AsState.EMERGENCY_BRAKE if over else AsState.AS_DRIVING
-        images: list[object] = [VcuStatus(as_state=state, handshake=bit, faults=Faults(ai_comms_lost=over))]
-        if cycle * 10 < 490 - silent_ms:
-            images += [AiStatus(handshake=bit is echoes), AiDriveFront(), AiDriveRear(), AiSteer(), AiBrake()]
-        for number, image in enumerate(images):
-            frame = CODEC.encode(image)  # type: ignore[arg-type]
-            frames.append(Frame(frame.can_id, frame.data, t_ns + number * MS // 10))
-    return frames
-
-
-def test_a_deaf_vcu_is_no_silent_ai_computer() -> None:
-    assert car_was_deaf(bus_of())
-    assert not car_was_deaf(bus_of(silent_ms=100))
-    assert not car_was_deaf(bus_of(silent_ms=60))
-    assert not car_was_deaf(bus_of(echoes=False))
-    assert not car_was_deaf(bus_of(lost=False))
-    assert not car_was_deaf([])
-
-
-@pytest.mark.usefixtures("report")
-def test_a_drive_with_a_deaf_simulated_vcu_is_driven_again() -> None:
-    rehearsal_of_it = rehearsed(False, False)
-    scene = Scene(rehearsal_of_it, failures=1)
-
-    class Watched:
-        frames = bus_of()
-
-    def play() -> None:
-        rehearsal_of_it.watched = Watched()  # type: ignore[assignment]
-        scene()
-
-    rehearsal_of_it.scene("a drive", play)
-    assert scene.runs == 2 and rehearsal.all_well(rehearsal_of_it.steps)
-    assert any("did not take in what was on the bus" in str(step["what"]) for step in rehearsal_of_it.steps)
+    assert probe.ended(lambda: probe.receive_on(0, 0.01)) == "timed out"

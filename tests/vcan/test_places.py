@@ -13,7 +13,7 @@ from typing import Literal
 import pytest
 
 from fsai_hil.vcan import VcanError, choose_place, native, run_in_uml, uml
-from fsai_hil.vcan.network import TIMED_OUT
+from fsai_hil.vcan.native import TIMED_OUT
 
 CHECKOUT = Path(__file__).parents[2]
 ENVIRONMENT = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "SAID": 'it\'s "quoted" $HOME'}
@@ -128,7 +128,7 @@ def test_a_command_too_long_in_uml_is_ended_and_its_files_kept(
 
 
 def test_two_at_once_take_different_processors(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uml, "_by_idleness", lambda: [900_003, 900_001])
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {900_001, 900_003})
     with uml.processor_of_its_own() as first, uml.processor_of_its_own() as second, uml.processor_of_its_own() as third:
         assert (first, second, third) == (900_003, 900_001, 900_003)
     with uml.processor_of_its_own() as again:
@@ -228,31 +228,3 @@ def test_the_kernels_own_vcan_is_preferred(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("fsai_hil.vcan.native_vcan_available", lambda: True)
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     assert choose_place().name == "native"
-
-
-@pytest.mark.parametrize("suffix", ["", ".xz", ".zst"])
-@pytest.mark.parametrize("separator", ["-", "_"])
-def test_modules_are_loaded_after_those_they_need(tmp_path: Path, suffix: str, separator: str) -> None:
-    can, device, vcan = f"net/can/can.ko{suffix}", f"dev/can{separator}dev.ko{suffix}", f"net/vcan.ko{suffix}"
-    for name in (can, device, vcan):
-        path = tmp_path / "kernel" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    (tmp_path / "modules.dep").write_text(
-        f"kernel/{vcan}: kernel/{device}\nkernel/{device}:\nkernel/{can}:\n", encoding="ascii"
-    )
-    files = [path.relative_to(tmp_path / "kernel").as_posix() for path in uml.module_files(tmp_path, ("can", "vcan"))]
-    assert files == [can, device, vcan]
-
-
-def test_a_module_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(VcanError, match="no module vcan"):
-        uml.module_files(tmp_path, ("vcan",))
-
-
-def test_modules_of_another_version_than_the_kernel_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "6.1.1" / "kernel").mkdir(parents=True)
-    (tmp_path / "6.1.1" / "kernel" / "vcan.ko").touch()
-    with pytest.raises(VcanError, match=r"is 6\.2\.0 but its modules are for 6\.1\.1"):
-        uml.modules_of("6.2.0", roots=(tmp_path,))
-    assert uml.modules_of("6.1.1", roots=(tmp_path,)) == tmp_path / "6.1.1"

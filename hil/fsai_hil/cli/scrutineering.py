@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             "slow_place": place.has_pace,
         }
         status = place.run(
-            [sys.executable, "-m", "fsai_hil.rehearsal.scrutineering", json.dumps(plan)],
+            [sys.executable, "-m", "fsai_hil.rehearsal.scrutineering.measurement", json.dumps(plan)],
             cwd=CHECKOUT,
             env=environment(os.environ, INTERFACE, place.name, out),
             timeout_s=pace * (_SLACK_S + len(conditions) * (2 * seconds + _PER_CONDITION_S)),

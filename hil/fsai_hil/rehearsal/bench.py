@@ -26,10 +26,11 @@ from timeit import timeit
 from typing import Any, NamedTuple
 
 import can
+import numpy as np
+from cantools.database.can import Database
 
 from fsai_hil import CHECKOUT
-from fsai_hil.rehearsal.bench_logs import KINDS, cantools_database, logs_us
-from fsai_hil.rehearsal.carpc.recovery_times import START_TO_FIRST_FRAME_S
+from fsai_hil.rehearsal.carpc.scenes import START_TO_FIRST_FRAME_S
 from fsai_hil.rehearsal.scrutineering.machine import facts, machine
 from fsai_hil.rehearsal.stack import RunningProcess
 from fsai_hil.simulator.lockstep import Lockstep
@@ -37,7 +38,13 @@ from fsai_hil.simulator.world import World, WorldSetup, mission_named
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.log.candump import log_lines
+from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.reader import open_log, read_log
 from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.database import dbc_dir
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import AiCommand, VcuStatus
@@ -54,7 +61,10 @@ MISSIONS = ("acceleration", "skidpad", "autocross", "trackdrive")
 TRACKDRIVE_LAPS = 1
 NODE_START = "start bridge node"
 NODE_START_WALL = f"{NODE_START}, wall"
-NODE_START_S = 1.0  # what is said of a normal machine where the car PC is rehearsed (carpc/recovery_times.py)
+NODE_START_S = 1.0  # of a normal machine, as carpc/scenes.py has it
+_PEER_FRAMES = 50_000  # cantools takes a second for so many
+_FRAME_NS = 700_000  # of a full bus
+_AT_ONCE = 200_000
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
 Row = dict[str, Any]
 COMMAND = AiCommand(
@@ -107,6 +117,14 @@ def alternately(
 
 
 # ---------------------------------------------------------------- codec
+
+
+def cantools_database() -> Database:
+    """The revision's files, as anybody would load them."""
+    database = Database()
+    for name in revision(REVISION).dbc_files:
+        database.add_dbc_file(str(dbc_dir() / name))
+    return database
 
 
 def car_frames() -> list[Frame]:
@@ -193,13 +211,111 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
     return row("answer a 0x520", "us/cycle", times[0], "cantools + python-can", times[1])
 
 
+# ---------------------------------------------------------------- logs
+
+
 def bench_logs(effort: Effort) -> list[Row]:
-    """Logs by the command line; of a short log the start of the process is most of it."""
-    kinds = KINDS if effort is FULL else KINDS[:1]
+    """Logs read to text beside cantools' own command line, to values, to tables, and to a verdict.
+
+    One with random payloads of every message, and one as it is recorded: a drive, again and again. Wall time, for
+    `decode` works on all processors; each command with its start, which of a short log is most of it.
+    """
+    rows = []
+    for kind, made in (("random", random_frames), ("recorded", recorded_frames))[: 2 if effort is FULL else 1]:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            rows += bench_log(kind, made(effort.log_frames, folder), folder, effort.log_rounds)
+    return rows
+
+
+def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]:
+    log, part, dbc = folder / "whole.log", folder / "part.log", folder / "car.dbc"
+    few = frames.head(_PEER_FRAMES)
+    _write(frames, log)
+    _write(few, part)
+    dbc.write_text(cantools_database().as_dbc_string(), encoding="cp1252")  # cantools' command line takes one file
+    assert _decoded(part) == _decoded_by_cantools(part, dbc), f"{kind}: cantools prints other lines"
+    works: dict[str, tuple[Callable[[], object], Frames]] = {
+        "cantools": (lambda: _decoded_by_cantools(part, dbc), few),
+        "decode": (lambda: _decoded(log, None), frames),
+        "values": (lambda: _values(log), frames),
+        "parquet": (lambda: _exported("parquet", log, folder), frames),
+        "mcap": (lambda: _exported("mcap", log, folder), frames),
+        "check": (lambda: _fsai_vcu("check", log), frames),
+    }
+    rounds_us = [[timeit(work, number=1) * 1e6 / len(read) for work, read in works.values()] for _ in range(rounds)]
+    peer, *ours = zip(*rounds_us, strict=True)
+    peers = {"decode": ("cantools decode", peer)}
     return [
-        row(f"{name}, wall", "us/frame", ours, "cantools decode" if peer else "", peer)
-        for name, ours, peer in logs_us(kinds, effort.log_frames, effort.log_rounds)
+        row(f"{what} {kind}, wall", "us/frame", times, *peers.get(what, ()))
+        for what, times in zip(list(works)[1:], ours, strict=True)
     ]
+
+
+def random_frames(count: int, _: Path) -> Frames:
+    """Payloads at random of every message of the revision."""
+    chance = np.random.default_rng(1)
+    layouts = list(load_databases(revision=REVISION).layouts.values())
+    which = chance.integers(0, len(layouts), count)
+    length = np.array([layout.length for layout in layouts], np.uint8)[which]
+    word = chance.integers(0, 1 << 64, count, dtype=np.uint64)
+    return Frames(
+        1_700_000_000_000_000_000 + np.arange(count) * _FRAME_NS,
+        np.array([layout.can_id for layout in layouts], np.uint32)[which],
+        np.zeros(count, np.uint8),
+        length,
+        word & np.array([(1 << 8 * layout.length) - 1 for layout in layouts], np.uint64)[which],
+        np.zeros(count, np.int32),
+        ["can0"],
+    )
+
+
+def recorded_frames(count: int, folder: Path) -> Frames:
+    """Those of a drive, repeated."""
+    log = folder / "drive.log"
+    _fsai_vcu("drive", "--mission", "acceleration", "--log", log)
+    frames = read_log(log)[0]
+    lasts_ns = int(frames.t_ns[-1] - frames.t_ns[0]) + _FRAME_NS
+    repeated = [frames.at(frames.t_ns + number * lasts_ns) for number in range(-(-count // len(frames)))]
+    return joined(repeated).head(count)
+
+
+def _write(frames: Frames, path: Path) -> None:
+    with path.open("wb") as file:
+        for begin in range(0, len(frames), _AT_ONCE):
+            rows = np.arange(begin, min(begin + _AT_ONCE, len(frames)), dtype=np.int64)
+            file.write(b"\n".join([*log_lines(frames.only(rows)), b""]))
+
+
+def _decoded(log: Path, out: int | None = subprocess.PIPE) -> bytes:
+    return _fsai_vcu("decode", log, "--revision", REVISION, out=out)
+
+
+def _decoded_by_cantools(log: Path, dbc: Path) -> bytes:
+    with log.open("rb") as source:
+        command = [sys.executable, "-m", "cantools", "decode", "--single-line", str(dbc)]
+        return subprocess.run(command, stdin=source, stdout=subprocess.PIPE, check=True).stdout
+
+
+def _fsai_vcu(*argv: str | Path, out: int | None = None) -> bytes:
+    """Its output if it is asked for; a verdict on the log is no failure."""
+    command = [sys.executable, "-m", "fsai_vcu.cli.main", *map(str, argv)]
+    done = subprocess.run(command, stdout=out or subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    assert done.returncode in (0, 1), f"{' '.join(command)}: status {done.returncode}"
+    return done.stdout or b""
+
+
+def _exported(kind: str, log: Path, folder: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=folder) as out:
+        _fsai_vcu("export", log, "--to", kind, "-o", f"{out}/tables")
+
+
+def _values(log: Path) -> None:
+    """Every signal as a column, in windows."""
+    decoder = Decoder(load_databases(revision=REVISION))
+    with open_log(log) as opened:
+        for frames in opened.chunks():
+            decoder.tables(frames)
 
 
 # ---------------------------------------------------------------- lockstep

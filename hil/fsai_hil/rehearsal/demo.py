@@ -19,7 +19,7 @@ from typing import Any
 
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, Stack, StackError
-from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
 from fsai_hil.simulator.world import World
@@ -67,21 +67,18 @@ def main() -> int:
 def rehearse(run: Callable[[], int]) -> int:
     """The exit status of `run`; it is run once more if it failed on a disturbed machine."""
     with tempfile.TemporaryDirectory(prefix="fsai-demo-") as folder, StallMonitor(Path(folder) / "stalls") as monitor:
-        for again in (True, False):
+        for last in (False, True):
             since_ns = time.monotonic_ns()
             try:
                 status = run()
             except StackError as error:
                 print(f"demo: {error}", file=sys.stderr)
                 status = 1
-            disturbances = monitor.disturbances(since_ns) if status else []
-            if not disturbances:
+            what = monitor.disturbed(since_ns) if status else ""
+            if not what:
                 break
-            what = f"this machine {describe(disturbances)} meanwhile, and the car and its bridge with it"
-            _say(
-                f"\n{what}"
-                + (": that run shows nothing, once more" if again else ", this time too: no run was undisturbed")
-            )
+            then = "this time too: no run was undisturbed" if last else "that run shows nothing, once more"
+            _say(f"\nthis machine {what} meanwhile, and the car and its bridge with it: {then}")
         return status
 
 
@@ -132,10 +129,12 @@ def drive(args: argparse.Namespace) -> int:
         finally:
             operator.close()
         status = vcu.wait(VERDICT_TIMEOUT_S)
-    if not verdict.exists():
-        raise StackError(f"the simulated car left no verdict; see {args.out / 'vcu.log'}")
+    try:
+        judged = json.loads(verdict.read_text())
+    except (OSError, ValueError) as error:
+        raise StackError(f"the simulated car left no verdict; see {args.out / 'vcu.log'}") from error
     wire = check_candump(log, Codec(revision(args.revision)), busy_machine=True)
-    _report(json.loads(verdict.read_text()), wire)
+    _report(judged, wire)
     print(f"saved      {log}, {plot}, {verdict}")
     return 0 if status == 0 and wire.ok else 1
 

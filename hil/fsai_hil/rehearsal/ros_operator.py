@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from fsai_hil.rehearsal.stack import Stack, StackError
+from fsai_hil.rehearsal.stack import Stack, StackError, holds_within
 from fsai_vcu.runtime.transport import LOOPBACK, VARIABLES
 
 ANSWER_TIMEOUT_S = 20.0
@@ -67,13 +67,14 @@ class RosOperator:
 
     def await_that(self, condition: Callable[[], bool], timeout_s: float, what: str, *alive: str) -> None:
         """Listen until `condition` holds. Raises StackError when it does not in time, or one of `alive` has ended."""
-        until = time.monotonic() + timeout_s
-        while not condition():
+
+        def turn() -> None:
             if alive:
                 self._stack.check_alive(*alive)
-            if time.monotonic() > until:
-                raise StackError(f"waited {timeout_s:g} s in vain: {what}; {self.describe()}")
             self.spin()
+
+        if not holds_within(condition, timeout_s, turn):
+            raise StackError(f"waited {timeout_s:g} s in vain: {what}; {self.describe()}")
 
     def await_bridge(self, timeout_s: float) -> None:
         """Until the bridge offers its services and its action."""
@@ -116,22 +117,20 @@ class RosOperator:
 
         `refused` gets each new reason for which it does not. Raises StackError when one of `alive` has ended.
         """
-        until = time.monotonic() + timeout_s
-        reason = ""
-        while True:
-            if alive:
-                self._stack.check_alive(*alive)
-            accepted, message = self.set_mode("autonomous")
-            if accepted:
-                return message
-            if message != reason and refused is not None:
-                refused(message)
+        message = ""
+
+        def accepted() -> bool:
+            nonlocal message
+            if message:  # it has been refused
+                holds_within(lambda: False, ASK_PAUSE_S, self.spin)
             reason = message
-            if time.monotonic() > until:
-                raise StackError(f"autonomous was not accepted for {timeout_s:g} s: {message}; {self.describe()}")
-            pause = time.monotonic() + ASK_PAUSE_S
-            while time.monotonic() < pause:
-                self.spin()
+            accepted, message = self.set_mode("autonomous")
+            if not accepted and message != reason and refused is not None:
+                refused(message)
+            return accepted
+
+        self.await_that(accepted, timeout_s, "autonomous is accepted", *alive)
+        return message
 
     def trigger(self, service: str) -> tuple[bool, str]:
         """Call /emergency_brake or /reset."""
@@ -145,10 +144,7 @@ class RosOperator:
         until = time.monotonic() + ANSWER_TIMEOUT_S
         while True:
             future = client.call_async(request)
-            again = time.monotonic() + ASK_AGAIN_S
-            while not future.done() and time.monotonic() < again:
-                self.spin()
-            if future.done():
+            if holds_within(future.done, ASK_AGAIN_S, self.spin):
                 answer = future.result()
                 return answer.success, answer.message
             client.remove_pending_request(future)

@@ -19,7 +19,8 @@ from pathlib import Path
 from statistics import median, median_high
 from typing import Any, Final
 
-from fsai_hil.rules.checker import WireChecker, read_candump
+from fsai_hil.rehearsal.bus_watch import responses_in
+from fsai_hil.rules.checker import read_candump
 from fsai_hil.rules.response import ResponseTimes
 from fsai_vcu.interface.codec import Codec
 
@@ -142,11 +143,9 @@ def response_parts(
     `since_ns`, and from and to of the periods that are left out, `without`: ns of the log's clock.
     """
     frames = [frame for frame in read_candump(log) if frame.t_ns >= since_ns and not _within(frame.t_ns, without)]
-    checkers = [WireChecker(codec) for _ in range(PARTS)]
-    for frame in frames:
-        share = (frame.t_ns - since_ns) / (frames[-1].t_ns + 1 - since_ns)
-        checkers[int(PARTS * share)].on_frame(frame)
-    return [checker.responses for checker in checkers]
+    part_ns = (max((frame.t_ns for frame in frames), default=since_ns) - since_ns) / PARTS
+    windows = {f"{part}": (since_ns + part * part_ns, since_ns + (part + 1) * part_ns) for part in range(PARTS)}
+    return [times for times, _ in responses_in(frames, codec, windows).values()]
 
 
 def judge(

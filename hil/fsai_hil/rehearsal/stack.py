@@ -27,13 +27,20 @@ class StackError(Exception):
     """A process did not do what was awaited; the message is for a person, with the process's last words."""
 
 
-def await_condition(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
-    """Return as soon as `condition` holds. Raises StackError naming `what` after `timeout_s`."""
+def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:
+    """True as soon as `condition` holds, False when it does not in time; `turn` passes the time between two looks."""
     until = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > until:
-            raise StackError(f"waited {timeout_s:g} s in vain: {what}")
-        time.sleep(_POLL_S)
+            return False
+        turn()
+    return True
+
+
+def await_condition(condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+    """Return as soon as `condition` holds. Raises StackError naming `what` after `timeout_s`."""
+    if not holds_within(condition, timeout_s, lambda: time.sleep(_POLL_S)):
+        raise StackError(f"waited {timeout_s:g} s in vain: {what}")
 
 
 class RunningProcess:
@@ -89,9 +96,17 @@ class RunningProcess:
 
     def type(self, line: str) -> None:
         """A line on its standard input, which is a pipe."""
+        self.check_alive()
         assert self.popen.stdin is not None
         self.popen.stdin.write(line.encode() + b"\n")
         self.popen.stdin.flush()
+
+    def ask(self, line: str, answer: str, timeout_s: float) -> str:
+        """What it has printed before its answer to a line."""
+        answers = self.log().count(answer)
+        self.type(line)
+        await_condition(lambda: self.log().count(answer) > answers, timeout_s, f"{self.name} answers '{line}'")
+        return self.log().rpartition(answer)[0]
 
     def signal(self, number: signal.Signals) -> None:
         if self.alive:
@@ -128,7 +143,7 @@ class Stack:
         self.bus = bus
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        # Two rehearsals side by side must not hear each other; ids up to 101 are safe on every platform.
+        # Two rehearsals side by side must not receive each other's messages; ids up to 101 are safe on every platform.
         self.domain_id = 1 + os.getpid() % 100
         self.truth_port = 30000 + os.getpid() % 20000
         self.processes: dict[str, RunningProcess] = {}

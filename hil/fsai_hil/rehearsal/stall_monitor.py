@@ -1,17 +1,15 @@
-"""The stall monitor: a tiny process that sleeps, counts a little, and notes when it was woken late or slow.
+"""The stall monitor: a tiny process that sleeps, and notes when it was woken late.
 
 A rehearsal in real time is judged by milliseconds, and a shared machine may stand still for longer: another guest has
-the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. Or it runs on, at half
-its speed: what the processor's other thread does, or another guest, slows all that is counted here. The bridge must
-answer both with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The stall monitor
-tells the two apart. It shares nothing with bridge and simulated car and goes before both (a higher real-time priority):
-when it wakes late, nothing on this machine could have run in time; when its counting, always the same, takes far longer
-than at its best, everything did.
+the processor, the host flushes its disk, the kernel of User-Mode Linux cannot be interrupted. The bridge must answer
+that with a stop, for on a car it is a fault; but a test then shows nothing about the bridge. The stall monitor
+separates the two. It shares nothing with bridge and simulated car and goes before both (a higher real-time priority):
+when it wakes late, nothing on this machine could have run in time.
 
     with StallMonitor(Path("/tmp/stalls")) as monitor:
         since_ns = time.monotonic_ns()
         ...
-        why = monitor.disturbances(since_ns)
+        why = monitor.disturbed(since_ns)
 
 Its own process is this file run as a script, with the standard library only: small, and soon there.
 """
@@ -25,51 +23,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 SLEEP_NS = 10_000_000  # 2 % of a processor in User-Mode Linux; a stall may be longer than noted by so much
 NOTED_NS = 20_000_000  # woken later than this: noted
-STOOD_STILL_NS = (
-    30_000_000  # noted when the loop, allowed 50 ms, is held up for longer; no run that shows so much shows anything
-)
-COUNTED = range(1500)  # some 50 us of work after each sleep
-SPELL = 50  # wakes, half a second: so much is looked at as one
-SLOWED_TO = 0.65  # of the best speed seen; a rehearsal needs more than that of its one slow processor
+# Noted when the loop, allowed 50 ms, is held up for longer; no run that shows so much shows anything.
+STOOD_STILL_NS = 30_000_000
 PRIORITY = 60  # above the bridge's loop (45), the simulated car (35) and a kernel's interrupt threads (50)
-STALL, SLOW = "stall", "slow"
 _START_S = 20.0
 RUNS = 3  # of what failed on a disturbed machine
 _ALWAYS_LOCKED = 1 | 2  # MCL_CURRENT | MCL_FUTURE
-
-
-@dataclass(frozen=True)
-class Disturbance:
-    """From `due_ns` to `until_ns` (CLOCK_MONOTONIC) the machine stood still (STALL: the stall monitor should have been
-    woken at the first and was at the second), or ran at the fraction `speed` of its best (SLOW)."""
-
-    kind: str
-    due_ns: int
-    until_ns: int
-    speed: float = 1.0
-
-    @property
-    def lasted_ns(self) -> int:
-        return self.until_ns - self.due_ns
-
-
-def describe(disturbances: Sequence[Disturbance]) -> str:
-    """In words: 'stood still for 87 ms (the longest of 3 times)', 'ran at 52 % of its speed for 1.5 s'."""
-    stalls, slow = ([one for one in disturbances if one.kind == kind] for kind in (STALL, SLOW))
-    words = []
-    if stalls:
-        more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
-        words.append(f"stood still for {max(one.lasted_ns for one in stalls) / 1e6:.0f} ms{more}")
-    if slow:
-        lasted_s = sum(one.lasted_ns for one in slow) / 1e9
-        words.append(f"ran at {100 * min(one.speed for one in slow):.0f} % of its speed for {lasted_s:.1f} s")
-    return " and ".join(words)
 
 
 class StallMonitor:
@@ -89,20 +52,18 @@ class StallMonitor:
                 raise OSError("the stall monitor to the machine's own delays does not start")
             time.sleep(SLEEP_NS / 1e9)
 
-    def stalls(self, since_ns: int, *, at_least_ns: int = STOOD_STILL_NS) -> list[Disturbance]:
-        """When the machine stood still for `at_least_ns` or longer since an instant of CLOCK_MONOTONIC."""
-        return [stall for stall in self._noted(STALL, since_ns) if stall.lasted_ns >= at_least_ns]
-
-    def disturbances(self, since_ns: int) -> list[Disturbance]:
-        """When it stood still, or ran far below its best speed: a rehearsal then shows nothing."""
-        return [*self.stalls(since_ns), *self._noted(SLOW, since_ns)]
-
-    def _noted(self, kind: str, since_ns: int) -> list[Disturbance]:
+    def stalls_ns(self, since_ns: int, at_least_ns: int = STOOD_STILL_NS) -> list[int]:
+        """How long the machine stood still, each time of `at_least_ns` or longer since then (CLOCK_MONOTONIC)."""
         lines = self._path.read_text().rpartition("\n")[0].splitlines()[1:]  # the last may be just being written
-        notes = [
-            Disturbance(what, int(due), int(until), float(speed)) for what, due, until, speed in map(str.split, lines)
-        ]
-        return [one for one in notes if one.kind == kind and one.until_ns >= since_ns]
+        stalls = [(int(due), int(woken)) for due, woken in map(str.split, lines)]
+        lasted_ns = [woken_ns - due_ns for due_ns, woken_ns in stalls if woken_ns >= since_ns]
+        return [each_ns for each_ns in lasted_ns if each_ns >= at_least_ns]
+
+    def disturbed(self, since_ns: int) -> str:
+        """That the machine stood still since then, in words; '' if it did not. What is rehearsed then shows nothing."""
+        stalls = self.stalls_ns(since_ns)
+        more = f" (the longest of {len(stalls)} times)" if len(stalls) > 1 else ""
+        return f"stood still for {max(stalls) / 1e6:.0f} ms{more}" if stalls else ""
 
     def stop(self) -> None:
         self._process.kill()
@@ -132,24 +93,14 @@ def watch(path: str) -> None:
     parent = os.getppid()
     standing = _stand_first()
     notes = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    now_ns = time.monotonic_ns()
-    spell_ns, counted_ns, counts, best_ns = now_ns, 0, 0, 0
     os.write(notes, f"{standing}\n".encode())
+    woken_ns = time.monotonic_ns()
     while os.getppid() == parent:
-        due_ns = now_ns + SLEEP_NS  # from the last look on, so that nothing between two rounds goes unseen
+        due_ns = woken_ns + SLEEP_NS  # from the last look on, so that nothing between two rounds goes unseen
         time.sleep(SLEEP_NS / 1e9)
         woken_ns = time.monotonic_ns()
         if woken_ns - due_ns >= NOTED_NS:
-            os.write(notes, f"{STALL} {due_ns} {woken_ns} 1\n".encode())
-        sum(COUNTED)
-        now_ns = time.monotonic_ns()
-        counted_ns += now_ns - woken_ns
-        counts += 1
-        if counts == SPELL:
-            best_ns = min(best_ns or counted_ns, counted_ns)
-            if best_ns < SLOWED_TO * counted_ns:
-                os.write(notes, f"{SLOW} {spell_ns} {now_ns} {best_ns / counted_ns:.3f}\n".encode())
-            spell_ns, counted_ns, counts = now_ns, 0, 0
+            os.write(notes, f"{due_ns} {woken_ns}\n".encode())
 
 
 if __name__ == "__main__":

@@ -15,8 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from fsai_hil.vcan.native import native_vcan_available, run_natively
-from fsai_hil.vcan.network import INTERFACE, VcanError
+from fsai_hil.vcan.native import INTERFACE, VcanError, native_vcan_available, run_natively
 from fsai_hil.vcan.uml import find_user_mode_linux, run_in_uml
 
 __all__ = ["INTERFACE", "VcanError", "VcanHost", "choose_place", "native_vcan_available", "run_in_uml", "run_natively"]

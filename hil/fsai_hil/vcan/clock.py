@@ -12,7 +12,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from fsai_hil.vcan.network import VcanError
+from fsai_hil.vcan.native import VcanError
 
 SKIPPED = "/dev/mmapper"  # inside: the page that says how much idle time was skipped (`iomem=` of the kernel)
 SLOWEST_PACE = 100.0  # seconds of this machine for one inside; beyond it nobody waits for the end
@@ -63,10 +63,8 @@ def _built(name: str, folder: Path) -> Path | None:
 
 
 def _counter_is_steady() -> bool:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("flags"):
-            return set(line.split()) >= _STEADY
-    return False
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    return any(line.startswith("flags") and set(line.split()) >= _STEADY for line in lines)
 
 
 def _ns_per_count(library: Path) -> float:
@@ -75,14 +73,9 @@ def _ns_per_count(library: Path) -> float:
 
     def reading() -> tuple[float, int]:
         """A time and the counter's value then, from the tightest of some tries."""
-        tries = []
-        for _ in range(_TRIES):
-            before_ns = time.monotonic_ns()
-            count = counter()
-            after_ns = time.monotonic_ns()
-            tries.append((after_ns - before_ns, (before_ns + after_ns) / 2, count))
-        _, at_ns, count = min(tries)
-        return at_ns, count
+        tries = [(time.monotonic_ns(), counter(), time.monotonic_ns()) for _ in range(_TRIES)]
+        before_ns, count, after_ns = min(tries, key=lambda each: each[2] - each[0])
+        return (before_ns + after_ns) / 2, count
 
     first_ns, first = reading()
     time.sleep(_MEASURE_S)

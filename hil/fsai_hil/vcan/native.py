@@ -11,13 +11,24 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fsai_hil.vcan.network import INTERFACE, TIMED_OUT, VcanError, bring_up
-
+TIMED_OUT = 124  # the exit status of a command that was ended by its time limit, as timeout(1) has it
+INTERFACE = "vcan0"
+TX_QUEUE_FRAMES = 10  # two cycles of commands; the usual 1000 would hold back two seconds of stale ones
 _PROBE_S = 20.0
 _GRACE_S = 5.0
 _ARPHRD_CAN = "280"  # linux/if_arp.h
 _BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 
+
+class VcanError(Exception):
+    """No vcan0 to be had; the message is one clear line with what to do about it."""
+
+
+# As root of a fresh network namespace or kernel; `set -e` is in force. ROS 2 nodes find each other on the loopback.
+BRING_UP = f"""ip link set lo up multicast on
+ip route add 224.0.0.0/4 dev lo
+ip link add dev {INTERFACE} type vcan
+ip link set {INTERFACE} txqueuelen {TX_QUEUE_FRAMES} up"""
 # A root user needs no user namespace; everybody else becomes root of one of his own, where the system allows it.
 _NAMESPACES = (
     ("unshare", "--net", "--mount"),
@@ -29,7 +40,7 @@ _SCRIPT = f"""set -e
 export PATH="$PATH:{_BIN}"
 mount -t sysfs sysfs /sys
 mount -t tmpfs tmpfs /dev/shm
-{bring_up()}
+{BRING_UP}
 exec "$@"
 """
 

@@ -10,7 +10,7 @@ where there is room, and its content is moved to the disk when the machine is of
 
 What makes it fast: every system call and page fault of a process inside is a hand-over between two host processes. On
 one host processor that is a context switch; across two it is a wake-up of an idle one, which costs several times more.
-So the whole machine is kept on one processor, the least busy, and goes before all others there. Reading the clock would
+So the whole machine is kept on one processor and goes before all others there. Reading the clock would
 be such a system call, and the commonest: `clock.c` gives programs one to read without. And Python files are to be
 compiled beforehand, because nothing can be cached inside.
 """
@@ -21,7 +21,6 @@ import contextlib
 import ctypes
 import os
 import platform
-import selectors
 import shlex
 import shutil
 import signal
@@ -33,23 +32,21 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
-from fsai_hil.vcan.native import end_group
-from fsai_hil.vcan.network import TIMED_OUT, VcanError, bring_up
+from fsai_hil.vcan.native import BRING_UP, TIMED_OUT, VcanError, end_group
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
-HANDS_OVER_PRIORITY = 50  # as a real-time kernel's interrupt threads have; above the bridge, below the stall monitor
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
-_MODULE_ROOTS = (Path("/usr/lib/uml/modules"), Path("/lib/uml/modules"))
+_MODULES = Path("/usr/lib/uml")  # the folder above modules/VERSION, as the package has it
 _BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
 _SHARED_MEMORY = Path("/dev/shm")
 _RESULTS_MIB = 1024  # far above what a suite leaves behind
 _BOOT_S = 60.0
+_LOOK_S = 0.2
 _NICENESS = -20
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -58,7 +55,6 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 class UserModeLinux:
     kernel: Path
     version: str
-    modules: Path  # the folder that has kernel/ and modules.dep
 
 
 def find_user_mode_linux() -> UserModeLinux:
@@ -69,48 +65,11 @@ def find_user_mode_linux() -> UserModeLinux:
         )
     kernel = shutil.which("linux.uml", path=f"{os.environ.get('PATH', '')}:{_BIN}")
     missing = [] if kernel else ["linux.uml"]
-    missing += [tool for tool in ("insmod", "ip", "candump") if not shutil.which(tool, path=_BIN)]
+    missing += [tool for tool in ("modprobe", "ip", "candump") if not shutil.which(tool, path=_BIN)]
     if kernel is None or missing:
         raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
     version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
-    return UserModeLinux(Path(kernel), version, modules_of(version))
-
-
-def modules_of(version: str, roots: Iterable[Path] = _MODULE_ROOTS) -> Path:
-    found = [folder for root in roots if root.is_dir() for folder in root.iterdir() if any(folder.rglob("vcan.ko*"))]
-    exact = [folder for folder in found if folder.name == version]
-    if not found:
-        raise VcanError(f"User-Mode Linux {version} is installed without its modules; as root: {INSTALL}")
-    if not exact:
-        raise VcanError(f"User-Mode Linux is {version} but its modules are for {found[0].name}; as root: {INSTALL}")
-    return exact[0]
-
-
-def module_files(modules: Path, names: Sequence[str]) -> list[Path]:
-    """The files to load, in order, each after those it depends on. Raises VcanError for a module that is not there."""
-    by_name = {_module_name(path): path for path in (modules / "kernel").rglob("*.ko*")}
-    needs: dict[str, list[str]] = {}
-    if (listing := modules / "modules.dep").exists():
-        for line in listing.read_text().splitlines():
-            target, _, rest = line.partition(":")
-            needs[_module_name(Path(target))] = [_module_name(Path(path)) for path in rest.split()]
-    order: list[str] = []
-
-    def add(name: str) -> None:
-        if name not in by_name:
-            raise VcanError(f"the installed User-Mode Linux has no module {name}")
-        for other in reversed(needs.get(name, [])):
-            add(other)
-        if name not in order:
-            order.append(name)
-
-    for name in names:
-        add(_module_name(Path(name)))
-    return [by_name[name] for name in order]
-
-
-def _module_name(path: Path) -> str:
-    return path.name.partition(".")[0].replace("_", "-")
+    return UserModeLinux(Path(kernel), version)
 
 
 def run_in_uml(
@@ -147,17 +106,12 @@ def run_in_uml(
                 raise VcanError(f"a comma in a path cannot be passed to User-Mode Linux: {path}")
         if any(character.isspace() for character in str(exchange)):
             raise VcanError(f"the folder for temporary files has a blank in its name: {exchange}")
-        init = exchange / "init"
         clock = preloaded_clock(exchange, pace)
         if "LD_PRELOAD" in clock and "LD_PRELOAD" in env:
             clock["LD_PRELOAD"] += f":{env['LD_PRELOAD']}"
         env = {**env, **clock}
-        init.write_text(
-            _init_script(argv, cwd, env, (staged, results_dir), exchange, needed, module_files(uml.modules, MODULES))
-        )
-        init.chmod(0o755)
-        with (staged / "uml-kernel.log").open("wb") as log, processor_of_its_own() as processor:
-            in_time = boot(uml, init, exchange, log, processor, memory_mib, timeout_s, slowed_clock(exchange, pace))
+        lines = _first_process(argv, cwd, env, (staged, results_dir), exchange, needed)
+        in_time = boot(uml, MODULES, lines, exchange, staged / "uml-kernel.log", memory_mib, timeout_s, pace)
         try:
             return int((exchange / "exit-status").read_text())
         except (OSError, ValueError):
@@ -202,30 +156,21 @@ def _hidden(paths: Iterable[Path]) -> list[Path]:
     return hidden
 
 
-def _init_script(
+def _first_process(
     argv: Sequence[str],
     cwd: Path,
     env: Mapping[str, str],
     results: tuple[Path, Path],
     exchange: Path,
     needed: Sequence[Path],
-    modules: Sequence[Path],
-) -> str:
+) -> list[str]:
     def folder(path: Path, options: str, behind: Path | None = None) -> list[str]:
         # The option of hostfs is the host's path; the mount point is the same one, made where memory now hides it.
         return [f"mkdir -p {_q(path)}", f"mount -t hostfs {options} -o {_q(behind or path)} none {_q(path)}"]
 
     staged, results_dir = results
-
     environment = [_q(f"{name}={value}") for name, value in env.items()]
-    lines = [
-        "#!/bin/sh",
-        f"export PATH={_BIN}",
-        # Whatever fails before the command starts ends the machine; the kernel's log has the failed command's message.
-        "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
-        "trap power_off EXIT",
-        "set -e",
-        "mount -t proc proc /proc",
+    return [
         "mount -t sysfs sysfs /sys",
         *(f"mkdir -p {path}; mount -t tmpfs tmpfs {path}" for path in _IN_MEMORY),
         "mkdir -p /dev/pts; mount -t devpts devpts /dev/pts",
@@ -236,27 +181,13 @@ def _init_script(
         # The kernel would halt all real-time processes for 50 ms once they have used 95 % of a second, and here it
         # counts what the host took from the machine as used by them.
         "echo -1 > /proc/sys/kernel/sched_rt_runtime_us",
-        hands_over(),
-        *(f"insmod {_q(path)}" for path in modules),
-        bring_up(),
-        "stty -F /dev/tty1 -opost -echo",
+        BRING_UP,
         "set +e",
         f"touch {_q(exchange / 'up')}",
         # `env -i`: words of its command line that the kernel does not know are in the first process's environment.
         f"(cd {_q(cwd)} && exec env -i {' '.join(environment)} {shlex.join(argv)}) < /dev/null > /dev/tty1 2>&1",
         f"echo $? > {_q(exchange / 'exit-status')}",
     ]
-    return "\n".join(lines) + "\n"
-
-
-def hands_over() -> str:
-    """A shell line for inside, once /proc is there: received frames are handed over before any program goes on.
-
-    What an adapter's interrupt does on a PC, this thread of the kernel's does for vcan. On the only processor it would
-    wait for whatever else runs, and bridge and car would receive nothing for tens of milliseconds, which the stall
-    monitor does not see.
-    """
-    return f"chrt --fifo --pid {HANDS_OVER_PRIORITY} $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)"
 
 
 def _q(value: Path | str) -> str:
@@ -265,66 +196,88 @@ def _q(value: Path | str) -> str:
 
 def boot(
     uml: UserModeLinux,
-    init: Path,
+    modules: Sequence[str],
+    lines: Sequence[str],
     exchange: Path,
-    log: IO[bytes],
-    processor: int,
+    log_path: Path,
     memory_mib: int,
     timeout_s: float,
-    clock: Mapping[str, str] | None = None,
+    pace: float,
 ) -> bool:
     """Boot, pass the command's output on until the machine is off. False if it had to be ended for its time limit.
 
-    clock: environment variables that give the machine inside another clock than this machine's (`slowed_clock`).
+    lines: of shell, what the first process does once the modules are there; what is printed on /dev/tty1 is the output.
+    log_path: for the kernel's messages. timeout_s: of this machine, from `exchange`/up on.
     """
+    (exchange / "lib").unlink(missing_ok=True)
+    (exchange / "lib").symlink_to(_MODULES)  # where modprobe looks below its root
+    begin = [
+        "#!/bin/sh",
+        f"export PATH={_BIN}",
+        # Whatever fails ends the machine; the kernel's log has the failed command's message.
+        "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
+        "trap power_off EXIT",
+        "set -e",
+        "mount -t proc proc /proc",
+        # Received frames are handed over before any program goes on. What an adapter's interrupt does on a PC, this
+        # thread of the kernel's does for vcan. On the only processor it would wait for whatever else runs, and bridge
+        # and car would receive nothing for tens of milliseconds, which the stall monitor does not see. The priority is
+        # that of a real-time kernel's interrupt threads: above the bridge, below the stall monitor.
+        "chrt --fifo --pid 50 $(grep -lx ksoftirqd/0 /proc/[0-9]*/comm | cut -d/ -f3)",
+        f"modprobe -d {_q(exchange)} -a {shlex.join(modules)}",
+        "stty -F /dev/tty1 -opost -echo",
+    ]
+    init = exchange / "init"
+    init.write_text("\n".join((*begin, *lines, "")))
+    init.chmod(0o755)
+    clock = slowed_clock(exchange, pace)
     output, console = os.pipe()
-    process = subprocess.Popen(
-        [
-            str(uml.kernel),
-            "rootfstype=hostfs",
-            "rootflags=/",
-            "ro",
-            f"mem={memory_mib}M",
-            f"init={init}",
-            f"uml_dir={exchange}",
-            "con=null",
-            "con0=null,fd:1",  # the kernel's console: this process's log
-            f"con1=null,fd:{console}",  # the command's
-            *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
-        ],
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        pass_fds=(console,),
-        env={"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **(clock or {})},
-        start_new_session=True,
-        preexec_fn=lambda: _settle(processor),
-    )
-    os.close(console)
-    limit = time.monotonic() + _BOOT_S
-    up = False
-    try:
-        with selectors.DefaultSelector() as selector:
-            selector.register(output, selectors.EVENT_READ)
+    command = [
+        str(uml.kernel),
+        "rootfstype=hostfs",
+        "rootflags=/",
+        "ro",
+        f"mem={memory_mib}M",
+        f"init={init}",
+        f"uml_dir={exchange}",
+        "con=null",
+        "con0=null,fd:1",  # the kernel's console: its log
+        f"con1=null,fd:{console}",  # the command's
+        *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
+    ]
+    environment = {"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **clock}
+    sys.stdout.flush()
+    with log_path.open("ab") as log, processor_of_its_own() as processor:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            pass_fds=(console,),
+            env=environment,
+            start_new_session=True,
+            preexec_fn=lambda: _settle(processor),
+        )
+        os.close(console)
+        # Not our own standard output: the machine would make it non-blocking for everybody who has it.
+        relay = subprocess.Popen(["cat"], stdin=output, start_new_session=True)
+        os.close(output)
+        limit = time.monotonic() + _BOOT_S
+        up = False
+        try:
             while time.monotonic() < limit:
-                if selector.select(timeout=0.2):
-                    data = os.read(output, 65536)
-                    if not data:
-                        return True
-                    _show(data)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_LOOK_S)
+                    return True
                 if not up and (exchange / "up").exists():
                     up = True
                     limit = time.monotonic() + timeout_s
-        return False
-    finally:
-        end_group(process)
-        os.close(output)
-
-
-def _show(data: bytes) -> None:
-    sys.stdout.flush()
-    sys.stdout.buffer.write(data)
-    sys.stdout.flush()
+            return False
+        finally:
+            end_group(process)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                relay.wait(_LOOK_S)  # what the machine has still printed
+            end_group(relay)
 
 
 def _settle(cpu: int) -> None:
@@ -342,11 +295,8 @@ def _settle(cpu: int) -> None:
 
 @contextlib.contextmanager
 def processor_of_its_own() -> Iterator[int]:
-    """The least busy processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the least busy.
-
-    One that has just started is not busy yet.
-    """
-    processors = _by_idleness()
+    """A processor of ours that no other User-Mode Linux has claimed, claimed; if all are, the last."""
+    processors = sorted(os.sched_getaffinity(0), reverse=True)  # the first often has the machine's interrupts
     with socket.socket(socket.AF_UNIX) as claim:
         for cpu in processors:
             # An abstract name: no file is left behind, and the kernel drops it with the process, however it dies.
@@ -355,21 +305,6 @@ def processor_of_its_own() -> Iterator[int]:
                 yield cpu
                 return
         yield processors[0]
-
-
-def _by_idleness() -> list[int]:
-    """Our processors, first the one that idled most over a fifth of a second."""
-    before = _idle_ticks()
-    time.sleep(0.2)
-    after = _idle_ticks()
-    ours = sorted(os.sched_getaffinity(0))
-    return sorted(ours, key=lambda cpu: before.get(cpu, 0) - after.get(cpu, 0))
-
-
-def _idle_ticks() -> dict[int, int]:
-    """Ticks each processor idled since boot, from /proc/stat."""
-    lines = (line.split() for line in Path("/proc/stat").read_text().splitlines())
-    return {int(words[0][3:]): int(words[4]) for words in lines if words[0].startswith("cpu") and words[0] != "cpu"}
 
 
 def _memory_folder(memory_mib: int) -> Path:

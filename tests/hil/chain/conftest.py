@@ -16,17 +16,15 @@ from typing import Any
 
 import pytest
 
-from conftest import BusLog, new_folder
+from conftest import logged, new_folder
+from fsai_hil.rehearsal.bus_watch import CODEC, BusWatch
 from fsai_hil.rehearsal.ros_operator import RosOperator
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack
-from fsai_hil.rules.checker import WireChecker, check_candump
-from fsai_vcu.interface.codec import Codec
+from fsai_hil.rules.checker import checker_for
 from fsai_vcu.interface.enums import AsState
-from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.lock import holder_pid
 
 REVISION = "2026"
-CODEC = Codec(revision(REVISION))
 START_S = 120.0  # five interpreters that import ROS at once, on one slow processor
 POWER_UP_S = 60.0
 DRIVE_S = 120.0
@@ -36,6 +34,10 @@ LAPS = 100  # of a trackdrive: more than any test takes, and the most there may 
 DRIVES_MPS = 1.5  # driving is driving: no test here waits for more
 POWER_CYCLE_S = 1.0
 SLOW_PLACE = os.environ.get("FSAI_HIL_PLACE") == "uml"  # one slow processor
+
+
+FLOOD_ID = 0x7FF
+INTRUDER = bytes.fromhex("00000F0000C0FFEE")  # no torque, and not to be mistaken for a frame of ours
 
 
 @pytest.fixture(autouse=True)
@@ -70,18 +72,14 @@ class Chain:
         self._interface = interface
         self._folder = folder
         self._shared: CarRun | None = None
-        self.wire: WireChecker | None = None
 
     @contextmanager
-    def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] | None = None) -> Iterator[CarRun]:
-        """Powers up a car of its own for one run; at the end its process is over and the bus log has been checked.
-
-        only: the ids that are logged; such a log cannot be checked.
-        """
+    def car(self, name: str, *arguments: str, auto: bool = True, only: Iterable[int] = ()) -> Iterator[CarRun]:
+        """Powers up a car of its own for one run; at the end its process is over. only: the ids that are logged."""
         self.end_shared_car()  # there is one car on a bus
         folder = self._folder / name
         folder.mkdir(parents=True, exist_ok=True)
-        log = BusLog(self._interface, folder, only)
+        log = logged(self._interface, folder, only)
         vcu = self.start_vcu(f"{name}.vcu", "--result", str(folder / "verdict.json"), *arguments, auto=auto)
         try:
             yield CarRun(vcu, folder)
@@ -89,7 +87,6 @@ class Chain:
             vcu.stop()
             del self.stack.processes[f"{name}.vcu"]
             log.stop()
-            self.wire = check_candump(log.path, CODEC, busy_machine=True) if only is None else None
 
     def start_vcu(self, name: str, *arguments: str, auto: bool) -> RunningProcess:
         words = ["vcu", "-i", self._interface, "--revision", REVISION, "--mission", MISSION, "--track", TRACK]
@@ -112,20 +109,16 @@ class Chain:
             del self.stack.processes["car"]
 
     @contextmanager
-    def drive(self, name: str) -> Iterator[CarRun]:
-        """The shared car drives, after a power cycle unless it drives already; at the end the bus log is checked."""
-        folder = self._folder / name
-        folder.mkdir(parents=True, exist_ok=True)
-        log = BusLog(self._interface, folder)
+    def drive(self, folder: Path) -> Iterator[BusWatch]:
+        """The shared car drives, after a power cycle unless it drives already; what was on the bus."""
+        log = logged(self._interface, folder)
         try:
-            run = self.driving_car()
-            run.log_path = folder / "bus.log"
-            yield run
+            self.driving_car()
+            yield log
         finally:
             log.stop()
-            self.wire = check_candump(log.path, CODEC, busy_machine=True)
 
-    def driving_car(self) -> CarRun:
+    def driving_car(self) -> None:
         """The shared car, driving: as the test before has left it, or after a power cycle."""
         drives = self._shared is not None
         run = self.shared_car()
@@ -135,7 +128,6 @@ class Chain:
             drives = state.as_state == AsState.AS_DRIVING and not (state.emergency or state.stopping)
         if not drives:
             self.power_up(run)
-        return run
 
     def drives_on(self, seconds: float = 0.0) -> None:
         """For so long, and now, the car drives in order."""
@@ -166,7 +158,7 @@ class Chain:
         """Wait until the car drives at speed."""
 
         def decided() -> bool:
-            state = self.state  # an age that is not a number is no young one either: nothing was heard yet
+            state = self.state  # an age that is not a number is no young one either: nothing was received yet
             over = state.as_state in (AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED) and state.status_age_s < 0.5
             return bool(over or (state.as_state == AsState.AS_DRIVING and state.speed_mps > DRIVES_MPS))
 
@@ -202,3 +194,24 @@ def chain(interface: str) -> Iterator[Chain]:
             yield Chain(stack, operator, interface, folder)
         finally:
             operator.close()
+
+
+@pytest.fixture
+def drive(chain: Chain, results: Path) -> Iterator[BusWatch]:
+    with chain.drive(results) as log:
+        yield log
+
+
+def rules_kept(wire: BusWatch, *, lost_ns: int | None = None) -> None:
+    """The rules that a log shows. Frames of those who do not belong there are no part of it.
+
+    lost_ns: when the bus was lost.
+    """
+    checker = checker_for(CODEC, busy_machine=True)
+    for frame in wire.frames:
+        if lost_ns is not None and frame.t_ns >= lost_ns:
+            checker.on_bus_lost()
+            lost_ns = None
+        if not (frame.can_id == FLOOD_ID or frame.data == INTRUDER):
+            checker.on_frame(frame)
+    assert checker.ok, checker

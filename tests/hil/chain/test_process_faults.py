@@ -14,26 +14,34 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
 
-from chain.conftest import CODEC, MISSION, POWER_CYCLE_S, POWER_UP_S, START_S, STOP_S, CarRun, Chain
-from conftest import BusLog, new_folder
+from chain.conftest import (
+    FLOOD_ID,
+    INTRUDER,
+    MISSION,
+    POWER_CYCLE_S,
+    POWER_UP_S,
+    START_S,
+    STOP_S,
+    Chain,
+    rules_kept,
+)
+from conftest import ip, logged, new_folder
+from fsai_hil.rehearsal.bus_watch import BusWatch
 from fsai_hil.rehearsal.stack import NODES, await_condition
 from fsai_hil.rehearsal.stall_monitor import STOOD_STILL_NS
-from fsai_hil.rules.checker import MS, checker_for
-from fsai_hil.vcan.network import TX_QUEUE_FRAMES
+from fsai_hil.rules.checker import MS
+from fsai_hil.vcan.native import TX_QUEUE_FRAMES
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.frames import Frame
-from fsai_vcu.interface.messages import AiBrake, AiDriveFront, AiDriveRear, AiStatus, VcuStatus
+from fsai_vcu.interface.messages import AiStatus, VcuStatus
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import open_bus
 from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
@@ -45,84 +53,26 @@ VCU_PATIENCE_NS = 100 * MS  # interface specification v4.0: AI_COMMS_LOST
 AT_EASE_S = 0.5  # so long after the end of a run the bus is still watched
 BITRATE = 500_000
 FRAME_BITS = 128  # as the queue counts a classic frame of 8 bytes; on a wire it is 111 and stuff bits
-FLOOD_ID = 0x7FF
-DECODED = frozenset((*AI_IDS, 0x520))
-INTRUDER = bytes.fromhex("00000F0000C0FFEE")  # no torque, and not to be mistaken for a frame of ours
 CAN_ERR_BUSOFF = 0x040  # linux/can/error.h
 ADJ_SETOFFSET, TIMEX_TIME_AT = 0x0100, 72  # linux/timex.h, where a long has 64 bits
-HOUR_NS = 3600 * 1_000_000_000
 
-Image = TypeVar("Image")
 long = pytest.mark.long
 
 
-class Wire:
-    """What the bus showed, decoded. Times are the wall clock's, in nanoseconds. Once asked, the log is at its end."""
-
-    def __init__(self, log: BusLog) -> None:
-        self._log = log
-
-    @cached_property
-    def frames(self) -> list[Frame]:
-        """By a clock that was never stepped: steps are whole hours here."""
-        self._log.stop()
-        frames = self._log.frames()
-        hours = [round((frame.t_ns - frames[0].t_ns) / HOUR_NS) for frame in frames]
-        return [replace(frame, t_ns=frame.t_ns - hour * HOUR_NS) for frame, hour in zip(frames, hours, strict=True)]
-
-    @cached_property
-    def _decoded(self) -> list[tuple[int, object]]:
-        return [(frame.t_ns, CODEC.decode(frame).image) for frame in self.frames if frame.can_id in DECODED]
-
-    def images(self, kind: type[Image], since_ns: int = 0) -> list[tuple[int, Image]]:
-        return [(t_ns, image) for t_ns, image in self._decoded if t_ns >= since_ns and isinstance(image, kind)]
-
-    def first(self, kind: type[Image], since_ns: int, condition: Callable[[Image], bool], what: str) -> int:
-        """How long after `since_ns` the first of this kind with `condition` was on the bus."""
-        for t_ns, image in self.images(kind, since_ns):
-            if condition(image):
-                return t_ns - since_ns
-        raise AssertionError(f"never seen on the bus: {what}")
-
-    def first_gap(self, since_ns: int, gap_ns: int) -> int:
-        """When first for `gap_ns` no whole cycle had been on the bus; 0 if there always was one."""
-        last_ns, expected = since_ns, sorted(AI_IDS)
-        ids = [(frame.t_ns, frame.can_id) for frame in self.frames if frame.can_id in AI_IDS and frame.t_ns >= since_ns]
-        for index, (t_ns, _) in enumerate(ids):
-            if t_ns - last_ns >= gap_ns:
-                return last_ns + gap_ns
-            if [can_id for _, can_id in ids[index - 4 : index + 1]] == expected:
-                last_ns = t_ns
-        return 0
-
-    def torque_ends(self, since_ns: int) -> int:
-        """How long after `since_ns` the last torque was asked for; 0 if none was."""
-        front = [(t_ns, image.torque_nm) for t_ns, image in self.images(AiDriveFront, since_ns)]
-        rear = [(t_ns, image.torque_nm) for t_ns, image in self.images(AiDriveRear, since_ns)]
-        return max((t_ns - since_ns for t_ns, torque_nm in (*front, *rear) if torque_nm > 0), default=0)
-
-    def brakes_after(self, since_ns: int) -> int:
-        return self.first(AiBrake, since_ns, lambda brake: brake.front_pct > 0, "a brake request")
-
-    def estop_after(self, since_ns: int) -> int:
-        return self.first(AiStatus, since_ns, lambda status: status.estop_request, "ESTOP_REQUEST")
+def first_gap(drive: BusWatch, since_ns: int, gap_ns: int) -> int:
+    """When first for `gap_ns` no whole cycle had been on the bus; 0 if there always was one."""
+    last_ns, expected = since_ns, sorted(AI_IDS)
+    ids = [(frame.t_ns, frame.can_id) for frame in drive.frames if frame.can_id in AI_IDS and frame.t_ns >= since_ns]
+    for index, (t_ns, _) in enumerate(ids):
+        if t_ns - last_ns >= gap_ns:
+            return last_ns + gap_ns
+        if [can_id for _, can_id in ids[index - 4 : index + 1]] == expected:
+            last_ns = t_ns
+    return 0
 
 
-@pytest.fixture
-def car(chain: Chain) -> CarRun:
-    return chain.shared_car()
-
-
-@pytest.fixture
-def drive(chain: Chain, car: CarRun, results: Path, interface: str) -> Iterator[Wire]:
-    """The car drives; afterwards the bus log has kept the rules, and nothing has set off again."""
-    log = BusLog(interface, results)
-    wire = Wire(log)
-    try:
-        chain.driving_car()
-        yield wire
-    finally:
-        log.stop()
+def state_after(drive: BusWatch, since_ns: int, state: AsState) -> float:
+    return drive.first(VcuStatus, since_ns, lambda status: status.as_state is state)
 
 
 def comes_to_rest(chain: Chain, *states: AsState) -> None:
@@ -136,21 +86,6 @@ def comes_to_rest(chain: Chain, *states: AsState) -> None:
     while time.monotonic() < until:
         chain.operator.spin()
     assert chain.state.as_state in states, chain.operator.describe()
-
-
-def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
-    """The rules that a log shows. Frames of those who do not belong there are no part of it.
-
-    lost_ns: when the bus was lost.
-    """
-    checker = checker_for(CODEC, busy_machine=True)
-    for frame in wire.frames:
-        if lost_ns is not None and frame.t_ns >= lost_ns:
-            checker.on_bus_lost()
-            lost_ns = None
-        if not (frame.can_id == FLOOD_ID or frame.error or frame.data == INTRUDER):
-            checker.on_frame(frame)
-    assert checker.ok, checker
 
 
 # ---------------------------------------------------------------- processes
@@ -169,7 +104,7 @@ def rules_kept(wire: Wire, *, lost_ns: int | None = None) -> None:
     ],
 )
 def test_without_fresh_data_the_car_stops_for_good(
-    chain: Chain, drive: Wire, name: str, number: signal.Signals
+    chain: Chain, drive: BusWatch, name: str, number: signal.Signals
 ) -> None:
     """Without data the controller goes on commanding; its commands carry the stamp of the oldest data behind them."""
     struck_ns = time.time_ns()
@@ -191,7 +126,7 @@ def test_without_fresh_data_the_car_stops_for_good(
 
 
 @pytest.mark.parametrize("hang_s", [0.2, pytest.param(5.0, marks=long)])
-def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire, hang_s: float) -> None:
+def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: BusWatch, hang_s: float) -> None:
     loop = chain.pids["CAN loop"]
     stopped_ns = time.time_ns()
     os.kill(loop, signal.SIGSTOP)
@@ -209,7 +144,7 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire
     comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
     spoken = [t_ns for t_ns, _ in drive.images(AiStatus, stopped_ns)]
     assert not [t_ns for t_ns in spoken if stopped_ns + CYCLE_NS < t_ns < woken_ns], "it is silent while it hangs"
-    emergency = drive.first(VcuStatus, stopped_ns, lambda s: s.as_state is AsState.EMERGENCY_BRAKE, "EMERGENCY_BRAKE")
+    emergency = state_after(drive, stopped_ns, AsState.EMERGENCY_BRAKE)
     assert emergency <= VCU_PATIENCE_NS + CYCLE_NS, "the car stops itself"
     assert drive.images(AiStatus, woken_ns)[0][1].estop_request, "the first that it says is ESTOP_REQUEST"
     assert drive.torque_ends(woken_ns) == 0
@@ -218,7 +153,7 @@ def test_a_hanging_loop_is_silent_and_wakes_with_estop(chain: Chain, drive: Wire
 
 
 @long
-def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: Wire) -> None:
+def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: BusWatch) -> None:
     bridge = chain.stack.processes["vcu_bridge"]
     killed_ns = time.time_ns()
     os.kill(chain.pids["CAN loop"], signal.SIGKILL)
@@ -227,13 +162,13 @@ def test_a_killed_loop_is_silence_and_its_edge_ends(chain: Chain, drive: Wire) -
     chain.stack.start_node("vcu_bridge")
     chain.operator.await_bridge(START_S)
     chain.operator.await_state(lambda s: s.as_state == AsState.EMERGENCY_BRAKE, STOP_S, "the car has stopped itself")
-    emergency = drive.first(VcuStatus, killed_ns, lambda s: s.as_state is AsState.EMERGENCY_BRAKE, "EMERGENCY_BRAKE")
+    emergency = state_after(drive, killed_ns, AsState.EMERGENCY_BRAKE)
     assert emergency <= VCU_PATIENCE_NS + CYCLE_NS
     assert drive.torque_ends(killed_ns + CYCLE_NS) == 0
 
 
 @long
-def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: Wire) -> None:
+def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: BusWatch) -> None:
     """No command reaches the loop, which answers the car all the while and brakes it to rest."""
     edge = chain.stack.processes["vcu_bridge"]
     stopped_ns = time.time_ns()
@@ -247,12 +182,12 @@ def test_an_edge_that_hangs_is_a_stale_command(chain: Chain, drive: Wire) -> Non
     assert chain.state.mode == "manual", "a stop for lost commands is latched"
     assert drive.torque_ends(stopped_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
     assert drive.brakes_after(stopped_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
-    assert not drive.first_gap(stopped_ns, VCU_PATIENCE_NS), "the loop is never silent"
+    assert not first_gap(drive, stopped_ns, VCU_PATIENCE_NS), "the loop is never silent"
     assert not any(status.estop_request for t_ns, status in drive.images(AiStatus, stopped_ns) if t_ns < woken_ns)
     rules_kept(drive)
 
 
-def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: Wire) -> None:
+def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: BusWatch) -> None:
     """The loop brakes the car to rest, says FINISHED, and ends; the next bridge may start."""
     loop = chain.pids["CAN loop"]
     killed_ns = time.time_ns()
@@ -266,7 +201,7 @@ def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: 
     assert (state.mode, state.shutdown_cause_label) == ("manual", "AI_COMMS_FAULT")
     accepted, _ = chain.operator.set_mode("autonomous")
     assert not accepted, "autonomous was accepted in EMERGENCY_BRAKE"
-    finished = drive.first(VcuStatus, killed_ns, lambda s: s.as_state is AsState.AS_FINISHED, "AS_FINISHED")
+    finished = state_after(drive, killed_ns, AsState.AS_FINISHED)
     assert finished <= ended_ns - killed_ns
     assert drive.torque_ends(killed_ns) <= DEADLINES.command_stale_ns + CYCLE_NS
     assert drive.brakes_after(killed_ns) <= DEADLINES.command_lost_ns + CYCLE_NS
@@ -275,7 +210,8 @@ def test_a_killed_edge_leaves_the_car_to_the_service_brake(chain: Chain, drive: 
 
 
 @long
-def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, car: CarRun, drive: Wire) -> None:
+def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, drive: BusWatch) -> None:
+    car = chain.shared_car()
     car.vcu.signal(signal.SIGKILL)
     car.vcu.wait(STOP_S)
     chain.operator.await_state(lambda s: s.emergency and s.status_age_s > POWER_CYCLE_S, STOP_S, "the car is missed")
@@ -296,14 +232,14 @@ def test_a_vcu_that_restarts_needs_the_whole_sequence_anew(chain: Chain, car: Ca
 
 
 @pytest.mark.skipif(os.environ.get("FSAI_HIL_PLACE") != "uml", reason="it would step the clock of the whole machine")
-def test_a_car_drives_on_when_the_clock_is_stepped(chain: Chain, drive: Wire) -> None:
+def test_a_car_drives_on_when_the_clock_is_stepped(chain: Chain, drive: BusWatch) -> None:
     for step_s in (3600, -7200, 3600):
         step_clock(step_s)
         chain.drives_on(1.0)  # longer than any deadline of the table
     rules_kept(drive)
 
 
-def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: Wire) -> None:
+def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: BusWatch) -> None:
     second = chain.stack.start(
         "second_bridge",
         [sys.executable, "-m", "fsai_nodes.vcu_bridge", "--ros-args", "-p", f"can_interface:={chain.stack.bus}"],
@@ -321,7 +257,7 @@ def test_a_second_bridge_is_refused_and_the_first_goes_on(chain: Chain, drive: W
     chain.drives_on()
 
 
-def test_a_foreign_0x511_is_an_emergency(chain: Chain, drive: Wire, interface: str) -> None:
+def test_a_foreign_0x511_is_an_emergency(chain: Chain, drive: BusWatch, interface: str) -> None:
     subprocess.run(["cansend", interface, f"511#{INTRUDER.hex()}"], check=True)
     comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
     assert chain.state.shutdown_cause_label == "AI_COMPUTER_REQUEST"
@@ -333,7 +269,7 @@ def test_a_foreign_0x511_is_an_emergency(chain: Chain, drive: Wire, interface: s
 
 
 @long
-def test_on_a_flooded_bus_dropped_cycles_are_counted_and_stop_it(chain: Chain, drive: Wire, interface: str) -> None:
+def test_on_a_flooded_bus_dropped_cycles_are_counted_and_stop_it(chain: Chain, drive: BusWatch, interface: str) -> None:
     """A bus of 500 kbit/s, and somebody who sends as fast as he can. A queue has no arbitration: even ours wait."""
     before = chain.operator.diagnostics("loop")
     with flooded(interface):
@@ -342,21 +278,21 @@ def test_on_a_flooded_bus_dropped_cycles_are_counted_and_stop_it(chain: Chain, d
     after = chain.operator.diagnostics("loop")
     assert _more(after, before, "incomplete cycles", 1), "dropped cycles are counted"
     flood_ns = [frame.t_ns for frame in drive.frames if frame.can_id == FLOOD_ID]
-    lost_ns = drive.first_gap(flood_ns[0], DEADLINES.send_lost_ns)
+    lost_ns = first_gap(drive, flood_ns[0], DEADLINES.send_lost_ns)
     assert drive.torque_ends(lost_ns) <= CYCLE_NS
-    assert drive.first_gap(flood_ns[-1] + DEADLINES.vcu_lost_ns, DEADLINES.send_lost_ns) == 0, "it speaks again"
+    assert first_gap(drive, flood_ns[-1] + DEADLINES.vcu_lost_ns, DEADLINES.send_lost_ns) == 0, "it speaks again"
     rules_kept(drive, lost_ns=lost_ns)
 
 
 @long
-def test_a_bus_that_is_busy_but_not_full_changes_nothing(chain: Chain, drive: Wire, interface: str) -> None:
+def test_a_bus_that_is_busy_but_not_full_changes_nothing(chain: Chain, drive: BusWatch, interface: str) -> None:
     with flooded(interface, gap_ms="0.5"):
         chain.drives_on(2.0)  # far longer than any deadline of the table
     rules_kept(drive)
 
 
 @long
-def test_after_bus_off_the_car_is_at_rest(chain: Chain, drive: Wire, interface: str) -> None:
+def test_after_bus_off_the_car_is_at_rest(chain: Chain, drive: BusWatch, interface: str) -> None:
     """The controller's own error frame, as a socket hears it: both sides lose the bus, ours is back at once."""
     before = chain.operator.diagnostics("loop")
     off_ns = time.time_ns()
@@ -369,7 +305,7 @@ def test_after_bus_off_the_car_is_at_rest(chain: Chain, drive: Wire, interface: 
     rules_kept(drive, lost_ns=off_ns + CYCLE_NS)
 
 
-def test_after_an_interface_was_down_the_car_has_stopped(chain: Chain, drive: Wire, interface: str) -> None:
+def test_after_an_interface_was_down_the_car_has_stopped(chain: Chain, drive: BusWatch, interface: str) -> None:
     ip("link", "set", interface, "down")
     down_ns = time.time_ns()
     try:
@@ -385,7 +321,9 @@ def test_after_an_interface_was_down_the_car_has_stopped(chain: Chain, drive: Wi
 
 
 @long
-def test_an_interface_plugged_in_again_is_used_again(chain: Chain, drive: Wire, interface: str, results: Path) -> None:
+def test_an_interface_plugged_in_again_is_used_again(
+    chain: Chain, drive: BusWatch, interface: str, results: Path
+) -> None:
     ip("link", "del", interface)
     unplugged_ns = time.time_ns()
     try:
@@ -393,14 +331,14 @@ def test_an_interface_plugged_in_again_is_used_again(chain: Chain, drive: Wire, 
     finally:
         ip("link", "add", "dev", interface, "type", "vcan")
         ip("link", "set", interface, "txqueuelen", str(TX_QUEUE_FRAMES), "up")
-    again = BusLog(interface, new_folder(f"{results.name}.again"))
+    again = logged(interface, new_folder(f"{results.name}.again"))
     try:
         comes_to_rest(chain, AsState.EMERGENCY_BRAKE)
     finally:
         again.stop()
     assert drive.torque_ends(unplugged_ns) == 0
-    assert Wire(again).images(AiStatus), "it speaks again"
-    assert Wire(again).torque_ends(0) == 0
+    assert again.images(AiStatus), "it speaks again"
+    assert again.torque_ends(0) == 0
     rules_kept(drive)
 
 
@@ -423,10 +361,6 @@ def step_clock(seconds: int) -> None:
 
 def _more(now: dict[str, str], before: dict[str, str], key: str, count: int) -> bool:
     return int(now[key]) >= int(before[key]) + count
-
-
-def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import subprocess
@@ -14,18 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from chain.conftest import CODEC, START_S, Chain
+from chain.conftest import CODEC, START_S, Chain, rules_kept
+from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.stack import RunningProcess, await_condition
-from fsai_hil.rules.checker import MS, checker_for, read_candump
-from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.rules.checker import MS
 from fsai_vcu.runtime.transport import LOOPBACK
 
 RESPONSE_NS = 20 * MS  # no more than a missed cycle
 CALM_S = 3.0
 RECEIVED_S = 60.0  # on one slow processor, the last in line for it
 HUNG_AT_ONCE = 3  # the loopback profile looks for 32 processes
-
-Windows = dict[str, tuple[int, int]]  # from and to by the wall clock, as the bus log is stamped
 
 
 class Programs:
@@ -88,21 +85,9 @@ def programs(chain: Chain, folder: Path) -> Iterator[Programs]:
         started.end()
 
 
-def responses(log: Path, windows: Windows) -> dict[str, ResponseTimes]:
-    """How long echoes took in each of the windows, which follow one another, by the kernel's stamps of both frames."""
-    checker, found, frames = checker_for(CODEC, busy_machine=True), {}, read_candump(log)
-    for name, (began_ns, ended_ns) in windows.items():
-        for frame in itertools.takewhile(lambda frame, began_ns=began_ns: frame.t_ns < began_ns, frames):
-            checker.on_frame(frame)
-        found[name] = checker.responses = ResponseTimes()
-        for frame in itertools.takewhile(lambda frame, ended_ns=ended_ns: frame.t_ns < ended_ns, frames):
-            checker.on_frame(frame)
-    return found
-
-
-def storm(chain: Chain, results: Path, name: str, kinds: Sequence[tuple[str, str]], count: int) -> None:
+def storm(chain: Chain, results: Path, kinds: Sequence[tuple[str, str]], count: int) -> None:
     """Programs of these kinds, each a transport and an act, `count` of each; the car is left driving."""
-    windows: Windows = {}
+    windows: dict[str, tuple[int, int]] = {}  # from and to by the wall clock, as the bus log is stamped
 
     @contextmanager
     def window(of: str) -> Iterator[None]:
@@ -111,7 +96,7 @@ def storm(chain: Chain, results: Path, name: str, kinds: Sequence[tuple[str, str
         windows[of] = began_ns, time.time_ns()
 
     # Before the car: the import of ROS 2 takes a slow processor's time, and that is not what is tested.
-    with programs(chain, results) as visitors, chain.drive(name) as run:
+    with programs(chain, results) as visitors, chain.drive(results) as log:
         with window("calm"):
             chain.drives_on(CALM_S)
         for transport, act in kinds:
@@ -119,11 +104,12 @@ def storm(chain: Chain, results: Path, name: str, kinds: Sequence[tuple[str, str
                 for _ in range(count):
                     ACTS[act](visitors, transport)
                     chain.drives_on()
-    times = responses(run.log_path, windows)
+    found = responses_in(log.frames, CODEC, windows)
+    times = {what: each for what, (each, _) in found.items()}
     for what, each in times.items():
         words = ", ".join(f"{each.quantile_ms(share):.2f}" for share in (0.5, 0.99, 1.0)) if len(each) else "none"
         print(f"{what}: {len(each)} echoes, p50, p99, max {words} ms")
-    assert chain.wire is not None and chain.wire.ok, chain.wire
+    rules_kept(log)
     assert all(len(each) for each in times.values())
     slow = [what for what, each in times.items() if each.count_above(RESPONSE_NS)]
     assert not slow, f"above {RESPONSE_NS // MS} ms: {slow}"
@@ -131,11 +117,11 @@ def storm(chain: Chain, results: Path, name: str, kinds: Sequence[tuple[str, str
 
 def test_the_car_drives_on_while_ros_programs_come_and_go(chain: Chain, results: Path) -> None:
     kinds = (("shared memory", "leave"), ("loopback profile", "killed"), ("shared memory", "hang"))
-    storm(chain, results, "storm", kinds, 1)
+    storm(chain, results, kinds, 1)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("act", ACTS)
 def test_the_car_drives_on_while_sixty_ros_programs(chain: Chain, results: Path, transport: str, act: str) -> None:
-    storm(chain, results, f"storm_{act}_{transport.replace(' ', '_')}", ((transport, act),), 60)
+    storm(chain, results, ((transport, act),), 60)

@@ -17,7 +17,7 @@ import pytest
 from chain.conftest import CODEC, DRIVE_S, POWER_UP_S, Chain
 from fsai_hil.rehearsal.soak import Sampler, judge, response_parts
 from fsai_hil.rehearsal.stack import NODES
-from fsai_hil.rehearsal.stall_monitor import StallMonitor, describe
+from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_vcu.interface.enums import AsState
 
 pytestmark = pytest.mark.long  # the suite judges a lap that it drives anyway, in test_missions.py
@@ -40,7 +40,7 @@ Period = tuple[Instant, Instant]
 
 
 def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_monitor: StallMonitor) -> None:
-    """A mission that failed on a disturbed machine shows nothing: it is told and left out, and the next one counts."""
+    """A mission that failed on a disturbed machine shows nothing: reported and left out, and the next one counts."""
     minutes = float(os.environ.get("FSAI_HIL_SOAK_MINUTES", "0"))
     missions = 1 + math.ceil(60.0 * minutes / LAP_S)
     pids = chain.pids
@@ -63,10 +63,10 @@ def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_
                     driven_s += (ended.steady_ns - mission.steady_ns) / 1e9
                     words += f" (mission {driven})"
                 else:
-                    disturbances = stall_monitor.disturbances(mission.steady_ns)
-                    assert disturbances, result.message
+                    disturbed = stall_monitor.disturbed(mission.steady_ns)
+                    assert disturbed, result.message
                     left_out.append((mission, ended))
-                    words += f": left out, for the machine {describe(disturbances)}"
+                    words += f": left out, for the machine {disturbed}"
                     assert len(left_out) <= missions // 4, "the machine is disturbed too often to show anything"
                 if minutes:
                     print(words, flush=True)
@@ -74,7 +74,7 @@ def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_
                     break
                 if driven == 1 and not left_out:
                     began, driven_s = Instant(), 0.0
-                # The result may be here before the state that it tells of.
+                # The result may be here before the state that it is about.
                 over = result.as_state
                 chain.operator.await_state(lambda s, over=over: s.as_state_label == over, POWER_UP_S, f"{over}")
                 chain.operator.await_state(lambda s, over=over: s.as_state_label != over, POWER_UP_S, "power-up")
@@ -87,6 +87,6 @@ def test_mission_after_mission_nothing_grows(chain: Chain, results: Path, stall_
     )
     print(f"\n{flatness}", flush=True)
     left_out_s = sum(b.steady_ns - a.steady_ns for a, b in left_out) / 1e9
-    story = {**flatness.as_dict(), "missions": driven, "left_out": len(left_out), "left_out_s": left_out_s}
-    (results / "soak.json").write_text(json.dumps(story, indent=2) + "\n")
+    found = {**flatness.as_dict(), "missions": driven, "left_out": len(left_out), "left_out_s": left_out_s}
+    (results / "soak.json").write_text(json.dumps(found, indent=2) + "\n")
     assert flatness.flat, str(flatness)

@@ -8,23 +8,28 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
-from fsai_hil.rehearsal.carpc import package
-from fsai_hil.rehearsal.carpc.bus_watch import CODEC, HOUR_NS
+from fsai_hil.rehearsal.bus_watch import CODEC, HOUR_NS
+from fsai_hil.rehearsal.carpc import scenes
 from fsai_hil.rehearsal.stall_monitor import RUNS
 from fsai_hil.rules.checker import checker_for, read_candump
 from fsai_hil.vcan import VcanError, uml
-from fsai_hil.vcan.clock import SKIPPED, SLOWEST_PACE, preloaded_clock, slowed_clock
+from fsai_hil.vcan.clock import SKIPPED, SLOWEST_PACE, preloaded_clock
 from fsai_vcu.interface.errors import UserError
 
+PACKAGE = "fsai-vcu"
+_DPKG = Path("var/lib/dpkg")
+_MARK = ".unpacked-from"
 MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
@@ -32,22 +37,7 @@ SHORT_PACE = 3.0  # the short form is for changes of the sources, on any machine
 INTERFACE = "vcan0"
 # Of this machine's services none is wanted inside; and what systemd would look for there is not.
 MASKED = ("getty.target", "systemd-logind.service", "systemd-firstboot.service", "systemd-udev-settle.service")
-# What one processor of User-Mode Linux has time for, as in the suite on vcan0.
-LIGHT = "--truth 25510 --quiet --gps-decimation 20 --log-decimation 10"
-CAR = f"--auto --json {LIGHT}"
-TYPED = f"--mission trackdrive --track small_oval {LIGHT}"
-# The same car with a person at its switches. It is no part of the car PC: neither an adapter that is pulled nor the
-# stop of all services ends it. A file that is open both ways has no end, whoever types and goes.
-TYPED_CAR = f"""[Unit]
-Description=Simulated VCU and car, its switches typed
-DefaultDependencies=no
-[Service]
-Type=exec
-ExecStartPre=+/bin/sh -c 'mkdir -p /run/rehearsal; [ -p /run/rehearsal/car ] || mkfifo -m 0666 /run/rehearsal/car'
-ExecStart=/bin/sh -c 'exec /opt/fsai/bin/fsai-vcu vcu -i {INTERFACE} {TYPED} <>/run/rehearsal/car'
-UMask=0077
-RestrictAddressFamilies=AF_CAN AF_UNIX AF_INET AF_NETLINK
-"""
+CAR = f"--auto --json {' '.join(scenes.LIGHT)}"
 REHEARSAL = """[Unit]
 Description=Rehearsal
 [Service]
@@ -57,7 +47,8 @@ RuntimeDirectoryMode=0755
 RuntimeDirectoryPreserve=yes
 KillMode=mixed
 TimeoutStopSec=90s
-ExecStart=/opt/fsai/bin/python -m fsai_hil.rehearsal.carpc.scenes"""
+StandardOutput=tty
+TTYPath=/dev/tty1"""
 
 
 def main() -> int:
@@ -107,30 +98,29 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         old.unlink(missing_ok=True)
     installed = results / ("laid-out" if short else "root")
     if short:
-        package.lay_out(installed)
+        shutil.rmtree(installed / "etc", ignore_errors=True)  # a configuration of an earlier rehearsal is not kept
+        install_car("install", DESTDIR=installed, ENVIRONMENT=Path(sys.prefix))
     else:
-        package.unpack(package.make(results), installed)
+        install_car("deb", results, PAYLOAD=results / "payload")
+        unpack(max(results.glob(f"{PACKAGE}_*.deb"), key=lambda path: path.stat().st_mtime_ns), installed)
     if not Path("/usr/lib/systemd/systemd-udevd").exists():
         raise UserError("udev is not installed, and systemd sees no devices without it: sudo apt-get install -y udev")
     if pace != 1.0:
         print(f"{pace:g} s of this machine for each second inside", flush=True)
     with tempfile.TemporaryDirectory(prefix="fsai-carpc-") as folder:
         exchange = Path(folder).resolve()
-        init = exchange / "init"
-        clock, slowed = preloaded_clock(exchange, pace), slowed_clock(exchange, pace)
-        modules = uml.module_files(machine.modules, MODULES)
-        init.write_text(init_script(missions, installed, results, modules, clock, short))
-        init.chmod(0o755)
+        lines = first_process(missions, installed, results, preloaded_clock(exchange, pace), short)
         (exchange / "up").touch()  # the time limit counts from here: a boot is what is rehearsed
-        with (results / "console.log").open("wb") as log, uml.processor_of_its_own() as processor, StepPrinter(results):
+        print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
 
-            def boot() -> bool:
-                return uml.boot(machine, init, exchange, log, processor, MEMORY_MIB, pace * timeout_s, slowed)
+        def boot() -> bool:
+            log = results / "console.log"
+            return uml.boot(machine, MODULES, lines, exchange, log, MEMORY_MIB, pace * timeout_s, pace)
 
-            in_time = boot()
-            for _ in range(RUNS):
-                if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
-                    in_time = boot()
+        in_time = boot()
+        for _ in range(RUNS):
+            if in_time and (results / "again").exists():  # a reboot may end User-Mode Linux
+                in_time = boot()
     if not in_time:
         raise UserError(f"not done after {timeout_s:g} s: {results / 'console.log'}")
     report = results / "report.json"
@@ -140,6 +130,38 @@ def rehearse(missions: str, results: Path, timeout_s: float, short: bool, pace: 
         raise UserError(f"the machine did not come back from its reboot: {results / 'console.log'}")
     kept = [rules_kept(log) for log in sorted(results.glob("bus-*.log"))]
     return 0 if all_well(json.loads(report.read_text())) and all(kept) else 1
+
+
+def install_car(*words: str | Path, **variables: Path) -> None:
+    """What is up to date is left alone. Raises VcanError."""
+    environment = {**os.environ, **{name: str(path) for name, path in variables.items()}}
+    done = subprocess.run([CHECKOUT / "scripts" / "install-car", *words], env=environment, check=False)
+    if done.returncode != 0:
+        raise VcanError(f"scripts/install-car {words[0]} failed")
+
+
+def unpack(package: Path, root: Path, dpkg: Path = Path("/") / _DPKG) -> None:
+    """Unpack it below `root` by dpkg, beside what this machine says is installed; what is configured is left to do.
+
+    Its dependencies are judged when it is configured, which is done in the rehearsed machine.
+    """
+    status = package.stat()
+    mark = f"{package.name} {status.st_size} {status.st_mtime_ns}\n"
+    if (root / _MARK).is_file() and (root / _MARK).read_text() == mark:
+        return
+    shutil.rmtree(root, ignore_errors=True)
+    root.mkdir(parents=True)
+    shutil.copytree(dpkg, root / _DPKG, symlinks=True)
+    words = ["dpkg", f"--root={root}", "--force-unsafe-io", "--unpack", str(package)]
+    if os.geteuid() != 0:
+        if shutil.which("fakeroot") is None:
+            raise VcanError("dpkg unpacks as root only; as another: sudo apt-get install -y fakeroot")
+        words = ["fakeroot", *words]
+    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+    done = subprocess.run(words, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise VcanError(f"dpkg does not unpack {package.name}: {done.stderr.strip()[-300:]}")
+    (root / _MARK).write_text(mark)
 
 
 def all_well(steps: list[dict[str, object]]) -> bool:
@@ -162,52 +184,13 @@ def rules_kept(log: Path) -> bool:
     return checker.ok
 
 
-class StepPrinter:
-    """Prints each step of the report as it comes."""
-
-    def __init__(self, results: Path) -> None:
-        self._report = results / "report.json"
-        self._printed = 0
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def __enter__(self) -> None:
-        print(f"{'':5} {'took':>10} {'stated':>10}   what", flush=True)
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        over = False
-        while not over:
-            over = self._over.wait(1.0)
-            try:
-                steps = json.loads(self._report.read_text())
-            except (OSError, ValueError):  # not there yet, or being written at this moment
-                continue
-            for step in steps[self._printed :]:
-                took, within = ("" if each is None else f"{each:.2f} s" for each in (step["seconds"], step["within"]))
-                mark = "ok   " if step["passed"] else "WRONG"
-                print(f"{mark} {took:>10} {within:>10}   {step['what']}  {step['words']}".rstrip(), flush=True)
-            self._printed = len(steps)
-
-
-def init_script(
-    missions: str, installed: Path, results: Path, modules: list[Path], clock: Mapping[str, str], short: bool
-) -> str:
+def first_process(missions: str, installed: Path, results: Path, clock: Mapping[str, str], short: bool) -> list[str]:
     """The first process: lays the root file system over this machine's, and hands over to systemd."""
     q = shlex.quote
     options = " --short" if short else ""
-    lines = [
-        "#!/bin/sh",
-        "export PATH=/usr/sbin:/usr/bin:/sbin:/bin",
-        "trap 'echo o > /proc/sysrq-trigger; sleep 60' EXIT",
-        "set -ex",
-        "mount -t proc proc /proc",
-        *(f"insmod {q(str(path))}" for path in modules),
-        uml.hands_over(),
+    variables = {**clock, "LD_PRELOAD": "/usr/lib/rehearsal-clock.so"} if clock else {}
+    return [
+        "set -x",
         "mount -t tmpfs -o size=2000M tmpfs /mnt",
         "mkdir /mnt/upper /mnt/work /mnt/root /mnt/installed",
         # A mount of its own for each: overlayfs wants its layers apart.
@@ -224,18 +207,19 @@ def init_script(
         ": > etc/fstab",
         "echo car-pc > etc/hostname",
         *(f"ln -sf /dev/null etc/systemd/system/{unit}" for unit in MASKED),
-        *([] if short else [f"chroot . dpkg --configure {package.NAME}"]),
+        *([] if short else [f"chroot . dpkg --configure {PACKAGE}"]),
         # The bench: vcan0, the simulated car and what it is seen with.
         "cp -r usr/share/fsai/bench/fsai-* etc/systemd/system/",
         "cp usr/share/fsai/bench/70-* etc/systemd/network/",
         f"sed -i 's/^interface = .*/interface = \"{INTERFACE}\"/' etc/fsai/fsai.toml",
         "sed -i 's/^keep_mib = .*/keep_mib = 100\\nleave_free_mib = 30/' etc/fsai/fsai.toml",
-        *preload(clock),
+        *preload(clock, variables),
         f"echo 'CAR_OPTIONS=--mission {missions} {CAR}' > etc/fsai/bench.env",
-        *unit("fsai-typed-car.service", TYPED_CAR),
-        # A car is never late: what the bench's own has beyond the sandbox.
-        "cp -r etc/systemd/system/fsai-simulated-car@.service.d etc/systemd/system/fsai-typed-car.service.d",
-        *unit("rehearsal.service", f"{REHEARSAL} {INTERFACE} {len(missions.split(','))}{options}"),
+        "cat > etc/systemd/system/rehearsal.service <<'UNIT'",
+        *REHEARSAL.splitlines(),
+        *(f"Environment={name}={value}" for name, value in variables.items()),
+        f"ExecStart=/opt/fsai/bin/python -m {scenes.__name__} {INTERFACE} {len(missions.split(','))}{options}",
+        "UNIT",
         f"chroot . /usr/lib/fsai/settle {INTERFACE}",
         "chroot . systemctl enable systemd-networkd.service fsai-simulated-sensors.service",
         "mkdir -p etc/systemd/system/basic.target.wants",
@@ -245,25 +229,17 @@ def init_script(
         "trap - EXIT",
         "exec chroot . /usr/lib/systemd/systemd --log-target=kmsg < /dev/console > /dev/console 2>&1",
     ]
-    return "\n".join(lines) + "\n"
 
 
-def unit(name: str, text: str) -> list[str]:
-    """Shell lines that write a unit of systemd's."""
-    return [f"cat > etc/systemd/system/{name} <<'UNIT'", *text.splitlines(), "UNIT"]
-
-
-def preload(clock: Mapping[str, str]) -> list[str]:
+def preload(clock: Mapping[str, str], variables: Mapping[str, str]) -> list[str]:
     """Shell lines that give every service the clock that can be read without a system call."""
     if not clock:
         return []
-    library = "/usr/lib/rehearsal-clock.so"
-    variables = {**clock, "LD_PRELOAD": library}
     words = " ".join(f"{name}={value}" for name, value in variables.items())
     page = f"BindReadOnlyPaths=-{SKIPPED}\\nDeviceAllow={SKIPPED} r\\n" if "FSAI_SKIPPED" in clock else ""
     return [
         *([f"chmod a+r {SKIPPED} || true"] if page else []),  # without it the services ask the kernel for the time
-        f"cp {shlex.quote(clock['LD_PRELOAD'])} .{library}",
+        f"cp {shlex.quote(clock['LD_PRELOAD'])} .{variables['LD_PRELOAD']}",
         "mkdir -p etc/systemd/system/fsai-.service.d",
         f"printf '[Service]\\nEnvironment={words}\\n{page}' > etc/systemd/system/fsai-.service.d/90-clock.conf",
     ]

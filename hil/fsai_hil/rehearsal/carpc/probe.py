@@ -6,7 +6,6 @@ of the bridge, with every restriction of the bridge's unit.
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import errno
 import json
@@ -14,6 +13,7 @@ import mmap
 import os
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -42,8 +42,8 @@ def attempts(interface: str) -> dict[str, Callable[[], object]]:
         "changing the CAN interface": lambda: change_link(interface),
         "setting the clock": lambda: time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME)),
         "memory that is written and run": lambda: mmap.mmap(-1, 4096, prot=7).close(),
-        "a datagram to the network": lambda: say(wifi.THERE, PORT),
-        "hearing the network on an open port": lambda: hear(PORT, _LISTENS_S),
+        "a datagram to the network": lambda: send_to(wifi.THERE, PORT),
+        "receiving from the network on an open port": lambda: receive_on(PORT, _LISTENS_S),
         "a namespace of its own": lambda: call("unshare", _CLONE_NEWNS),
         "becoming root": lambda: os.setuid(0),
     }
@@ -78,13 +78,13 @@ def change_link(interface: str) -> None:
         raise PermissionError(errno.EPERM, "ip link set is refused")
 
 
-def say(address: str, port: int) -> None:
+def send_to(address: str, port: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bus:
         bus.sendto(b"x", (address, port))
 
 
-def hear(port: int, seconds: float) -> None:
-    """Somebody there keeps saying something to this port of this machine."""
+def receive_on(port: int, seconds: float) -> None:
+    """From the network somebody keeps sending to this port (`wifi.talked_to`)."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("0.0.0.0", port))
         listener.settimeout(seconds)
@@ -97,13 +97,5 @@ def call(name: str, *arguments: int) -> None:
         raise OSError(ctypes.get_errno(), name)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("interface")
-    args = parser.parse_args()
-    print(json.dumps({name: ended(attempt) for name, attempt in attempts(args.interface).items()}))
-    return 0
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    print(json.dumps({name: ended(attempt) for name, attempt in attempts(sys.argv[1]).items()}))

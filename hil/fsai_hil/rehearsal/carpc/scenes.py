@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import signal
@@ -20,42 +21,23 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from fsai_hil.rehearsal.bus_watch import HOUR_NS, BusWatch
 from fsai_hil.rehearsal.carpc import probe, wifi
-from fsai_hil.rehearsal.carpc.bus_watch import (
-    HOUR_NS,
-    BusWatch,
-    brakes,
-    car_was_deaf,
-    first_s,
-    in_state,
-    longest_gap_s,
-    rest_s,
-    torque_ends_s,
-    wants_emergency,
-)
-from fsai_hil.rehearsal.carpc.recovery_times import (
-    AT_REST_S,
-    BOOT_S,
-    CAR_STOPS_ITSELF_S,
-    HUNG_BACK_S,
-    PURGED_S,
-    RECORDS_AGAIN_S,
-    SERVICE_BACK_S,
-    SHUTDOWN_REST_S,
-    START_TO_FIRST_FRAME_S,
-    TORQUE_OF_A_DEAD_BRIDGE_S,
-    TORQUE_WITHOUT_COMMANDS_S,
-    TORQUE_WITHOUT_DATA_S,
-    UNPLUGGED_S,
-)
-from fsai_hil.rehearsal.stall_monitor import RUNS, StallMonitor, describe
+from fsai_hil.rehearsal.stack import RunningProcess, holds_within
+from fsai_hil.rehearsal.stall_monitor import RUNS, STOOD_STILL_NS, StallMonitor
+from fsai_vcu.core.supervision.config import BridgeConfig
+from fsai_vcu.diagnostics.doctor.collect import listening_sockets, local_address
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus
-from fsai_vcu.interface.messages import AiStatus
+from fsai_vcu.interface.messages import AiStatus, VcuStatus
+from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.runtime.lock import holder_pid
+from fsai_vcu.runtime.loop import EDGE_HUNG_NS
+from fsai_vcu.runtime.pacing import FALLBACK_AFTER_NS
 
 RESULTS = Path("/results")
 AGAIN = RESULTS / "again"  # there while the machine is to boot once more
-FIFO = Path("/run/rehearsal/car")
+# What one processor of User-Mode Linux has time for, as in the suite on vcan0.
+LIGHT = ("--truth", "25510", "--quiet", "--gps-decimation", "20", "--log-decimation", "10")
 NODES = ("fsai-detector", "fsai-planner", "fsai-controller")
 MISSION = "trackdrive"
 MISSIONS_S = 400.0
@@ -72,6 +54,23 @@ _SETTLE = Path("/usr/lib/fsai/settle")
 _POLL_S = 0.1
 _BOOT_POLL_S = 0.5  # each look takes from the one processor what the services start with
 
+# The times within which the car PC is well again: for one processor of User-Mode Linux, on which an interpreter takes
+# several times as long to start as on a car PC.
+BOOT_S = 45.0  # from the kernel's start until all services are active
+START_TO_FIRST_FRAME_S = 6.0  # of the bridge, which listens for 200 ms first; on a normal machine 1 s (`make bench`)
+SERVICE_BACK_S = 20.0  # while the others drive on and take most of that processor; by itself a third of it
+HUNG_BACK_S = SERVICE_BACK_S + 3.0 + EDGE_HUNG_NS / 1e9  # its watchdog, and what the loop waits for a silent edge
+UNPLUGGED_S = 3.0
+PURGED_S = 90.0  # some ten thousand files
+RECORDS_AGAIN_S = 10.0
+AT_REST_S = 8.0
+# What the bus shows is measured against the bridge's own times. On top of each: at most one cycle, and what the machine
+# may be held up without being excused.
+_TIMES = BridgeConfig()
+_CYCLE_S = (FALLBACK_AFTER_NS + STOOD_STILL_NS) / 1e9
+TORQUE_WITHOUT_COMMANDS_S = _TIMES.command_stale_ns / 1e9 + _CYCLE_S
+TORQUE_WITHOUT_DATA_S = _TIMES.sensor_stale_ns / 1e9 + _CYCLE_S
+CAR_STOPS_ITSELF_S = COMMS_LOST_NS / 1e9 + _CYCLE_S  # the car's own: what it needs to see that nobody speaks
 
 # The bridge's unit with another command, that ends, in the place of its own.
 PROBE = """[Service]
@@ -110,7 +109,7 @@ def strikes_of_bridge(what: str, number: signal.Signals) -> tuple[Strike, Strike
     ends_in, first = AsState.EMERGENCY_BRAKE, AsState.AS_FINISHED
     return (
         Strike(f"bridge {what}", "fsai-bridge", TORQUE_WITHOUT_COMMANDS_S, ends_in, first, number),
-        Strike(f"CAN loop {what}", "fsai-bridge", TORQUE_OF_A_DEAD_BRIDGE_S, ends_in, None, number, of_loop=True),
+        Strike(f"CAN loop {what}", "fsai-bridge", _CYCLE_S, ends_in, None, number, of_loop=True),
     )
 
 
@@ -137,15 +136,12 @@ class Rehearsal:
         self.services = (*NODES, self.bridge, self.recorder)
         report = RESULTS / "report.json"
         self.steps: list[dict[str, object]] = json.loads(report.read_text()) if report.exists() else []
-        self.fresh_car = False  # it has just been switched on
-        self.watched: BusWatch | None = None  # the bus of the last drive
+        self.car: RunningProcess | None = None
 
     def run_short(self) -> None:
         """What every change of the sources goes through."""
         self.booted()
-        self.start_car()
-        self.type("on")
-        self.fresh_car = True
+        self.switch_car_on()
         self.scene("the doctor", lambda: self.doctor(silent=False))
         self.scene("the sandbox", lambda: self.sandboxed(compare=False))
         self.scene(BRIDGE_KILLED.what, lambda: self.struck_in_a_drive(BRIDGE_KILLED))
@@ -160,7 +156,6 @@ class Rehearsal:
         self.scene("the sandbox", lambda: self.sandboxed(compare=True))
         self.scene("the network", self.not_found)
         self.scene("the missions", self.driven)
-        self.start_car()
         self.scene("undisturbed", self.undisturbed_drive)
         for strike in STRIKES:
             self.scene(strike.what, partial(self.struck_in_a_drive, strike))
@@ -170,7 +165,6 @@ class Rehearsal:
     def go_on(self, reboot: int) -> None:
         """After a reboot in mid-drive, the `reboot`th; one that a disturbed machine made fail is to be had again."""
         self.booted()
-        self.start_car()
         self.scene("after the reboot", self.after_the_reboot)
         if reboot > 1:
             self.rebooted(reboot)
@@ -181,7 +175,7 @@ class Rehearsal:
         self.purged()
 
     def scene(self, name: str, play: Callable[[], None]) -> None:
-        """Play it; again where it failed while the machine stood still or was slow, for then it has shown nothing."""
+        """Play it; again where it failed while the machine stood still, for then it has shown nothing."""
         for run in range(1, RUNS + 1):
             if not self.shows_nothing(name, play, run):
                 return
@@ -189,27 +183,19 @@ class Rehearsal:
     def shows_nothing(self, name: str, play: Callable[[], None], run: int) -> bool:
         """Play a scene; whether it is to be played again."""
         since_ns, first = time.monotonic_ns(), len(self.steps)
-        self.watched = None
         try:
             play()
             failed = not all(step["passed"] for step in self.steps[first:])
         except CannotGoOn:
             failed = True
-        why = self.disturbed(since_ns) if failed else ""
+        why = self.stall_monitor.disturbed(since_ns) if failed else ""
         if why and run == RUNS:
-            self.check(f"{name}: never undisturbed", False, f"in run {run} too {why}")
+            self.check(f"{name}: never undisturbed", False, f"in run {run} too the machine {why}")
         elif why:
             for step in self.steps[first:]:
                 step["counts"] = False
-            self.note(f"{name}: run {run} shows nothing: {why}", None)
+            self.note(f"{name}: run {run} shows nothing: the machine {why}", None)
         return bool(why) and run < RUNS
-
-    def disturbed(self, since_ns: int) -> str:
-        """What befell the machine, or the simulated car on it, since then; '' if nothing did."""
-        if disturbances := self.stall_monitor.disturbances(since_ns):
-            return f"the machine {describe(disturbances)}"
-        deaf = self.watched is not None and car_was_deaf(self.watched.frames)
-        return "the simulated VCU did not take in what was on the bus" if deaf else ""
 
     # ------------------------------------------------------------ the drives
 
@@ -225,16 +211,15 @@ class Rehearsal:
             self.struck(watch, strike)
 
     def after_the_reboot(self) -> None:
-        watch = BusWatch(self.interface, Path("/run/rehearsal/after.log"))
-        self.type("off", "on")
+        self.switch_car_on()
+        watch = self.watch("after")
         up = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
         self.check("after the reboot the car powers up", up)
         since_ns = time.time_ns()
         watch.wait(lambda: False, AT_EASE_S * 2)
-        still = watch.as_state is AsState.AS_OFF and torque_ends_s(watch.since(since_ns), since_ns) == 0
+        still = watch.as_state is AsState.AS_OFF and watch.torque_ends(since_ns) == 0
         self.note("after the reboot nothing drives by itself", AT_EASE_S * 2, passed=still)
-        watch.close()
-        self.fresh_car = True
+        watch.stop()
         with self.drive("after-reboot"):
             pass
 
@@ -304,9 +289,9 @@ class Rehearsal:
         allowed = [name for name, how in confined.items() if not how]
         words = f"{len(confined) - len(allowed)} refused; allowed: {', '.join(allowed)}"
         self.check("inside of the bridge's, nothing but a CAN socket", allowed == [probe.CAN], words)
-        listing = output("ss", "-H", "-lntup")
-        found = wifi.listeners_in(listing)
-        words = "; ".join(found) or f"{len(listing.splitlines())} sockets, all on the loopback"
+        listing = listening_sockets().splitlines()
+        found = [line for line in listing if not local_address(line).is_loopback]
+        words = "; ".join(found) or f"{len(listing)} sockets, all on the loopback"
         self.check("nothing on this machine listens on a network", bool(listing) and not found, words)
 
     def in_the_bridges_place(self, command: str) -> str:
@@ -337,20 +322,16 @@ class Rehearsal:
         """A power cycle of the car, which clears whatever was latched; then AS_OFF, AS_READY, Go, and it drives."""
         self.await_that(self.all_active, 60.0)
         began = time.monotonic()
-        watch = BusWatch(self.interface, Path(f"/run/rehearsal/{name}.log"))
-        self.watched = watch
-        fresh, self.fresh_car = self.fresh_car, False
-        if not fresh:
-            self.type("off", "ami not_selected")
-        drives = (
-            (fresh or watch.wait(lambda: watch.silent_for_s() > OFF_S, POWER_UP_S))
-            and self._typed(watch, "on", AsState.AS_OFF)
-            and self._typed(watch, f"ami {MISSION}", AsState.AS_READY)
-            and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
-        )
+        car = self.switch_car_on()
+        watch = self.watch(name, RESULTS / f"bus-{name}.log")
+        drives = watch.wait(lambda: watch.as_state is AsState.AS_OFF, POWER_UP_S)
+        if drives:
+            car.type(f"ami {MISSION}")
+            drives = watch.wait(lambda: watch.as_state is AsState.AS_READY, POWER_UP_S)
+        drives = drives and not watch.wait(lambda: watch.as_state is not AsState.AS_READY, EBS_ARMED_S)
         until = time.monotonic() + POWER_UP_S
         while drives and watch.as_state is AsState.AS_READY and time.monotonic() < until:
-            self.type("go")
+            car.type("go")
             watch.wait(lambda: watch.as_state is not AsState.AS_READY, GO_AGAIN_S)
         drives = drives and watch.wait(lambda: watch.fastest_rpm > DRIVES_RPM, POWER_UP_S)
         drives = drives and watch.as_state is AsState.AS_DRIVING
@@ -363,21 +344,21 @@ class Rehearsal:
             else:
                 raise CannotGoOn(name)
         finally:
-            watch.close()
-            if not AGAIN.exists():  # else the machine goes down: it has been kept
-                shutil.copy(watch.path, RESULTS / f"bus-{name}.log")
+            watch.stop()
 
-    def start_car(self) -> None:
-        """The simulated car as a service whose switches are typed."""
-        subprocess.run(["systemctl", "start", "fsai-typed-car"], check=True)
+    def watch(self, name: str, kept: Path | None = None) -> BusWatch:
+        return BusWatch(self.interface, Path(f"/run/rehearsal/{name}.log"), kept)
 
-    def type(self, *lines: str) -> None:
-        with FIFO.open("w") as fifo:
-            fifo.write("".join(f"{line}\n" for line in lines))
-
-    def _typed(self, watch: BusWatch, line: str, state: AsState) -> bool:
-        self.type(line)
-        return watch.wait(lambda: watch.as_state is state, POWER_UP_S)
+    def switch_car_on(self) -> RunningProcess:
+        """A power cycle of the simulated car, which is no part of the car PC: no stop of a service ends it."""
+        if self.car is not None:
+            self.car.stop()
+            time.sleep(OFF_S)
+        words = ["vcu", "-i", self.interface, "--mission", MISSION, "--track", "small_oval", *LIGHT]
+        argv = [sys.executable, "-m", "fsai_vcu.cli.main", *words]
+        self.car = RunningProcess("car", argv, Path("/run/rehearsal/car.log"), os.environ, stdin=subprocess.PIPE)
+        self.car.type("on")
+        return self.car
 
     # ------------------------------------------------------------ what must not matter
 
@@ -397,7 +378,7 @@ class Rehearsal:
         subprocess.run(["nice", "-n", "19", "sh", "-c", f"cat /dev/zero > {fill}"], capture_output=True, check=False)
         free_kib = shutil.disk_usage("/var/log").free >> 10
         on = not watch.wait(lambda: not self.undisturbed(watch), FULL_S)
-        gap_s = longest_gap_s(watch.since(since_ns))
+        gap_s = watch.longest_gap(since_ns) / 1e9
         fill.unlink()
         reported = [line for line in self.journal_of(self.recorder)[since:] if "cannot write" in line]
         words = (
@@ -453,16 +434,15 @@ class Rehearsal:
         """The run has ended as it must, the car stands, and nothing sets off again."""
         what, ends_in, first = strike.what, strike.ends_in, strike.first or strike.ends_in
         watch.wait(lambda: False, AT_EASE_S)
-        seen = watch.since(struck_ns)
-        over_s = first_s(seen, struck_ns, in_state(*(state for state in AsState if state is not AsState.AS_DRIVING)))
+        states = [(t_ns, image.as_state) for t_ns, image in watch.images(VcuStatus, struck_ns)]
+        over = [(t_ns - struck_ns, state) for t_ns, state in states if state is not AsState.AS_DRIVING]
         if strike is not UNPLUGGED:
-            self.note(f"{what}: the last torque", torque_ends_s(seen, struck_ns), strike.torque_s)
+            self.note(f"{what}: the last torque", watch.torque_ends(struck_ns) / 1e9, strike.torque_s)
             if first is AsState.EMERGENCY_BRAKE:
-                self.note(f"{what}: the car stops itself", over_s, CAR_STOPS_ITSELF_S)
-        self.note(f"{what}: at rest", rest_s(seen, struck_ns), AT_REST_S)
-        elsewhere = in_state(*(state for state in AsState if state not in (first, ends_in, AsState.AS_DRIVING)))
-        came_first = first_s(seen, struck_ns, in_state(first))
-        stays = watch.as_state is ends_in and came_first == over_s and not any(elsewhere(each.image) for each in seen)
+                self.note(f"{what}: the car stops itself", over[0][0] / 1e9 if over else None, CAR_STOPS_ITSELF_S)
+        self.note(f"{what}: at rest", in_s(watch.rests_after(struck_ns)), AT_REST_S)
+        came = [state for _, state in over]
+        stays = watch.as_state is ends_in and came[:1] == [first] and set(came) <= {first, ends_in}
         words = "" if watch.as_state is None else watch.as_state.label
         self.check(f"{what}: ends in {ends_in.label} and does not drive on", stays, words)
 
@@ -473,9 +453,9 @@ class Rehearsal:
     def first_frame(self, watch: BusWatch) -> None:
         """From the start of the bridge's newest process to the first frame that it sends."""
         began_ns = int(self.bridge_began_s() * 1e9) + time.time_ns() - time.monotonic_ns()
-        watch.wait(lambda: any(isinstance(each.image, AiStatus) for each in watch.since(began_ns)), 5.0)
-        first = first_s(watch.since(began_ns), began_ns, lambda image: isinstance(image, AiStatus))
-        self.note("the bridge, from its process to its first frame", first, START_TO_FIRST_FRAME_S)
+        watch.wait(lambda: bool(watch.images(AiStatus, began_ns)), 5.0)
+        first_s = in_s(watch.first(AiStatus, began_ns))
+        self.note("the bridge, from its process to its first frame", first_s, START_TO_FIRST_FRAME_S)
 
     def unplugged(self) -> None:
         with self.drive("unplugged"):
@@ -484,13 +464,13 @@ class Rehearsal:
             self.step("unplugged: the bridge is stopped", lambda: not is_active(self.bridge), 30.0, UNPLUGGED_S)
             plugged_ns = time.time_ns()
             output("ip", "link", "add", "dev", self.interface, "type", "vcan")
-            after = BusWatch(self.interface, Path("/run/rehearsal/plugged.log"))
+            after = self.watch("plugged")
             self.step("plugged in: the bridge is back", lambda: self.anew(self.bridge, before), 60.0, SERVICE_BACK_S)
             self.step("and the recorder", lambda: is_active(self.recorder), 60.0, SERVICE_BACK_S)
             after.wait(lambda: after.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
             self.rested(after, UNPLUGGED, plugged_ns)
-            self.note("no torque since", torque_ends_s(after.since(plugged_ns), plugged_ns), 0.0)
-            after.close()
+            self.note("no torque since", after.torque_ends(plugged_ns) / 1e9, 0.0)
+            after.stop()
 
     def rebooted(self, run: int) -> None:
         """In mid-drive; what is to be done after the next boot is in AGAIN."""
@@ -513,30 +493,27 @@ class Rehearsal:
         systemctl("--no-block", "reboot")
         at_rest = watch.wait(lambda: watch.at_rest_in(AsState.EMERGENCY_BRAKE), 30.0)
         watch.wait(lambda: False, AT_EASE_S)
-        seen = watch.since(asked_ns)
-        shutil.copy(watch.path, RESULTS / "bus-rebooted.log")
+        sent = watch.images(AiStatus, asked_ns)
+        watch.stop()
         what = "reboot in mid-drive"
-        goodbye = [each.image for each in seen if isinstance(each.image, AiStatus) and each.image.estop_request]
+        goodbye = [image for _, image in sent if image.estop_request]
         right = all(
             image.direction is Direction.FORWARD and image.mission_status is MissionStatus.RUNNING for image in goodbye
         )
-        asked_s = first_s(seen, asked_ns, wants_emergency)
-        # When the services are stopped is systemd's to say, so this is no time of the bridge's.
+        asked_s = in_s(watch.estop_after(asked_ns))
+        # When the services are stopped is up to systemd, so this is no time of the bridge's.
         self.note(f"{what}: ESTOP_REQUEST", asked_s, passed=asked_s is not None)
         words = f"{len(goodbye)} cycles, {'FORWARD' if right else 'WRONG'}"
         self.check(f"{what}: the goodbye", right and len(goodbye) == GOODBYE_CYCLES, words)
         if asked_s is not None:
             began_ns = asked_ns + int(asked_s * 1e9)
-            after = [each for each in seen if each.t_ns >= began_ns]
             # A brake may rise only after a cycle without torque, and by then the car may be braking itself.
-            braked_s = first_s(after, began_ns, brakes)
-            itself_s = first_s(after, began_ns, in_state(AsState.EMERGENCY_BRAKE))
-            soonest_s = min((each for each in (braked_s, itself_s) if each is not None), default=None)
-            passed = soonest_s is not None and torque_ends_s(after, began_ns) == 0
+            itself = watch.first(VcuStatus, began_ns, lambda status: status.as_state is AsState.EMERGENCY_BRAKE)
+            soonest_s = in_s(min(watch.brakes_after(began_ns), itself))
+            passed = watch.torque_ends(began_ns) == 0
             self.note(f"{what}: brake asked for or EMERGENCY_BRAKE, no torque", soonest_s, 0.1, passed=passed)
-            ai = [each.t_ns for each in after if isinstance(each.image, AiStatus)]
-            self.note(f"{what}: silence begins", (max(ai) - began_ns) / 1e9, 0.2)
-            self.note(f"{what}: at rest", rest_s(after, began_ns), SHUTDOWN_REST_S, passed=at_rest)
+            self.note(f"{what}: silence begins", (sent[-1][0] - began_ns) / 1e9, 0.2)
+            self.note(f"{what}: at rest", in_s(watch.rests_after(began_ns)), AT_REST_S, passed=at_rest)
 
     def switched_off(self) -> None:
         """Switched off by hand, nobody sends, not even when an adapter is plugged in; the bus named, all are back."""
@@ -608,10 +585,7 @@ class Rehearsal:
     # ------------------------------------------------------------ the report
 
     def await_that(self, condition: Callable[[], bool], patience_s: float, poll_s: float = _POLL_S) -> bool:
-        until = time.monotonic() + patience_s
-        while not (holds := condition()) and time.monotonic() < until:
-            time.sleep(poll_s)
-        return holds
+        return holds_within(condition, patience_s, lambda: time.sleep(poll_s))
 
     def step(self, what: str, condition: Callable[[], bool], patience_s: float, within_s: float) -> None:
         """Await `condition`; how long it took is the step's time."""
@@ -627,11 +601,18 @@ class Rehearsal:
         self.steps.append(
             {"what": what, "seconds": seconds, "within": within_s, "passed": passed, "words": words, "counts": True}
         )
+        took, stated = ("" if each is None else f"{each:.2f} s" for each in (seconds, within_s))
+        print(f"{'ok   ' if passed else 'WRONG'} {took:>10} {stated:>10}   {what}  {words}".rstrip(), flush=True)
         (RESULTS / "report.json").write_text(json.dumps(self.steps, indent=1))
 
     def check(self, what: str, passed: bool, words: str = "") -> None:
         """A step that takes no time."""
         self.note(what, None, None, passed, words)
+
+
+def in_s(time_ns: float) -> float | None:
+    """None for what never was."""
+    return None if math.isinf(time_ns) else time_ns / 1e9
 
 
 def output(*argv: str) -> str:
@@ -661,31 +642,26 @@ def main() -> int:
     parser.add_argument("missions", type=int)
     parser.add_argument("--short", action="store_true")
     args = parser.parse_args()
-    again = AGAIN.read_text().strip() if AGAIN.exists() else ""
+    reboot = int(AGAIN.read_text().strip() or 0) if AGAIN.exists() else 0  # 0 on the first boot
     AGAIN.unlink(missing_ok=True)
     with StallMonitor(Path("/run/rehearsal/stall_monitor")) as stall_monitor:
-        return played(Rehearsal(args.interface, args.missions, stall_monitor), int(again or 0), short=args.short)
-
-
-def played(rehearsal: Rehearsal, reboot: int, *, short: bool) -> int:
-    """reboot: 0 on the first boot."""
-    try:
-        if reboot:
-            rehearsal.go_on(reboot)
-        elif short:
-            rehearsal.run_short()
-        else:
-            rehearsal.run()
-    except Exception as error:
-        AGAIN.unlink(missing_ok=True)
-        rehearsal.note(f"the rehearsal itself failed: {type(error).__name__}: {error}", None, passed=False)
-        raise
-    finally:
-        journal = f"journal-after-reboot-{reboot}.txt" if reboot else "journal.txt"
-        (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
-        if not AGAIN.exists():
-            (RESULTS / "done").touch()
-            systemctl("poweroff", "--force")
+        rehearsal = Rehearsal(args.interface, args.missions, stall_monitor)
+        try:
+            if reboot:
+                rehearsal.go_on(reboot)
+            elif args.short:
+                rehearsal.run_short()
+            else:
+                rehearsal.run()
+        except Exception as error:
+            AGAIN.unlink(missing_ok=True)
+            rehearsal.note(f"the rehearsal itself failed: {type(error).__name__}: {error}", None, passed=False)
+            raise
+        finally:
+            journal = f"journal-after-reboot-{reboot}.txt" if reboot else "journal.txt"
+            (RESULTS / journal).write_text(output("journalctl", "-b", "--no-pager"))
+            if not AGAIN.exists():
+                systemctl("poweroff", "--force")
     return 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -29,7 +28,7 @@ def plug_in() -> None:
         f"-n {_ELSEWHERE} addr add {THERE}/24 dev sta0",
         f"-n {_ELSEWHERE} link set lo up",
         f"-n {_ELSEWHERE} link set sta0 up",
-        # What says nothing of where it goes, as discovery does, goes there.
+        # Datagrams to a group, as discovery sends them, go there.
         f"-n {_ELSEWHERE} route add 224.0.0.0/4 dev sta0",
     ):
         subprocess.run(["ip", *words.split()], check=True)
@@ -50,18 +49,6 @@ def talked_to(port: int) -> Iterator[None]:
     finally:
         talker.kill()
         talker.wait()
-
-
-def listeners_in(listing: str) -> list[str]:
-    """Of what `ss -H -lntup` prints: who takes anything from beyond this machine, as 'udp 0.0.0.0:7400 users:…'."""
-    from fsai_vcu.diagnostics.doctor.collect import local_address  # not for the strangers, who are to start soon
-
-    found = []
-    for line in listing.splitlines():
-        protocol, _, _, _, local, _, *process = line.split()
-        if not local_address(line).is_loopback:
-            found.append(" ".join((protocol, local, *process)))
-    return found
 
 
 def nodes_seen(seconds: float) -> dict[str, object]:
@@ -102,12 +89,5 @@ def looked(argv: list[str], seconds: float, environment: Mapping[str, str]) -> d
     return found
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("seconds", type=float)
-    print(json.dumps(nodes_seen(parser.parse_args().seconds)))
-    return 0
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    print(json.dumps(nodes_seen(float(sys.argv[1]))))

@@ -109,7 +109,7 @@ def keep_processor_busy() -> None:
 
 def keep_memory_busy(most_bytes: int) -> None:
     """Take the share, but no more than so much, write to each of its pages twice, give it back, over and over."""
-    # Should memory run out all the same, it is this process that the kernel ends, and the measurement says so.
+    # Should memory run out all the same, it is this process that the kernel ends, and the measurement reports it.
     Path("/proc/self/oom_score_adj").write_text("1000")
     (available_kib,) = re.findall(r"^MemAvailable:\s*(\d+)", Path("/proc/meminfo").read_text(), re.MULTILINE)
     pages = int(min(MEMORY_SHARE * 1024 * int(available_kib), most_bytes)) // mmap.PAGESIZE

@@ -5,6 +5,9 @@ arrival of its echo in a 0x510. So its own lateness is part of every figure; it 
 bus, stamped by the kernel, shows the time between the two frames alone.
 
 Before that the same simulated car, under the same loads, is answered by `polling_loop.c`, a peer to compare with.
+
+`fsai-vcu scrutineering` provides a vcan0 and runs this there, with what is to be measured as JSON. Its keys: result
+(the file for what is measured, logs go beside it), conditions (names), and what Measurement takes.
 """
 
 from __future__ import annotations
@@ -13,21 +16,23 @@ import contextlib
 import json
 import os
 import shutil
+import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, Stance
+from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, Stance, conditions_named
 from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
 from fsai_hil.rehearsal.scrutineering.machine import machine, scheduling_of
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack, StackError, await_condition
-from fsai_hil.rehearsal.stall_monitor import StallMonitor
-from fsai_hil.rules.checker import checker_for, read_candump
-from fsai_hil.rules.response import ResponseTimes
+from fsai_hil.rehearsal.stall_monitor import NOTED_NS, StallMonitor
+from fsai_hil.rules.checker import read_candump
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.revisions import revision as revision_named
@@ -44,7 +49,6 @@ MISSION, TRACK = "trackdrive", "small_oval"
 _ATTEMPTS = 3
 BETWEEN = "between"  # what the simulated car measures while nothing is asked
 _LOOK_S = 0.5
-_NOTED_STALL_NS = 20_000_000
 _LOG_PRIORITY = FIFO_PRIORITY - 20
 _MISSED_AT_THE_EDGES = 20  # echoes: log and measurement do not begin and end at the same instant
 _RULES_SHOWN = 20
@@ -52,46 +56,6 @@ _LOGGED = "500:7C0"  # 0x500 to 0x53F: everything of bridge and VCU, and not the
 _PEER = "c-loop"
 _NODES_NICE = -15  # of detector, planner and controller on the car PC
 _PEER_SOURCE = Path(__file__).with_name("polling_loop.c")
-
-
-class _Car:
-    """One power-up of the simulated car, its switches worked from here."""
-
-    def __init__(self, stack: Stack, number: int, arguments: Sequence[str]) -> None:
-        self.name = f"vcu-{number}"
-        self._result = stack.folder / f"{self.name}.json"
-        words = ["vcu", "-i", stack.bus, "--mission", MISSION, "--track", TRACK, "--laps", str(LAPS), "--quiet"]
-        words += ["--truth", str(stack.truth_port), "--result", str(self._result), *arguments]
-        self._process: RunningProcess = stack.start_verb(self.name, *words, stdin=subprocess.PIPE)
-        self._stack = stack
-
-    def type(self, line: str) -> None:
-        self._process.check_alive()
-        self._process.type(line)
-
-    def _asked(self, line: str, answer: str) -> str:
-        """What the car prints up to its answer to a line."""
-        answers = self._process.log().count(answer)
-        self.type(line)
-        await_condition(lambda: self._process.log().count(answer) > answers, END_S, f"the car answers '{line}'")
-        return self._process.log().rpartition(answer)[0]
-
-    def state(self) -> str:
-        """The AS state, as the car reports it when it is asked."""
-        return self._asked("status", " | ASSI ").splitlines()[-1].partition(" ")[0]
-
-    def measure(self, name: str) -> None:
-        """Returns once the car counts under that name."""
-        self._asked(f"measure {name}", "measuring: ")
-
-    def end(self) -> list[dict[str, Any]]:
-        """Switch the process off; what it has measured."""
-        self.type("quit")
-        self._process.wait(END_S)
-        self._process.stop()
-        del self._stack.processes[self.name]
-        measurements: list[dict[str, Any]] = json.loads(self._result.read_text())["measurements"]
-        return measurements
 
 
 class Measurement:
@@ -110,10 +74,10 @@ class Measurement:
         self._decimation = {"gps": 20, "log": 10} if slow_place else {"gps": 1, "log": 1}
         self._codec = Codec(revision_named(revision))
         self._cars = 0
-        self._car: _Car | None = None
+        self._car: RunningProcess | None = None
         self._found: dict[str, dict[str, Any]] = {}  # by the condition's name
         self._lost_between = 0
-        self._windows: list[tuple[str, int, int]] = []  # name, begin and end by the wall clock, as candump stamps
+        self._windows: dict[str, tuple[int, int]] = {}  # begin and end by the wall clock, as candump stamps
         self._out_of_reach: dict[Stance, str] = {}
         self._stack: Stack
         self._monitor: StallMonitor
@@ -147,12 +111,12 @@ class Measurement:
             raise StackError(f"{_PEER_SOURCE.name} cannot be compiled: {reason}") from error
         peer = self._stack.start(_PEER, [program, self._bus])
         car = self._switched_on()
-        await_condition(lambda: car.state() == Stance.ALONE.value, POWER_UP_S, "AS_OFF with the C loop")
+        await_condition(lambda: _state_of(car) == Stance.ALONE.value, POWER_UP_S, "AS_OFF with the C loop")
         loads = list(dict.fromkeys(condition.load for condition in conditions))
         for number, load in enumerate(loads, start=1):
             condition = Condition(_of_peer(load), Stance.ALONE, load)
             _say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
-            self._measure(condition, (_PEER,), lambda: (car.state(), ""))
+            self._measure(condition, (_PEER,), lambda: (_state_of(car), ""))
         self._end_car()
         self._lost_between = 0  # what follows is the bridge's
         peer.stop()
@@ -183,7 +147,7 @@ class Measurement:
             loop = holder_pid(self._bus)
             scheduling = {} if loop is None else {"CAN loop": scheduling_of(loop)}
             if self._car is not None:
-                scheduling["vcu"] = scheduling_of(self._stack.processes[self._car.name].popen.pid)
+                scheduling["vcu"] = scheduling_of(self._car.popen.pid)
             self._end_car()
         finally:
             operator.close()
@@ -262,12 +226,17 @@ class Measurement:
                 lambda: operator.state.speed_mps > CRUISE_MPS or _over(operator), DRIVE_OFF_S, "the car drives", *NODES
             )
 
-    def _switched_on(self) -> _Car:
+    def _switched_on(self) -> RunningProcess:
+        """One power-up of the simulated car, its switches worked from here."""
         self._cars += 1
-        decimation = (f"--{name}-decimation={each}" for name, each in self._decimation.items())
         self._start_log()
-        self._car = _Car(self._stack, self._cars, ("--revision", self._revision, *decimation))
-        self._car.measure(BETWEEN)
+        name, stack = f"vcu-{self._cars}", self._stack
+        words = ["vcu", "-i", stack.bus, "--mission", MISSION, "--track", TRACK, "--laps", str(LAPS), "--quiet"]
+        words += ["--truth", str(stack.truth_port), "--result", str(stack.folder / f"{name}.json")]
+        words += ["--revision", self._revision]
+        words += [f"--{kind}-decimation={each}" for kind, each in self._decimation.items()]
+        self._car = stack.start_verb(name, *words, stdin=subprocess.PIPE)
+        _count_as(self._car, BETWEEN)
         self._car.type("on")
         return self._car
 
@@ -275,7 +244,11 @@ class Measurement:
         car, self._car = self._car, None
         if car is None:
             return
-        for each in car.end():
+        car.type("quit")
+        car.wait(END_S)
+        car.stop()
+        del self._stack.processes[car.name]
+        for each in json.loads((self._stack.folder / f"{car.name}.json").read_text())["measurements"]:
             if each["name"] == BETWEEN:
                 self._lost_between += each["comms_losses"]
             else:
@@ -292,7 +265,7 @@ class Measurement:
         ended = stood = stops = ""
         disk_file = self._folder / "disk-load"
         with loaded(self._stack, condition, disk_file, car_bits, force_disk=not self._slow_place):
-            car.measure(condition.name)
+            _count_as(car, condition.name)
             before, began_ns, began_wall_ns = self._traffic(), time.monotonic_ns(), time.time_ns()
             until = time.monotonic() + self._seconds
             while (left_s := until - time.monotonic()) > 0.0:
@@ -308,15 +281,15 @@ class Measurement:
                     ended = f"the car went to {shown}" + (f" ({stops})" if stops else "")
                     break
             after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
-            self._windows.append((condition.name, began_wall_ns, time.time_ns()))
-            car.measure(BETWEEN)
+            self._windows[condition.name] = began_wall_ns, time.time_ns()
+            _count_as(car, BETWEEN)
         frames, payload_bytes = after[0] - before[0], after[1] - before[1]
         bits = FRAME_BITS * frames + 8 * payload_bytes
-        stalls = self._monitor.stalls(began_ns, at_least_ns=_NOTED_STALL_NS)
+        stalls_ns = self._monitor.stalls_ns(began_ns, NOTED_NS)
         self._found[condition.name] = {
             "frames_per_s": round(frames / took_s),
             "bus_load_pct": round(100.0 * bits / took_s / BUS_BITS_PER_S, 1),
-            "machine_stalls_ms": [round(stall.lasted_ns / 1e6, 1) for stall in stalls],
+            "machine_stalls_ms": [round(stall_ns / 1e6, 1) for stall_ns in stalls_ns],
             "ended_early": ended,
             "stood": stood,
         }
@@ -335,20 +308,9 @@ class Measurement:
         """What the log of this car shows of each condition."""
         candump = self._stack.processes.pop(f"bus-{self._cars}")
         candump.stop()
-        windows, self._windows = self._windows, []
-        checker = checker_for(self._codec, busy_machine=True)
-        frames = read_candump(candump.log_path)
-        for name, began_ns, ended_ns in windows:
-            for until_ns in (began_ns, ended_ns):
-                checker.responses, known = ResponseTimes(), len(checker.violations)
-                for frame in frames:
-                    checker.on_frame(frame)
-                    if frame.t_ns >= until_ns:
-                        break
-            self._found[name] |= {
-                "wire": checker.responses.as_dict(),
-                "rules_broken": checker.violations[known:][:_RULES_SHOWN],
-            }
+        windows, self._windows = self._windows, {}
+        for name, (times, broken) in responses_in(read_candump(candump.log_path), self._codec, windows).items():
+            self._found[name] |= {"wire": times.as_dict(), "rules_broken": broken[:_RULES_SHOWN]}
 
     def _traffic(self) -> tuple[int, int]:
         """Frames and payload bytes that have been sent on the interface, by everybody."""
@@ -359,6 +321,16 @@ class Measurement:
 def _of_peer(load: tuple[Load, ...]) -> str:
     """The name under which the peer's figures with that load are counted."""
     return "-".join((_PEER, *(each.name.lower() for each in load)))
+
+
+def _state_of(car: RunningProcess) -> str:
+    """The AS state, as the car reports it when it is asked."""
+    return car.ask("status", " | ASSI ", END_S).splitlines()[-1].partition(" ")[0]
+
+
+def _count_as(car: RunningProcess, name: str) -> None:
+    """Returns once the car counts under that name."""
+    car.ask(f"measure {name}", "measuring: ", END_S)
 
 
 def _state(operator: RosOperator) -> tuple[str, str]:
@@ -373,3 +345,23 @@ def _over(operator: RosOperator) -> bool:
 
 def _say(text: str) -> None:
     print(text, flush=True)
+
+
+def main() -> int:
+    plan = json.loads(sys.argv[1])
+    result, names = Path(plan.pop("result")), plan.pop("conditions")
+    # A polite kill ends everything that was started, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        measured = Measurement(folder=result.parent, **plan).run(conditions_named(names))
+    except StackError as error:
+        print(f"fsai-vcu scrutineering: {error}", file=sys.stderr, flush=True)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    result.write_text(json.dumps(measured) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
