@@ -12,15 +12,13 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from fsai_hil.evidence import fuzz_run
 from fsai_hil.evidence.fuzz_machine import explore
 from fsai_hil.evidence.fuzz_run import forget_stations
-from fsai_hil.evidence.model import patched
-from fsai_hil.evidence.seeded import SEEDS
+from fsai_hil.evidence.seeded import SEEDS, Seed, patched
 from fsai_hil.evidence.work import Progress, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
@@ -98,22 +96,19 @@ def sought(name: str) -> tuple[str, str, float]:
 
     Returns the name, what was broken ("" for nothing in `SEEDED_S`), and the processor time that took.
     """
-    done = Done()
+    done, number = Done(), 0
     began_s = time.process_time()
-    with ExitStack() as stack:
-        stack.callback(forget_stations)
-        for seed in (one for one in SEEDS if one.name == name):
-            setups = {
-                key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
-                for key, setup in fuzz_run.SETUPS.items()
-            }
-            for owner, attribute, value in ((fuzz_run, "SETUPS", setups), *seed.patches):
-                stack.enter_context(patched(owner, attribute, value))
-        forget_stations()
-        number = 0
+    seed = next((one for one in SEEDS if one.name == name), Seed("", "", ""))
+    setups = {
+        key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
+        for key, setup in fuzz_run.SETUPS.items()
+    }
+    forget_stations()
+    with patched(((fuzz_run, "SETUPS", setups), *seed.patches)):
         while not done.failures and time.process_time() - began_s < SEEDED_S:
             number += 1
             done.add(batch(number, shrink=False))
+    forget_stations()
     words = done.failures[0][1].splitlines()[-1] if done.failures else ""
     return name, words, time.process_time() - began_s
 

@@ -23,6 +23,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import Faults, VcuBrake, VcuDriveFront, VcuDriveRear, VcuStatus, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 
+Happens = Callable[..., object]
 STEPS: Final = 3  # of an example, the first takes it to its station: many short ones reach more than few long ones
 
 
@@ -109,24 +110,18 @@ class Machine(RuleBasedStateMachine):
     def begin(self, setup: str, station: str) -> None:
         self.run = at_station(setup, station)
 
-    @classmethod
-    def add(cls, name: str, happens: Callable[..., object], **arguments: Any) -> None:
-        """A rule: what happens to the run, and with which arguments."""
 
+def _happening(name: str = "", **arguments: st.SearchStrategy[Any]) -> Callable[[Happens], Happens]:
+    """Make a rule of a function: what happens to the run, with which arguments, and ordinary traffic after it."""
+
+    def decorate(happens: Happens) -> Happens:
         def step(self: Machine, then: int, **values: Any) -> None:
             happens(self.run, **values.pop("fields", {}), **values)
             self.run.run(then)
             self.run.judge()
 
-        step.__name__ = name
-        setattr(cls, name, rule(then=_CYCLES, **arguments)(step))
-
-
-def _happening(**arguments: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a rule of a function."""
-
-    def decorate(happens: Callable[..., None]) -> Callable[..., None]:
-        Machine.add(happens.__name__, happens, **arguments)
+        step.__name__ = name or happens.__name__
+        setattr(Machine, step.__name__, rule(then=_CYCLES, **arguments)(step))
         return happens
 
     return decorate
@@ -343,9 +338,9 @@ _CHANGES: Final[Mapping[str, st.SearchStrategy[Any]]] = {
 
 
 for _name, _arguments in _CALLS.items():
-    Machine.add(_name, getattr(Run, _name), **_arguments)
+    _happening(_name, **_arguments)(getattr(Run, _name))
 for _name, _values in _CHANGES.items():
-    Machine.add(_name, lambda run, value, name=_name: setattr(run, name, value), value=_values)
+    _happening(_name, value=_values)(lambda run, value, name=_name: setattr(run, name, value))
 
 
 def explore(number: int, examples: int, ran: Callable[[Run], None], *, shrink: bool = True) -> None:

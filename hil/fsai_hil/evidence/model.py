@@ -23,25 +23,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.evidence.abstraction import CLOCKS, NEVER, NOW, Abstraction, Content
-from fsai_hil.evidence.car_frames import (
-    MARKS,
-    PlainCodec,
-    brake_frame,
-    front_frame,
-    rear_frame,
-    speeds_frame,
-    status_frame,
-    steer_frame,
-    unreadable_frame,
-)
+from fsai_hil.evidence.car_frames import MARKS, PlainCodec, brake_frame, car_frame, status_frame, unreadable_frame
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS, MS, S
@@ -61,7 +50,7 @@ from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import replace
-from fsai_vcu.interface.messages import AiCommand, AiImage
+from fsai_vcu.interface.messages import AiCommand, AiImage, VcuDriveFront, VcuDriveRear, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
@@ -278,17 +267,6 @@ class _Vcu:
 
 
 _asked_of = attrgetter("estop", "status", "direction", "front", "rear", "steer", "brake")
-
-
-@contextmanager
-def patched(owner: Any, name: str, value: object) -> Iterator[None]:
-    """`owner.name` is `value` for a while."""
-    before = getattr(owner, name)
-    setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        setattr(owner, name, before)
 
 
 # ---------------------------------------------------------------- the composition
@@ -595,14 +573,14 @@ class Composition:
             else:
                 say(status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
         if AXLES not in lost:
-            say(front_frame(choice.torque_max_nm, now))
-            say(rear_frame(choice.torque_max_nm, now))
+            say(car_frame(VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm))
+            say(car_frame(VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm))
         if STEER not in lost:
-            say(steer_frame(choice.angle_max_deg, now))
+            say(car_frame(VcuSteer, now, 0.0, choice.angle_max_deg))
         if BRAKE not in lost:
             say(brake_frame(v.brake, now))
         if SPEEDS not in lost:
-            say(speeds_frame(choice.rpm, now))
+            say(car_frame(WheelSpeeds, now, *choice.rpm))
         if choice.counting:
             self._checker.wheels.turning_ns = now
             b = self._bridge.state
