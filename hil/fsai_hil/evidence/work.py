@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from itertools import islice
 from pathlib import Path
 from typing import Final, TypeVar
@@ -42,27 +42,29 @@ def _begin_worker(parent: int) -> None:
     os.nice(NICENESS)
 
 
-def spread(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterator[R]:
-    """`work` done to each task in `jobs` processes of this machine; results as they come.
+def handed_over(pool: Executor, work: Callable[[T], R], tasks: Iterable[T], at_once: int) -> Iterator[R]:
+    """The result of each task as it comes; tasks are taken when a worker has room for them."""
+    waiting = iter(tasks)
+    under_way: set[Future[R]] = set()
+    while True:
+        under_way |= {pool.submit(work, task) for task in islice(waiting, at_once - len(under_way))}
+        if not under_way:
+            return
+        done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield future.result()
 
-    Tasks are taken when a worker has room for them: what they are may depend on the results before.
-    """
+
+def spread(work: Callable[[T], R], tasks: Iterable[T], jobs: int) -> Iterator[R]:
+    """`work` done to each task in `jobs` processes of this machine; results as they come."""
     if jobs == 1:
         yield from map(work, tasks)
         return
     # Forked workers share what is imported already, and a test's seeded defects.
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker, initargs=(os.getpid(),))
-    waiting = iter(tasks)
-    under_way: set[Future[R]] = set()
     try:
-        while True:
-            under_way |= {pool.submit(work, task) for task in islice(waiting, jobs * AHEAD - len(under_way))}
-            if not under_way:
-                break
-            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+        yield from handed_over(pool, work, tasks, jobs * AHEAD)
     except BaseException:
         workers = list((pool._processes or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
