@@ -77,6 +77,10 @@ def _output(phase: Phase, **changes: object) -> Patches:
     return ((supervisor, "OUTPUT", {**OUTPUT, phase: row}),)
 
 
+def _row(name: str, phase: Phase, where: str = "run", **changes: object) -> Seed:
+    return Seed(name, "output table", where, _output(phase, **changes))
+
+
 def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Patches:
     """`owner.name` is called through `change(original, *arguments)`."""
     original = getattr(owner, name)
@@ -390,47 +394,27 @@ SEEDS: Final[tuple[Seed, ...]] = (
         _given(bridge, "changes", before=lambda _: _NOTHING_SHOWN),
         shows_in_fuzz=False,  # who looks at frames alone takes any stop
     ),
-    *(
-        Seed(name, "output table", where, _output(phase, **changes))
-        for name, where, phase, changes in (
-            ("a stop without the brake", "run", Phase.STOPPING, {"brake": Brake.ZERO}),
-            (
-                "a stop by the motors without the motors",
-                "official simulator",
-                Phase.STOPPING,
-                {"brake": Brake.ZERO},
-            ),
-            ("a stop by the holding brake", "run", Phase.STOPPING, {"brake": Brake.HOLDING}),
-            ("ESTOP_REQUEST without the brake", "run", Phase.ESTOP_ASKED, {"brake": Brake.ZERO}),
-            ("AS_READY without the holding brake", "run", Phase.READY, {"brake": Brake.ZERO}),
-            ("the first 3 s without the brake", "run", Phase.LAUNCH_WAIT, {"brake": Brake.ZERO}),
-            ("a stop that is over lets the brake go", "run", Phase.STOPPED, {"brake": Brake.ZERO}),
-            ("AS_FINISHED lets the brake go", "run", Phase.FINISHED, {"brake": Brake.ZERO}),
-            (
-                "NEUTRAL in EMERGENCY_BRAKE while wheels turn",
-                "run",
-                Phase.EMERGENCY_MOVING,
-                {"direction": Direction.NEUTRAL},
-            ),
-            (
-                "FORWARD in EMERGENCY_BRAKE for ever",
-                "run",
-                Phase.EMERGENCY_STANDING,
-                {"direction": Direction.FORWARD},
-            ),
-            ("a brake in EMERGENCY_BRAKE", "run", Phase.EMERGENCY_MOVING, {"brake": Brake.SERVICE}),
-            ("a stale command turns the steering to zero", "commands", Phase.HOLDING, {"steer": Steer.ZERO}),
-            ("a stale command lets the brake go", "commands", Phase.HOLDING, {"brake": Brake.ZERO}),
-            ("ESTOP_REQUEST and not RUNNING", "run", Phase.ESTOP_ASKED, {"mission_status": MissionStatus.SELECTED}),
-            ("steering in the first 3 s", "run", Phase.LAUNCH_WAIT, {"steer": Steer.COMMAND}),
-            ("manual, and the planner still steers", "run", Phase.STOPPING, {"steer": Steer.COMMAND}),
-            (
-                "a stop that is over is never FINISHED",
-                "run",
-                Phase.STOPPED,
-                {"mission_status": MissionStatus.RUNNING, "direction": Direction.FORWARD},
-            ),
-        )
+    _row("a stop without the brake", Phase.STOPPING, brake=Brake.ZERO),
+    _row("a stop by the motors without the motors", Phase.STOPPING, "official simulator", brake=Brake.ZERO),
+    _row("a stop by the holding brake", Phase.STOPPING, brake=Brake.HOLDING),
+    _row("ESTOP_REQUEST without the brake", Phase.ESTOP_ASKED, brake=Brake.ZERO),
+    _row("AS_READY without the holding brake", Phase.READY, brake=Brake.ZERO),
+    _row("the first 3 s without the brake", Phase.LAUNCH_WAIT, brake=Brake.ZERO),
+    _row("a stop that is over lets the brake go", Phase.STOPPED, brake=Brake.ZERO),
+    _row("AS_FINISHED lets the brake go", Phase.FINISHED, brake=Brake.ZERO),
+    _row("NEUTRAL in EMERGENCY_BRAKE while wheels turn", Phase.EMERGENCY_MOVING, direction=Direction.NEUTRAL),
+    _row("FORWARD in EMERGENCY_BRAKE for ever", Phase.EMERGENCY_STANDING, direction=Direction.FORWARD),
+    _row("a brake in EMERGENCY_BRAKE", Phase.EMERGENCY_MOVING, brake=Brake.SERVICE),
+    _row("a stale command turns the steering to zero", Phase.HOLDING, "commands", steer=Steer.ZERO),
+    _row("a stale command lets the brake go", Phase.HOLDING, "commands", brake=Brake.ZERO),
+    _row("ESTOP_REQUEST and not RUNNING", Phase.ESTOP_ASKED, mission_status=MissionStatus.SELECTED),
+    _row("steering in the first 3 s", Phase.LAUNCH_WAIT, steer=Steer.COMMAND),
+    _row("manual, and the planner still steers", Phase.STOPPING, steer=Steer.COMMAND),
+    _row(
+        "a stop that is over is never FINISHED",
+        Phase.STOPPED,
+        mission_status=MissionStatus.RUNNING,
+        direction=Direction.FORWARD,
     ),
     Seed(
         "the command does not steer",
