@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 from fsai_vcu.interface.codec import Decoded
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -78,7 +78,7 @@ def unreadable_frame(bit: bool, now: int) -> CarFrame:
 
 
 @cache
-def car_frame(kind: type[Image], now: int, *values: float) -> CarFrame:
+def car_frame(kind: type[Any], now: int, *values: float) -> CarFrame:
     """A frame of 0x521 to 0x525, by what it carries in the order of its fields."""
     return _frame(_IDS[kind], kind(*values, t_rx_ns=now), now)
 

@@ -15,8 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import hypothesis
+from hypothesis.stateful import run_state_machine_as_test
+
 from fsai_hil.evidence import fuzz_run
-from fsai_hil.evidence.fuzz_machine import explore
+from fsai_hil.evidence.fuzz_machine import STEPS, Machine
 from fsai_hil.evidence.fuzz_run import forget_stations
 from fsai_hil.evidence.seeded import SEEDS, Seed, patched
 from fsai_hil.evidence.work import Progress, spread
@@ -57,8 +60,24 @@ class Done:
 def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     """The examples of one seed, as far as the first that breaks a rule."""
     done = Done()
+
+    class Watched(Machine):
+        def teardown(self) -> None:
+            if hasattr(self, "run"):
+                done.add(Done(1, self.run.cycles, self.run.reached))
+
+    chosen = hypothesis.settings(
+        max_examples=examples,
+        stateful_step_count=STEPS,
+        phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink][: 1 + shrink],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(hypothesis.HealthCheck),
+        report_multiple_bugs=False,
+        print_blob=False,
+    )
     try:
-        explore(seed, examples, lambda run: done.add(Done(1, run.cycles, run.reached)), shrink=shrink)
+        run_state_machine_as_test(hypothesis.seed(seed)(Watched), settings=chosen)
     except Exception as error:
         steps = getattr(error, "__notes__", ())
         done.failures.append((seed, "\n".join([*steps, f"{type(error).__name__}: {error}"])))

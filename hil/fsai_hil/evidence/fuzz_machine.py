@@ -12,9 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any, Final
 
-from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from fsai_hil.evidence.fuzz_run import READY_CYCLES, SPOKEN, Run, at_station
 from fsai_vcu.interface.bus_table import BUS_TABLE
@@ -341,27 +340,3 @@ for _name, _arguments in _CALLS.items():
     _happening(_name, **_arguments)(getattr(Run, _name))
 for _name, _values in _CHANGES.items():
     _happening(_name, value=_values)(lambda run, value, name=_name: setattr(run, name, value))
-
-
-def explore(number: int, examples: int, ran: Callable[[Run], None], *, shrink: bool = True) -> None:
-    """The examples of one seed; `ran` takes each run when it is over.
-
-    Raises what the first bad one raises, with its steps as notes where it is shrunk.
-    """
-
-    class Watched(Machine):
-        def teardown(self) -> None:
-            if hasattr(self, "run"):
-                ran(self.run)
-
-    chosen = settings(
-        max_examples=examples,
-        stateful_step_count=STEPS,
-        phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
-        database=None,
-        deadline=None,
-        suppress_health_check=list(HealthCheck),
-        report_multiple_bugs=False,
-        print_blob=False,
-    )
-    run_state_machine_as_test(seed(number)(Watched), settings=chosen)

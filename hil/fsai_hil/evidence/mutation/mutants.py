@@ -164,7 +164,7 @@ class Walk:
                     yield "entry dropped", _with(node, keys=_without(keys, place), values=_without(values, place))
 
     def _constant(self, value: Any) -> Iterator[Mistake]:
-        others: list[object] = []
+        others: list[Any] = []
         match value:
             case bool():
                 others = [not value]

@@ -42,7 +42,6 @@ _TESTED: Final = "supervisor gate supervision_plausibility supervision_readiness
 KILLERS: Final = tuple(f"tests/core/test_{name}.py" for name in (*_TESTED.split(), "limits", "bridge"))
 _MEMORY: Final = 6 << 30  # a mutant may fill it in a loop
 _LEAST_CPU_S: Final = 20
-_STUCK_S: Final = 900  # a mutant may wait for ever
 
 
 def prepare() -> None:
@@ -137,7 +136,7 @@ def _child(mutant: Mutant, tests: Sequence[Sequence[str]], cpu_s: int) -> None:
     status = 1
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for the parent
-        signal.alarm(_STUCK_S)
+        signal.alarm(900)  # a mutant may wait for ever
         resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
         with Path(os.devnull).open("w") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
