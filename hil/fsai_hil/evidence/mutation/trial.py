@@ -135,7 +135,6 @@ def _child(mutant: Mutant, tests: Sequence[Sequence[str]], cpu_s: int) -> None:
     """Ends with status 0 if the mutant survives; with 1, or by a signal, if it does not."""
     status = 1
     try:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for the parent
         signal.alarm(900)  # a mutant may wait for ever
         resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
