@@ -14,6 +14,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
@@ -23,7 +24,6 @@ from fsai_hil.evidence.campaign.catalogue import ROWS
 from fsai_hil.evidence.campaign.record import digest, read
 from fsai_hil.evidence.campaign.runner import ClusterError, header_of, on_cluster
 from fsai_hil.evidence.campaign.scenario import Snapshots, run_case
-from fsai_hil.evidence.model import patched
 from fsai_hil.evidence.seeded import SEEDS, Patches
 from fsai_vcu.cli.main import main
 from fsai_vcu.core.planning.planner import Planner
@@ -133,7 +133,7 @@ def test_the_campaign_reports_a_defect_put_in_on_purpose(name: str, snapshots: S
     case = _case(spec)
     with ExitStack() as stack:
         for owner, attribute, value in patches:
-            stack.enter_context(patched(owner, attribute, value))
+            stack.enter_context(patch.object(owner, attribute, value))
         broken = run_case(case, snapshots, 1000)
     assert broken["verdict"] == "worse", f"not noticed: {broken}"
     assert broken["reasons"]
@@ -142,7 +142,7 @@ def test_the_campaign_reports_a_defect_put_in_on_purpose(name: str, snapshots: S
 def test_a_failed_campaign_prints_the_line_that_replays_the_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with patched(supervisor, "ask_emergency", lambda state, *rest: state):
+    with patch.object(supervisor, "ask_emergency", lambda state, *rest: state):
         chosen = ["--runs", "2", "--jobs", "1", "--faults", "emergency_asked"]
         status = main(["campaign", *chosen, "--out", str(tmp_path), *ONE_CAR])
     printed = capsys.readouterr().out

@@ -8,7 +8,6 @@ import pytest
 
 from fsai_hil.evidence import fuzz as command
 from fsai_hil.evidence.fuzz_run import at_station
-from fsai_hil.evidence.model import patched
 from fsai_vcu.core.bridge import Bridge
 from fsai_vcu.interface.units import MS
 
@@ -62,12 +61,12 @@ def test_a_planner_back_after_700_ms_does_not_drive_on() -> None:
     run.judge()
 
 
-def test_an_exception_is_shrunk_to_readable_steps() -> None:
+def test_an_exception_is_shrunk_to_readable_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(bridge: Bridge, now_ns: int) -> None:
         raise ZeroDivisionError("seeded")
 
-    with patched(Bridge, "begin_stop", breaks):
-        done = command.batch(1, examples=50)
+    monkeypatch.setattr(Bridge, "begin_stop", breaks)
+    done = command.batch(1, examples=50)
     ((_, words),) = done.failures
     steps = [line for line in words.splitlines() if line.startswith("state.")]
     assert steps == ["state.begin(setup='2026', station='start')", "state.end(then=0)", "state.teardown()"]

@@ -6,12 +6,12 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import all_scopes, scope
-from fsai_hil.evidence.search import explore
+from fsai_hil.evidence.search import Search, explore
 from fsai_hil.evidence.seeded import SEEDS, search_seed
 from fsai_hil.evidence.work import spread
 from fsai_hil.rules.checker import RULES
@@ -20,112 +20,97 @@ EXAMPLE = "example: python -m fsai_hil.evidence --scope messages --seeded"
 JOBS = os.cpu_count() or 1
 
 
-def searched(name: str) -> dict[str, Any]:
-    """Search the scope of that name; its figures."""
-    one = scope(name)
-    began = time.process_time()
+@dataclass(slots=True)
+class Searched:
+    """What the search of one scope, or of one seeded fault's, has found."""
+
+    name: str
+    found: Search
+    trace: list[str]
+    seconds: float
+    checks: Mapping[str, int] = field(default_factory=dict)
+
+
+def searched(name: str) -> Searched:
+    """Search the scope of that name."""
+    one, began = scope(name), time.process_time()
     model = Composition(one)
     found = explore(model, bounds_ns=one.bounds_ns)
-    return {
-        "scope": one.name,
-        "covers": one.covers,
-        "choices": len(one.choices),
-        "states": found.states,
-        "transitions": found.transitions,
-        "depth": found.depth,
-        "endless": one.endless,
-        "checks": dict(model.checks) | {"safe end": found.states * len(found.bounds_ns)},
-        "safe_end_s": {name: bound / 1e9 for name, bound in found.bounds_ns.items()},
-        "seconds": round(time.process_time() - began, 2),
-        "holds": found.holds,
-        "problems": found.problems,
-        "trace": model.described(found.trace),
-    }
+    checks = dict(model.checks) | {"safe end": found.states * len(found.bounds_ns)}
+    return Searched(name, found, model.described(found.trace), time.process_time() - began, checks)
 
 
-def search_all(names: Sequence[str]) -> list[dict[str, Any]]:
+def search_all(names: Sequence[str]) -> list[Searched]:
     """Search the scopes of those names (none: all), printing as it goes."""
     chosen = [scope(name).name for name in names] or [one.name for one in all_scopes()]
     print(f"{'scope':20} {'states':>8} {'transitions':>12} {'depth':>6} {'CPU time':>10}")
     results = []
-    for figures in spread(searched, chosen, JOBS):
-        results.append(figures)
+    for one in spread(searched, chosen, JOBS):
+        results.append(one)
+        found = one.found
         print(
-            f"{figures['scope']:20} {figures['states']:8,} {figures['transitions']:12,} {figures['depth']:6} "
-            f"{figures['seconds']:8.1f} s",
+            f"{one.name:20} {found.states:8,} {found.transitions:12,} {found.depth:6} {one.seconds:8.1f} s",
             flush=True,
         )
-        for problem in figures["problems"]:
+        for problem in found.problems:
             print(f"  BROKEN, rule {problem.rule}: {problem.words}")
-        for line in figures["trace"]:
+        for line in one.trace:
             print(f"  {line}")
-    return sorted(results, key=lambda figures: chosen.index(figures["scope"]))
+    return sorted(results, key=lambda one: chosen.index(one.name))
 
 
-def _print_totals(results: Sequence[dict[str, Any]]) -> None:
+def _print_totals(results: Sequence[Searched]) -> None:
+    found = [one.found for one in results]
     print(
-        f"{'in all':20} {sum(r['states'] for r in results):8,} {sum(r['transitions'] for r in results):12,} "
-        f"{max(r['depth'] for r in results):6} {sum(r['seconds'] for r in results):8.1f} s"
+        f"{'in all':20} {sum(f.states for f in found):8,} {sum(f.transitions for f in found):12,} "
+        f"{max(f.depth for f in found):6} {sum(one.seconds for one in results):8.1f} s"
     )
     print("\nWhat each scope leaves free; everything else in it behaves:")
-    for figures in results:
-        print(f"  {figures['scope']}: {figures['covers']}")
+    for one in results:
+        print(f"  {one.name}: {scope(one.name).covers}")
     print("\nCycles held against each rule:")
     for rule, words in RULES.items():
-        count = sum(r["checks"].get(rule, 0) for r in results)
-        print(f"  {rule:>12}  {count:10,}  {words}")
+        print(f"  {rule:>12}  {sum(one.checks.get(rule, 0) for one in results):10,}  {words}")
     print(
         "\nThe safe end (out of AS_DRIVING: finished, off or braking by itself), from every state at the latest after:"
     )
-    latest: dict[str, float] = {}
-    for figures in results:
-        for name, seconds in figures["safe_end_s"].items():
-            latest[name] = max(latest.get(name, 0.0), seconds)
-    for name, seconds in latest.items():
-        print(f"  {seconds:6.2f} s  with {name}")
+    for name in dict.fromkeys(name for each in found for name in each.bounds_ns):
+        print(f"  {max(each.bounds_ns.get(name, 0) for each in found) / 1e9:6.2f} s  with {name}")
     print(
         "  A VCU that says AS_DRIVING for ever is at the end once it has received ESTOP_REQUEST, or FINISHED at rest."
     )
-    for figures in results:
-        if figures["endless"]:
-            print(f"  none in '{figures['scope']}': {figures['endless']}")
+    for one in results:
+        if endless := scope(one.name).endless:
+            print(f"  none in '{one.name}': {endless}")
 
 
-def sought(name: str) -> dict[str, Any]:
-    """Put the seeded fault of that name in and search; what was found."""
-    seed = next(each for each in SEEDS if each.name == name)
+def sought(seed_name: str) -> Searched:
+    """Put the seeded fault of that name in, and search its scope for its rule alone."""
     began = time.process_time()
-    found, trace = search_seed(seed)
-    return {
-        "seed": seed.name,
-        "rule": seed.rule,
-        "found": seed.rule in {problem.rule for problem in found.problems},
-        "steps": len(found.trace),
-        "words": list(dict.fromkeys(problem.words for problem in found.problems)),
-        "trace": trace,
-        "seconds": round(time.process_time() - began, 2),
-    }
+    found, trace = search_seed(next(seed for seed in SEEDS if seed.name == seed_name))
+    return Searched(seed_name, found, trace, time.process_time() - began)
 
 
-def search_seeds() -> list[dict[str, Any]]:
-    """Put every seeded fault in, one after another; each must be found."""
-    names = [seed.name for seed in SEEDS if seed.scope]  # the others are for the fuzz alone
-    print(f"\nSeeded faults: {len(names)} mistakes in rules, times and functions; each must be found")
-    results = []
-    for result in spread(sought, names, JOBS):
-        results.append(result)
-        verdict = f"rule {result['rule']}" if result["found"] else f"NOT FOUND (expected rule {result['rule']})"
-        print(f"  {result['seed']:58} {verdict:18} {result['steps']:3} steps {result['seconds']:6.1f} s", flush=True)
-    return sorted(results, key=lambda result: names.index(result["seed"]))
-
-
-def _print_traces(seeds: Sequence[dict[str, Any]]) -> None:
-    """The shortest way to the harm in words, of the first seed of each rule."""
-    for rule in dict.fromkeys(seed["rule"] for seed in seeds):
-        first = next(seed for seed in seeds if seed["rule"] == rule)
-        print(f"\nRule {rule}, {first['seed']}: {'; '.join(first['words'])}")
-        for line in first["trace"]:
+def search_seeds() -> bool:
+    """Put every seeded fault in, one after another; each must be found. Of each rule's first, the shortest trace."""
+    rules = {seed.name: seed.rule for seed in SEEDS if seed.scope}  # the others are for the fuzz alone
+    print(f"\nSeeded faults: {len(rules)} mistakes in rules, times and functions; each must be found")
+    results: dict[str, Searched] = {}
+    missed = 0
+    for one in spread(sought, rules, JOBS):
+        results[one.name] = one
+        rule, steps = rules[one.name], len(one.found.trace)
+        is_found = rule in {problem.rule for problem in one.found.problems}
+        missed += not is_found
+        verdict = f"rule {rule}" if is_found else f"NOT FOUND (expected rule {rule})"
+        print(f"  {one.name:58} {verdict:18} {steps:3} steps {one.seconds:6.1f} s", flush=True)
+    for rule in dict.fromkeys(rules.values()):
+        first = next(results[name] for name in rules if rules[name] == rule)
+        words = dict.fromkeys(problem.words for problem in first.found.problems)
+        print(f"\nRule {rule}, {first.name}: {'; '.join(words)}")
+        for line in first.trace:
             print(f"  {line}")
+    return not missed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,9 +130,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     if results:
         _print_totals(results)
-    seeds = search_seeds() if options.seeded or options.only_seeded else []
-    _print_traces(seeds)
-    holds = all(result["holds"] for result in results) and all(seed["found"] for seed in seeds)
+    holds = all(one.found.holds for one in results)
+    if options.seeded or options.only_seeded:
+        holds &= search_seeds()
     print("\n" + ("Every rule holds in every state." if holds else "BROKEN: see above."))
     return 0 if holds else 1
 

@@ -16,15 +16,7 @@ from dataclasses import MISSING, fields
 from operator import attrgetter
 from typing import Any, Final, cast
 
-from fsai_hil.evidence.car_frames import (
-    brake_frame,
-    front_frame,
-    marks_of,
-    rear_frame,
-    speeds_frame,
-    status_frame,
-    steer_frame,
-)
+from fsai_hil.evidence.car_frames import brake_frame, car_frame, marks_of, status_frame
 from fsai_hil.rules.numbers import CYCLE_NS, S
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
@@ -35,7 +27,7 @@ from fsai_vcu.core.supervision.wheel_speeds import NO_PULSES, Pulses, WheelBelie
 from fsai_vcu.core.vehicle.odometry import standing_start
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.immutable import replace
-from fsai_vcu.interface.messages import VehicleState
+from fsai_vcu.interface.messages import VcuDriveFront, VcuDriveRear, VcuSteer, VehicleState, WheelSpeeds
 
 NOW: Final = 1_000 * S  # every state is looked at as if it were now
 NEVER: Final = -1
@@ -298,18 +290,18 @@ def _reported(state: BridgeState) -> Content:
 def _vehicle(reported: Content, times: Sequence[int | None], handshake: bool, *, known: bool) -> VehicleState:
     status, rpm, angle_max_deg, torque_max_nm, echo = cast(Any, reported)
     status_ns, speeds_ns, steer_ns, axle_ns = cast(Sequence[int], times)
-    images: dict[str, Any] = {}
+    frames = {}
     if status is not None:
         as_state, go, fault, marks = status
-        frame = status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, marks, status_ns)
-        images["status"] = frame.decoded.image
+        frames["status"] = status_frame(False, go, as_state, Ami.NOT_SELECTED, fault, marks, status_ns)
     if rpm is not None:
-        images["speeds"] = speeds_frame(rpm, speeds_ns).decoded.image
+        frames["speeds"] = car_frame(WheelSpeeds, speeds_ns, *rpm)
     if angle_max_deg is not None:
-        images["steer"] = steer_frame(angle_max_deg, steer_ns).decoded.image
+        frames["steer"] = car_frame(VcuSteer, steer_ns, 0.0, angle_max_deg)
     if torque_max_nm is not None:
-        images["drive_front"] = front_frame(torque_max_nm, axle_ns).decoded.image
-        images["drive_rear"] = rear_frame(torque_max_nm, axle_ns).decoded.image
+        frames["drive_front"] = car_frame(VcuDriveFront, axle_ns, 0.0, 0.0, torque_max_nm)
+        frames["drive_rear"] = car_frame(VcuDriveRear, axle_ns, 0.0, 0.0, torque_max_nm)
     if echo is not None:
-        images["brake"] = brake_frame(echo, _ECHO_NS).decoded.image
+        frames["brake"] = brake_frame(echo, _ECHO_NS)
+    images: dict[str, Any] = {name: frame.decoded.image for name, frame in frames.items()}
     return VehicleState(handshake=handshake, status_known=known, **images)

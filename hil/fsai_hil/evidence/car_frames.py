@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 from fsai_vcu.interface.codec import Decoded
 from fsai_vcu.interface.enums import Ami, AsState, ShutdownCause
@@ -26,6 +26,9 @@ _REQUEST: Final = "SHUTDOWN_REQUEST 1"
 _BITS: Final[Mapping[str, str]] = {"BMS_FAULT 1": "bms", "EBS_FAULT 1": "ebs"}
 _CAUSE: Final = "a SHUTDOWN_CAUSE"
 MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)
+_IDS: Final[Mapping[type[Image], int]] = {
+    kind: can_id for can_id, kind in enumerate((VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds), 0x521)
+}
 _NO_MARKS: Final[frozenset[str]] = frozenset()
 
 
@@ -75,29 +78,14 @@ def unreadable_frame(bit: bool, now: int) -> CarFrame:
 
 
 @cache
-def front_frame(torque_max_nm: float, now: int) -> CarFrame:
-    return _frame(0x521, VcuDriveFront(0.0, 0.0, torque_max_nm, now), now)
-
-
-@cache
-def rear_frame(torque_max_nm: float, now: int) -> CarFrame:
-    return _frame(0x522, VcuDriveRear(0.0, 0.0, torque_max_nm, now), now)
-
-
-@cache
-def steer_frame(angle_max_deg: float, now: int) -> CarFrame:
-    return _frame(0x523, VcuSteer(0.0, angle_max_deg, 0.0, now), now)
+def car_frame(kind: type[Any], now: int, *values: float) -> CarFrame:
+    """A frame of 0x521 to 0x525, by what it carries in the order of its fields."""
+    return _frame(_IDS[kind], kind(*values, t_rx_ns=now), now)
 
 
 @cache
 def brake_frame(braking: bool, now: int) -> CarFrame:
-    pct = 30.0 if braking else 0.0
-    return _frame(0x524, VcuBrake(pct, pct, pct, pct, t_rx_ns=now), now)
-
-
-@cache
-def speeds_frame(rpm: tuple[int, int, int, int], now: int) -> CarFrame:
-    return _frame(0x525, WheelSpeeds(*rpm, now), now)
+    return car_frame(VcuBrake, now, *[30.0 if braking else 0.0] * 4)
 
 
 def marks_of(status: VcuStatus) -> frozenset[str]:

@@ -11,7 +11,7 @@ import argparse
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final
 
 from fsai_hil.evidence.campaign.cases import CampaignPlan, Case
@@ -140,13 +140,13 @@ def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset
     return ALIKE.get(reason, frozenset({reason.slug}))
 
 
-_snapshots: Snapshots | None = None
+@cache
+def _snapshots() -> Snapshots:
+    return Snapshots(_Log)
 
 
 def _worker(seed: int, index: int) -> Explained:
-    global _snapshots
-    _snapshots = _snapshots or Snapshots(_Log)
-    return explained(CampaignPlan(seed).case(index), _snapshots)
+    return explained(CampaignPlan(seed).case(index), _snapshots())
 
 
 def main(argv: list[str] | None = None) -> int:

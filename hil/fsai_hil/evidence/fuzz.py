@@ -12,15 +12,16 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import hypothesis
+from hypothesis.stateful import run_state_machine_as_test
+
 from fsai_hil.evidence import fuzz_run
-from fsai_hil.evidence.fuzz_machine import explore
+from fsai_hil.evidence.fuzz_machine import STEPS, Machine
 from fsai_hil.evidence.fuzz_run import forget_stations
-from fsai_hil.evidence.model import patched
-from fsai_hil.evidence.seeded import SEEDS
+from fsai_hil.evidence.seeded import SEEDS, Seed, patched
 from fsai_hil.evidence.work import Progress, spread
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
@@ -59,8 +60,24 @@ class Done:
 def batch(seed: int, *, examples: int = BATCH, shrink: bool = True) -> Done:
     """The examples of one seed, as far as the first that breaks a rule."""
     done = Done()
+
+    class Watched(Machine):
+        def teardown(self) -> None:
+            if hasattr(self, "run"):
+                done.add(Done(1, self.run.cycles, self.run.reached))
+
+    chosen = hypothesis.settings(
+        max_examples=examples,
+        stateful_step_count=STEPS,
+        phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink][: 1 + shrink],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(hypothesis.HealthCheck),
+        report_multiple_bugs=False,
+        print_blob=False,
+    )
     try:
-        explore(seed, examples, lambda run: done.add(Done(1, run.cycles, run.reached)), shrink=shrink)
+        run_state_machine_as_test(hypothesis.seed(seed)(Watched), settings=chosen)
     except Exception as error:
         steps = getattr(error, "__notes__", ())
         done.failures.append((seed, "\n".join([*steps, f"{type(error).__name__}: {error}"])))
@@ -98,22 +115,19 @@ def sought(name: str) -> tuple[str, str, float]:
 
     Returns the name, what was broken ("" for nothing in `SEEDED_S`), and the processor time that took.
     """
-    done = Done()
+    done, number = Done(), 0
     began_s = time.process_time()
-    with ExitStack() as stack:
-        stack.callback(forget_stations)
-        for seed in (one for one in SEEDS if one.name == name):
-            setups = {
-                key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
-                for key, setup in fuzz_run.SETUPS.items()
-            }
-            for owner, attribute, value in ((fuzz_run, "SETUPS", setups), *seed.patches):
-                stack.enter_context(patched(owner, attribute, value))
-        forget_stations()
-        number = 0
+    seed = next((one for one in SEEDS if one.name == name), Seed("", "", ""))
+    setups = {
+        key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
+        for key, setup in fuzz_run.SETUPS.items()
+    }
+    forget_stations()
+    with patched(((fuzz_run, "SETUPS", setups), *seed.patches)):
         while not done.failures and time.process_time() - began_s < SEEDED_S:
             number += 1
             done.add(batch(number, shrink=False))
+    forget_stations()
     words = done.failures[0][1].splitlines()[-1] if done.failures else ""
     return name, words, time.process_time() - began_s
 

@@ -12,9 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any, Final
 
-from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from fsai_hil.evidence.fuzz_run import READY_CYCLES, SPOKEN, Run, at_station
 from fsai_vcu.interface.bus_table import BUS_TABLE
@@ -23,6 +22,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import Faults, VcuBrake, VcuDriveFront, VcuDriveRear, VcuStatus, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.reserved import AI_IDS
 
+Happens = Callable[..., object]
 STEPS: Final = 3  # of an example, the first takes it to its station: many short ones reach more than few long ones
 
 
@@ -109,24 +109,18 @@ class Machine(RuleBasedStateMachine):
     def begin(self, setup: str, station: str) -> None:
         self.run = at_station(setup, station)
 
-    @classmethod
-    def add(cls, name: str, happens: Callable[..., object], **arguments: Any) -> None:
-        """A rule: what happens to the run, and with which arguments."""
 
+def _happening(name: str = "", **arguments: st.SearchStrategy[Any]) -> Callable[[Happens], Happens]:
+    """Make a rule of a function: what happens to the run, with which arguments, and ordinary traffic after it."""
+
+    def decorate(happens: Happens) -> Happens:
         def step(self: Machine, then: int, **values: Any) -> None:
             happens(self.run, **values.pop("fields", {}), **values)
             self.run.run(then)
             self.run.judge()
 
-        step.__name__ = name
-        setattr(cls, name, rule(then=_CYCLES, **arguments)(step))
-
-
-def _happening(**arguments: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a rule of a function."""
-
-    def decorate(happens: Callable[..., None]) -> Callable[..., None]:
-        Machine.add(happens.__name__, happens, **arguments)
+        step.__name__ = name or happens.__name__
+        setattr(Machine, step.__name__, rule(then=_CYCLES, **arguments)(step))
         return happens
 
     return decorate
@@ -343,30 +337,6 @@ _CHANGES: Final[Mapping[str, st.SearchStrategy[Any]]] = {
 
 
 for _name, _arguments in _CALLS.items():
-    Machine.add(_name, getattr(Run, _name), **_arguments)
+    _happening(_name, **_arguments)(getattr(Run, _name))
 for _name, _values in _CHANGES.items():
-    Machine.add(_name, lambda run, value, name=_name: setattr(run, name, value), value=_values)
-
-
-def explore(number: int, examples: int, ran: Callable[[Run], None], *, shrink: bool = True) -> None:
-    """The examples of one seed; `ran` takes each run when it is over.
-
-    Raises what the first bad one raises, with its steps as notes where it is shrunk.
-    """
-
-    class Watched(Machine):
-        def teardown(self) -> None:
-            if hasattr(self, "run"):
-                ran(self.run)
-
-    chosen = settings(
-        max_examples=examples,
-        stateful_step_count=STEPS,
-        phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
-        database=None,
-        deadline=None,
-        suppress_health_check=list(HealthCheck),
-        report_multiple_bugs=False,
-        print_blob=False,
-    )
-    run_state_machine_as_test(seed(number)(Watched), settings=chosen)
+    _happening(_name, value=_values)(lambda run, value, name=_name: setattr(run, name, value))

@@ -23,25 +23,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from operator import attrgetter
 from typing import Any, Final, cast
 
 from fsai_hil.evidence.abstraction import CLOCKS, NEVER, NOW, Abstraction, Content
-from fsai_hil.evidence.car_frames import (
-    MARKS,
-    PlainCodec,
-    brake_frame,
-    front_frame,
-    rear_frame,
-    speeds_frame,
-    status_frame,
-    steer_frame,
-    unreadable_frame,
-)
+from fsai_hil.evidence.car_frames import MARKS, PlainCodec, brake_frame, car_frame, status_frame, unreadable_frame
 from fsai_hil.evidence.search import Move
 from fsai_hil.rules.checker import WireChecker
 from fsai_hil.rules.numbers import BACKLOG_NS, CAR_PATIENCE_NS, CYCLE_NS, MS, S
@@ -60,7 +49,7 @@ from fsai_vcu.interface.codec import Codec, EncodeError
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.immutable import replace
-from fsai_vcu.interface.messages import AiCommand, AiImage
+from fsai_vcu.interface.messages import AiCommand, AiImage, VcuDriveFront, VcuDriveRear, VcuSteer, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 
 STATUS, SPEEDS, STEER, AXLES, BRAKE = "0x520", "0x525", "0x523", "0x521/2", "0x524"
@@ -81,35 +70,33 @@ class Ask:
 
     words: str
     valid: bool
-    steering_rad: float = 0.0
-    throttle: float = 0.0
-    brake: float = 0.0
-    speed_limit_mps: float = 50.0
+    fields: Mapping[str, Any]
     data_age_ns: int = 0
     run: int = _THIS_RUN
-    finished: bool = False
-    estop: bool = False
 
 
 _LEFT = math.radians(20.0)
+_DRIVES: Final = {"steering_rad": _LEFT, "throttle": 0.5}
 COMMANDS: Final[Mapping[str, Ask]] = {
-    "drive": Ask("throttle, steering left", True, _LEFT, 0.5),
-    "drive right": Ask("throttle, steering right", True, -_LEFT, 1.0),
-    "coast": Ask("neither pedal", True),
-    "brake": Ask("brake", True, _LEFT, 0.0, 0.4),
-    "both": Ask("throttle and brake together", True, _LEFT, 0.5, 0.4),
-    "finished": Ask("throttle, and the mission is finished", True, _LEFT, 0.5, finished=True),
-    "estop": Ask("throttle, and an emergency brake", True, _LEFT, 0.5, estop=True),
-    "old": Ask("throttle, on data of 500 ms less 1 ns", True, _LEFT, 0.5, data_age_ns=500 * MS - 1),
-    "too old": Ask("throttle, on data of 500 ms", False, _LEFT, 0.5, data_age_ns=500 * MS),
-    "far too old": Ask("throttle, on data of 700 ms", False, _LEFT, 0.5, data_age_ns=700 * MS),
-    "future": Ask("throttle, on data 21 ms ahead", False, _LEFT, 0.5, data_age_ns=-21 * MS),
-    "other run": Ask("throttle, for the run before", False, _LEFT, 0.5, run=_OTHER_RUN),
-    "nan": Ask("throttle, and a steering angle that is no number", False, math.nan, 0.5),
-    "infinite": Ask("infinite throttle", False, _LEFT, math.inf),
-    "beyond": Ask("throttle of 150 %", False, _LEFT, 1.5),
-    "negative": Ask("a negative brake with throttle", False, _LEFT, 0.5, -0.1),
-    "beyond steering": Ask("steering beyond the car's own limit", False, math.radians(31.0), 0.5),
+    "drive": Ask("throttle, steering left", True, _DRIVES),
+    "drive right": Ask("throttle, steering right", True, {"steering_rad": -_LEFT, "throttle": 1.0}),
+    "coast": Ask("neither pedal", True, {}),
+    "brake": Ask("brake", True, {"steering_rad": _LEFT, "brake": 0.4}),
+    "both": Ask("throttle and brake together", True, _DRIVES | {"brake": 0.4}),
+    "finished": Ask("throttle, and the mission is finished", True, _DRIVES | {"mission_finished": True}),
+    "estop": Ask("throttle, and an emergency brake", True, _DRIVES | {"estop_request": True}),
+    "old": Ask("throttle, on data of 500 ms less 1 ns", True, _DRIVES, 500 * MS - 1),
+    "too old": Ask("throttle, on data of 500 ms", False, _DRIVES, 500 * MS),
+    "far too old": Ask("throttle, on data of 700 ms", False, _DRIVES, 700 * MS),
+    "future": Ask("throttle, on data 21 ms ahead", False, _DRIVES, -21 * MS),
+    "other run": Ask("throttle, for the run before", False, _DRIVES, run=_OTHER_RUN),
+    "nan": Ask("throttle, and a steering angle that is no number", False, _DRIVES | {"steering_rad": math.nan}),
+    "infinite": Ask("infinite throttle", False, _DRIVES | {"throttle": math.inf}),
+    "beyond": Ask("throttle of 150 %", False, _DRIVES | {"throttle": 1.5}),
+    "negative": Ask("a negative brake with throttle", False, _DRIVES | {"brake": -0.1}),
+    "beyond steering": Ask(
+        "steering beyond the car's own limit", False, _DRIVES | {"steering_rad": math.radians(31.0)}
+    ),
 }
 
 
@@ -277,17 +264,6 @@ class _Vcu:
 
 
 _asked_of = attrgetter("estop", "status", "direction", "front", "rear", "steer", "brake")
-
-
-@contextmanager
-def patched(owner: Any, name: str, value: object) -> Iterator[None]:
-    """`owner.name` is `value` for a while."""
-    before = getattr(owner, name)
-    setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        setattr(owner, name, before)
 
 
 # ---------------------------------------------------------------- the composition
@@ -593,14 +569,14 @@ class Composition:
             else:
                 say(status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
         if AXLES not in lost:
-            say(front_frame(choice.torque_max_nm, now))
-            say(rear_frame(choice.torque_max_nm, now))
+            say(car_frame(VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm))
+            say(car_frame(VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm))
         if STEER not in lost:
-            say(steer_frame(choice.angle_max_deg, now))
+            say(car_frame(VcuSteer, now, 0.0, choice.angle_max_deg))
         if BRAKE not in lost:
             say(brake_frame(v.brake, now))
         if SPEEDS not in lost:
-            say(speeds_frame(choice.rpm, now))
+            say(car_frame(WheelSpeeds, now, *choice.rpm))
         if choice.counting:
             self._checker.wheels.turning_ns = now
             b = self._bridge.state
@@ -645,16 +621,8 @@ class Composition:
 
     def _commanded(self, ask: Ask, now: int) -> None:
         b = self._bridge
-        command = VehicleCommand(
-            now - ask.data_age_ns,
-            b.state.supervisor.run_id + ask.run,
-            ask.steering_rad,
-            ask.throttle,
-            ask.brake,
-            ask.speed_limit_mps,
-            ask.finished,
-            ask.estop,
-        )
+        run_id = b.state.supervisor.run_id + ask.run
+        command = VehicleCommand(now - ask.data_age_ns, run_id, **{"speed_limit_mps": 50.0} | ask.fields)
         refused = bool(b.on_command(command, now))
         self._checker.on_command(command, refused, now, current=ask.run == _THIS_RUN)
 

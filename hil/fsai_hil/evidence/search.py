@@ -36,24 +36,23 @@ class Search:
     states: int = 0
     transitions: int = 0
     depth: int = 0
-    complete: bool = True
     problems: tuple[Violation, ...] = ()
     trace: list[Move] = field(default_factory=list)
     bounds_ns: dict[str, int] = field(default_factory=dict)  # by ending: the longest way to a safe end
 
     @property
     def holds(self) -> bool:
-        return not self.problems and self.complete
+        return not self.problems
 
 
-def explore(model: Any, *, most_states: int = 2_000_000, bounds_ns: Mapping[str, int] | None = None) -> Search:
+def explore(model: Any, bounds_ns: Mapping[str, int] | None = None) -> Search:
     """Visit every reachable state; stop at the first problem.
 
     `bounds_ns` gives, for each ending, the time within which the safe end must come from every state.
     """
     visit = _Visit(model)
     found = visit.found
-    if not visit.finds_problem(most_states) and found.complete:
+    if not visit.finds_problem():
         for name, label in model.endings.items():
             if visit.misses_the_end(name, label, (bounds_ns or {}).get(name)):
                 break
@@ -71,7 +70,7 @@ class _Visit:
         # By label of an ending: where each state's move leads, and how long that takes.
         self._onward: dict[int, list[tuple[int, int]]] = {label: [] for label in model.endings.values()}
 
-    def finds_problem(self, most_states: int) -> bool:
+    def finds_problem(self) -> bool:
         """Visit all states, as far as the first problem."""
         found, states = self.found, self._states
         number = {states[0]: 0}
@@ -94,9 +93,6 @@ class _Visit:
                     next_of[move.label] = (target, move.duration_ns)
             for label, ways in self._onward.items():
                 ways.append(next_of.get(label, (at, 0)))
-            if len(states) > most_states:
-                found.complete = False
-                break
         found.states, found.depth = len(states), depths[-1]
         return False
 

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import partial
+from inspect import signature
+from types import SimpleNamespace
 from typing import Any, Final
+from unittest.mock import patch
 
-from fsai_hil.evidence.model import Composition, Scope, patched
+from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
@@ -34,7 +37,7 @@ from fsai_vcu.core.supervision.supervisor import (
 )
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.enums import AsState, Direction, MissionStatus, ShutdownCause
-from fsai_vcu.interface.messages import Faults, VcuStatus
+from fsai_vcu.interface.messages import VcuStatus
 
 Patches = tuple[tuple[Any, str, object], ...]
 """What another value stands for while a seed is in force: its owner, its name, and the value."""
@@ -74,6 +77,10 @@ def _output(phase: Phase, **changes: object) -> Patches:
     return ((supervisor, "OUTPUT", {**OUTPUT, phase: row}),)
 
 
+def _row(name: str, phase: Phase, where: str = "run", **changes: object) -> Seed:
+    return Seed(name, "output table", where, _output(phase, **changes))
+
+
 def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Patches:
     """`owner.name` is called through `change(original, *arguments)`."""
     original = getattr(owner, name)
@@ -81,12 +88,19 @@ def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Patches:
     return ((owner, name, lambda *arguments, **named: change(original, *arguments, **named)),)
 
 
+def _given(owner: Any, name: str, **changed: Callable[[Any], Any]) -> Patches:
+    """`owner.name` is called with these arguments changed; each follows from all of them."""
+    names = list(signature(getattr(owner, name)).parameters)
+
+    def call(original: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        given = SimpleNamespace(**dict(zip(names, arguments, strict=False)), **named)
+        return original(**vars(given) | {name: change(given) for name, change in changed.items()})
+
+    return _wrapped(owner, name, call)
+
+
 def _always(owner: Any, name: str, value: object) -> Patches:
     return ((owner, name, lambda *arguments: value),)
-
-
-def _unknown_mode_is_autonomous(original: Callable[..., Any], config: Any, state: Any, mode: str, now_ns: int) -> Any:
-    return original(config, state, "autonomous" if mode == "sideways" else mode, now_ns)
 
 
 def _clears_latch(original: Callable[..., Any], *arguments: Any) -> Any:
@@ -114,22 +128,9 @@ def _cut_short_counts(original: Callable[..., Any], instance: Any, complete: boo
         instance.state = replace(state, supervisor=selected, gate=replace(state.gate, acknowledged_run_id=run_id))
 
 
-def _gate_knows(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any, vehicle: Any,
-                *rest: Any) -> Any:  # fmt: skip
-    return original(config, state, decision, command, replace(vehicle, status_known=True), *rest)
-
-
-def _gate_acknowledged(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
-    return original(config, replace(state, acknowledged_run_id=decision.run_id), decision, *rest)
-
-
-def _gate_may_move(original: Callable[..., Any], config: Any, state: Any, decision: Any, *rest: Any) -> Any:
-    return original(config, state, replace(decision, may_move=True), *rest)
-
-
-def _one_bit_hides_others(original: Callable[..., Any], before: Any, now: Any) -> Any:
-    shown = any(getattr(before.faults, bit.name) for bit in fields(Faults))
-    return original(before, replace(now, faults=before.faults) if shown else now)
+def _first_bit_alone(now: VcuStatus, before: VcuStatus) -> VcuStatus:
+    """Where a fault bit is shown already, no other rises."""
+    return replace(now, faults=before.faults) if any(astuple(before.faults)) else now
 
 
 def _believed_bit(original: Callable[..., Any], config: Any, state: Any, decision: Any, command: Any, vehicle: Any,
@@ -137,15 +138,6 @@ def _believed_bit(original: Callable[..., Any], config: Any, state: Any, decisio
     after, asked, reasons = original(config, state, decision, command, vehicle, *rest)
     bit = vehicle.handshake if vehicle.status is None else vehicle.status.handshake
     return after, replace(asked, handshake=bit), reasons
-
-
-def _forgets_the_live_limit(original: Callable[..., Any], config: Any, axle: Any, *rest: Any) -> Any:
-    return original(config, None if axle is None else replace(axle, torque_max_nm=195.0), *rest)
-
-
-def _believes_old_limits(original: Callable[..., Any], config: Any, axle: Any, left_rpm: int, right_rpm: int,
-                         now_ns: int) -> Any:  # fmt: skip
-    return original(config, axle, left_rpm, right_rpm, now_ns if axle is None else axle.t_rx_ns)
 
 
 def _powers_up_in(where: frozenset[AsState], *, moving: bool) -> Patches:
@@ -162,7 +154,7 @@ def _powers_up_in(where: frozenset[AsState], *, moving: bool) -> Patches:
 
 
 def _sends_all_the_same(original: Callable[..., Any], instance: Any, now_ns: int) -> Any:
-    with patched(instance, "_config", replace(instance._config, listen_only=False)):
+    with patch.object(instance, "_config", replace(instance._config, listen_only=False)):
         return original(instance, now_ns)
 
 
@@ -177,19 +169,14 @@ def _last_frame_by_another_name(original: Callable[..., Any], instance: Any, com
 
 
 _NOTHING_SHOWN: Final = VcuStatus(as_switch=True, ts_switch=True, shutdown_cause=ShutdownCause.NO_SHUTDOWN)
-_ACKNOWLEDGED: Final = _wrapped(bridge, "gate", _gate_acknowledged)
+_ACKNOWLEDGED: Final = _given(bridge, "gate", state=lambda a: replace(a.state, acknowledged_run_id=a.decision.run_id))
 _LATE_STOP: Final = (REACTIONS[Reason.COMMAND_STALE][0], Step("command_lost_ns", Consequence.STOP))
 _AT_ONCE: Final = (Step("command_stale_ns", Consequence.ESTOP), REACTIONS[Reason.COMMAND_STALE][1])
 
 SEEDS: Final[tuple[Seed, ...]] = (
     # ---- torque and brake
     Seed("torque rises right after the brake", "1", "commands", _always(gating, "_released", True)),
-    Seed(
-        "a cycle cut short counts as whole",
-        "1",
-        "sends",
-        _wrapped(bridge, "sent", lambda original, state, complete, now_ns: original(state, True, now_ns)),
-    ),
+    Seed("a cycle cut short counts as whole", "1", "sends", _given(bridge, "sent", complete=lambda _: True)),
     Seed(
         "torque is forgotten as soon as a cycle with it is over",
         "1",
@@ -206,7 +193,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "2",
         "run",
         _output(Phase.LAUNCH_WAIT, torque=True, steer=Steer.COMMAND, brake=Brake.COMMAND)
-        + _wrapped(bridge, "gate", _gate_may_move),
+        + _given(bridge, "gate", decision=lambda a: replace(a.decision, may_move=True)),
     ),
     Seed("a command lasts 150 ms", "2", "commands", config={"command_stale_ns": 150 * MS}),
     Seed("a command lasts 1 ns too long", "2", "commands", config={"command_stale_ns": 100 * MS + 1}),
@@ -243,7 +230,8 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "an AS_STATE that nobody knows is only reported",
         "2",
         "messages",
-        _reported(Reason.AS_STATE_UNKNOWN) + _wrapped(bridge, "gate", _gate_knows),
+        _reported(Reason.AS_STATE_UNKNOWN)
+        + _given(bridge, "gate", vehicle=lambda a: replace(a.vehicle, status_known=True)),
     ),
     Seed(
         "a lost bus does not break the sequence",
@@ -264,8 +252,18 @@ SEEDS: Final[tuple[Seed, ...]] = (
     # ---- limits
     Seed("a jump that no tyre can follow is believed", "4", "limits", config={"wheel_change_max_rpm": 65535}),
     Seed("ANGLE_MAX is not looked at", "4", "limits", _always(gating, "_live_limit_deg", 30.0)),
-    Seed("TRQ_MAX is not looked at", "4", "limits", _wrapped(gating, "_axle_limit_nm", _forgets_the_live_limit)),
-    Seed("TRQ_MAX is believed for ever", "4", "messages", _wrapped(gating, "_axle_limit_nm", _believes_old_limits)),
+    Seed(
+        "TRQ_MAX is not looked at",
+        "4",
+        "limits",
+        _given(gating, "_axle_limit_nm", axle=lambda a: a.axle and replace(a.axle, torque_max_nm=195.0)),
+    ),
+    Seed(
+        "TRQ_MAX is believed for ever",
+        "4",
+        "messages",
+        _given(gating, "_axle_limit_nm", now_ns=lambda a: a.axle.t_rx_ns if a.axle else a.now_ns),
+    ),
     Seed("no constant-power steps", "4", "limits", _always(gating, "constant_power_nm", 195.0)),
     Seed("the operational speed limit is forgotten", "4", "run", _always(gating, "motor_rpm", 4000)),
     # ---- before AS_DRIVING
@@ -276,11 +274,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "SELECTED before the resets are confirmed",
         "5",
         "run",
-        _wrapped(
-            supervisor,
-            "acknowledged",
-            lambda original, state: original(replace(state, confirmed=frozenset(supervisor.ROLES))),
-        ),
+        _given(supervisor, "acknowledged", state=lambda a: replace(a.state, confirmed=frozenset(supervisor.ROLES))),
     ),
     # ---- the latch
     Seed("AS_OFF clears the emergency", "6", "run", _wrapped(supervisor, "on_status", _clears_latch)),
@@ -366,7 +360,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "one fault bit hides the others",
         "reactions",
         "marks",
-        _wrapped(bridge, "changes", _one_bit_hides_others),
+        _given(bridge, "changes", now=lambda a: _first_bit_alone(a.now, a.before)),
         shows_in_fuzz=False,  # two bits one after the other, and no other stop before, are too rare
     ),
     Seed("a jump that stays is believed at once", "reactions", "wheel speeds", config={"wheel_jump_ns": 20 * MS}),
@@ -397,50 +391,30 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "what has been shown since before the run stops it",
         "output table",
         "marks",
-        _wrapped(bridge, "changes", lambda original, before, now: original(_NOTHING_SHOWN, now)),
+        _given(bridge, "changes", before=lambda _: _NOTHING_SHOWN),
         shows_in_fuzz=False,  # who looks at frames alone takes any stop
     ),
-    *(
-        Seed(name, "output table", where, _output(phase, **changes))
-        for name, where, phase, changes in (
-            ("a stop without the brake", "run", Phase.STOPPING, {"brake": Brake.ZERO}),
-            (
-                "a stop by the motors without the motors",
-                "official simulator",
-                Phase.STOPPING,
-                {"brake": Brake.ZERO},
-            ),
-            ("a stop by the holding brake", "run", Phase.STOPPING, {"brake": Brake.HOLDING}),
-            ("ESTOP_REQUEST without the brake", "run", Phase.ESTOP_ASKED, {"brake": Brake.ZERO}),
-            ("AS_READY without the holding brake", "run", Phase.READY, {"brake": Brake.ZERO}),
-            ("the first 3 s without the brake", "run", Phase.LAUNCH_WAIT, {"brake": Brake.ZERO}),
-            ("a stop that is over lets the brake go", "run", Phase.STOPPED, {"brake": Brake.ZERO}),
-            ("AS_FINISHED lets the brake go", "run", Phase.FINISHED, {"brake": Brake.ZERO}),
-            (
-                "NEUTRAL in EMERGENCY_BRAKE while wheels turn",
-                "run",
-                Phase.EMERGENCY_MOVING,
-                {"direction": Direction.NEUTRAL},
-            ),
-            (
-                "FORWARD in EMERGENCY_BRAKE for ever",
-                "run",
-                Phase.EMERGENCY_STANDING,
-                {"direction": Direction.FORWARD},
-            ),
-            ("a brake in EMERGENCY_BRAKE", "run", Phase.EMERGENCY_MOVING, {"brake": Brake.SERVICE}),
-            ("a stale command turns the steering to zero", "commands", Phase.HOLDING, {"steer": Steer.ZERO}),
-            ("a stale command lets the brake go", "commands", Phase.HOLDING, {"brake": Brake.ZERO}),
-            ("ESTOP_REQUEST and not RUNNING", "run", Phase.ESTOP_ASKED, {"mission_status": MissionStatus.SELECTED}),
-            ("steering in the first 3 s", "run", Phase.LAUNCH_WAIT, {"steer": Steer.COMMAND}),
-            ("manual, and the planner still steers", "run", Phase.STOPPING, {"steer": Steer.COMMAND}),
-            (
-                "a stop that is over is never FINISHED",
-                "run",
-                Phase.STOPPED,
-                {"mission_status": MissionStatus.RUNNING, "direction": Direction.FORWARD},
-            ),
-        )
+    _row("a stop without the brake", Phase.STOPPING, brake=Brake.ZERO),
+    _row("a stop by the motors without the motors", Phase.STOPPING, "official simulator", brake=Brake.ZERO),
+    _row("a stop by the holding brake", Phase.STOPPING, brake=Brake.HOLDING),
+    _row("ESTOP_REQUEST without the brake", Phase.ESTOP_ASKED, brake=Brake.ZERO),
+    _row("AS_READY without the holding brake", Phase.READY, brake=Brake.ZERO),
+    _row("the first 3 s without the brake", Phase.LAUNCH_WAIT, brake=Brake.ZERO),
+    _row("a stop that is over lets the brake go", Phase.STOPPED, brake=Brake.ZERO),
+    _row("AS_FINISHED lets the brake go", Phase.FINISHED, brake=Brake.ZERO),
+    _row("NEUTRAL in EMERGENCY_BRAKE while wheels turn", Phase.EMERGENCY_MOVING, direction=Direction.NEUTRAL),
+    _row("FORWARD in EMERGENCY_BRAKE for ever", Phase.EMERGENCY_STANDING, direction=Direction.FORWARD),
+    _row("a brake in EMERGENCY_BRAKE", Phase.EMERGENCY_MOVING, brake=Brake.SERVICE),
+    _row("a stale command turns the steering to zero", Phase.HOLDING, "commands", steer=Steer.ZERO),
+    _row("a stale command lets the brake go", Phase.HOLDING, "commands", brake=Brake.ZERO),
+    _row("ESTOP_REQUEST and not RUNNING", Phase.ESTOP_ASKED, mission_status=MissionStatus.SELECTED),
+    _row("steering in the first 3 s", Phase.LAUNCH_WAIT, steer=Steer.COMMAND),
+    _row("manual, and the planner still steers", Phase.STOPPING, steer=Steer.COMMAND),
+    _row(
+        "a stop that is over is never FINISHED",
+        Phase.STOPPED,
+        mission_status=MissionStatus.RUNNING,
+        direction=Direction.FORWARD,
     ),
     Seed(
         "the command does not steer",
@@ -455,7 +429,7 @@ SEEDS: Final[tuple[Seed, ...]] = (
         "an unknown mode counts as autonomous",
         "modes",
         "power-up",
-        _wrapped(supervisor, "set_mode", _unknown_mode_is_autonomous),
+        _given(supervisor, "set_mode", mode=lambda a: "autonomous" if a.mode == "sideways" else a.mode),
     ),
     Seed(
         "a lost command leaves the mode autonomous", "modes", "commands", _reactions({Reason.COMMAND_STALE: _LATE_STOP})
@@ -475,21 +449,19 @@ SEEDS: Final[tuple[Seed, ...]] = (
 
 
 @contextmanager
-def sown(seed: Seed) -> Iterator[Scope]:
-    """The seed's scope, with its mistake in force."""
-    found = scope(seed.scope)
-    if seed.config:
-        setting = replace(found.setting, config=replace(found.setting.config, **seed.config))  # type: ignore[arg-type]
-        found = replace(found, setting=setting)
+def patched(patches: Patches) -> Iterator[None]:
+    """These are in force."""
     with ExitStack() as stack:
-        for owner, name, value in seed.patches:
-            stack.enter_context(patched(owner, name, value))
-        yield found
+        for owner, name, value in patches:
+            stack.enter_context(patch.object(owner, name, value))
+        yield
 
 
 def search_seed(seed: Seed) -> tuple[Search, list[str]]:
     """Search the seed's scope for its rule alone: what was found, and its trace in words."""
-    with sown(seed) as searched:
-        model = Composition(searched, seed.rule)
+    searched = scope(seed.scope)
+    setting = replace(searched.setting, config=replace(searched.setting.config, **seed.config))  # type: ignore[arg-type]
+    with patched(seed.patches):
+        model = Composition(replace(searched, setting=setting), seed.rule)
         found = explore(model, bounds_ns=searched.bounds_ns)
         return found, model.described(found.trace)

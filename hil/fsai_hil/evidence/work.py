@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from itertools import islice
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -46,11 +47,7 @@ def handed_over(pool: Executor, work: Callable[[T], R], tasks: Iterable[T], at_o
     waiting = iter(tasks)
     under_way: set[Future[R]] = set()
     while True:
-        while len(under_way) < at_once:
-            try:
-                under_way.add(pool.submit(work, next(waiting)))
-            except StopIteration:
-                break
+        under_way |= {pool.submit(work, task) for task in islice(waiting, at_once - len(under_way))}
         if not under_way:
             return
         done, under_way = wait(under_way, return_when=FIRST_COMPLETED)

@@ -9,7 +9,9 @@ import random
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from fsai_hil import CHECKOUT
@@ -17,40 +19,24 @@ from fsai_hil.evidence.mutation import trial
 from fsai_hil.evidence.mutation.mutants import Key, Mutant
 from fsai_hil.evidence.work import Progress, digest_of
 
-EXAMPLE = "example: python -m fsai_hil.evidence.mutation --only gate._steering --jobs 1"
-HEADS = ("mutants", "killed", "equivalent", "survived", "score")
-
 RECORD = CHECKOUT / "out" / "mutation" / "record.jsonl"
 LIST = Path("tests/evidence/survivors.toml")
 DOCUMENT = Path("docs/evidence/mutation.md")
 
-
-# ---------------------------------------------------------------- the survivors that no test can kill, and the page
+Result = tuple[Mutant, bool]  # whether it survives
 
 
 def load() -> set[Key]:
     """The mutants that no test can tell from the code as it is. `plus` may list several that share a reason.
 
-    An entry names a mutant by its place and its lines, not by line numbers, so that it stays true while the code around
+    An entry names a mutant by its place and its text, not by line numbers, so that it stays true while the code around
     it moves and fails when the code itself changes.
     """
-    explained = set()
-    for entry in tomllib.loads((CHECKOUT / LIST).read_text())["survivor"]:
-        for plus in entry["plus"] if isinstance(entry["plus"], list) else [entry["plus"]]:
-            explained.add((entry["where"], _lines(entry["minus"]), _lines(plus), entry.get("nth", 1)))
-    return explained
-
-
-def _lines(text: str) -> str:
-    return "\n".join(line.strip() for line in text.strip().splitlines())
-
-
-def row(results: Sequence[tuple[Mutant, str]], explained: Container[Key]) -> tuple[str, ...]:
-    """The figures of `HEADS`."""
-    killed = [bool(killer) for mutant, killer in results if killer or mutant.key not in explained]
-    count, able, dead = len(results), len(killed), sum(killed)
-    share = f"{100.0 * dead / able:.2f} %" if able else "-"
-    return (*map(str, (count, dead, count - able, able - dead)), share)
+    return {
+        (entry["where"], entry["minus"], plus, entry.get("nth", 1))
+        for entry in tomllib.loads((CHECKOUT / LIST).read_text())["survivor"]
+        for plus in (entry["plus"] if isinstance(entry["plus"], list) else [entry["plus"]])
+    }
 
 
 _HEAD = f"""# Do the tests notice? Mutation testing of supervisor and gate
@@ -67,59 +53,56 @@ Lines and branches that no test takes fail the same command: it demands 100 % of
 """
 
 
-def page(rows: Mapping[str, Sequence[str]], mutants: Iterable[Mutant], digest: str) -> str:
+def table(results: Sequence[Result], explained: Container[Key]) -> list[str]:
+    """The figures of each module, and of all of them."""
+    lines = ["| module | mutants | killed | equivalent | survived | killed of those that can be |", "|---" * 6 + "|"]
+    for name in (*trial.MODULES, ""):
+        some = [(mutant, survives) for mutant, survives in results if mutant.module.startswith(name)]
+        able = [survives for mutant, survives in some if not survives or mutant.key not in explained]
+        counts = len(some), len(able) - sum(able), len(some) - len(able), sum(able)
+        share = f"{100.0 * counts[1] / len(able):.2f} %" if able else "-"
+        shown = f"`{name.rpartition('.')[2]}`" if name else "in all"
+        lines.append(f"| {shown} | {' | '.join(map(str, counts))} | {share} |")
+    return lines
+
+
+def page(figures: Sequence[str], mutants: Iterable[Mutant], digest: str) -> str:
     """The whole document."""
     kinds = Counter(mutant.operator for mutant in mutants)
-    return "\n".join(
-        (
-            _HEAD,
-            f"Of the sources and tests with the digest `{digest}`.",
-            "",
-            "| module | mutants | killed | equivalent | survived | killed of those that can be |",
-            "|---|---|---|---|---|---|",
-            *(f"| `{name.rpartition('.')[2]}` | {' | '.join(one)} |" for name, one in rows.items()),
-            "",
-            "The mistakes: " + ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())) + ".",
-            "",
-            "The tests: " + ", ".join(f"`{name}`" for name in trial.KILLERS) + ".",
-            "",
-        )
-    )
-
-
-# ---------------------------------------------------------------- the command
+    mistakes = ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items()))
+    tests = ", ".join(f"`{Path(name).name}`" for name in trial.KILLERS)
+    origin = f"Of the sources and tests with the digest `{digest}`."
+    return "\n".join((_HEAD, origin, "", *figures, "", f"The mistakes: {mistakes}.", "", f"The tests: {tests}.", ""))
 
 
 def _digest() -> str:
     """Changes with the text of any source or test that a verdict depends on."""
-    vcu, tests = CHECKOUT / "fsai_vcu", CHECKOUT / "tests" / "core"
-    sources = [*(vcu / "core").rglob("*.py"), *(vcu / "interface").rglob("*.py"), *Path(__file__).parent.glob("*.py")]
-    sources += [tests / name for name in (*trial.KILLERS, "supervision_rig.py")]
+    folders = (trial.CORE, trial.CORE.parent / "interface", Path(__file__).parent)
+    sources = [path for folder in folders for path in folder.rglob("*.py")]
+    sources += [CHECKOUT / name for name in (*trial.KILLERS, "tests/core/supervision_rig.py")]
     return digest_of({str(path.relative_to(CHECKOUT)): path for path in sources})
 
 
 def _chosen(mutants: Sequence[Mutant], listed: set[Key], options: argparse.Namespace, digest: str) -> list[Mutant]:
-    chosen = [m for m in mutants if not options.only or any(f"{m.place}.".startswith(f"{n}.") for n in options.only)]
+    chosen = [m for m in mutants if not options.only or any(f"{m.key[0]}.".startswith(f"{n}.") for n in options.only)]
     if not chosen:
-        places = ", ".join(sorted({mutant.place for mutant in mutants}))
+        places = ", ".join(sorted({mutant.key[0] for mutant in mutants}))
         raise SystemExit(f"no mutant in {', '.join(options.only)}: the places are {places}")
     if options.sample is not None:
-        # Those that are known to survive cost all tests and tell nothing new; tables cost the tests' collection each.
-        chosen = [mutant for mutant in chosen if mutant.key not in listed and not mutant.at_import]
+        # Those that are known to survive cost all tests and tell nothing new.
+        chosen = [mutant for mutant in chosen if mutant.key not in listed]
         chosen = random.Random(digest).sample(chosen, min(options.sample, len(chosen)))
         print(f"a sample of {len(chosen)}, drawn by the sources' digest {digest}", flush=True)
     return chosen
 
 
-def _try(
-    baseline: trial.Baseline, sources: dict[str, str], chosen: list[Mutant], options: argparse.Namespace, digest: str
-) -> list[tuple[Mutant, str]]:
-    """Every mutant with its killer, on disk line by line: a run of the same sources goes on where one was stopped."""
+def _try(baseline: trial.Baseline, chosen: list[Mutant], jobs: int, digest: str) -> list[Result]:
+    """Whether each mutant survives, on disk line by line: a run of the same sources goes on where one was stopped."""
     RECORD.parent.mkdir(parents=True, exist_ok=True)
     lines = RECORD.read_text().splitlines(keepends=True) if RECORD.exists() else []
     head = json.dumps({"digest": digest}) + "\n"
     known = [line for line in lines[1:] if line.endswith("\n")] if lines[:1] == [head] else []
-    done = {tuple(key): killer for key, killer in map(json.loads, known)}
+    done = {tuple(key): survives for key, survives in map(json.loads, known)}
     results = [(mutant, done[mutant.key]) for mutant in chosen if mutant.key in done]
     if results:
         print(f"{len(results)} were tried before and are not tried again", flush=True)
@@ -127,72 +110,55 @@ def _try(
     progress = Progress("mutants", len(waiting))
     with RECORD.open("w") as record:
         record.writelines([head, *known])
-
-        def report(mutant: Mutant, killer: str) -> None:
-            print(json.dumps([mutant.key, killer]), file=record, flush=True)
-            results.append((mutant, killer))
-            left = len(chosen) - len(results)
-            progress(len(waiting) - left, f"{sum(not one for _, one in results)} survive")
-
-        trial.try_all(baseline, sources, waiting, options.jobs, report)
+        for number, (mutant, survives) in enumerate(trial.outcomes(baseline, waiting, jobs), 1):
+            print(json.dumps([mutant.key, survives]), file=record, flush=True)
+            results.append((mutant, survives))
+            progress(number, f"{sum(one for _, one in results)} survive")
     progress.clear()
     return results
 
 
-def _shown(mutant: Mutant) -> str:
-    lines = [f"{mutant.place}, line {mutant.lines[0]}: {mutant.operator}"]
-    lines += [f"    - {line}" for line in mutant.minus.splitlines()]
-    return "\n".join([*lines, *(f"    + {line}" for line in mutant.plus.splitlines() or ["(nothing)"])])
-
-
 def _run(options: argparse.Namespace) -> int:
-    trial.warm_up()
-    digest = _digest()
-    listed = load()
-    sources = trial.sources()
-    # In a child, because that imports the modules: each mutant's own child imports them with the mistake in them.
-    (mutants,) = trial.in_children(trial.mutants, [sources], 1)
+    digest, listed, mutants = _digest(), load(), trial.mutants()
+    trial.prepare()
     gone = listed - {mutant.key for mutant in mutants}
     for place, minus, plus, nth in gone:
         print(f"{LIST} explains what is no mutant any more: {place} ({nth})\n    - {minus}\n    + {plus}")
     chosen = _chosen(mutants, listed, options, digest)
-
     baseline = trial.Baseline()
     if options.sample is None:
         print(f"{len(chosen)} mutants; the tests on the code as it is …", flush=True)
-        baseline = trial.measure()
+        with ProcessPoolExecutor(1, get_context("fork")) as pool:
+            baseline = pool.submit(trial.measure).result()
         if baseline.failed:
-            print(f"a test fails on the code as it is: {baseline.failed}", file=sys.stderr)
+            print(f"{baseline.failed}\na test fails on the code as it is", file=sys.stderr)
             return 1
-        print(f"{len(baseline.seconds)} tests, {sum(baseline.seconds.values()):.0f} s of CPU time", flush=True)
-        for place in baseline.missing or [f"nothing: every line and branch of {', '.join(trial.COVERED)} is reached"]:
-            print(f"not covered: {place}")
-    results = _try(baseline, sources, chosen, options, digest)
-    rows = {name: row([one for one in results if one[0].module == name], listed) for name in sources}
-    for name, cells in (("module", HEADS), *rows.items(), ("in all", row(results, listed))):
-        print(f"{name.rpartition('.')[2]:14} " + " ".join(f"{cell:>10}" for cell in cells))
-    unexplained = [mutant for mutant, killer in results if not killer and mutant.key not in listed]
-    wrongly_explained = [mutant for mutant, killer in results if killer and mutant.key in listed]
-    for mutant in unexplained:
-        print(f"\nSURVIVED: {_shown(mutant)}")
-    for mutant in wrongly_explained:
-        print(f"\n{LIST} calls it equivalent, but a test kills it: {_shown(mutant)}")
-    holds = not (unexplained or wrongly_explained or gone or baseline.missing)
+        print(f"{len(baseline.seconds)} tests, {sum(baseline.seconds.values()):.0f} s", flush=True)
+        reached = f"nothing: every line and branch of {', '.join(trial.COVERED)} is reached"
+        print(f"not covered: {baseline.missing or reached}")
+    results = _try(baseline, chosen, options.jobs, digest)
+    figures = table(results, listed)
+    print(*figures, sep="\n")
+    wrong = [(mutant, survives) for mutant, survives in results if survives is not (mutant.key in listed)]
+    for mutant, survives in wrong:
+        place, minus, plus, _ = mutant.key
+        print(f"\n{'SURVIVED' if survives else f'{LIST} calls it equivalent, but a test kills it'}: {place},", end=" ")
+        print(f"line {mutant.lines[0]}: {mutant.operator}\n    - {minus}\n    + {plus}")
+    holds = not (wrong or gone or baseline.missing)
     if options.document and holds and len(chosen) == len(mutants):
-        (CHECKOUT / DOCUMENT).write_text(page(rows, mutants, digest))
+        (CHECKOUT / DOCUMENT).write_text(page(figures, mutants, digest))
         print(f"written: {DOCUMENT}")
     return 0 if holds else 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m fsai_hil.evidence.mutation", description=__doc__, epilog=EXAMPLE, allow_abbrev=False
-    )
+    name = "python -m fsai_hil.evidence.mutation"
+    example = f"example: {name} --only gate._steering --jobs 1"
+    parser = argparse.ArgumentParser(prog=name, description=__doc__, epilog=example, allow_abbrev=False)
     parser.add_argument("--only", action="append", default=[], metavar="PLACE", help="a module or function, as printed")
-    parser.add_argument("--sample", type=int, metavar="N", help="only N that act in functions, without coverage")
-    parser.add_argument(
-        "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (default: %(default)s)"
-    )
+    parser.add_argument("--sample", type=int, metavar="N", help="only N of them, without coverage")
+    processors = len(os.sched_getaffinity(0))
+    parser.add_argument("--jobs", type=int, default=processors, help="processes (default: %(default)s)")
     parser.add_argument("--document", action="store_true", help=f"write {DOCUMENT} if everything holds")
     options = parser.parse_args(arguments)
     if options.jobs < 1 or (options.sample is not None and options.sample < 1):
