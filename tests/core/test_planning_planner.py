@@ -91,7 +91,7 @@ def test_a_gate_beyond_the_lane_border_belongs_to_another_lane() -> None:
 
 def test_acceleration_goes_straight_from_an_oblique_start() -> None:
     start = Pose(-0.3 - NOSE_M, 0.2, 0.03)
-    driven = drive(Ami.ACCELERATION, replace(STRAIGHT, car_start=start)).world.samples
+    driven = drive(Ami.ACCELERATION, replace(STRAIGHT, car_start=start)).world.run.samples
     assert max(abs(point.y_m) for point in driven if point.x_m > 30.0) < 0.4
 
 
@@ -125,7 +125,7 @@ def drifting(feedback: CarFeedback, _now_ns: int) -> CarFeedback:
 )
 def test_skidpad_is_found_from_a_displaced_start_and_in_drift(back_m: float, detector: Any, sensors: Any) -> None:
     start = Pose(-15.0 - NOSE_M - back_m, 0.0, 0.0)
-    assert drive(Ami.SKIDPAD, replace(skidpad_track(), car_start=start), detector, sensors).world.judge.laps == 4
+    assert drive(Ami.SKIDPAD, replace(skidpad_track(), car_start=start), detector, sensors).world.run.judge.laps == 4
 
 
 @pytest.mark.parametrize("mission", [Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO])

@@ -82,7 +82,7 @@ def on_the_wire(kind: FaultKind) -> list[tuple[type, frozenset[int], bool]]:
         kind.begin(Ongoing(), SimpleNamespace(world=SimpleNamespace(vcu=vcu)), drawn(kind, random.Random(1)), 0)  # type: ignore[arg-type]
     except AttributeError:
         return []  # it is done to something else than messages
-    faults = [(fault, wire is received) for wire in (sent, received) for fault in wire._faults]
+    faults = [(fault, wire is received) for wire in (sent, received) for fault in wire.faults]
     return [(type(fault), fault.ids, car) for fault, car in faults]
 
 

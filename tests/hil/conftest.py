@@ -148,10 +148,11 @@ def stack(interface: str, results: Path, bus_log: BusWatch) -> Iterator[Stack]:
         yield running
 
 
-def listening(interface: str, argv: Sequence[str], output: Path) -> RunningProcess:
-    """A command that has begun to listen to the bus; what it prints is in `output`."""
+def listening(interface: str, argv: Sequence[str], output: Path, errors: Path | None = None) -> RunningProcess:
+    """A command that has begun to listen to the bus; what it prints is in `output`, its errors too or in `errors`."""
     before = listeners(interface)
-    process = RunningProcess(argv[0], argv, output, os.environ)
+    with (errors or Path(os.devnull)).open("wb") as file:
+        process = RunningProcess(argv[0], argv, output, os.environ, stderr=file if errors else subprocess.STDOUT)
     await_condition(lambda: listeners(interface) > before, LISTENS_S, f"{argv} listens")
     return process
 

@@ -54,6 +54,7 @@ class RunningProcess:
         environ: Mapping[str, str],
         *,
         stdin: int | None = subprocess.DEVNULL,
+        stderr: int | IO[bytes] = subprocess.STDOUT,
     ) -> None:
         self.name = name
         self.log_path = log_path
@@ -62,7 +63,7 @@ class RunningProcess:
             list(argv),
             stdin=stdin,
             stdout=self._log,
-            stderr=subprocess.STDOUT,
+            stderr=stderr,
             env=dict(environ),
             # A Ctrl-C at the terminal is for the one who started the rehearsal; it ends the others properly.
             start_new_session=True,
