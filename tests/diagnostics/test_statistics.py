@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from story_runs import driving, log_of
 
 from fsai_hil.rules.checker import WireChecker
-from fsai_vcu.cli.main import main
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, Severity, judge, measure
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
-from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.interface.units import MS, S
@@ -211,15 +208,13 @@ def test_times_that_go_backwards_are_said() -> None:
     assert measured(frames).backwards == 1
 
 
-def test_a_simulated_drive_is_well_with_the_checkers_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "drive.log"
-    assert main(["drive", "--mission", "static_inspection_b", "--seed", "3", "--log", str(log), "--json"]) == 0
-    frames, _ = read_log(log)
-    (bus,) = measure(frames, DECODER, revision="2026")
+def test_a_simulated_drive_is_well_with_the_checkers_times() -> None:
+    frames = driving().frames
+    (bus,) = measure(log_of(frames), DECODER, revision="2026")
     assert [finding for finding in judge(bus) if finding.severity.value == "problem"] == []
     checker = WireChecker(Codec(revision("2026")))
     for frame in frames:
-        checker.on_frame(Frame(frame.can_id, frame.data, frame.t_ns))
+        checker.on_frame(frame)
     responses, handshake = checker.responses, bus.handshake
     assert handshake is not None
     assert handshake.answered == len(responses)
