@@ -160,6 +160,7 @@ def test_the_output_table_is_that_of_the_safety_rules(phase: Phase, row: str) ->
     assert f"{status}, {out.direction.name}, steering {out.steer.name}, brake {out.brake.name}{torque}" == row
     assert isinstance(out.steer, Steer) and isinstance(out.brake, Brake)
     assert len(Phase) == len(OUTPUT) == 11  # two phases with the same words would be one
+    assert all(phase.value.startswith(("no AS state", *(state.label for state in AsState))) for phase in Phase)
 
 
 def test_every_reason_and_request_has_a_sentence() -> None:
