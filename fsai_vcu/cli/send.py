@@ -8,16 +8,15 @@ import signal
 import sys
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import add_database_arguments
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.transmit.sending import Outgoing, outgoing
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.transmit.sending import Outgoing
-    from fsai_vcu.runtime.bus import CanBus
+from fsai_vcu.runtime.bus import BusLost, CanBus, open_bus
+from fsai_vcu.runtime.lock import InterfaceLock
 
 EXAMPLE = (
     "fsai-vcu send BenchLamp COLOUR=RED -i can0 --dbc bench.dbc --count 10 --period 100\n"
@@ -52,9 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.decode.databases import load_databases
-    from fsai_vcu.diagnostics.transmit.sending import outgoing
-
     check_numbers(args, count=0, period=1.0, listen=_LEAST_LISTEN_S)
     databases = load_databases(args.dbc, args.revision)
     frame = outgoing(databases, args.message, args.signals, as_ai=args.as_ai)
@@ -86,9 +82,6 @@ def _show(args: argparse.Namespace, frame: Outgoing) -> None:
 
 
 def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
-    from fsai_vcu.runtime.bus import BusLost, open_bus
-    from fsai_vcu.runtime.lock import InterfaceLock
-
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
     with ExitStack() as stack:
         if outgoing.is_of_the_ai:  # no bridge begins while another program speaks for the AI computer
