@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import platform
 import re
 import signal
 import sys
@@ -12,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -203,9 +205,6 @@ def _time_ns(text: str, option: str) -> int:
 
 def _about(args: argparse.Namespace) -> dict[str, Any]:
     """What belongs to a log without being a frame."""
-    import platform
-    from importlib.metadata import version
-
     try:
         about: dict[str, Any] = {
             "made_by": f"fsai-vcu {version('fsai-vcu')}",

@@ -89,7 +89,7 @@ def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
         bus = stack.enter_context(open_bus(args.interface, may_send={outgoing.frame.can_id}))
         sender = _Sender(bus, args, outgoing)
         try:
-            sender.listen()
+            sender.watch(time.monotonic() + args.listen)
             _show(args, outgoing)
             sender.run()
         except BusLost as error:
@@ -110,13 +110,8 @@ class _Sender:
         self.dropped = 0
         self._bus = bus
         self._count: int = args.count
-        self._listen_s: float = args.listen
         self._period_s = (args.period or outgoing.period_ms or _PERIOD_MS) / 1000.0
         self._frame = outgoing.frame
-
-    def listen(self) -> None:
-        """Raises UserError for a live bridge."""
-        self._watch(time.monotonic() + self._listen_s)
 
     def run(self) -> None:
         due_s = time.monotonic()
@@ -128,9 +123,9 @@ class _Sender:
             if self._count and self.sent + self.dropped >= self._count:
                 return
             due_s = max(due_s + self._period_s, time.monotonic())  # late ones are not caught up with in a burst
-            self._watch(due_s)
+            self.watch(due_s)
 
-    def _watch(self, until_s: float) -> None:
+    def watch(self, until_s: float) -> None:
         """Receive until then, and in any case all that has come so far. Raises UserError for a live bridge."""
         ours = {*AI_IDS, *({OPTIONAL_AI_ID} & {self._frame.can_id})}
         while True:

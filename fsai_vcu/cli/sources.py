@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -293,7 +294,7 @@ class Sources:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
         source = LiveSource([name for name, _ in self._rules])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
-        with source:
+        with closing(source):
             if announced and seconds is None:
                 self._say(f"listening to {self.name} until Ctrl-C")
             for frames in source.chunks(seconds):
