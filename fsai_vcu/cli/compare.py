@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, record_in
+from fsai_vcu.diagnostics.explain import explained
+from fsai_vcu.diagnostics.explain.record import Record
+from fsai_vcu.diagnostics.explain.signals import Signal
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, measure
 from fsai_vcu.interface.errors import UserError
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.explain.record import Record
-    from fsai_vcu.diagnostics.statistics.measure import BusStatistics
 
 EXAMPLE = "fsai-vcu compare yesterday.log today.log"
 ABOUT = """\
@@ -29,9 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import explained
-    from fsai_vcu.diagnostics.statistics.measure import measure
-
     decoding = Decoding("compare", args)
     records, buses, incidents, status = [], [], [], 0
     for name in args.logs:
@@ -69,8 +66,6 @@ def _messages(first: BusStatistics, second: BusStatistics) -> Iterator[str]:
 
 
 def _signals(first: Record, second: Record) -> Iterator[str]:
-    from fsai_vcu.diagnostics.explain.signals import Signal
-
     for layout in first.decoder.databases.layouts.values():
         for signal in layout.signals:
             before, after = (record.series(Signal(layout.name, signal.name)) for record in (first, second))

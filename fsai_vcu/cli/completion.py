@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
+from fsai_vcu.cli.main import Parser, all_verbs, parser_of
 from fsai_vcu.core.supervision.supervisor import Mode
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.interface.enums import Ami
@@ -73,8 +74,6 @@ def run(args: argparse.Namespace) -> int:
 
 def whole_parser() -> argparse.ArgumentParser:
     """One parser of the whole command line; each argument has what shtab offers for it."""
-    from fsai_vcu.cli.main import Parser, all_verbs, parser_of
-
     root = Parser(prog="fsai-vcu")
     root.add_argument("--version", action="version", help="show the version")
     verbs = root.add_subparsers()

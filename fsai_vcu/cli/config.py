@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from fsai_vcu.runtime.configuration import KEYS, TABLES, USUAL_PATH, ConfigurationError, read_configuration
+
 EXAMPLE = "fsai-vcu config check /etc/fsai/fsai.toml"
 
 
@@ -25,8 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.runtime.configuration import USUAL_PATH, ConfigurationError, read_configuration
-
     path = args.file or USUAL_PATH
     try:
         configuration = read_configuration(path)
@@ -52,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _as_dict(configuration: Any) -> dict[str, Any]:
-    from fsai_vcu.runtime.configuration import KEYS, TABLES
-
     settings: dict[str, dict[str, Any]] = {table: {} for table in TABLES}
     for key in KEYS:
         value = configuration.value(key.table, key.name)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
+from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
 from fsai_vcu.interface.errors import UserError, WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.decode.databases import Databases
-    from fsai_vcu.diagnostics.decode.layouts import MessageLayout, SignalLayout
+from fsai_vcu.interface.revisions import REVISIONS
 
 EXAMPLE = "fsai-vcu dbc show 0x520\n  fsai-vcu dbc diff 2021 2026"
 ABOUT = """\
@@ -48,9 +46,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load(name: str) -> Databases:
-    from fsai_vcu.diagnostics.decode.databases import load_databases
-    from fsai_vcu.interface.revisions import REVISIONS
-
     return load_databases((), name) if name in REVISIONS else load_databases([Path(name)])
 
 

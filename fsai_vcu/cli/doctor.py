@@ -10,15 +10,26 @@ import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from fsai_vcu.core.vehicle.parameters import CARS
+from fsai_vcu.diagnostics.doctor.checks import examine
+from fsai_vcu.diagnostics.doctor.collect import collect
+from fsai_vcu.diagnostics.doctor.machine import Wanted
+from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
+from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.errors import UserError, WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.doctor.machine import Wanted
-    from fsai_vcu.interface.codec import Codec
-    from fsai_vcu.interface.wheels import WheelMapping
-    from fsai_vcu.runtime.configuration import Configuration
+from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
+from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.interface.wheels import STRAIGHT, WheelMapping
+from fsai_vcu.runtime.bus import open_bus
+from fsai_vcu.runtime.configuration import (
+    BITRATE,
+    QUEUE_FRAMES,
+    USUAL_PATH,
+    Configuration,
+    ConfigurationError,
+    read_configuration,
+)
 
 EXAMPLE = "fsai-vcu doctor; fsai-vcu doctor --wheels"
 
@@ -37,8 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit status: 0 when nothing is wrong."""
-    from fsai_vcu.runtime.configuration import USUAL_PATH, ConfigurationError, read_configuration
-
     if not 0.0 < args.seconds < math.inf:
         raise WrongUse(f"--seconds is {args.seconds:g}, not a time to listen for")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -52,9 +61,6 @@ def run(args: argparse.Namespace) -> int:
         if configuration is None:
             raise UserError(problems[0])
         return _turn_wheels(configuration, args.interface or configuration.interface, as_json=args.json)
-
-    from fsai_vcu.diagnostics.doctor.checks import examine
-    from fsai_vcu.diagnostics.doctor.collect import collect
 
     wanted = codec = None
     if configuration is not None:
@@ -75,9 +81,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _wanted(configuration: Configuration, interface: str | None) -> Wanted:
-    from fsai_vcu.diagnostics.doctor.machine import Wanted
-    from fsai_vcu.runtime.configuration import BITRATE, QUEUE_FRAMES
-
     return Wanted(
         path=str(configuration.path),
         interface=interface or configuration.interface,
@@ -97,21 +100,12 @@ def _wanted(configuration: Configuration, interface: str | None) -> Wanted:
 
 
 def _codec(configuration: Configuration, mapping: WheelMapping) -> Codec:
-    from fsai_vcu.interface.codec import Codec
-    from fsai_vcu.interface.revisions import REVISIONS
-
     files = [Path(name) for name in configuration.dbc_files]
     return Codec(REVISIONS[configuration.revision], files or None, mapping)
 
 
 def _turn_wheels(configuration: Configuration, interface: str, *, as_json: bool) -> int:
     """The commissioning check: each wheel is turned once, forwards, with the car on stands and nothing energised."""
-    from fsai_vcu.core.vehicle.parameters import CARS
-    from fsai_vcu.diagnostics.doctor.wheels import NAMES, WheelWiringCheck
-    from fsai_vcu.interface.messages import WheelCounts, WheelSpeeds
-    from fsai_vcu.interface.wheels import STRAIGHT
-    from fsai_vcu.runtime.bus import open_bus
-
     codec = _codec(configuration, STRAIGHT)  # the wheels as their signals are called
     pulses_per_rev = CARS[configuration.car].wheel_pulses_per_rev
     check = WheelWiringCheck()

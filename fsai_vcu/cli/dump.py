@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import time
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from fsai_vcu.cli.sources import (
     SOURCE_HELP,
@@ -17,10 +17,12 @@ from fsai_vcu.cli.sources import (
     part_of,
     write_out,
 )
+from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
+from fsai_vcu.diagnostics.log.candump import log_lines
+from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
+from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames
+from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.errors import WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
 
 EXAMPLE = "fsai-vcu dump can0,520:7FF,510:7FF,#FFFFFFFF -t z"
 _TIME_DIGITS: Final = {"a": 10, "d": 3, "z": 3}  # as candump pads its seconds
@@ -110,9 +112,6 @@ class _Lines:
         """The frames that --changes and --signals leave."""
         import numpy as np
 
-        from fsai_vcu.diagnostics.decode.layouts import EXTENDED_KEY
-        from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE
-
         if self._args.signals is not None and len(frames):
             shown = np.fromiter(self._decoding.databases.layouts, np.int64) & 0x1FFF_FFFF
             frames = frames.only(np.isin(frames.can_id, shown))
@@ -131,8 +130,6 @@ class _Lines:
         return frames.only(np.array(changed, np.bool_))
 
     def block(self, frames: Frames) -> bytes | bytearray:
-        from fsai_vcu.diagnostics.log.candump import log_lines
-
         if not len(frames):
             return b""
         if self._args.json:
@@ -155,8 +152,6 @@ class _Lines:
 
     def _screen_lines(self, frames: Frames) -> list[bytes]:
         """As candump shows them; padded to one width where signals stand beside."""
-        from fsai_vcu.diagnostics.log.candump_line import date_text, screen_line, time_text
-
         lines = []
         width, digits = max(map(len, frames.channels)), _TIME_DIGITS.get(self._args.times)
         for frame in frames:
@@ -185,9 +180,6 @@ class _Lines:
         return frames.at(np.maximum(shown, 0))
 
     def _colors(self, frames: Frames) -> list[bytes]:
-        from fsai_vcu.diagnostics.log.frames import ERROR
-        from fsai_vcu.interface.bus_table import BY_ID, Flow
-
         kinds = {Flow.TO_VCU: "ai", Flow.FROM_VCU: "vcu"}
         own = {can_id: _COLORS.get(kinds.get(message.flow, ""), b"") for can_id, message in BY_ID.items()}
         which = self._decoding.decoder.which(frames).tolist()

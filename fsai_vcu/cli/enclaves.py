@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from fsai_vcu.interface.errors import UserError
+from fsai_vcu.runtime.configuration import usual_environment
 
 EXAMPLE = "fsai-vcu enclaves --keystore /etc/fsai/keystore"
 
@@ -31,8 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.runtime.configuration import usual_environment
-
     policy = args.policy or next((path for path in (_INSTALLED_POLICY, _CHECKOUT_POLICY) if path.is_file()), None)
     if policy is None or not policy.is_file():
         raise UserError(f"no policy {policy or _INSTALLED_POLICY}")

@@ -8,6 +8,10 @@ import os
 import sys
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of
+from fsai_vcu.diagnostics.explain import record_for
+from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
+from fsai_vcu.diagnostics.statistics.measure import measure
+from fsai_vcu.diagnostics.verdict import judge_log
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu explain run.log\n  fsai-vcu explain can0 --seconds 10"
@@ -24,11 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import record_for
-    from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
-    from fsai_vcu.diagnostics.statistics.measure import measure
-    from fsai_vcu.diagnostics.verdict import judge_log
-
     check_seconds(args)
     decoding = Decoding("explain", args)  # before anything is read; the story itself says which revision it is, and why
     part = part_of(args, decoding)

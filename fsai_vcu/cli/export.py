@@ -15,6 +15,8 @@ from fsai_vcu.cli.sources import (
     add_part_arguments,
     part_of,
 )
+from fsai_vcu.diagnostics.export.wide import raster_ns
+from fsai_vcu.diagnostics.export.writing import check_format, export
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = (
@@ -50,9 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.export.wide import raster_ns
-    from fsai_vcu.diagnostics.export.writing import check_format, export
-
     if args.raster is not None and not args.wide:
         raise WrongUse("--raster goes with --wide")
     if args.words and args.to not in ("csv", "parquet"):

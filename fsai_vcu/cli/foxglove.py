@@ -6,8 +6,9 @@ import argparse
 import math
 import signal
 import time
+from collections.abc import Callable, Iterable, Iterator
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from fsai_vcu.cli.sources import (
     SOURCE_HELP,
@@ -17,11 +18,8 @@ from fsai_vcu.cli.sources import (
     add_seconds_argument,
     check_seconds,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.diagnostics.log.frames import Frames
+from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu foxglove can0\n  fsai-vcu foxglove --layout > fsai.json"
 ABOUT = """\
@@ -46,8 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.interface.errors import UserError, WrongUse
-
     if args.layout:
         print(files("fsai_vcu.cli").joinpath("foxglove_layout.json").read_text(encoding="utf-8"), end="")
         return 0

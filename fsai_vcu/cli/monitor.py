@@ -9,14 +9,14 @@ import shutil
 import sys
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import Decoding, Sources, add_database_arguments, add_source_argument, write_out
+from fsai_vcu.diagnostics.monitor.snapshot import plain_line
+from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
+from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.interface.errors import UserError, WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.monitor.sources import Moment, Source
+from fsai_vcu.interface.revisions import revision
 
 EXAMPLE = (
     "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2\n"
@@ -49,10 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.monitor.sources import Live, Log
-    from fsai_vcu.diagnostics.monitor.view import View
-    from fsai_vcu.interface.revisions import revision
-
     check_numbers(args, every=0.02, seconds=0.0, at=0.0, rate=0.0)
     sources = Sources("monitor", [args.source])
     if sources.live and (args.at is not None or args.rate is not None):
@@ -139,8 +135,6 @@ def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> N
 
 
 def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
-    from fsai_vcu.diagnostics.monitor.snapshot import plain_line
-
     try:
         while True:
             source.advance(every_s)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import (
     Decoding,
@@ -15,10 +14,8 @@ from fsai_vcu.cli.sources import (
     part_of,
     record_in,
 )
+from fsai_vcu.diagnostics.explain.record import Record, Series
 from fsai_vcu.interface.errors import UserError
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.explain.record import Record, Series
 
 EXAMPLE = "fsai-vcu plot run.log STEER_REQUEST ANGLE 'VCU2AI_Speeds.*' -o wheels.png"
 ABOUT = """\

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import platform
 import re
 import signal
 import sys
@@ -12,18 +13,21 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import Decoding, add_database_arguments
+from fsai_vcu.diagnostics.export.writing import check_format
+from fsai_vcu.diagnostics.log.live import Listener
+from fsai_vcu.diagnostics.recorder.recording import Recording
+from fsai_vcu.diagnostics.recorder.segments import Bounds, SegmentFolder
 from fsai_vcu.interface.errors import UserError, WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.live import Listener
-    from fsai_vcu.diagnostics.recorder.recording import Recording
-    from fsai_vcu.diagnostics.recorder.segments import Bounds
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.configuration import usual_environment
+from fsai_vcu.runtime.limits_file import read_limits
 
 EXAMPLE = (
     "fsai-vcu record -i can0 -o /var/log/fsai --max-total 8G --mcap --limits limits.toml\n"
@@ -71,11 +75,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.export.writing import check_format
-    from fsai_vcu.diagnostics.log.live import Listener
-    from fsai_vcu.diagnostics.recorder.recording import Recording
-    from fsai_vcu.diagnostics.recorder.segments import SegmentFolder
-
     check_numbers(args, seconds=0.0)
     if args.ros and not args.mcap:
         raise WrongUse("--ros goes with --mcap: a candump log has no place for ROS messages")
@@ -177,8 +176,6 @@ def _say(text: str) -> None:
 
 
 def _bounds(args: argparse.Namespace) -> Bounds:
-    from fsai_vcu.diagnostics.recorder.segments import Bounds
-
     keep_free = _size(args.keep_free, "--keep-free")
     given = {option: getattr(args, option) for option in _BOUNDS}
     if args.output.suffix != "" and not args.output.is_dir():
@@ -208,12 +205,6 @@ def _time_ns(text: str, option: str) -> int:
 
 def _about(args: argparse.Namespace) -> dict[str, Any]:
     """What belongs to a log without being a frame."""
-    import platform
-    from importlib.metadata import version
-
-    from fsai_vcu.interface.revisions import revision
-    from fsai_vcu.runtime.limits_file import read_limits
-
     try:
         about: dict[str, Any] = {
             "made_by": f"fsai-vcu {version('fsai-vcu')}",
@@ -240,8 +231,6 @@ def _about(args: argparse.Namespace) -> dict[str, Any]:
 
 def _topics(args: argparse.Namespace) -> Any | None:
     """Receives what the nodes publish; None where that is not asked for."""
-    from fsai_vcu.runtime.configuration import usual_environment
-
     if not args.ros:
         return None
     os.environ.update(usual_environment())

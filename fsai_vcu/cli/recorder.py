@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from fsai_vcu.runtime.configuration import Configuration
+from fsai_vcu.cli.main import main
+from fsai_vcu.runtime.configuration import USUAL_PATH, Configuration, read_configuration
 
 EXAMPLE = "fsai-vcu recorder --config /etc/fsai/fsai.toml --interface can0"
 
@@ -19,9 +18,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import main
-    from fsai_vcu.runtime.configuration import USUAL_PATH, read_configuration
-
     configuration = read_configuration(args.config or USUAL_PATH)
     for line in configuration.limits_described():
         print(f"operational limits: {line}", file=sys.stderr, flush=True)

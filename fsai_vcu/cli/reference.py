@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.completion import metavar_of, words_of
+from fsai_vcu.cli.main import all_verbs, parser_of
 from fsai_vcu.interface.errors import UserError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 EXAMPLE = "fsai-vcu reference -o docs/reference.md\n  fsai-vcu reference --man | man -l -"
 
@@ -105,8 +103,6 @@ def manual() -> str:
 
 def _verbs() -> list[tuple[str, str, argparse.ArgumentParser]]:
     """(verb, what it does, its parser), in the order of the help."""
-    from fsai_vcu.cli.main import all_verbs, parser_of
-
     return [(verb, summary, parser_of(verb)) for verb, (_, summary) in all_verbs().items()]
 
 

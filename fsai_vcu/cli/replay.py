@@ -7,14 +7,13 @@ import math
 import signal
 import sys
 import time
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import LOG_HELP, Progress, Sources, add_part_arguments, part_of
+from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
 from fsai_vcu.interface.errors import UserError, WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.transmit.replaying import Player
+from fsai_vcu.runtime.bus import BusLost, open_bus
 
 EXAMPLE = "fsai-vcu replay run.log -i vcan0 --from 12.5 --to 20 --rate 0.5 --loop"
 _LATE_NS: Final = 10_000_000  # a cycle of the bus
@@ -36,9 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.transmit.replaying import Player, choose, is_physical
-    from fsai_vcu.runtime.bus import BusLost, open_bus
-
     check_numbers(args, loop=0)
     if not 0.0 < args.rate < math.inf:
         raise WrongUse(f"--rate is {args.rate:g}, not a rate")

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of, record_in
+from fsai_vcu.diagnostics.report.page import page_of
 from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
@@ -24,8 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.report.page import page_of
-
     check_seconds(args)
     decoding = Decoding("report", args)
     sources = Sources("report", args.sources, part=part_of(args, decoding))

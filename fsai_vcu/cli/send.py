@@ -8,16 +8,15 @@ import signal
 import sys
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.cli.sources import add_database_arguments
+from fsai_vcu.diagnostics.decode.databases import load_databases
+from fsai_vcu.diagnostics.transmit.sending import Outgoing, outgoing
 from fsai_vcu.interface.errors import UserError, WrongUse
 from fsai_vcu.interface.reserved import AI_IDS, OPTIONAL_AI_ID
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.transmit.sending import Outgoing
-    from fsai_vcu.runtime.bus import CanBus
+from fsai_vcu.runtime.bus import BusLost, CanBus, open_bus
+from fsai_vcu.runtime.lock import InterfaceLock
 
 EXAMPLE = (
     "fsai-vcu send BenchLamp COLOUR=RED -i can0 --dbc bench.dbc --count 10 --period 100\n"
@@ -52,9 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.decode.databases import load_databases
-    from fsai_vcu.diagnostics.transmit.sending import outgoing
-
     check_numbers(args, count=0, period=1.0, listen=_LEAST_LISTEN_S)
     databases = load_databases(args.dbc, args.revision)
     frame = outgoing(databases, args.message, args.signals, as_ai=args.as_ai)
@@ -86,9 +82,6 @@ def _show(args: argparse.Namespace, frame: Outgoing) -> None:
 
 
 def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
-    from fsai_vcu.runtime.bus import BusLost, open_bus
-    from fsai_vcu.runtime.lock import InterfaceLock
-
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
     with ExitStack() as stack:
         if outgoing.is_of_the_ai:  # no bridge begins while another program speaks for the AI computer
@@ -96,7 +89,7 @@ def _send(args: argparse.Namespace, outgoing: Outgoing) -> int:
         bus = stack.enter_context(open_bus(args.interface, may_send={outgoing.frame.can_id}))
         sender = _Sender(bus, args, outgoing)
         try:
-            sender.listen()
+            sender.watch(time.monotonic() + args.listen)
             _show(args, outgoing)
             sender.run()
         except BusLost as error:
@@ -117,13 +110,8 @@ class _Sender:
         self.dropped = 0
         self._bus = bus
         self._count: int = args.count
-        self._listen_s: float = args.listen
         self._period_s = (args.period or outgoing.period_ms or _PERIOD_MS) / 1000.0
         self._frame = outgoing.frame
-
-    def listen(self) -> None:
-        """Raises UserError for a live bridge."""
-        self._watch(time.monotonic() + self._listen_s)
 
     def run(self) -> None:
         due_s = time.monotonic()
@@ -135,9 +123,9 @@ class _Sender:
             if self._count and self.sent + self.dropped >= self._count:
                 return
             due_s = max(due_s + self._period_s, time.monotonic())  # late ones are not caught up with in a burst
-            self._watch(due_s)
+            self.watch(due_s)
 
-    def _watch(self, until_s: float) -> None:
+    def watch(self, until_s: float) -> None:
         """Receive until then, and in any case all that has come so far. Raises UserError for a live bridge."""
         ours = {*AI_IDS, *({OPTIONAL_AI_ID} & {self._frame.can_id})}
         while True:

@@ -14,6 +14,7 @@ from typing import Any
 from fsai_vcu.cli.arguments import check_numbers
 from fsai_vcu.interface.errors import UserError
 from fsai_vcu.runtime.configuration import usual_environment
+from fsai_vcu.runtime.transport import set_transport
 
 ASK_AGAIN_S = 1.0  # the bridge has an answer in half of that, of a hanging loop, too
 _TURN_S = 0.1  # within a wait of the middleware nothing answers Ctrl-C
@@ -38,8 +39,6 @@ def operator_node(namespace: str = "/") -> Iterator[Any]:
     Raises UserError where the configuration may not be read, ROS 2 or the project's messages are missing, or the
     namespace is none.
     """
-    from fsai_vcu.runtime.transport import set_transport
-
     os.environ.update(usual_environment())
     set_transport(os.environ)
     try:

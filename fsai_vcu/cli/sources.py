@@ -9,21 +9,25 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from fsai_vcu.diagnostics.decode.databases import Databases, load_databases
+from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.decode.lines import LineWriter
+from fsai_vcu.diagnostics.decode.revision import told_revision
+from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
+from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.part import Part
+from fsai_vcu.diagnostics.log.reader import LogError, Problems, open_log
 from fsai_vcu.interface.errors import UserError, WrongUse
+from fsai_vcu.interface.revisions import REVISIONS
+from fsai_vcu.interface.revisions import revision as revision_named
 
 if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.decode.databases import Databases
-    from fsai_vcu.diagnostics.decode.decoder import Decoder
-    from fsai_vcu.diagnostics.decode.lines import LineWriter
     from fsai_vcu.diagnostics.explain.record import Record
-    from fsai_vcu.diagnostics.log.filters import FrameFilter
-    from fsai_vcu.diagnostics.log.frames import Frames
-    from fsai_vcu.diagnostics.log.part import Part
-    from fsai_vcu.diagnostics.log.reader import Problems
 
 LOG_HELP: Final = "a log (candump, BLF, ASC, MF4, TRC, GVRET CSV, each also gzipped; - is standard input)"
 SOURCE_HELP: Final = f"{LOG_HELP} or a CAN interface"
@@ -76,8 +80,6 @@ def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) ->
 
 def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:
     """The part of the log that the arguments ask for; `decoding` knows the messages they name. Raises UserError."""
-    from fsai_vcu.diagnostics.log.part import Part
-
     ids: frozenset[int] | None = None
     if decoding is not None and getattr(args, "messages", None) is not None:
         layouts = [layout for databases in decoding.possible() for layout in databases.layouts.values()]
@@ -120,9 +122,6 @@ class Decoding:
 
     def __init__(self, verb: str, args: argparse.Namespace) -> None:
         """Raises UserError."""
-        from fsai_vcu.interface.revisions import REVISIONS
-        from fsai_vcu.interface.revisions import revision as revision_named
-
         self._verb = verb
         self._args = args
         self._files: Sequence[Path] = args.dbc
@@ -139,32 +138,23 @@ class Decoding:
     @cached_property
     def databases(self) -> Databases:
         """By what is known so far: others once frames have told more."""
-        from fsai_vcu.diagnostics.decode.databases import load_databases
-
         databases = load_databases(self._files, self.revision)
         return databases if self._shown is None else databases.with_signals(self._shown)
 
     @cached_property
     def decoder(self) -> Decoder:
         """With the databases of now."""
-        from fsai_vcu.diagnostics.decode.decoder import Decoder
-
         return Decoder(self.databases)
 
     @cached_property
     def writer(self) -> LineWriter:
         """Prints as --json and --numbers ask for, with the decoder of now."""
-        from fsai_vcu.diagnostics.decode.lines import LineWriter
-
         args = self._args
         short = getattr(args, "short", False)
         return LineWriter(self.decoder, as_json=args.json, words=not args.numbers, short=short)
 
     def possible(self) -> list[Databases]:
         """The databases that may be meant: the given ones, or those of each revision while none is named."""
-        from fsai_vcu.diagnostics.decode.databases import load_databases
-        from fsai_vcu.interface.revisions import REVISIONS
-
         if self._files or self.told:
             return [self.databases]
         return [load_databases((), name) for name in REVISIONS]
@@ -180,8 +170,6 @@ class Decoding:
 
     def hear(self, frames: Frames) -> None:
         """Learn from frames which revision is spoken, and say so where it is not the one that is assumed."""
-        from fsai_vcu.diagnostics.decode.revision import told_revision
-
         found = None if self.told or not len(frames) else told_revision(frames)
         if found is None:
             return
@@ -214,8 +202,6 @@ class Sources:
 
         Raises UserError.
         """
-        from fsai_vcu.diagnostics.log.filters import split_source
-
         self.verb = verb
         self.status = 0
         self._decoding = decoding
@@ -244,8 +230,6 @@ class Sources:
 
         `received` gets again and again how many frames there are.
         """
-        from fsai_vcu.diagnostics.log.frames import joined
-
         parts: list[Frames] = []
         count = 0
         try:
@@ -263,8 +247,6 @@ class Sources:
 
     def learn(self) -> None:
         """Decode by what the logs tell of their revision from their beginnings on: as much of them as it takes."""
-        from fsai_vcu.diagnostics.log.reader import open_log
-
         for name, _ in self._rules if self.files else ():
             with open_log(name) as log:
                 for frames in log.chunks():
@@ -273,8 +255,6 @@ class Sources:
                     self._decoding.hear(frames)
 
     def _log_chunks(self) -> Iterator[Frames]:
-        from fsai_vcu.diagnostics.log.reader import open_log
-
         inside = 0
         for name, rule in self._rules:
             count = 0
@@ -309,13 +289,12 @@ class Sources:
         return shown.only(rule.passes(shown)) if rule else shown
 
     def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
-        from fsai_vcu.diagnostics.log.filters import filtered
         from fsai_vcu.diagnostics.log.live import LiveSource
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
         source = LiveSource([name for name, _ in self._rules])
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
-        with source:
+        with closing(source):
             if announced and seconds is None:
                 self._say(f"listening to {self.name} until Ctrl-C")
             for frames in source.chunks(seconds):
@@ -367,8 +346,6 @@ class Progress:
 
 def _first_stamp(path: Path) -> tuple[int, str]:
     """When a log begins; one that cannot be read comes last, and is reported when it is opened."""
-    from fsai_vcu.diagnostics.log.reader import LogError, open_log
-
     try:
         with open_log(str(path)) as log:
             return next((frame.t_ns for frame in log.frames()), 1 << 63), path.name

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from fsai_vcu.cli.sources import Decoding, Progress, Sources, add_log_arguments, check_seconds, part_of, write_out
+from fsai_vcu.diagnostics.explain import record_for
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics, measure
+from fsai_vcu.diagnostics.verdict import judge_log
 from fsai_vcu.interface.errors import WrongUse
-
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics
 
 EXAMPLE = "fsai-vcu stats can0 --seconds 10"
 ABOUT = """\
@@ -34,10 +33,6 @@ def run(args: argparse.Namespace) -> int:
 
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
-    from fsai_vcu.diagnostics.explain import record_for
-    from fsai_vcu.diagnostics.statistics.measure import measure
-    from fsai_vcu.diagnostics.verdict import judge_log
-
     check_seconds(args)
     if args.bitrate is not None and args.bitrate < 1:
         raise WrongUse(f"--bitrate is {args.bitrate}, not a bit rate")

@@ -296,7 +296,7 @@ def test_each_wheel_is_asked_for_and_a_wrong_wiring_is_reported(
     file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bus = TurnedWheels()
-    monkeypatch.setattr("fsai_vcu.runtime.bus.open_bus", lambda *_, **__: nullcontext(bus))
+    monkeypatch.setattr("fsai_vcu.cli.doctor.open_bus", lambda *_, **__: nullcontext(bus))
     monkeypatch.setattr(time, "monotonic_ns", lambda: bus.now_ns)
     assert main(["doctor", "--config", file, "--wheels", "--json"]) == 1
     shown = capsys.readouterr()

@@ -16,6 +16,7 @@ import struct
 import subprocess
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import closing, suppress
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -132,7 +133,7 @@ def listen(interface: str, codec: Codec, seconds: float) -> BusTraffic:
     except BusError as error:
         return BusTraffic(seconds, problem=str(error))
     chunks: list[Frames] = []
-    with source:
+    with closing(source):
         chunks += source.chunks(seconds)
         if source.lost is not None:
             return BusTraffic(seconds, problem=source.lost)
@@ -389,10 +390,8 @@ def _user() -> str:
 def _groups() -> tuple[str, ...]:
     names = []
     for number in os.getgroups():
-        try:
+        with suppress(KeyError):
             names.append(grp.getgrgid(number).gr_name)
-        except KeyError:
-            continue
     return tuple(names)
 
 

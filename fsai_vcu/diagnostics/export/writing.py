@@ -28,10 +28,6 @@ _A_FILE_EACH: Final = ("csv", "parquet")
 _AT_ONCE: Final = 200_000  # frames
 
 
-class ExportError(UserError):
-    """What cannot be written; the message is one clear line."""
-
-
 @dataclass(frozen=True, slots=True)
 class Written:
     """What became of an export. left_out: frames that are in no table, and why. notes: lines for people."""
@@ -43,14 +39,14 @@ class Written:
 
 
 def check_format(form: str) -> None:
-    """Raises ExportError with the line that installs what is missing."""
+    """Raises UserError with the line that installs what is missing."""
     package = NEEDS.get(form)
     if package is None:
         return
     try:
         import_module(package)
     except ImportError:
-        raise ExportError(f"{form} needs {package}: pip install 'fsai-vcu[{form}]'") from None
+        raise UserError(f"{form} needs {package}: pip install 'fsai-vcu[{form}]'") from None
 
 
 def export(
@@ -66,17 +62,17 @@ def export(
     """Write all tables to `path`: a folder of files for CSV and Parquet, else a file. With `step_ns` one wide table.
 
     What is at `path` is replaced when all is written, unless it is a folder with something in it. `progress` gets
-    frames (of a wide table, rows) done and in all. Raises ExportError, and OSError where writing fails.
+    frames (of a wide table, rows) done and in all. Raises UserError, and OSError where writing fails.
     """
     check_format(form)
     folder = form in _A_FILE_EACH and step_ns is None
     if folder and path.exists() and not (path.is_dir() and not any(path.iterdir())):
         what = "a folder with something in it" if path.is_dir() else "a file"
-        raise ExportError(f"{path} is {what} already; name a new folder for the tables")
+        raise UserError(f"{path} is {what} already; name a new folder for the tables")
     if not folder and path.is_dir():
-        raise ExportError(f"{path} is a folder; name a file")
+        raise UserError(f"{path} is a folder; name a file")
     if path.exists() and not path.is_dir() and not path.is_file():
-        raise ExportError(f"{path} is a device or a pipe, which a file would replace; name a file")
+        raise UserError(f"{path} is a device or a pipe, which a file would replace; name a file")
     # Beside its place, so that it can be moved there in one step.
     work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.resolve().parent))
     try:

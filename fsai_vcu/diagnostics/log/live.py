@@ -139,12 +139,6 @@ class LiveSource:
         for listener in self._listeners:
             listener.close()
 
-    def __enter__(self) -> LiveSource:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def log_frame(received: Received, channel: str) -> LogFrame:
     frame, stamp_ns = received

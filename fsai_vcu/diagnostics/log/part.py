@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-if TYPE_CHECKING:
-    from fsai_vcu.diagnostics.log.frames import Frames
+import numpy as np
+
+from fsai_vcu.diagnostics.log.frames import Frames
 
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::([0-5]\d(?:\.\d+)?))?")
 _SECOND_NS: Final = 1_000_000_000
@@ -40,8 +41,6 @@ class Part:
 
     def of(self, frames: Frames) -> Frames:
         """The frames of the part; the first ones ever given begin the log."""
-        import numpy as np
-
         if not self or not len(frames):
             return frames
         if self._bounds is None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder
+from fsai_vcu.diagnostics.export.tables import Tables
 from fsai_vcu.diagnostics.log.frames import frames_of
 from fsai_vcu.diagnostics.log.live import Received, log_frame
 from fsai_vcu.diagnostics.recorder.durable import DurableFile, replace_durably
@@ -27,7 +28,6 @@ from fsai_vcu.runtime.recording import candump_line
 
 if TYPE_CHECKING:
     from fsai_vcu.diagnostics.export.mcap_file import McapTables, RosMessage
-    from fsai_vcu.diagnostics.export.tables import Tables
 
 AGAIN_NS: Final = 1_000_000_000
 """After a write that failed, the next one is tried so much later."""
@@ -150,7 +150,6 @@ class Recording:
             segment.open(place.file(".log"))
             if self._decoder is not None:
                 from fsai_vcu.diagnostics.export.mcap_file import McapTables
-                from fsai_vcu.diagnostics.export.tables import Tables
 
                 mcap = segment.open(place.file(".mcap"))
                 words = {name: value if isinstance(value, str) else json.dumps(value) for name, value in about.items()}

@@ -111,14 +111,11 @@ class Player:
             lap_begin_ns = self.laps * lap_ns
             for since_ns, frame in ready:
                 due_ns = start_ns + round((lap_begin_ns + since_ns) / self._rate)
-                self._await(due_ns)
+                while (left_ns := due_ns - self._clock_ns()) > 0:
+                    self._sleep_s(left_ns / 1e9)
                 self._one(frame, due_ns)
                 yield
             self.laps += 1
-
-    def _await(self, due_ns: int) -> None:
-        while (left_ns := due_ns - self._clock_ns()) > 0:
-            self._sleep_s(left_ns / 1e9)
 
     def _one(self, frame: Frame, due_ns: int) -> None:
         give_up_ns = self._clock_ns() + GIVE_UP_NS
