@@ -106,16 +106,17 @@ def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: 
     return {"name": name, "unit": unit, "peer_name": peer_name, **figures}
 
 
-def compared(name: str, unit: str, ours: Work, peer_name: str, peer: Work, effort: Effort, per: int) -> Row:
-    """The row of both in microseconds, timed in turns, for each of the `per` things that one call does."""
-    times_us: dict[Work, list[float]] = {ours: [], peer: []}
+def compared(
+    *words: str, ours: Work, peer: Work, effort: Effort, scale: float, timer: Callable[[], float] = time.process_time
+) -> Row:
+    """The row of both, timed in turns: `scale` times the seconds of a call. words: name, unit and the peer's name."""
+    times: dict[Work, list[float]] = {ours: [], peer: []}
     for number in range(effort.rounds + 1):
         # Neither is always the one that finds the caches warm.
         for work in (ours, peer)[:: 1 if number % 2 else -1]:
-            took_s = timeit(work, timer=time.process_time, number=effort.turns)
-            times_us[work].append(took_s * 1e6 / effort.turns / per)
-    # Whatever is only done once was done in the first round.
-    return row(name, unit, times_us[ours][1:], peer_name, times_us[peer][1:])
+            times[work].append(scale * timeit(work, timer=timer, number=effort.turns) / effort.turns)
+    name, unit, peer_name = words
+    return row(name, unit, times[ours][1:], peer_name, times[peer][1:])  # what is only done once was done in the first
 
 
 # ---------------------------------------------------------------- codec
@@ -147,7 +148,8 @@ def bench_decode(codec: Codec, database: Any, effort: Effort) -> Row:
             database.decode_message(frame.can_id, frame.data, decode_choices=False)
 
     fewer = effort._replace(turns=effort.turns // 20)
-    return compared("decode a frame", "us/frame", ours, "cantools", peer, fewer, len(frames))
+    words = "decode a frame", "us/frame", "cantools"
+    return compared(*words, ours=ours, peer=peer, effort=fewer, scale=1e6 / len(frames))
 
 
 def command_values(database: Any, frames: Sequence[Frame]) -> list[tuple[int, dict[str, float]]]:
@@ -163,7 +165,8 @@ def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
             database.encode_message(can_id, signals)
 
     ours = partial(codec.encode_command, COMMAND)
-    return compared("encode a frame", "us/frame", ours, "cantools", peer, effort, len(values))
+    words = "encode a frame", "us/frame", "cantools"
+    return compared(*words, ours=ours, peer=peer, effort=effort, scale=1e6 / len(values))
 
 
 # ---------------------------------------------------------------- the answer
@@ -200,7 +203,8 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
             for _ in range(100):  # past the time in which a bridge only listens
                 ours()
             before = engine.cycles
-            found = compared("answer a 0x520", "us/cycle", ours, "cantools + python-can", peer, effort, 1)
+            words = "answer a 0x520", "us/cycle", "cantools + python-can"
+            found = compared(*words, ours=ours, peer=peer, effort=effort, scale=1e6)
             assert engine.cycles - before >= effort.rounds * effort.turns, "not every 0x520 was answered"
         finally:
             plain.shutdown()
@@ -351,18 +355,16 @@ codec.encode_command(AiCommand())
 def bench_start(effort: Effort) -> Row:
     """A process that could send its first frame now, with database and bridge; and one with the libraries alone."""
 
-    def seconds(code: str) -> float:
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-c", code], check=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    def children_s() -> float:
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
 
-    seconds(_PEER_START), seconds(_OUR_START)
-    ours, peer = [], []
-    for _ in range(effort.starts):
-        peer.append(seconds(_PEER_START))
-        ours.append(seconds(_OUR_START))
-    return row("start to a first frame", "s", ours, "import can, cantools", peer)
+    ours, peer = (
+        partial(subprocess.run, [sys.executable, "-c", code], check=True) for code in (_OUR_START, _PEER_START)
+    )
+    words = "start to a first frame", "s", _PEER_START
+    once = effort._replace(rounds=effort.starts, turns=1)
+    return compared(*words, ours=ours, peer=peer, effort=once, scale=1.0, timer=children_s)
 
 
 def bench_node(effort: Effort) -> list[Row]:
