@@ -17,7 +17,6 @@ EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
 _SECONDS = 60.0  # six thousand echoes: enough for a p99.9
 _SHORT_SECONDS = 3.0
-_PACE = 1.0  # of User-Mode Linux: the machine's own clock
 _SLACK_S = 240.0  # starting processes on one slow processor
 _PER_CONDITION_S = 120.0  # powering up and driving off
 
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pace",
         type=float,
         metavar="N",
-        help=f"in User-Mode Linux: how many seconds of this machine a second there takes ({_PACE:g})",
+        help="in User-Mode Linux: how many seconds of this machine a second there takes (1)",
     )
     add(
         "-o",
@@ -73,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         place = prepared_place(args)
         if args.pace is not None and not place.has_pace:
             raise WrongUse("--pace is for User-Mode Linux (--uml): this kernel's own vcan goes by this machine's clock")
-        pace = 1.0 if not place.has_pace else _PACE if args.pace is None else args.pace
+        pace = args.pace or 1.0
         say(f"{place.name} {INTERFACE}: {place.why}")
         say(f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
         if pace != 1.0:
