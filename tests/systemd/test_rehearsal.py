@@ -169,8 +169,8 @@ def test_the_probe_has_the_bridges_restrictions_but_no_restart(machine: Path) ->
 
 
 def test_the_probe_distinguishes_refused_from_allowed(tmp_path: Path) -> None:
-    assert probe.ended(probe.writing_to(tmp_path)) == ""
+    assert probe.ended(lambda: probe.write_to(tmp_path)) == ""
     assert not list(tmp_path.iterdir()), "it leaves nothing behind"
-    assert probe.ended(probe.writing_to(tmp_path / "absent")) == "ENOENT"
+    assert probe.ended(lambda: probe.write_to(tmp_path / "absent")) == "ENOENT"
     assert probe.ended((tmp_path / "absent").read_bytes) == "ENOENT"
     assert probe.ended(lambda: probe.receive_on(0, 0.01)) == "timed out"

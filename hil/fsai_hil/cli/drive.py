@@ -7,11 +7,14 @@ import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fsai_hil.simulator.world import World
     from fsai_vcu.core.report import BridgeReport
+
+    # whether it is well, the run to plot, what --json prints, and what is printed for people
+    Driven = tuple[bool, Any, dict[str, Any], list[str]]
 
 EXAMPLE = (
     "fsai-vcu drive --mission trackdrive --laps 2 --seed 7 --plot run.png\n"
@@ -52,7 +55,14 @@ def run(args: argparse.Namespace) -> int:
 
             print("\n".join(catalogue_lines()))
             return 0
-        return _drive_with_fault(args) if args.fault else _drive(args)
+        passed, driven, record, lines = _drive_with_fault(args) if args.fault else _drive(args)
+        if args.plot:
+            from fsai_hil.simulator.plot import plotted
+
+            passed &= plotted("fsai-vcu drive", args.plot, driven)
+        saved = [f"saved {path}" for path in (args.plot, args.log) if path and path.exists()]
+        print(json.dumps(record) if args.json else "\n".join([*lines, *saved]))
+        return 0 if passed else 1
     except (ValueError, OSError) as error:
         text = str(error)
         if isinstance(error, OSError):  # a disk that is full does not say which file it was
@@ -60,11 +70,10 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(text) from error
 
 
-def _drive(args: argparse.Namespace) -> int:
+def _drive(args: argparse.Namespace) -> Driven:
     from dataclasses import replace
 
     from fsai_hil.simulator.lockstep import Lockstep
-    from fsai_hil.simulator.plot import plotted
     from fsai_hil.simulator.setup_arguments import setup_of
     from fsai_vcu.core.control.settings import ControllerSettings
     from fsai_vcu.runtime.limits_file import read_limits
@@ -84,34 +93,21 @@ def _drive(args: argparse.Namespace) -> int:
             if line := lockstep.computer.controller.too_slow(mission):
                 print(line, file=sys.stderr)
         result = lockstep.run(None if args.json else DriveProgress(), realtime=args.realtime)
-    status = 0 if result.passed else 1
-    if args.plot and not plotted("fsai-vcu drive", args.plot, lockstep.world.runs[-1]):
-        status = 1
-    if args.json:
-        print(json.dumps(result.as_dict()))
-        return status
-    print(result.verdict.summary())
-    for violation in result.wire.violations:
-        print(f"on the wire: {violation}")
+    lines = [result.verdict.summary(), *(f"on the wire: {violation}" for violation in result.wire.violations)]
     if result.report.emergency and not result.passed:
-        print(f"emergency: {result.report.emergency}")
-    for reason, count in result.report.reason_counts.items():
-        print(f"gate: {reason} ({count}x)")
+        lines.append(f"emergency: {result.report.emergency}")
+    lines += [f"gate: {reason} ({count}x)" for reason, count in result.report.reason_counts.items()]
     speed = result.sim_time_s / max(result.wall_time_s, 1e-9)
-    print(f"{result.sim_time_s:.1f} s driven in {result.wall_time_s:.1f} s ({speed:.0f} times real time)")
-    for path in (args.plot, args.log):
-        if path and path.exists():
-            print(f"saved {path}")
-    return status
+    lines.append(f"{result.sim_time_s:.1f} s driven in {result.wall_time_s:.1f} s ({speed:.0f} times real time)")
+    return result.passed, lockstep.world.runs[-1], result.as_dict(), lines
 
 
-def _drive_with_fault(args: argparse.Namespace) -> int:
-    """One case of the fault campaign, reported to a person. Exit status 1: worse than the safety rules allow."""
+def _drive_with_fault(args: argparse.Namespace) -> Driven:
+    """One case of the fault campaign, explained. Not passed: worse than the safety rules allow."""
     from fsai_hil.evidence.campaign.cases import case_from_spec
     from fsai_hil.evidence.campaign.explain import ScenarioNarrator
     from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
     from fsai_hil.evidence.campaign.verdict import as_record
-    from fsai_hil.simulator.plot import plotted
     from fsai_hil.simulator.world import mission_named
     from fsai_vcu.interface.revisions import revision
     from fsai_vcu.runtime.recording import CandumpWriter
@@ -140,16 +136,10 @@ def _drive_with_fault(args: argparse.Namespace) -> int:
             if not args.json:
                 narrator.look()
     verdict = scenario.verdict()
-    status = 0 if verdict.ok else 1
-    if args.plot and not plotted("fsai-vcu drive", args.plot, rig.world.runs[-1]):
-        status = 1
-    if args.json:
-        print(json.dumps(as_record(case, verdict, {})))
-        return status
-    print(f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}; again with:\n  {case.replay}\n")
-    print("\n".join(narrator.lines(verdict)))
-    print("as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW")
-    return status
+    where = f"{case.mission.name.lower()}, revision {case.revision}, world {case.seed}"
+    judged = "as the safety rules demand" if verdict.ok else "WORSE THAN THE SAFETY RULES ALLOW"
+    lines = [f"{where}; again with:\n  {case.replay}\n", *narrator.lines(verdict), judged]
+    return verdict.ok, rig.world.runs[-1], as_record(case, verdict, {}), lines
 
 
 class DriveProgress:

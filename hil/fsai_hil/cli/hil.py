@@ -92,8 +92,10 @@ def run(args: argparse.Namespace) -> int:
     try:
         place = prepared_place(args)
         print(f"fsai-vcu hil: {place.name} {INTERFACE}: {place.why}", flush=True)
-        results = _results_dir(args.results, CHECKOUT / "out" / ("hil" if args.soak is None else "soak"))
-
+        usual = CHECKOUT / "out" / ("hil" if args.soak is None else "soak")
+        results = args.results.resolve() if args.results else usual
+        if args.results is None and usual.exists():  # another folder must be its owner's care
+            shutil.rmtree(usual)
         env = environment(os.environ, INTERFACE, place.name, results)
         if args.all or args.soak:
             env["FSAI_HIL_ALL"] = "1"
@@ -130,15 +132,6 @@ def prepared_place(args: argparse.Namespace) -> VcanHost:
         # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
         compileall.compile_dir(CHECKOUT / package, quiet=2)
     return place
-
-
-def _results_dir(wanted: Path | None, usual: Path) -> Path:
-    """The folder for this run's logs; the usual one is emptied of the last run's, another must be its owner's care."""
-    if wanted is not None:
-        return wanted.resolve()
-    if usual.exists():
-        shutil.rmtree(usual)
-    return usual
 
 
 def _selection(args: argparse.Namespace) -> list[str]:

@@ -17,7 +17,6 @@ EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
 
 _SECONDS = 60.0  # six thousand echoes: enough for a p99.9
 _SHORT_SECONDS = 3.0
-_PACE = 1.0  # of User-Mode Linux: the machine's own clock
 _SLACK_S = 240.0  # starting processes on one slow processor
 _PER_CONDITION_S = 120.0  # powering up and driving off
 
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pace",
         type=float,
         metavar="N",
-        help=f"in User-Mode Linux: how many seconds of this machine a second there takes ({_PACE:g})",
+        help="in User-Mode Linux: how many seconds of this machine a second there takes (1)",
     )
     add(
         "-o",
@@ -55,6 +54,9 @@ def run(args: argparse.Namespace) -> int:
     from fsai_hil.vcan import INTERFACE, VcanError
     from fsai_hil.vcan.clock import SLOWEST_PACE
 
+    def say(text: str) -> None:
+        print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
+
     seconds = args.seconds if args.seconds is not None else _SHORT_SECONDS if args.short else _SECONDS
     if not 0.0 < seconds < math.inf:
         raise WrongUse(f"--seconds is {seconds:g}, but must be a time in seconds")
@@ -70,11 +72,11 @@ def run(args: argparse.Namespace) -> int:
         place = prepared_place(args)
         if args.pace is not None and not place.has_pace:
             raise WrongUse("--pace is for User-Mode Linux (--uml): this kernel's own vcan goes by this machine's clock")
-        pace = 1.0 if not place.has_pace else _PACE if args.pace is None else args.pace
-        _say(args, f"{place.name} {INTERFACE}: {place.why}")
-        _say(args, f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
+        pace = args.pace or 1.0
+        say(f"{place.name} {INTERFACE}: {place.why}")
+        say(f"{len(conditions)} conditions, {seconds:g} s each; logs in {out}")
         if pace != 1.0:
-            _say(args, f"{pace:g} s of this machine for each second inside")
+            say(f"{pace:g} s of this machine for each second inside")
         plan = {
             "bus": INTERFACE,
             "result": str(result),
@@ -91,36 +93,24 @@ def run(args: argparse.Namespace) -> int:
             results_dir=out,
             **({"pace": pace} if place.has_pace else {}),
         )
+        if status or not result.exists():
+            raise UserError(f"nothing was measured (status {status}); the logs of the processes are in {out}")
+        surroundings = {"place": place.name, "pace": pace, "host": machine(), **facts(CHECKOUT)}
+        measured = json.loads(result.read_text()) | surroundings
+        measured["failures"] = failures(measured)
+        measured["result"] = "fail" if measured["failures"] else "incomplete" if not_measured(measured) else "pass"
+        result.unlink()
+        saved = [out / "response-time.md", *([args.report] if args.report else []), out / "response-time.json"]
+        for path in saved:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            text = markdown(measured) if path != saved[-1] else json.dumps(measured, indent=1) + "\n"
+            path.write_text(text, encoding="utf-8")
     except VcanError as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"{error.filename or out}: {error.strerror}") from error
-    if status or not result.exists():
-        raise UserError(f"nothing was measured (status {status}); the logs of the processes are in {out}")
-    measured = {
-        **json.loads(result.read_text()),
-        "place": place.name,
-        "pace": pace,
-        "host": machine(),
-        **facts(CHECKOUT),
-    }
-    measured["failures"] = failures(measured)
-    measured["result"] = "fail" if measured["failures"] else "incomplete" if not_measured(measured) else "pass"
-    result.unlink()
-    text, data = markdown(measured), json.dumps(measured, indent=1) + "\n"
-    saved = [out / "response-time.md", *([args.report] if args.report else []), out / "response-time.json"]
-    for path in saved:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(data if path == saved[-1] else text, encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"{path} cannot be written: {error.strerror}") from error
-    _say(args, "\n" + summary(measured))
-    _say(args, f"saved {', '.join(str(path) for path in saved)}")
+    say("\n" + summary(measured))
+    say(f"saved {', '.join(str(path) for path in saved)}")
     if args.json:
         print(json.dumps(measured))
     return 0 if measured["result"] == "pass" else 1
-
-
-def _say(args: argparse.Namespace, text: str) -> None:
-    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)

@@ -20,7 +20,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 from timeit import timeit
 from typing import Any, NamedTuple
@@ -64,9 +66,10 @@ NODE_START_WALL = f"{NODE_START}, wall"
 NODE_START_S = 1.0  # of a normal machine, as carpc/scenes.py has it
 _PEER_FRAMES = 50_000  # cantools takes a second for so many
 _FRAME_NS = 700_000  # of a full bus
-_AT_ONCE = 200_000
+_PARTS = 10  # in which a long log is written
 _NODE_PATIENCE_S = 60.0  # of a loaded machine
 Row = dict[str, Any]
+Work = Callable[[], object]
 COMMAND = AiCommand(
     handshake=True,
     mission_status=MissionStatus.RUNNING,
@@ -103,17 +106,17 @@ def row(name: str, unit: str, ours: Sequence[float], peer_name: str = "", peer: 
     return {"name": name, "unit": unit, "peer_name": peer_name, **figures}
 
 
-def alternately(
-    ours: Callable[[], object], peer: Callable[[], object], rounds: int, turns: int, per: int
-) -> tuple[list[float], list[float]]:
-    """Microseconds of both, timed in turns, for each of the `per` things that one call does."""
-    times_us: dict[Callable[[], object], list[float]] = {ours: [], peer: []}
-    for number in range(rounds + 1):
+def compared(
+    *words: str, ours: Work, peer: Work, effort: Effort, scale: float, timer: Callable[[], float] = time.process_time
+) -> Row:
+    """The row of both, timed in turns: `scale` times the seconds of a call. words: name, unit and the peer's name."""
+    times: dict[Work, list[float]] = {ours: [], peer: []}
+    for number in range(effort.rounds + 1):
         # Neither is always the one that finds the caches warm.
         for work in (ours, peer)[:: 1 if number % 2 else -1]:
-            took_s = timeit(work, timer=time.process_time, number=turns)
-            times_us[work].append(took_s * 1e6 / turns / per)
-    return times_us[ours][1:], times_us[peer][1:]  # whatever is only done once was done in the first
+            times[work].append(scale * timeit(work, timer=timer, number=effort.turns) / effort.turns)
+    name, unit, peer_name = words
+    return row(name, unit, times[ours][1:], peer_name, times[peer][1:])  # what is only done once was done in the first
 
 
 # ---------------------------------------------------------------- codec
@@ -144,8 +147,9 @@ def bench_decode(codec: Codec, database: Any, effort: Effort) -> Row:
         for frame in frames:
             database.decode_message(frame.can_id, frame.data, decode_choices=False)
 
-    times = alternately(ours, peer, effort.rounds, effort.turns // 20, len(frames))
-    return row("decode a frame", "us/frame", times[0], "cantools", times[1])
+    fewer = effort._replace(turns=effort.turns // 20)
+    words = "decode a frame", "us/frame", "cantools"
+    return compared(*words, ours=ours, peer=peer, effort=fewer, scale=1e6 / len(frames))
 
 
 def command_values(database: Any, frames: Sequence[Frame]) -> list[tuple[int, dict[str, float]]]:
@@ -156,15 +160,13 @@ def command_values(database: Any, frames: Sequence[Frame]) -> list[tuple[int, di
 def bench_encode(codec: Codec, database: Any, effort: Effort) -> Row:
     values = command_values(database, codec.encode_command(COMMAND))
 
-    def ours() -> None:
-        codec.encode_command(COMMAND)
-
     def peer() -> None:
         for can_id, signals in values:
             database.encode_message(can_id, signals)
 
-    times = alternately(ours, peer, effort.rounds, effort.turns, len(values))
-    return row("encode a frame", "us/frame", times[0], "cantools", times[1])
+    ours = partial(codec.encode_command, COMMAND)
+    words = "encode a frame", "us/frame", "cantools"
+    return compared(*words, ours=ours, peer=peer, effort=effort, scale=1e6 / len(values))
 
 
 # ---------------------------------------------------------------- the answer
@@ -178,16 +180,13 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
     statuses = [codec.encode(VcuStatus(handshake=bit, as_state=AsState.AS_OFF)) for bit in (False, True)]
     with open_bus(f"loopback:{name}", may_send=AI_IDS) as bus:
         plain = can.Bus(interface="fsai_loopback", channel=f"{name}-peer")
-        now_ns = 0
-        turn = 0
-        bridge = Bridge(codec, chosen, CARS[REVISION], BridgeConfig(), None, now_ns=now_ns)
-        engine = Engine(bridge, codec, bus.send, now_ns)
+        bridge = Bridge(codec, chosen, CARS[REVISION], BridgeConfig(), None, now_ns=0)
+        engine = Engine(bridge, codec, bus.send, 0)
+        turns = count(1)
 
         def ours() -> None:
-            nonlocal now_ns, turn
-            now_ns += PERIOD_NS
-            turn += 1
-            status = statuses[turn & 1]
+            turn = next(turns)
+            now_ns, status = turn * PERIOD_NS, statuses[turn & 1]
             engine.on_frame(Frame(status.can_id, status.data, now_ns))
             engine.poll(now_ns)
 
@@ -204,11 +203,12 @@ def bench_answer(codec: Codec, database: Any, effort: Effort) -> Row:
             for _ in range(100):  # past the time in which a bridge only listens
                 ours()
             before = engine.cycles
-            times = alternately(ours, peer, effort.rounds, effort.turns, 1)
+            words = "answer a 0x520", "us/cycle", "cantools + python-can"
+            found = compared(*words, ours=ours, peer=peer, effort=effort, scale=1e6)
             assert engine.cycles - before >= effort.rounds * effort.turns, "not every 0x520 was answered"
         finally:
             plain.shutdown()
-    return row("answer a 0x520", "us/cycle", times[0], "cantools + python-can", times[1])
+    return found
 
 
 # ---------------------------------------------------------------- logs
@@ -235,7 +235,7 @@ def bench_log(kind: str, frames: Frames, folder: Path, rounds: int) -> list[Row]
     _write(few, part)
     dbc.write_text(cantools_database().as_dbc_string(), encoding="cp1252")  # cantools' command line takes one file
     assert _decoded(part) == _decoded_by_cantools(part, dbc), f"{kind}: cantools prints other lines"
-    works: dict[str, tuple[Callable[[], object], Frames]] = {
+    works: dict[str, tuple[Work, Frames]] = {
         "cantools": (lambda: _decoded_by_cantools(part, dbc), few),
         "decode": (lambda: _decoded(log, None), frames),
         "values": (lambda: _values(log), frames),
@@ -282,8 +282,7 @@ def recorded_frames(count: int, folder: Path) -> Frames:
 
 def _write(frames: Frames, path: Path) -> None:
     with path.open("wb") as file:
-        for begin in range(0, len(frames), _AT_ONCE):
-            rows = np.arange(begin, min(begin + _AT_ONCE, len(frames)), dtype=np.int64)
+        for rows in np.array_split(np.arange(len(frames)), _PARTS):
             file.write(b"\n".join([*log_lines(frames.only(rows)), b""]))
 
 
@@ -356,18 +355,16 @@ codec.encode_command(AiCommand())
 def bench_start(effort: Effort) -> Row:
     """A process that could send its first frame now, with database and bridge; and one with the libraries alone."""
 
-    def seconds(code: str) -> float:
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-c", code], check=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    def children_s() -> float:
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
 
-    seconds(_PEER_START), seconds(_OUR_START)
-    ours, peer = [], []
-    for _ in range(effort.starts):
-        peer.append(seconds(_PEER_START))
-        ours.append(seconds(_OUR_START))
-    return row("start to a first frame", "s", ours, "import can, cantools", peer)
+    ours, peer = (
+        partial(subprocess.run, [sys.executable, "-c", code], check=True) for code in (_OUR_START, _PEER_START)
+    )
+    words = "start to a first frame", "s", _PEER_START
+    once = effort._replace(rounds=effort.starts, turns=1)
+    return compared(*words, ours=ours, peer=peer, effort=once, scale=1.0, timer=children_s)
 
 
 def bench_node(effort: Effort) -> list[Row]:
@@ -418,7 +415,7 @@ def too_slow(rows: Sequence[Row]) -> str | None:
 # ---------------------------------------------------------------- table and command
 
 
-def run(effort: Effort, say: Callable[[str], None]) -> list[Row]:
+def run(effort: Effort) -> list[Row]:
     codec, database = Codec(revision(REVISION)), cantools_database()
     ros = all(find_spec(name) for name in ("rclpy", "fsai_msgs", "fsai_nodes"))
     steps: tuple[tuple[str, Callable[[], list[Row]]], ...] = (
@@ -434,7 +431,7 @@ def run(effort: Effort, say: Callable[[str], None]) -> list[Row]:
     )
     rows: list[Row] = []
     for number, (words, step) in enumerate(steps, start=1):
-        say(f"[{number}/{len(steps)}] {words}")
+        print(f"[{number}/{len(steps)}] {words}", flush=True)
         rows += step()
     return rows
 
@@ -476,7 +473,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.monotonic()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
-        rows = run(QUICK if args.quick else FULL, lambda text: print(text, flush=True))
+        rows = run(QUICK if args.quick else FULL)
         whole = {
             **facts(CHECKOUT),
             "quick": args.quick,
@@ -487,20 +484,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         }
         path = args.out / "bench.json"
         path.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
-    except (AssertionError, OSError) as error:
-        words = f"nothing to compare: {error}"
-        if isinstance(error, OSError):
-            words = f"{error.filename or args.out}: {error.strerror}"
-        print(f"fsai_hil.rehearsal.bench: {words}", file=sys.stderr)
-        return 1
+    except AssertionError as error:
+        return complain(f"nothing to compare: {error}")
+    except OSError as error:
+        return complain(f"{error.filename or args.out}: {error.strerror}")
     except KeyboardInterrupt:
-        print("fsai_hil.rehearsal.bench: interrupted", file=sys.stderr)
-        return 130
+        return complain("interrupted", 130)
     print(f"\n{table(rows)}\nsaved {path}")
-    if not args.quick and (problem := too_slow(rows)):
-        print(f"fsai_hil.rehearsal.bench: {problem}", file=sys.stderr)
-        return 1
-    return 0
+    problem = None if args.quick else too_slow(rows)
+    return complain(problem) if problem else 0
+
+
+def complain(words: str, status: int = 1) -> int:
+    print(f"fsai_hil.rehearsal.bench: {words}", file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":

@@ -23,8 +23,7 @@ from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
 from fsai_hil.simulator.world import World
-from fsai_hil.vcan import INTERFACE
-from fsai_hil.vcan.native import existing_vcan, namespace_prefix
+from fsai_hil.vcan.native import INTERFACE, existing_vcan, namespace_prefix, run_natively
 from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.revisions import revision
 
@@ -34,7 +33,6 @@ RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 15.0
 PROGRESS_PERIOD_S = 1.0
 SAVED = ("bus.log", "run.png", "verdict.json")
-_INSIDE = "FSAI_DEMO_INSIDE"  # set in the process that already has its own vcan0
 
 
 def main() -> int:
@@ -84,14 +82,12 @@ def rehearse(run: Callable[[], int]) -> int:
 
 def _in_own_vcan(args: argparse.Namespace) -> int | None:
     """Run the demo again where it has a vcan0 of its own, if the kernel can give it one; None to go on here."""
-    if args.bus is not None or os.environ.get(_INSIDE) or existing_vcan() or namespace_prefix() is None:
+    if args.bus is not None or existing_vcan() or namespace_prefix() is None:
         return None
-    from fsai_hil.vcan import run_natively
-
     return run_natively(
         [sys.executable, "-m", "fsai_hil.rehearsal.demo", *sys.argv[1:]],
         cwd=Path.cwd(),
-        env={**os.environ, _INSIDE: "1"},
+        env=os.environ,
         timeout_s=RUN_TIMEOUT_S,
         results_dir=args.out,
     )
@@ -99,8 +95,7 @@ def _in_own_vcan(args: argparse.Namespace) -> int | None:
 
 def drive(args: argparse.Namespace) -> int:
     """One rehearsal, from the start of the processes to the verdict."""
-    on_vcan = existing_vcan() or bool(os.environ.get(_INSIDE))
-    bus = args.bus or (INTERFACE if on_vcan else f"loopback:demo-{os.getpid()}")
+    bus = args.bus or (INTERFACE if existing_vcan() else f"loopback:demo-{os.getpid()}")
     for name in (*SAVED, *(f"{node}.log" for node in (*NODES, "vcu", "recorder"))):
         (args.out / name).unlink(missing_ok=True)
     log, plot, verdict = (args.out / name for name in SAVED)

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import median, median_high
-from typing import Any, Final
+from statistics import median_high
+from typing import Any, Final, NamedTuple
 
 from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rules.checker import read_candump
@@ -32,8 +32,7 @@ PARTS: Final = 3
 _LEAST_SAMPLES: Final = 2 * PARTS
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessSample:
+class ProcessSample(NamedTuple):
     """One process at one instant of the monotonic clock."""
 
     t_s: float
@@ -88,25 +87,11 @@ class Sampler:
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
-    """One process, first part against last."""
-
-    name: str
-    judged: bool
-    samples: int
-    rss_mib: tuple[float, float]
-    growth_mib_per_hour: float  # by the two medians; over a short run mostly noise
-    fds: tuple[int, int]
-    threads: tuple[int, int]
-    broken: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Flatness:
     """The verdict."""
 
     minutes: float
-    trends: tuple[Trend, ...]
+    trends: tuple[dict[str, Any], ...]  # by `_trend`
     response_p99_ms: tuple[float | None, ...]
     reasons: tuple[str, ...]
 
@@ -120,10 +105,13 @@ class Flatness:
     def __str__(self) -> str:
         lines = [f"{'process':<20} {'memory MiB':>17} {'MiB/h':>8} {'descriptors':>13} {'threads':>9}"]
         for trend in self.trends:
-            rss = f"{trend.rss_mib[0]:.1f} -> {trend.rss_mib[1]:.1f}"
-            fds, threads = (f"{first} -> {last}" for first, last in (trend.fds, trend.threads))
-            note = "" if trend.judged else "  not judged: it keeps all of its run"
-            lines.append(f"{trend.name:<20} {rss:>17} {trend.growth_mib_per_hour:>8.1f} {fds:>13} {threads:>9}{note}")
+            rss = " -> ".join(f"{mib:.1f}" for mib in trend["rss_mib"])
+            fds, threads = (f"{first} -> {last}" for first, last in (trend["fds"], trend["threads"]))
+            growth, note = (
+                trend["growth_mib_per_hour"],
+                "" if trend["judged"] else "  not judged: it keeps all of its run",
+            )
+            lines.append(f"{trend['name']:<20} {rss:>17} {growth:>8.1f} {fds:>13} {threads:>9}{note}")
         p99 = ", ".join("none" if value is None else f"{value:.2f} ms" for value in self.response_p99_ms)
         lines.append(f"handshake answered at p99, in each third: {p99}")
         verdict = "FLAT" if self.flat else "NOT FLAT: " + "; ".join(self.reasons)
@@ -153,7 +141,7 @@ def judge(
 ) -> Flatness:
     """The verdict on a run. `responses`: the handshake's times in its three parts. `unjudged`: only shown."""
     trends = tuple(_trend(name, seen, judged=name not in unjudged) for name, seen in samples.items())
-    reasons = [f"{trend.name}: {words}" for trend in trends for words in trend.broken]
+    reasons = [f"{trend['name']}: {words}" for trend in trends for words in trend["broken"]]
     p99_ms = tuple(times.quantile_ms(0.99) for times in responses)
     first_ms, last_ms = p99_ms[0], p99_ms[-1]
     if first_ms is None or last_ms is None:
@@ -165,31 +153,31 @@ def judge(
     return Flatness(minutes, trends, p99_ms, tuple(reasons))
 
 
-def _trend(name: str, samples: Sequence[ProcessSample], *, judged: bool) -> Trend:
-    if len(samples) < _LEAST_SAMPLES:
-        absent = (f"only {len(samples)} samples: it was not there all the time",)
-        return Trend(name, judged, len(samples), (0.0, 0.0), 0.0, (0, 0), (0, 0), absent)
+def _trend(name: str, samples: Sequence[ProcessSample], *, judged: bool) -> dict[str, Any]:
+    """One process, the medians of its first part against those of its last; over a short run growth is mostly noise."""
     part = len(samples) // PARTS
-
-    def of(figure: str, middle: Callable[[Iterable[Any]], Any] = median_high) -> tuple[Any, Any]:
-        first, last = (middle(getattr(each, figure) for each in seen) for seen in (samples[:part], samples[-part:]))
-        return first, last
-
-    rss_kib, t_s, fds, threads = of("rss_kib", median), of("t_s", median), of("fds"), of("threads")
-    hours = (t_s[1] - t_s[0]) / 3600.0
     broken: list[str] = []
-    if rss_kib[1] - rss_kib[0] > NOISE_KIB + GROWTH_KIB_PER_HOUR * hours:
-        broken.append(f"memory grew by {(rss_kib[1] - rss_kib[0]) / 1024:.1f} MiB in {60 * hours:.1f} min")
-    for what, (before, after) in (("file descriptors", fds), ("threads", threads)):
-        if after > before:
-            broken.append(f"{what} grew from {before} to {after}")
-    return Trend(
-        name,
-        judged,
-        len(samples),
-        (rss_kib[0] / 1024, rss_kib[1] / 1024),
-        (rss_kib[1] - rss_kib[0]) / 1024 / hours,
-        fds,
-        threads,
-        tuple(broken) if judged else (),
-    )
+    first = last = ProcessSample(0.0, 0, 0, 0)
+    if len(samples) < _LEAST_SAMPLES:
+        broken.append(f"only {len(samples)} samples: it was not there all the time")
+    else:
+        first, last = (
+            ProcessSample(*map(median_high, zip(*seen, strict=True))) for seen in (samples[:part], samples[-part:])
+        )
+    hours, grown_kib = (last.t_s - first.t_s) / 3600.0, last.rss_kib - first.rss_kib
+    if judged and grown_kib > NOISE_KIB + GROWTH_KIB_PER_HOUR * hours:
+        broken.append(f"memory grew by {grown_kib / 1024:.1f} MiB in {60 * hours:.1f} min")
+    if judged and last.fds > first.fds:
+        broken.append(f"file descriptors grew from {first.fds} to {last.fds}")
+    if judged and last.threads > first.threads:
+        broken.append(f"threads grew from {first.threads} to {last.threads}")
+    return {
+        "name": name,
+        "judged": judged,
+        "samples": len(samples),
+        "rss_mib": (first.rss_kib / 1024, last.rss_kib / 1024),
+        "growth_mib_per_hour": grown_kib / 1024 / hours if hours else 0.0,
+        "fds": (first.fds, last.fds),
+        "threads": (first.threads, last.threads),
+        "broken": tuple(broken),
+    }

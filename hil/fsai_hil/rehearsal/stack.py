@@ -188,14 +188,11 @@ class Stack:
         for name in names or tuple(self.processes):
             self.processes[name].check_alive()
 
-    def stop(self) -> None:
-        for process in reversed(self.processes.values()):
-            process.ask_to_end()
-        for process in reversed(self.processes.values()):
-            process.stop()
-
     def __enter__(self) -> Stack:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        for process in reversed(self.processes.values()):
+            process.ask_to_end()
+        for process in reversed(self.processes.values()):
+            process.stop()

@@ -17,7 +17,7 @@ TX_QUEUE_FRAMES = 10  # two cycles of commands; the usual 1000 would hold back t
 _PROBE_S = 20.0
 _GRACE_S = 5.0
 _ARPHRD_CAN = "280"  # linux/if_arp.h
-_BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
+BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 
 
 class VcanError(Exception):
@@ -37,7 +37,7 @@ _NAMESPACES = (
 # The list of interfaces in /sys is of the namespace in which it was mounted. Shared memory of its own keeps the ROS 2
 # middleware of parallel runs apart, as the namespace does for sockets.
 _SCRIPT = f"""set -e
-export PATH="$PATH:{_BIN}"
+export PATH="$PATH:{BIN}"
 mount -t sysfs sysfs /sys
 mount -t tmpfs tmpfs /dev/shm
 {BRING_UP}
@@ -47,7 +47,7 @@ exec "$@"
 
 def namespace_prefix() -> tuple[str, ...] | None:
     """The command that puts another into a network namespace where a vcan interface can be made; None if none can."""
-    if os.geteuid() == 0 and (modprobe := shutil.which("modprobe", path=_BIN)):
+    if os.geteuid() == 0 and (modprobe := shutil.which("modprobe", path=BIN)):
         subprocess.run([modprobe, "-qa", "can-raw", "vcan"], capture_output=True, check=False)
     can_socket = "import socket; socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)"
     for prefix in _NAMESPACES:

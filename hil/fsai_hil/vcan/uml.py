@@ -34,14 +34,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fsai_hil.vcan.clock import preloaded_clock, slowed_clock
-from fsai_hil.vcan.native import BRING_UP, TIMED_OUT, VcanError, end_group
+from fsai_hil.vcan.native import BIN, BRING_UP, TIMED_OUT, VcanError, end_group
 
 MODULES = ("can", "can-raw", "can-bcm", "can-gw", "vcan", "sch_tbf")
 MEMORY_MIB = 2048
 INSTALL = "apt-get install -y user-mode-linux can-utils iproute2 kmod gcc libc6-dev (Debian or Ubuntu, x86-64)"
 
 _MODULES = Path("/usr/lib/uml")  # the folder above modules/VERSION, as the package has it
-_BIN = "/usr/sbin:/usr/bin:/sbin:/bin"
 _IN_MEMORY = ("/tmp", "/run", "/dev/shm")  # what the machine inside has of its own, and so hides of the host's
 _SHARED_MEMORY = Path("/dev/shm")
 _RESULTS_MIB = 1024  # far above what a suite leaves behind
@@ -63,9 +62,9 @@ def find_user_mode_linux() -> UserModeLinux:
         raise VcanError(
             f"User-Mode Linux is for x86-64 Linux only, and this is {platform.system()} {platform.machine()}"
         )
-    kernel = shutil.which("linux.uml", path=f"{os.environ.get('PATH', '')}:{_BIN}")
+    kernel = shutil.which("linux.uml", path=f"{os.environ.get('PATH', '')}:{BIN}")
     missing = [] if kernel else ["linux.uml"]
-    missing += [tool for tool in ("modprobe", "ip", "candump") if not shutil.which(tool, path=_BIN)]
+    missing += [tool for tool in ("modprobe", "ip", "candump") if not shutil.which(tool, path=BIN)]
     if kernel is None or missing:
         raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
     version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
@@ -213,7 +212,7 @@ def boot(
     (exchange / "lib").symlink_to(_MODULES)  # where modprobe looks below its root
     begin = [
         "#!/bin/sh",
-        f"export PATH={_BIN}",
+        f"export PATH={BIN}",
         # Whatever fails ends the machine; the kernel's log has the failed command's message.
         "power_off() { sync; echo o > /proc/sysrq-trigger; sleep 60; }",
         "trap power_off EXIT",
@@ -245,7 +244,7 @@ def boot(
         f"con1=null,fd:{console}",  # the command's
         *([f"iomem=mmapper,{clock['FSAI_SKIPPED']}"] if clock else []),
     ]
-    environment = {"PATH": _BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **clock}
+    environment = {"PATH": BIN, "HOME": str(exchange), "TMPDIR": str(_memory_folder(memory_mib)), **clock}
     sys.stdout.flush()
     with log_path.open("ab") as log, processor_of_its_own() as processor:
         process = subprocess.Popen(

@@ -29,7 +29,6 @@ from fsai_vcu.interface.errors import UserError
 
 PACKAGE = "fsai-vcu"
 _DPKG = Path("var/lib/dpkg")
-_MARK = ".unpacked-from"
 MODULES = ("can", "can-raw", "vcan", "overlay", "veth")
 MEMORY_MIB = 3072
 BOOT_TO_END_S = 900.0
@@ -145,10 +144,6 @@ def unpack(package: Path, root: Path, dpkg: Path = Path("/") / _DPKG) -> None:
 
     Its dependencies are judged when it is configured, which is done in the rehearsed machine.
     """
-    status = package.stat()
-    mark = f"{package.name} {status.st_size} {status.st_mtime_ns}\n"
-    if (root / _MARK).is_file() and (root / _MARK).read_text() == mark:
-        return
     shutil.rmtree(root, ignore_errors=True)
     root.mkdir(parents=True)
     shutil.copytree(dpkg, root / _DPKG, symlinks=True)
@@ -161,7 +156,6 @@ def unpack(package: Path, root: Path, dpkg: Path = Path("/") / _DPKG) -> None:
     done = subprocess.run(words, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise VcanError(f"dpkg does not unpack {package.name}: {done.stderr.strip()[-300:]}")
-    (root / _MARK).write_text(mark)
 
 
 def all_well(steps: list[dict[str, object]]) -> bool:

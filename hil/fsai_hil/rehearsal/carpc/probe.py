@@ -16,11 +16,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from fsai_hil.rehearsal.carpc import wifi
 
 SECRETS = tuple(Path("/", *home, "secret") for home in (("home", "team"), ("root",)))
+PLACES = ("/etc/fsai", "/opt/fsai", "/usr/bin", "/var/log")
 PORT = 47001
 CAN = "a CAN socket"  # the one thing that is the bridge's to do
 _LISTENS_S = 1.0
@@ -32,10 +34,7 @@ def attempts(interface: str) -> dict[str, Callable[[], object]]:
     return {
         CAN: lambda: open_socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW),
         "a packet socket": lambda: open_socket(_PF_PACKET, socket.SOCK_RAW),
-        **{
-            f"writing to {place}": writing_to(Path(place))
-            for place in ("/etc/fsai", "/opt/fsai", "/usr/bin", "/var/log")
-        },
+        **{f"writing to {place}": partial(write_to, Path(place)) for place in PLACES},
         **{f"reading {path}": path.read_bytes for path in (*SECRETS, Path("/etc/shadow"))},
         "opening /dev/kmsg": lambda: os.close(os.open("/dev/kmsg", os.O_RDONLY | os.O_NONBLOCK)),
         "looking at process 1": lambda: Path("/proc/1").stat(),
@@ -62,13 +61,10 @@ def open_socket(family: int, kind: int, protocol: int = 0) -> None:
     socket.socket(family, kind, protocol).close()
 
 
-def writing_to(folder: Path) -> Callable[[], None]:
-    def attempt() -> None:
-        file = folder / "fsai-probe"
-        file.write_text("was here\n")
-        file.unlink()
-
-    return attempt
+def write_to(folder: Path) -> None:
+    file = folder / "fsai-probe"
+    file.write_text("was here\n")
+    file.unlink()
 
 
 def change_link(interface: str) -> None:

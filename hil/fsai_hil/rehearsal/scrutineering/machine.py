@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +42,8 @@ def facts(checkout: Path) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Of the packages that are installed."""
-    found: dict[str, str] = {}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    found = {each.name: each.version for each in reversed([*distributions()])}  # the first of a name counts
+    return {package: found.get(package, "not installed") for package in PACKAGES}
 
 
 def source_revision(checkout: Path) -> str:

@@ -78,7 +78,6 @@ class Measurement:
         self._found: dict[str, dict[str, Any]] = {}  # by the condition's name
         self._lost_between = 0
         self._windows: dict[str, tuple[int, int]] = {}  # begin and end by the wall clock, as candump stamps
-        self._out_of_reach: dict[Stance, str] = {}
         self._stack: Stack
         self._monitor: StallMonitor
         self._operator: RosOperator
@@ -126,28 +125,27 @@ class Measurement:
         _say("starting the bridge")
         self._stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = self._operator = RosOperator(self._stack, "scrutineer")
+        out_of_reach: dict[Stance, str] = {}
+        not_measured: dict[str, str] = {}  # what has been measured is worth its report all the same
         try:
             operator.await_bridge(START_S)
             for number, condition in enumerate(conditions, start=1):
                 _say(f"[{number}/{len(conditions)}] {condition.name}: {condition.words}")
-                if condition.stance not in self._out_of_reach:
-                    try:
+                try:
+                    if condition.stance not in out_of_reach:
                         self._reach(condition.stance)
-                    except StackError as error:
-                        self._out_of_reach[condition.stance] = str(error).splitlines()[0]
-                if condition.stance in self._out_of_reach:
-                    # What has been measured is worth its report all the same.
-                    _say(f"    not measured: {self._out_of_reach[condition.stance]}")
+                except StackError as error:
+                    out_of_reach[condition.stance] = str(error).splitlines()[0]
+                if why := out_of_reach.get(condition.stance):
+                    not_measured[condition.name] = why
+                    _say(f"    not measured: {why}")
                     continue
                 watched = NODES if set(NODES) <= set(self._stack.processes) else ("vcu_bridge",)
                 self._measure(condition, watched, lambda: _state(operator))
-            measured = [condition for condition in conditions if condition.name in self._found]
-            if not measured:
-                raise StackError(next(iter(self._out_of_reach.values())))
-            loop = holder_pid(self._bus)
-            scheduling = {} if loop is None else {"CAN loop": scheduling_of(loop)}
-            if self._car is not None:
-                scheduling["vcu"] = scheduling_of(self._car.popen.pid)
+            if len(not_measured) == len(conditions):
+                raise StackError(next(iter(out_of_reach.values())))
+            pids = {"CAN loop": holder_pid(self._bus), "vcu": self._car and self._car.popen.pid}
+            scheduling = {name: scheduling_of(pid) for name, pid in pids.items() if pid}
             self._end_car()
         finally:
             operator.close()
@@ -158,12 +156,8 @@ class Measurement:
             "scheduling": scheduling,
             "decimation": self._decimation,
             "comms_losses_between": self._lost_between,
-            "conditions": [self._row(condition) for condition in measured],
-            "not_measured": {
-                condition.name: self._out_of_reach[condition.stance]
-                for condition in conditions
-                if condition not in measured
-            },
+            "conditions": [self._row(condition) for condition in conditions if condition.name not in not_measured],
+            "not_measured": not_measured,
         }
 
     def _row(self, condition: Condition) -> dict[str, Any]:
