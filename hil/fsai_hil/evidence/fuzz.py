@@ -119,8 +119,7 @@ def sought(name: str) -> tuple[str, str, float]:
     began_s = time.process_time()
     seed = next((one for one in SEEDS if one.name == name), Seed("", "", ""))
     setups = {
-        key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
-        for key, setup in fuzz_run.SETUPS.items()
+        key: replace(setup, config=replace(setup.config, **seed.config)) for key, setup in fuzz_run.SETUPS.items()
     }
     forget_stations()
     with patched(((fuzz_run, "SETUPS", setups), *seed.patches)):

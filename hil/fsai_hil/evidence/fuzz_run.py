@@ -436,12 +436,7 @@ STATIONS: Final[Mapping[str, tuple[str, tuple[Callable[[Run], None], ...]]]] = {
     "moving": ("driving", (call("command", steering_rad=0.05), call("run", 150))),
     "emergency": (
         "moving",
-        (
-            call("emergency", "asked"),
-            call("run", 3),
-            call("car", as_state=AsState.EMERGENCY_BRAKE),
-            call("run", 5),
-        ),
+        (call("emergency", "asked"), call("run", 3), call("car", as_state=AsState.EMERGENCY_BRAKE), call("run", 5)),
     ),
     "finished": (
         "moving",

@@ -296,7 +296,7 @@ class Composition:
     With `only_rule` the problems of all other rules are passed over: can this rule alone find it?
     """
 
-    def __init__(self, scope: Scope, only_rule: str | None = None) -> None:
+    def __init__(self, scope: Scope, only_rule: str = "") -> None:
         setting = scope.setting
         assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
         self._only_rule = only_rule
@@ -326,31 +326,20 @@ class Composition:
         )
         self.checks: Counter[str] = Counter()
         self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
-        self._begin()
-
-    def _begin(self) -> None:
-        """Both sides have just been switched on."""
-        self._bridge = self._new_bridge()
-        self._vcu = _Vcu(self.scope.setting.first_state)
-        self._checker = self.scope.setting.checker(nothing_hidden=True)
+        self.initial()
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
-        return SearchedBridge(
-            cast(Codec, PlainCodec()),
-            revision(setting.revision),
-            setting.car,
-            setting.config,
-            setting.limits,
-            first_run_id=1,
-            now_ns=NOW,
-        )
+        args = (setting.car, setting.config, setting.limits, 1, NOW)
+        return SearchedBridge(cast(Codec, PlainCodec()), revision(setting.revision), *args)
 
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
-        """Nothing has been sent or received."""
-        self._begin()
+        """Both sides have just been switched on: nothing has been sent or received."""
+        self._bridge = self._new_bridge()
+        self._vcu = _Vcu(self.scope.setting.first_state)
+        self._checker = self.scope.setting.checker(nothing_hidden=True)
         disc, raw = self._save(NOW)
         return disc, self._rounded(raw)
 
@@ -493,7 +482,7 @@ class Composition:
         checks = b.state
         checker.on_implausible(checks.steering.implausible_since_ns, checks.wheels.implausible_since_ns)
         problems += checker.taken()
-        if problems and self._only_rule is not None:
+        if problems and self._only_rule:
             problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
         return self._save(now), problems, asked
 
@@ -525,10 +514,8 @@ class Composition:
                 v.state, v.since_ns = choice.says, now
             return
         s = self._situation
-        lost = v.received and (
-            (v.ai_ns is not None and now - v.ai_ns >= CAR_PATIENCE_NS)
-            or (v.echo_ns is not None and now - v.echo_ns >= CAR_PATIENCE_NS)
-        )
+        oldest_ns = min((t_ns for t_ns in (v.ai_ns, v.echo_ns) if t_ns is not None), default=now)
+        lost = v.received and now - oldest_ns >= CAR_PATIENCE_NS
         up = v.received and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
         s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, choice.tsms, choice.go, choice.ami, choice.sdc_open
         s.go_rising = choice.go and not v.go_before
@@ -646,30 +633,26 @@ class Composition:
     def _sent(self, choice: Choice, asked: AiCommand, images: Sequence[tuple[int, AiImage]], now: int) -> None:
         """The frames leave one after another; the VCU looks after each, and keeps what it saw last."""
         b, v, checker = self._bridge, self._vcu, self._checker
-        brake = asked.front_brake_pct > 0.0 or asked.rear_brake_pct > 0.0
         checker.on_sending()
         for can_id, image in images[: choice.frames]:
             checker.on_ai(can_id, image, now)
         checker.cycle_over(now)
         if not choice.car_off:
-            for number in range(choice.frames):
+            shown: tuple[dict[str, object], ...] = (
+                {"estop": asked.estop_request, "status": asked.mission_status, "direction": asked.direction},
+                {"front": asked.front_torque_nm > 0.0},
+                {"rear": asked.rear_torque_nm > 0.0},
+                {"steer": asked.steer_deg != 0.0},
+                {"brake": asked.brake_requested},
+            )
+            for number, fields in enumerate(shown[: choice.frames]):
                 before = _asked_of(v)
                 v.received = True
-                match number:
-                    case 0:
-                        v.estop, v.status, v.direction = asked.estop_request, asked.mission_status, asked.direction
-                        if asked.handshake == v.bit:
-                            v.echo_ns = None
-                    case 1:
-                        v.front = asked.front_torque_nm > 0.0
-                    case 2:
-                        v.rear = asked.rear_torque_nm > 0.0
-                    case 3:
-                        v.steer = asked.steer_deg != 0.0
-                    case _:
-                        v.brake = brake
-                        v.ai_ns = now
-                if v.ai_ns is None:
+                for name, value in fields.items():
+                    setattr(v, name, value)
+                if number == 0 and asked.handshake == v.bit:
+                    v.echo_ns = None
+                if number == 4 or v.ai_ns is None:
                     v.ai_ns = now
                 if before != _asked_of(v):
                     self._look(choice, now)
