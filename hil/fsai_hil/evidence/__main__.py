@@ -15,7 +15,6 @@ from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.evidence.work import spread
 from fsai_hil.rules.checker import RULES
 
-EXAMPLE = "example: python -m fsai_hil.evidence --scope messages --seeded"
 JOBS = os.cpu_count() or 1
 
 
@@ -47,10 +46,8 @@ def search_all(names: Sequence[str]) -> list[Searched]:
     for one in spread(searched, chosen, JOBS):
         results.append(one)
         found = one.found
-        print(
-            f"{one.name:20} {found.states:8,} {found.transitions:12,} {found.depth:6} {one.seconds:8.1f} s",
-            flush=True,
-        )
+        figures = f"{found.states:8,} {found.transitions:12,} {found.depth:6} {one.seconds:8.1f} s"
+        print(f"{one.name:20} {figures}", flush=True)
         for problem in found.problems:
             print(f"  BROKEN, rule {problem.rule}: {problem.words}")
         for line in one.trace:
@@ -109,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence",
         description="Visit every reachable state of supervisor and gate and the VCU; check every rule.",
-        epilog=EXAMPLE,
+        epilog="example: python -m fsai_hil.evidence --scope messages --seeded",
     )
     parser.add_argument("--scope", action="append", default=[], metavar="NAME", help="search only this scope")
     parser.add_argument("--seeded", action="store_true", help="then put faults into the rules: all must be found")

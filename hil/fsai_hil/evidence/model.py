@@ -26,6 +26,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from operator import attrgetter
 from typing import Any, Final, cast
 
@@ -59,7 +60,6 @@ CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
 # ---------------------------------------------------------------- what the environment may choose
 
 _NO_COMMAND = "none"
-NOBODY: Final[frozenset[str]] = frozenset()
 BOTH: Final = frozenset(("planner", "controller"))
 _THIS_RUN, _OTHER_RUN = 0, -1
 
@@ -462,8 +462,7 @@ class Composition:
             self._car_speaks(choice, now)
         b = self._bridge
         b.steer_odd, b.wheel_odd = choice.steer_odd, choice.wheel_odd
-        if choice.event is not None:
-            self._happens(choice.event, now)
+        self._happens(choice.event, now)
         if choice.request is not None:
             self._requested(choice.request, now)
         supervising = b.state.supervisor
@@ -541,29 +540,22 @@ class Composition:
                 v.state, v.since_ns = row.target, now
 
     def _car_speaks(self, choice: Choice, now: int) -> None:
-        v, lost = self._vcu, choice.lost
-
-        def say(frame: Any) -> None:
-            self._bridge.on_frame(frame)
-            self._checker.on_decoded(frame.can_id, frame.decoded, now)
-
+        v = self._vcu
         if v.echo_ns is None:
             v.bit = not v.bit
             v.echo_ns = now
-        if STATUS not in lost:
-            if choice.unreadable:
-                say(unreadable_frame(v.bit, now))
-            else:
-                say(status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
-        if AXLES not in lost:
-            say(car_frame(VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm))
-            say(car_frame(VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm))
-        if STEER not in lost:
-            say(car_frame(VcuSteer, now, 0.0, choice.angle_max_deg))
-        if BRAKE not in lost:
-            say(brake_frame(v.brake, now))
-        if SPEEDS not in lost:
-            say(car_frame(WheelSpeeds, now, *choice.rpm))
+        status = status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now)
+        axles = [car_frame(kind, now, 0.0, 0.0, choice.torque_max_nm) for kind in (VcuDriveFront, VcuDriveRear)]
+        frames = {
+            STATUS: [unreadable_frame(v.bit, now) if choice.unreadable else status],
+            AXLES: axles,
+            STEER: [car_frame(VcuSteer, now, 0.0, choice.angle_max_deg)],
+            BRAKE: [brake_frame(v.brake, now)],
+            SPEEDS: [car_frame(WheelSpeeds, now, *choice.rpm)],
+        }
+        for frame in chain.from_iterable(sent for name, sent in frames.items() if name not in choice.lost):
+            self._bridge.on_frame(frame)
+            self._checker.on_decoded(frame.can_id, frame.decoded, now)
         if choice.counting:
             self._checker.wheels.turning_ns = now
             b = self._bridge.state
@@ -575,7 +567,7 @@ class Composition:
 
     # ------------------------------------------------------------ people, planner and loop
 
-    def _happens(self, event: str, now: int) -> None:
+    def _happens(self, event: str | None, now: int) -> None:
         b, checker = self._bridge, self._checker
         match event:
             case "an intruder sends 0x511":
@@ -683,13 +675,12 @@ class Composition:
 def _command_words(asked: AiCommand | None) -> str:
     if asked is None:
         return "nothing"
-    parts = [asked.mission_status.label, asked.direction.label]
-    if asked.estop_request:
-        parts.append("ESTOP_REQUEST")
-    if asked.torque_requested:
-        parts.append(f"torque {asked.front_torque_nm:g}/{asked.rear_torque_nm:g} Nm")
-    if asked.brake_requested:
-        parts.append(f"brake {asked.front_brake_pct:g} %")
-    if asked.steer_deg:
-        parts.append(f"steering {asked.steer_deg:g} deg")
-    return " ".join(parts)
+    parts = (
+        asked.mission_status.label,
+        asked.direction.label,
+        asked.estop_request and "ESTOP_REQUEST",
+        asked.torque_requested and f"torque {asked.front_torque_nm:g}/{asked.rear_torque_nm:g} Nm",
+        asked.brake_requested and f"brake {asked.front_brake_pct:g} %",
+        asked.steer_deg and f"steering {asked.steer_deg:g} deg",
+    )
+    return " ".join(str(part) for part in parts if part)

@@ -13,19 +13,9 @@ from itertools import combinations, product
 from typing import Any, Final
 
 from fsai_hil.evidence.car_frames import MARKS
-from fsai_hil.evidence.model import (
-    BOTH,
-    BRAKE,
-    CAR_MESSAGES,
-    COMMANDS,
-    NOBODY,
-    SPEEDS,
-    STATUS,
-    Choice,
-    Scope,
-    Setting,
-)
+from fsai_hil.evidence.model import BOTH, BRAKE, CAR_MESSAGES, COMMANDS, SPEEDS, STATUS, Choice, Scope, Setting
 from fsai_hil.rules.numbers import S
+from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import official_simulator
 from fsai_vcu.core.limits import OperationalLimits
@@ -39,9 +29,8 @@ TOO_FAST: Final = (1200, 1200, 1200, 1200)  # no tyre follows in one cycle
 IMPOSSIBLE: Final = (65535, 65535, 65535, 65535)
 
 _WELL = Choice()
-_WAITING = replace(_WELL, request="autonomous")
 GO = replace(_WELL, go=True)
-PATH: Final = (_WELL, _WAITING, GO)
+PATH: Final = (_WELL, replace(_WELL, request="autonomous"), GO)
 """What brings a car into AS_DRIVING: autonomous asked for, Go after 5 s."""
 
 _SILENT_STANDING = replace(GO, command="none")
@@ -51,7 +40,8 @@ _SILENCE_AND_STANDS: Final = "a silent planner and a car that comes to rest"
 _SILENCE_AND_MOVES: Final = "a silent planner and a car that never brakes"
 _DEAF: Final = "a car that is not received any more"
 
-ENDINGS: Final = {_SILENCE_AND_STANDS: _SILENT_STANDING, _SILENCE_AND_MOVES: _SILENT_MOVING, _DEAF: _CUT_OFF}
+_TWO_ENDINGS: Final = {_SILENCE_AND_STANDS: _SILENT_STANDING, _SILENCE_AND_MOVES: _SILENT_MOVING}
+ENDINGS: Final = {**_TWO_ENDINGS, _DEAF: _CUT_OFF}
 BOUNDS_NS: Final = {
     # 3 s of standing still, 300 ms for a lost command, 0.5 s of proven rest, the cycles between, and what the
     # rounding of ages counts twice
@@ -61,7 +51,6 @@ BOUNDS_NS: Final = {
     # 0x520 stale for 100 ms, the cycles between, and a process that still listens its 200 ms
     _DEAF: 500_000_000,
 }
-_TWO_ENDINGS: Final = {name: ENDINGS[name] for name in (_SILENCE_AND_STANDS, _SILENCE_AND_MOVES)}
 
 # A VCU that says whatever the environment wants cannot be brought out of AS_DRIVING. There the end is that it has been
 # told to stop: ESTOP_REQUEST, or FINISHED at rest, and no torque.

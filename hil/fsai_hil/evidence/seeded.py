@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any, Final
 from unittest.mock import patch
 
-from fsai_hil.evidence.model import Composition
+from fsai_hil.evidence.model import Composition, Setting
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
@@ -57,10 +57,10 @@ class Seed:
     patches: Patches = ()
     shows_in_fuzz: bool = True
 
-    @property
-    def config(self) -> dict[str, Any]:
-        """What is configured otherwise."""
-        return {name: value for owner, name, value in self.patches if owner is BridgeConfig}
+    def configured(self, setting: Setting) -> Setting:
+        """The setting with what this mistake configures otherwise."""
+        changed = {name: value for owner, name, value in self.patches if owner is BridgeConfig}
+        return replace(setting, config=replace(setting.config, **changed))
 
 
 def _config(**changed: object) -> Patches:
@@ -401,7 +401,6 @@ def patched(patches: Patches) -> Iterator[None]:
 def search_for(seed: Seed) -> tuple[Search, Composition]:
     """Search the seed's scope for its rule alone."""
     searched = scope(seed.scope)
-    setting = replace(searched.setting, config=replace(searched.setting.config, **seed.config))
     with patched(seed.patches):
-        model = Composition(replace(searched, setting=setting), seed.rule)
+        model = Composition(replace(searched, setting=seed.configured(searched.setting)), seed.rule)
         return explore(model, bounds_ns=searched.bounds_ns), model
