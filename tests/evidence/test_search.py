@@ -16,7 +16,7 @@ from fsai_hil.evidence.abstraction import NOW
 from fsai_hil.evidence.model import Composition, Scope, State
 from fsai_hil.evidence.scopes import ENDINGS, GO, MOVING, PATH, all_scopes, scope
 from fsai_hil.evidence.search import Move, explore
-from fsai_hil.evidence.seeded import SEEDS, Seed, search_seed
+from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.rules.checker import RULES
 from fsai_hil.rules.numbers import CYCLE_NS
 from fsai_hil.rules.seen import Violation
@@ -187,7 +187,8 @@ _LONG = {"interval", "10", "safe end"}  # the times of sends are not searched, t
 
 @pytest.mark.parametrize("seed", [seed for seed in SEEDS if seed.name in _QUICK], ids=lambda seed: seed.name)
 def test_a_seeded_fault_is_found_and_told_in_words(seed: Seed) -> None:
-    found, trace = search_seed(seed)
+    found, model = search_for(seed)
+    trace = model.described(found.trace)
     assert seed.rule in {problem.rule for problem in found.problems}
     assert 0 < len(trace) <= 16
     assert all("sent:" in line for line in trace)

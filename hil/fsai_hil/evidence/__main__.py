@@ -7,16 +7,14 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from fsai_hil.evidence.model import Composition
 from fsai_hil.evidence.scopes import all_scopes, scope
-from fsai_hil.evidence.search import Search, explore
-from fsai_hil.evidence.seeded import SEEDS, search_seed
+from fsai_hil.evidence.search import Search
+from fsai_hil.evidence.seeded import SEEDS, Seed, search_for
 from fsai_hil.evidence.work import spread
 from fsai_hil.rules.checker import RULES
 
-EXAMPLE = "example: python -m fsai_hil.evidence --scope messages --seeded"
 JOBS = os.cpu_count() or 1
 
 
@@ -28,14 +26,14 @@ class Searched:
     found: Search
     trace: list[str]
     seconds: float
-    checks: Mapping[str, int] = field(default_factory=dict)
+    checks: Mapping[str, int]
 
 
 def searched(name: str) -> Searched:
-    """Search the scope of that name."""
-    one, began = scope(name), time.process_time()
-    model = Composition(one)
-    found = explore(model, bounds_ns=one.bounds_ns)
+    """Search the scope of that name, or for the harm of the seeded fault of that name."""
+    began = time.process_time()
+    seed = next((seed for seed in SEEDS if seed.name == name), Seed("", "", name))
+    found, model = search_for(seed)
     checks = dict(model.checks) | {"safe end": found.states * len(found.bounds_ns)}
     return Searched(name, found, model.described(found.trace), time.process_time() - began, checks)
 
@@ -48,10 +46,8 @@ def search_all(names: Sequence[str]) -> list[Searched]:
     for one in spread(searched, chosen, JOBS):
         results.append(one)
         found = one.found
-        print(
-            f"{one.name:20} {found.states:8,} {found.transitions:12,} {found.depth:6} {one.seconds:8.1f} s",
-            flush=True,
-        )
+        figures = f"{found.states:8,} {found.transitions:12,} {found.depth:6} {one.seconds:8.1f} s"
+        print(f"{one.name:20} {figures}", flush=True)
         for problem in found.problems:
             print(f"  BROKEN, rule {problem.rule}: {problem.words}")
         for line in one.trace:
@@ -84,20 +80,13 @@ def _print_totals(results: Sequence[Searched]) -> None:
             print(f"  none in '{one.name}': {endless}")
 
 
-def sought(seed_name: str) -> Searched:
-    """Put the seeded fault of that name in, and search its scope for its rule alone."""
-    began = time.process_time()
-    found, trace = search_seed(next(seed for seed in SEEDS if seed.name == seed_name))
-    return Searched(seed_name, found, trace, time.process_time() - began)
-
-
 def search_seeds() -> bool:
     """Put every seeded fault in, one after another; each must be found. Of each rule's first, the shortest trace."""
     rules = {seed.name: seed.rule for seed in SEEDS if seed.scope}  # the others are for the fuzz alone
     print(f"\nSeeded faults: {len(rules)} mistakes in rules, times and functions; each must be found")
     results: dict[str, Searched] = {}
     missed = 0
-    for one in spread(sought, rules, JOBS):
+    for one in spread(searched, rules, JOBS):
         results[one.name] = one
         rule, steps = rules[one.name], len(one.found.trace)
         is_found = rule in {problem.rule for problem in one.found.problems}
@@ -117,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence",
         description="Visit every reachable state of supervisor and gate and the VCU; check every rule.",
-        epilog=EXAMPLE,
+        epilog="example: python -m fsai_hil.evidence --scope messages --seeded",
     )
     parser.add_argument("--scope", action="append", default=[], metavar="NAME", help="search only this scope")
     parser.add_argument("--seeded", action="store_true", help="then put faults into the rules: all must be found")

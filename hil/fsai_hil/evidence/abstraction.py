@@ -11,13 +11,14 @@ states.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from operator import attrgetter
 from typing import Any, Final, cast
 
-from fsai_hil.evidence.car_frames import brake_frame, car_frame, marks_of, status_frame
+from fsai_hil.evidence.car_frames import brake_frame, car_frame, status_frame
 from fsai_hil.rules.numbers import CYCLE_NS, S
+from fsai_hil.rules.seen import marks_of
 from fsai_vcu.core.bridge import BridgeConfig, BridgeState
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.gate import GateState
@@ -107,9 +108,9 @@ class _Fields:
         self._names = (*self.others, *self.times)
         self._never = [None if spec.default is MISSING else spec.default for spec in times]
 
-    def values(self, others: Sequence[object], times: Iterable[int | None]) -> dict[str, Any]:
-        """Everything by its name; a time that never was is what it is before it ever is."""
-        been = [never if time is None else time for never, time in zip(self._never, times, strict=True)]
+    def values(self, others: Sequence[object], times: Iterator[int | None]) -> dict[str, Any]:
+        """Everything by its name, the next of the `times` by theirs; one that never was is as before it ever is."""
+        been = [never if time is None else time for never, time in zip(self._never, times, strict=False)]
         return dict(zip(self._names, (*others, *been), strict=True))
 
 
@@ -168,12 +169,9 @@ class Abstraction:
     def whole(self, content: Content, ages: Sequence[int]) -> BridgeState:
         """The state as it was taken apart, at `NOW`, where the VCU sends a handshake of 0."""
         supervising, gating, (*others, handshake, ordered), reported = cast(Any, content)
-        times = [None if age < 0 else NOW - age for age in ages]
-        first, second, third = len(_SUPERVISOR.times), len(_GATE.times), len(_BRIDGE.times)
-        s = _SUPERVISOR.values(supervising, times[:first])
-        g = _GATE.values(gating, times[first : first + second])
-        b = _BRIDGE.values(others, times[first + second : first + second + third])
-        stop_ns, steering_ns, wheels_ns, *reported_ns = times[first + second + third :]
+        times = iter([None if age < 0 else NOW - age for age in ages])
+        s, g, b = _SUPERVISOR.values(supervising, times), _GATE.values(gating, times), _BRIDGE.values(others, times)
+        stop_ns, steering_ns, wheels_ns, *reported_ns = times
         if s["stop"] is not None:
             s["stop"] = replace(s["stop"], since_ns=stop_ns)
         if s["still_since_ns"] is not None:

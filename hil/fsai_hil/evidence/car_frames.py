@@ -21,15 +21,14 @@ from fsai_vcu.interface.messages import (
     WheelSpeeds,
 )
 
-_SWITCHES: Final = ("AS_SWITCH_STATUS 0", "TS_SWITCH_STATUS 0")
-_REQUEST: Final = "SHUTDOWN_REQUEST 1"
-_BITS: Final[Mapping[str, str]] = {"BMS_FAULT 1": "bms", "EBS_FAULT 1": "ebs"}
-_CAUSE: Final = "a SHUTDOWN_CAUSE"
-MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)
+_SWITCHES: Final = ("AS_SWITCH_STATUS falls", "TS_SWITCH_STATUS falls")
+_REQUEST: Final = "SHUTDOWN_REQUEST rises"
+_BITS: Final[Mapping[str, str]] = {f"fault bit {name} rises": name for name in ("bms", "ebs")}
+_CAUSE: Final = "SHUTDOWN_CAUSE rises"
+MARKS: Final = (*_SWITCHES, _REQUEST, *_BITS, _CAUSE)  # of those that `rules.seen.marks_of` knows
 _IDS: Final[Mapping[type[Image], int]] = {
     kind: can_id for can_id, kind in enumerate((VcuDriveFront, VcuDriveRear, VcuSteer, VcuBrake, WheelSpeeds), 0x521)
 }
-_NO_MARKS: Final[frozenset[str]] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +85,3 @@ def car_frame(kind: type[Any], now: int, *values: float) -> CarFrame:
 @cache
 def brake_frame(braking: bool, now: int) -> CarFrame:
     return car_frame(VcuBrake, now, *[30.0 if braking else 0.0] * 4)
-
-
-def marks_of(status: VcuStatus) -> frozenset[str]:
-    """What it shows besides, of `MARKS`."""
-    shown = (
-        not status.as_switch, not status.ts_switch, status.shutdown_request, status.faults.bms, status.faults.ebs,
-        status.shutdown_cause is not ShutdownCause.NO_SHUTDOWN,
-    )  # fmt: skip
-    return frozenset(mark for mark, there in zip(MARKS, shown, strict=True) if there) if any(shown) else _NO_MARKS

@@ -20,11 +20,6 @@ from fsai_vcu.core.supervision.supervisor import (
 )
 from fsai_vcu.interface.units import MS
 
-_HEAD = """# Supervision: the tables of supervisor and gate
-
-Made from the tables in the code by `python -m fsai_hil.evidence.document > docs/supervision.md`: not to be edited.
-The words at the top of `fsai_vcu/core/supervision/supervisor.py` and `gate.py` say how they are used.
-"""
 _FOLLOWS = {
     Consequence.REPORT: "reported",
     Consequence.HOLD: "torque 0 while it lasts",
@@ -47,8 +42,8 @@ _BRAKE = {
 }
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    return ["", *(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)), ""]
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
 
 
 def _sent(row: Output) -> list[str]:
@@ -63,59 +58,59 @@ def _after(step: Step) -> str:
 
 def _reaction(reason: Reason, steps: Sequence[Step]) -> list[str]:
     steers = "yes" if reason in STEERS_WHILE_STOPPING else ""
-    return [
-        f"`{reason.slug}`",
-        reason.words,
-        "; ".join(f"{_after(s)}: {_FOLLOWS[s.consequence]}" for s in steps),
-        steers,
-    ]
+    follows = "; ".join(f"{_after(step)}: {_FOLLOWS[step.consequence]}" for step in steps)
+    return [f"`{reason.slug}`", reason.words, follows, steers]
 
 
-def _diagram() -> list[str]:
-    """How a drive comes about, and what ends it: reasons that do the same are one box."""
+def _flow() -> list[str]:
+    """What ends a drive: reasons that do the same are one box."""
     alike: dict[tuple[Step, ...], list[Reason]] = {}
     for reason, steps in REACTIONS.items():
         alike.setdefault(steps, []).append(reason)
-    lines = ["", "```mermaid", "flowchart LR"]
-    lines += [f'  {one.name}(["{words}"])' for one, words in _FOLLOWS.items()]
+    lines = [f'{one.name}(["{words}"])' for one, words in _FOLLOWS.items()]
     for number, (steps, reasons) in enumerate(alike.items()):
-        lines.append(f'  R{number}["{"<br>".join(reason.slug for reason in reasons)}"]')
-        lines += [f"  R{number} -->|{_after(step)}| {step.consequence.name}" for step in steps]
-    return [*lines, "```", ""]
+        lines.append(f'R{number}["{"<br>".join(reason.slug for reason in reasons)}"]')
+        lines += [f"R{number} -->|{_after(step)}| {step.consequence.name}" for step in steps]
+    return lines
 
 
-def _sequence() -> list[str]:
-    lines = ["", "```mermaid", "stateDiagram-v2", "  [*] --> NONE"]
-    lines += [f"  {before.name} --> {then.name}: {state.label}" for (before, state), then in NEXT.items()]
-    return [*lines, "```", ""]
+def _diagram(kind: str, lines: Iterable[str]) -> str:
+    return "\n".join(["```mermaid", kind, *(f"  {line}" for line in lines), "```"])
 
 
 def document() -> str:
     """The whole page."""
+    sequence = [f"{before.name} --> {then.name}: {state.label}" for (before, state), then in NEXT.items()]
     chain = [(str(place), f"`{one.__name__}`", (one.__doc__ or "").strip()) for place, one in enumerate(LIMITERS, 1)]
-    lines = [
-        _HEAD,
-        "## What is sent, by where the run stands",
-        *_table(
-            ("phase", "MISSION_STATUS", "direction", "steering", "brake", "torque"),
-            ([phase.value, *_sent(row)] for phase, row in OUTPUT.items()),
-        ),
-        "With an emergency latched ESTOP_REQUEST is 1 in every phase.",
-        "",
-        "## What follows when something breaks in AS_DRIVING",
-        *_diagram(),
-        *_table(
-            ("reason", "what it says", "after, and what follows", "the planner steers in that stop"),
-            (_reaction(reason, steps) for reason, steps in REACTIONS.items()),
-        ),
-        "## What a drive needs to have seen",
-        "",
-        "Every step that is not here leads to NONE; only COMPLETE lets the car drive.",
-        *_sequence(),
-        "## What the gate takes from a request, in this order",
-        *_table(("", "limiter", "rule"), chain),
-    ]
-    return "\n".join(lines).rstrip() + "\n"
+    sent = ([phase.value, *_sent(row)] for phase, row in OUTPUT.items())
+    reactions = (_reaction(reason, steps) for reason, steps in REACTIONS.items())
+    return f"""# Supervision: the tables of supervisor and gate
+
+Made from the tables in the code by `python -m fsai_hil.evidence.document > docs/supervision.md`: not to be edited.
+The words at the top of `fsai_vcu/core/supervision/supervisor.py` and `gate.py` say how they are used.
+
+## What is sent, by where the run stands
+
+{_table(("phase", "MISSION_STATUS", "direction", "steering", "brake", "torque"), sent)}
+
+With an emergency latched ESTOP_REQUEST is 1 in every phase.
+
+## What follows when something breaks in AS_DRIVING
+
+{_diagram("flowchart LR", _flow())}
+
+{_table(("reason", "what it says", "after, and what follows", "the planner steers in that stop"), reactions)}
+
+## What a drive needs to have seen
+
+Every step that is not here leads to NONE; only COMPLETE lets the car drive.
+
+{_diagram("stateDiagram-v2", ["[*] --> NONE", *sequence])}
+
+## What the gate takes from a request, in this order
+
+{_table(("", "limiter", "rule"), chain)}
+"""
 
 
 if __name__ == "__main__":

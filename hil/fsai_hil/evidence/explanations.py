@@ -99,9 +99,15 @@ class Explained:
         return self.ok and not self.expected & {"", PLANNED}
 
 
-def explained(case: Case, snapshots: Snapshots) -> Explained:
+@cache
+def _snapshots() -> Snapshots:
+    return Snapshots(_Log)
+
+
+def explained(seed: int, index: int) -> Explained:
     """Drive a case and explain its log."""
-    rig = snapshots.rig(case)
+    case = CampaignPlan(seed).case(index)
+    rig = _snapshots().rig(case)
     scenario = Scenario(case, rig)
     reasons: dict[str, str] = {}
     while not scenario.over:
@@ -140,15 +146,6 @@ def _expected(end: End, reasons: Mapping[str, str], why: list[str]) -> frozenset
     return ALIKE.get(reason, frozenset({reason.slug}))
 
 
-@cache
-def _snapshots() -> Snapshots:
-    return Snapshots(_Log)
-
-
-def _worker(seed: int, index: int) -> Explained:
-    return explained(CampaignPlan(seed).case(index), _snapshots())
-
-
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m fsai_hil.evidence.explanations", description=__doc__)
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="what every case follows from (default: 1)")
@@ -160,7 +157,7 @@ def main(argv: list[str] | None = None) -> int:
     numbers = [index * every for index in range(count)]
     found: list[Explained] = []
     progress = Progress("logs", count)
-    for one in spread(partial(_worker, args.seed), numbers, args.jobs):
+    for one in spread(partial(explained, args.seed), numbers, args.jobs):
         found.append(one)
         if one.grade != "right" or one.falsely_green:
             progress.clear()

@@ -12,7 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import hypothesis
@@ -27,7 +27,6 @@ from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.core.supervision.supervisor import Phase
 from fsai_vcu.interface.enums import AsState
 
-EXAMPLE: Final = "example: python -m fsai_hil.evidence.fuzz --minutes 5"
 BATCH: Final = 10  # examples of one seed
 SEEDED_S: Final = 120.0  # of processor time for one seeded fault at most
 _KINDS: Final = {
@@ -118,10 +117,7 @@ def sought(name: str) -> tuple[str, str, float]:
     done, number = Done(), 0
     began_s = time.process_time()
     seed = next((one for one in SEEDS if one.name == name), Seed("", "", ""))
-    setups = {
-        key: replace(setup, config=replace(setup.config, **seed.config))  # type: ignore[arg-type]
-        for key, setup in fuzz_run.SETUPS.items()
-    }
+    setups = {key: seed.configured(setup) for key, setup in fuzz_run.SETUPS.items()}
     forget_stations()
     with patched(((fuzz_run, "SETUPS", setups), *seed.patches)):
         while not done.failures and time.process_time() - began_s < SEEDED_S:
@@ -153,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m fsai_hil.evidence.fuzz",
         description="Put strange frames, commands, services and times before the bridge; judge every frame it sends.",
-        epilog=EXAMPLE,
+        epilog="example: python -m fsai_hil.evidence.fuzz --minutes 5",
     )
     parser.add_argument("--minutes", type=float, default=1.0, metavar="M", help="for so long (default: %(default)s)")
     parser.add_argument("--seeded", action="store_true", help="put faults into the rules on purpose and seek each")

@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from fsai_hil.evidence.model import Setting
-from fsai_hil.rules.numbers import DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
+from fsai_hil.rules.numbers import CYCLE_NS, DEADLINE_MISS_NS, MS, STOP_TIMEOUT_NS
 from fsai_vcu.core.bridge import Bridge, BridgeConfig, official_simulator
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -42,7 +42,6 @@ from fsai_vcu.interface.messages import (
 from fsai_vcu.runtime.bus import BusLost
 from fsai_vcu.runtime.engine import Engine
 
-PERIOD_NS: Final = 10 * MS
 REOPEN_FIRST_NS: Final = 10 * MS  # the loop's first pause before it tries a lost bus again
 RESTART_NS: Final = 500 * MS  # a process needs at least so long to start
 START_NS: Final = 1_000 * MS
@@ -108,7 +107,7 @@ class Run:
         self.angle_max_deg = 30.0
         self.front_max_nm = self.rear_max_nm = 195.0
         self.handshake = "alternate"  # or stuck, or wild
-        self.period_ns = PERIOD_NS
+        self.period_ns = CYCLE_NS
         self.status_last = False  # of the messages of a cycle
         self.answered_first = False  # the loop turns between 0x520 and the others
         self.late_ns = 0  # by which the loop turns late
@@ -120,8 +119,8 @@ class Run:
         self._chance = random.Random(0)
         self._speed_rpm = self._followed_deg = 0.0
         self._turns = [0.0] * 4  # of the wheels, as their pulses count them
-        self._muted: dict[type, int] = {}
-        self._raw: dict[type, tuple[tuple[str, ...], int, int]] = {}
+        self._muted: dict[type, int] = {}  # until which cycle
+        self._raw: dict[type, tuple[tuple[str, ...], int, int]] = {}  # fields, their bits, and until which cycle
         # what the VCU saw last
         self.torque_nm = [0.0, 0.0]
         self.brake_pct = (0.0, 0.0)
@@ -184,11 +183,11 @@ class Run:
 
     def mute(self, messages: tuple[type[Image], ...], cycles: int) -> None:
         """These messages are missing for a while."""
-        self._muted.update(dict.fromkeys(messages, cycles))
+        self._muted.update(dict.fromkeys(messages, self.cycles + cycles))
 
     def raw(self, message: type[Image], names: tuple[str, ...], bits: int, cycles: int) -> None:
         """For a while these fields of a message carry `bits`, whatever the car does; cut to the field's width."""
-        self._raw[message] = (names, bits, cycles)
+        self._raw[message] = (names, bits, self.cycles + cycles)
 
     def frame(self, frame: Frame, ahead_ns: int = 0) -> None:
         """One frame of anybody's, now; its stamp is ahead by so much."""
@@ -282,9 +281,7 @@ class Run:
         images = self.images()
         for image in (*images[1:], images[0]) if self.status_last else images:
             kind = type(image)
-            left = self._muted.get(kind, 0)
-            if left > 0:
-                self._muted[kind] = left - 1
+            if self.cycles < self._muted.get(kind, 0):
                 continue
             frame = self.codec.encode(image)
             self._deliver(Frame(frame.can_id, self._with_raw(kind, frame.data), self.now_ns))
@@ -292,11 +289,9 @@ class Run:
                 self._turn()
 
     def _with_raw(self, kind: type[Image], data: bytes) -> bytes:
-        if kind not in self._raw:
+        names, bits, until = self._raw.get(kind, ((), 0, 0))
+        if self.cycles >= until:
             return data
-        names, bits, cycles = self._raw.pop(kind)
-        if cycles > 1:
-            self._raw[kind] = (names, bits, cycles - 1)
         word = int.from_bytes(data, "little")
         for name in names:
             mask = self.codec.mask(kind, name)
@@ -305,7 +300,7 @@ class Run:
 
     def _move(self) -> None:
         driving = self.status.as_state is AsState.AS_DRIVING
-        share = self.period_ns / PERIOD_NS
+        share = self.period_ns / CYCLE_NS
         if driving and max(self.torque_nm) > 0.0 and not self._motor_brakes:
             self._speed_rpm = min(800.0, self._speed_rpm + 1.5 * share)
         elif self.status.as_state is AsState.EMERGENCY_BRAKE:
@@ -436,12 +431,7 @@ STATIONS: Final[Mapping[str, tuple[str, tuple[Callable[[Run], None], ...]]]] = {
     "moving": ("driving", (call("command", steering_rad=0.05), call("run", 150))),
     "emergency": (
         "moving",
-        (
-            call("emergency", "asked"),
-            call("run", 3),
-            call("car", as_state=AsState.EMERGENCY_BRAKE),
-            call("run", 5),
-        ),
+        (call("emergency", "asked"), call("run", 3), call("car", as_state=AsState.EMERGENCY_BRAKE), call("run", 5)),
     ),
     "finished": (
         "moving",

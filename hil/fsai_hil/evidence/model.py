@@ -26,6 +26,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from operator import attrgetter
 from typing import Any, Final, cast
 
@@ -59,7 +60,6 @@ CAR_MESSAGES: Final = (STATUS, SPEEDS, STEER, AXLES, BRAKE)
 # ---------------------------------------------------------------- what the environment may choose
 
 _NO_COMMAND = "none"
-NOBODY: Final[frozenset[str]] = frozenset()
 BOTH: Final = frozenset(("planner", "controller"))
 _THIS_RUN, _OTHER_RUN = 0, -1
 
@@ -296,7 +296,7 @@ class Composition:
     With `only_rule` the problems of all other rules are passed over: can this rule alone find it?
     """
 
-    def __init__(self, scope: Scope, only_rule: str | None = None) -> None:
+    def __init__(self, scope: Scope, only_rule: str = "") -> None:
         setting = scope.setting
         assert setting.config.steer_rate_degps is not None, "a cycle must be enough for the steering"
         self._only_rule = only_rule
@@ -326,31 +326,20 @@ class Composition:
         )
         self.checks: Counter[str] = Counter()
         self._encoded: dict[AiCommand, tuple[tuple[Violation, ...], tuple[tuple[int, AiImage], ...]]] = {}
-        self._begin()
-
-    def _begin(self) -> None:
-        """Both sides have just been switched on."""
-        self._bridge = self._new_bridge()
-        self._vcu = _Vcu(self.scope.setting.first_state)
-        self._checker = self.scope.setting.checker(nothing_hidden=True)
+        self.initial()
 
     def _new_bridge(self) -> SearchedBridge:
         setting = self.scope.setting
-        return SearchedBridge(
-            cast(Codec, PlainCodec()),
-            revision(setting.revision),
-            setting.car,
-            setting.config,
-            setting.limits,
-            first_run_id=1,
-            now_ns=NOW,
-        )
+        args = (setting.car, setting.config, setting.limits, 1, NOW)
+        return SearchedBridge(cast(Codec, PlainCodec()), revision(setting.revision), *args)
 
     # ------------------------------------------------------------ states
 
     def initial(self) -> State:
-        """Nothing has been sent or received."""
-        self._begin()
+        """Both sides have just been switched on: nothing has been sent or received."""
+        self._bridge = self._new_bridge()
+        self._vcu = _Vcu(self.scope.setting.first_state)
+        self._checker = self.scope.setting.checker(nothing_hidden=True)
         disc, raw = self._save(NOW)
         return disc, self._rounded(raw)
 
@@ -473,8 +462,7 @@ class Composition:
             self._car_speaks(choice, now)
         b = self._bridge
         b.steer_odd, b.wheel_odd = choice.steer_odd, choice.wheel_odd
-        if choice.event is not None:
-            self._happens(choice.event, now)
+        self._happens(choice.event, now)
         if choice.request is not None:
             self._requested(choice.request, now)
         supervising = b.state.supervisor
@@ -493,7 +481,7 @@ class Composition:
         checks = b.state
         checker.on_implausible(checks.steering.implausible_since_ns, checks.wheels.implausible_since_ns)
         problems += checker.taken()
-        if problems and self._only_rule is not None:
+        if problems and self._only_rule:
             problems = tuple(problem for problem in problems if problem.rule == self._only_rule)
         return self._save(now), problems, asked
 
@@ -525,10 +513,8 @@ class Composition:
                 v.state, v.since_ns = choice.says, now
             return
         s = self._situation
-        lost = v.received and (
-            (v.ai_ns is not None and now - v.ai_ns >= CAR_PATIENCE_NS)
-            or (v.echo_ns is not None and now - v.echo_ns >= CAR_PATIENCE_NS)
-        )
+        oldest_ns = min((t_ns for t_ns in (v.ai_ns, v.echo_ns) if t_ns is not None), default=now)
+        lost = v.received and now - oldest_ns >= CAR_PATIENCE_NS
         up = v.received and not v.needs_power_cycle and v.state is not AsState.EMERGENCY_BRAKE
         s.asms, s.tsms, s.go, s.ami, s.sdc_open = choice.asms, choice.tsms, choice.go, choice.ami, choice.sdc_open
         s.go_rising = choice.go and not v.go_before
@@ -554,29 +540,22 @@ class Composition:
                 v.state, v.since_ns = row.target, now
 
     def _car_speaks(self, choice: Choice, now: int) -> None:
-        v, lost = self._vcu, choice.lost
-
-        def say(frame: Any) -> None:
-            self._bridge.on_frame(frame)
-            self._checker.on_decoded(frame.can_id, frame.decoded, now)
-
+        v = self._vcu
         if v.echo_ns is None:
             v.bit = not v.bit
             v.echo_ns = now
-        if STATUS not in lost:
-            if choice.unreadable:
-                say(unreadable_frame(v.bit, now))
-            else:
-                say(status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now))
-        if AXLES not in lost:
-            say(car_frame(VcuDriveFront, now, 0.0, 0.0, choice.torque_max_nm))
-            say(car_frame(VcuDriveRear, now, 0.0, 0.0, choice.torque_max_nm))
-        if STEER not in lost:
-            say(car_frame(VcuSteer, now, 0.0, choice.angle_max_deg))
-        if BRAKE not in lost:
-            say(brake_frame(v.brake, now))
-        if SPEEDS not in lost:
-            say(car_frame(WheelSpeeds, now, *choice.rpm))
+        status = status_frame(v.bit, choice.go, v.state, choice.ami, choice.fault, choice.marks, now)
+        axles = [car_frame(kind, now, 0.0, 0.0, choice.torque_max_nm) for kind in (VcuDriveFront, VcuDriveRear)]
+        frames = {
+            STATUS: [unreadable_frame(v.bit, now) if choice.unreadable else status],
+            AXLES: axles,
+            STEER: [car_frame(VcuSteer, now, 0.0, choice.angle_max_deg)],
+            BRAKE: [brake_frame(v.brake, now)],
+            SPEEDS: [car_frame(WheelSpeeds, now, *choice.rpm)],
+        }
+        for frame in chain.from_iterable(sent for name, sent in frames.items() if name not in choice.lost):
+            self._bridge.on_frame(frame)
+            self._checker.on_decoded(frame.can_id, frame.decoded, now)
         if choice.counting:
             self._checker.wheels.turning_ns = now
             b = self._bridge.state
@@ -588,7 +567,7 @@ class Composition:
 
     # ------------------------------------------------------------ people, planner and loop
 
-    def _happens(self, event: str, now: int) -> None:
+    def _happens(self, event: str | None, now: int) -> None:
         b, checker = self._bridge, self._checker
         match event:
             case "an intruder sends 0x511":
@@ -646,30 +625,26 @@ class Composition:
     def _sent(self, choice: Choice, asked: AiCommand, images: Sequence[tuple[int, AiImage]], now: int) -> None:
         """The frames leave one after another; the VCU looks after each, and keeps what it saw last."""
         b, v, checker = self._bridge, self._vcu, self._checker
-        brake = asked.front_brake_pct > 0.0 or asked.rear_brake_pct > 0.0
         checker.on_sending()
         for can_id, image in images[: choice.frames]:
             checker.on_ai(can_id, image, now)
         checker.cycle_over(now)
         if not choice.car_off:
-            for number in range(choice.frames):
+            shown: tuple[dict[str, object], ...] = (
+                {"estop": asked.estop_request, "status": asked.mission_status, "direction": asked.direction},
+                {"front": asked.front_torque_nm > 0.0},
+                {"rear": asked.rear_torque_nm > 0.0},
+                {"steer": asked.steer_deg != 0.0},
+                {"brake": asked.brake_requested},
+            )
+            for number, fields in enumerate(shown[: choice.frames]):
                 before = _asked_of(v)
                 v.received = True
-                match number:
-                    case 0:
-                        v.estop, v.status, v.direction = asked.estop_request, asked.mission_status, asked.direction
-                        if asked.handshake == v.bit:
-                            v.echo_ns = None
-                    case 1:
-                        v.front = asked.front_torque_nm > 0.0
-                    case 2:
-                        v.rear = asked.rear_torque_nm > 0.0
-                    case 3:
-                        v.steer = asked.steer_deg != 0.0
-                    case _:
-                        v.brake = brake
-                        v.ai_ns = now
-                if v.ai_ns is None:
+                for name, value in fields.items():
+                    setattr(v, name, value)
+                if number == 0 and asked.handshake == v.bit:
+                    v.echo_ns = None
+                if number == 4 or v.ai_ns is None:
                     v.ai_ns = now
                 if before != _asked_of(v):
                     self._look(choice, now)
@@ -700,13 +675,12 @@ class Composition:
 def _command_words(asked: AiCommand | None) -> str:
     if asked is None:
         return "nothing"
-    parts = [asked.mission_status.label, asked.direction.label]
-    if asked.estop_request:
-        parts.append("ESTOP_REQUEST")
-    if asked.torque_requested:
-        parts.append(f"torque {asked.front_torque_nm:g}/{asked.rear_torque_nm:g} Nm")
-    if asked.brake_requested:
-        parts.append(f"brake {asked.front_brake_pct:g} %")
-    if asked.steer_deg:
-        parts.append(f"steering {asked.steer_deg:g} deg")
-    return " ".join(parts)
+    parts = (
+        asked.mission_status.label,
+        asked.direction.label,
+        asked.estop_request and "ESTOP_REQUEST",
+        asked.torque_requested and f"torque {asked.front_torque_nm:g}/{asked.rear_torque_nm:g} Nm",
+        asked.brake_requested and f"brake {asked.front_brake_pct:g} %",
+        asked.steer_deg and f"steering {asked.steer_deg:g} deg",
+    )
+    return " ".join(str(part) for part in parts if part)

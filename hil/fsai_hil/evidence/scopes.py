@@ -13,19 +13,9 @@ from itertools import combinations, product
 from typing import Any, Final
 
 from fsai_hil.evidence.car_frames import MARKS
-from fsai_hil.evidence.model import (
-    BOTH,
-    BRAKE,
-    CAR_MESSAGES,
-    COMMANDS,
-    NOBODY,
-    SPEEDS,
-    STATUS,
-    Choice,
-    Scope,
-    Setting,
-)
+from fsai_hil.evidence.model import BOTH, BRAKE, CAR_MESSAGES, COMMANDS, SPEEDS, STATUS, Choice, Scope, Setting
 from fsai_hil.rules.numbers import S
+from fsai_hil.rules.seen import NOBODY
 from fsai_hil.simulator.profiles import OFFICIAL_SIMULATOR
 from fsai_vcu.core.bridge import official_simulator
 from fsai_vcu.core.limits import OperationalLimits
@@ -39,9 +29,8 @@ TOO_FAST: Final = (1200, 1200, 1200, 1200)  # no tyre follows in one cycle
 IMPOSSIBLE: Final = (65535, 65535, 65535, 65535)
 
 _WELL = Choice()
-_WAITING = replace(_WELL, request="autonomous")
 GO = replace(_WELL, go=True)
-PATH: Final = (_WELL, _WAITING, GO)
+PATH: Final = (_WELL, replace(_WELL, request="autonomous"), GO)
 """What brings a car into AS_DRIVING: autonomous asked for, Go after 5 s."""
 
 _SILENT_STANDING = replace(GO, command="none")
@@ -51,7 +40,8 @@ _SILENCE_AND_STANDS: Final = "a silent planner and a car that comes to rest"
 _SILENCE_AND_MOVES: Final = "a silent planner and a car that never brakes"
 _DEAF: Final = "a car that is not received any more"
 
-ENDINGS: Final = {_SILENCE_AND_STANDS: _SILENT_STANDING, _SILENCE_AND_MOVES: _SILENT_MOVING, _DEAF: _CUT_OFF}
+_TWO_ENDINGS: Final = {_SILENCE_AND_STANDS: _SILENT_STANDING, _SILENCE_AND_MOVES: _SILENT_MOVING}
+ENDINGS: Final = {**_TWO_ENDINGS, _DEAF: _CUT_OFF}
 BOUNDS_NS: Final = {
     # 3 s of standing still, 300 ms for a lost command, 0.5 s of proven rest, the cycles between, and what the
     # rounding of ages counts twice
@@ -61,7 +51,6 @@ BOUNDS_NS: Final = {
     # 0x520 stale for 100 ms, the cycles between, and a process that still listens its 200 ms
     _DEAF: 500_000_000,
 }
-_TWO_ENDINGS: Final = {name: ENDINGS[name] for name in (_SILENCE_AND_STANDS, _SILENCE_AND_MOVES)}
 
 # A VCU that says whatever the environment wants cannot be brought out of AS_DRIVING. There the end is that it has been
 # told to stop: ESTOP_REQUEST, or FINISHED at rest, and no torque.
@@ -101,11 +90,16 @@ def _scope(
     return Scope(name, covers, choices, len(first), len(path), setting or Setting(), endings, bounds_ns, endless)
 
 
-def _each(base: Choice, *changes: dict[str, object]) -> list[Choice]:
-    return [replace(base, **change) for change in changes]  # type: ignore[arg-type]
+def _each(base: Choice, *changes: dict[str, Any]) -> list[Choice]:
+    return [replace(base, **change) for change in changes]
 
 
-_PEOPLE: Final[tuple[dict[str, object], ...]] = (
+def _over(base: Choice, **values: Iterable[Any]) -> list[Choice]:
+    """`base` with every combination of these values of its fields."""
+    return [replace(base, **dict(zip(values, some, strict=True))) for some in product(*values.values())]
+
+
+_PEOPLE: Final[tuple[dict[str, Any], ...]] = (
     {"request": "manual"},
     {"request": "autonomous"},
     {"request": "the emergency brake"},
@@ -124,21 +118,15 @@ _PEOPLE: Final[tuple[dict[str, object], ...]] = (
 
 
 _PLANNER: Final = frozenset(("planner",))
-_CONFIRMED: Final[tuple[dict[str, object], ...]] = tuple(
-    {"ami": ami, "confirm": who}
-    for ami, who in product((Ami.TRACKDRIVE, Ami.ACCELERATION), (BOTH, _PLANNER, BOTH - _PLANNER, NOBODY))
-)
+_CONFIRMED: Final = {"ami": (Ami.TRACKDRIVE, Ami.ACCELERATION), "confirm": (BOTH, _PLANNER, BOTH - _PLANNER, NOBODY)}
 _LOST: Final = [frozenset(some) for count in (0, 1, 2) for some in combinations(CAR_MESSAGES, count)]
-_TROUBLES: Final[tuple[dict[str, object], ...]] = tuple(
-    {"event": event}
-    for event in (
-        "an intruder sends 0x511",
-        "the loop misses its deadline",
-        "the bus is lost",
-        "the bus is back",
-        "the software is stopped",
-        "frames waited for 20 ms",
-    )
+_TROUBLES: Final = (
+    "an intruder sends 0x511",
+    "the loop misses its deadline",
+    "the bus is lost",
+    "the bus is back",
+    "the software is stopped",
+    "frames waited for 20 ms",
 )
 _RESTART: Final = "restart"
 _EVERY_MARK: Final = frozenset(MARKS)
@@ -146,6 +134,7 @@ _EACH_MARK: Final = [frozenset((mark,)) for mark in MARKS]
 _CONFIG: Final = Setting().config
 _AT_POWER_UP: Final = Setting(config=replace(_CONFIG, autonomous_at_power_up=True))
 _DRIVES: Final = replace(GO, rpm=MOVING)
+_RIGHT: Final = replace(GO, command="drive right")
 _SAYS_DRIVING: Final = replace(_DRIVES, says=AsState.AS_DRIVING)
 _OFF, _READY, _DRIVING = AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING
 
@@ -175,7 +164,7 @@ def all_scopes() -> tuple[Scope, ...]:
         _scope(
             "confirmations",
             "the AMI changed before Go; resets confirmed by planner and controller, by one of them, by none",
-            [*_each(_WELL, *_CONFIRMED), *_each(GO, *_CONFIRMED), replace(GO, asms=False)],
+            [*_over(_WELL, **_CONFIRMED), *_over(GO, **_CONFIRMED), replace(GO, asms=False)],
             (_DRIVES, replace(_DRIVES, ami=Ami.ACCELERATION, confirm=NOBODY)),
         ),
         _scope(
@@ -184,12 +173,9 @@ def all_scopes() -> tuple[Scope, ...]:
             "moving",
             _each(GO, {"command": "estop"}, {"command": "finished"}, {"command": "both"}),
             [
-                *(replace(_DRIVES, command=kind) for kind in ("none", *COMMANDS) if kind != "drive right"),
-                *(
-                    replace(GO, command=kind)
-                    for kind in ("none", "drive", "coast", "brake", "both", "finished", "estop")
-                ),
-                *(replace(GO, command=kind, rpm=ROLLING) for kind in ("none", "drive", "brake")),
+                *_over(_DRIVES, command=["none", *(kind for kind in COMMANDS if kind != "drive right")]),
+                *_over(GO, command=["none", "drive", "coast", "brake", "both", "finished", "estop"]),
+                *_over(GO, command=["none", "drive", "brake"], rpm=[ROLLING]),
             ],
         ),
         _scope(
@@ -197,9 +183,9 @@ def all_scopes() -> tuple[Scope, ...]:
             "each of the car's messages and each pair of them fresh, late and lost; 0x520 that cannot be read",
             [replace(GO, lost=frozenset((STATUS,))), replace(GO, unreadable=True), _CUT_OFF],
             [
-                *(replace(_DRIVES, lost=lost) for lost in _LOST),
-                *(replace(GO, lost=lost) for lost in _LOST if len(lost) < 2),
-                *(replace(_DRIVES, lost=lost, command="brake") for lost in (frozenset[str](), frozenset((BRAKE,)))),
+                *_over(_DRIVES, lost=_LOST),
+                *_over(GO, lost=[lost for lost in _LOST if len(lost) < 2]),
+                *_over(_DRIVES, lost=[NOBODY, frozenset((BRAKE,))], command=["brake"]),
                 *_each(replace(GO, unreadable=True), {"rpm": MOVING}, {"lost": frozenset((SPEEDS,))}),
             ],
             endings=ENDINGS,
@@ -209,8 +195,8 @@ def all_scopes() -> tuple[Scope, ...]:
             "cycles that go out whole, in part, not at all, for any time; pedals changing under it",
             _each(GO, {"frames": 0}, {"frames": 3}),
             [
-                *(replace(_DRIVES, frames=f, command=c) for f, c in product((0, 1, 3, 4, 5), ("drive", "brake"))),
-                *(replace(GO, frames=f, command=c) for f, c in product((0, 3, 5), ("drive", "none"))),
+                *_over(_DRIVES, frames=[0, 1, 3, 4, 5], command=["drive", "brake"]),
+                *_over(GO, frames=[0, 3, 5], command=["drive", "none"]),
             ],
             endings=ENDINGS,
         ),
@@ -218,8 +204,8 @@ def all_scopes() -> tuple[Scope, ...]:
             "trouble",
             "intruder, fault of the loop, bus lost and back, orderly end, frames that waited, in any order and at any "
             "time",
-            _each(GO, *_TROUBLES),
-            _each(_DRIVES, {}, *_TROUBLES),
+            _over(GO, event=_TROUBLES),
+            _over(_DRIVES, event=[None, *_TROUBLES]),
             setting=Setting(config=replace(_CONFIG, stop_cycles=2)),
         ),
         _scope(
@@ -264,10 +250,7 @@ def all_scopes() -> tuple[Scope, ...]:
             "since before the run, and turning in AS_DRIVING, each and all of them",
             [replace(_WELL, marks=_EVERY_MARK), replace(GO, marks=_EVERY_MARK), replace(_WELL, marks=_EACH_MARK[3])],
             [
-                *(
-                    replace(_DRIVES, marks=marks)
-                    for marks in (NOBODY, _EVERY_MARK, *_EACH_MARK, _EVERY_MARK - _EACH_MARK[3])
-                ),
+                *_over(_DRIVES, marks=[NOBODY, _EVERY_MARK, *_EACH_MARK, _EVERY_MARK - _EACH_MARK[3]]),
                 replace(GO, marks=_EACH_MARK[0]),
             ],
         ),
@@ -276,15 +259,10 @@ def all_scopes() -> tuple[Scope, ...]:
             "wheel speeds beyond the database and beyond what a tyre can follow, on all wheels and on one; pulse "
             "counts that run while the wheels stand",
             _each(GO, {"rpm": IMPOSSIBLE}, {"counting": True}),
-            _each(
-                GO,
-                {"rpm": MOVING},
-                {"rpm": TOO_FAST},
-                {"rpm": (200, 200, 1251, 200)},
-                {"rpm": (200, 200, 1200, 200)},
-                {"command": "finished"},
-                {"command": "finished", "counting": True},
-            ),
+            [
+                *_over(GO, rpm=[MOVING, TOO_FAST, (200, 200, 1251, 200), (200, 200, 1200, 200)]),
+                *_over(GO, command=["finished"], counting=[False, True]),
+            ],
         ),
         _scope(
             "restarts, any car",
@@ -302,11 +280,8 @@ def all_scopes() -> tuple[Scope, ...]:
             "steering that does not follow, a wheel that does not fit, planner driving and finished",
             (),
             [
-                replace(GO, steer_odd=steer, wheel_odd=wheel, command=command, rpm=rpm)
-                for (steer, wheel), (command, rpm) in product(
-                    product((False, True), (False, True)),
-                    (("drive", MOVING), ("finished", MOVING), ("drive", STANDING)),
-                )
+                *_over(_DRIVES, steer_odd=[False, True], wheel_odd=[False, True], command=["drive", "finished"]),
+                *_over(GO, steer_odd=[False, True], wheel_odd=[False, True]),
             ],
         ),
         _scope(
@@ -315,21 +290,10 @@ def all_scopes() -> tuple[Scope, ...]:
             "rate",
             (),
             [
-                *(
-                    replace(_DRIVES, command=command, angle_max_deg=angle)
-                    for command, angle in product(("drive", "drive right"), (30.0, 5.0))
-                ),
-                *(
-                    replace(GO, command="drive right", rpm=rpm, torque_max_nm=torque)
-                    for rpm, torque in (  # no more than 300 rpm from one to the next: else they are not believed
-                        ((450, 450, 450, 450), 195.0),
-                        ((450, 300, 300, 501), 195.0),
-                        ((401, 300, 601, 450), 195.0),
-                        ((450, 701, 450, 401), 195.0),
-                        (MOVING, 40.0),
-                        (MOVING, 0.0),
-                    )
-                ),
+                *_over(_DRIVES, command=["drive", "drive right"], angle_max_deg=[30.0, 5.0]),
+                # no more than 300 rpm from one to the next: else they are not believed
+                *_over(_RIGHT, rpm=[(450,) * 4, (450, 300, 300, 501), (401, 300, 601, 450), (450, 701, 450, 401)]),
+                *_over(_RIGHT, rpm=[MOVING], torque_max_nm=[40.0, 0.0]),
             ],
             setting=Setting(revision="2021", car=CARS["2021"], first_state=_OFF),
         ),
@@ -363,13 +327,8 @@ def all_scopes() -> tuple[Scope, ...]:
             "a process that only listens: nothing that happens makes it send",
             [
                 *(_says(state) for state in (_OFF, _READY, _DRIVING)),
-                *_each(
-                    _SAYS_DRIVING,
-                    {"event": "an intruder sends 0x511"},
-                    {"event": "the loop misses its deadline"},
-                    {"event": "the software is stopped"},
-                    {"request": "the emergency brake"},
-                ),
+                *_over(_SAYS_DRIVING, event=[_TROUBLES[0], _TROUBLES[1], _TROUBLES[4]]),
+                replace(_SAYS_DRIVING, request="the emergency brake"),
                 _says(_OFF, request="autonomous"),
             ],
             setting=Setting(config=replace(_CONFIG, listen_only=True)),

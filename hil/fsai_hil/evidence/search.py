@@ -121,7 +121,10 @@ class _Visit:
                     words = f"with {name} the safe end comes after {time_ns / 1e9:.3f} s, not {bound_ns / 1e9:g} s"
             if words:
                 found.problems = (Violation("safe end", words),)
-                found.trace = [*self._trace(start), *self._along(ways, label, start, safe)]
+                end = [start]
+                while not safe[end[-1]] and end[-1] not in end[:-1]:  # until it is safe, or repeats
+                    end.append(ways[end[-1]][0])
+                found.trace = [*self._trace(start), *self._moves(end, label)]
                 found.depth = len(found.trace)
                 return True
         found.bounds_ns[name] = worst
@@ -132,21 +135,15 @@ class _Visit:
         way = [at]
         while self._parents[way[-1]] >= 0:
             way.append(self._parents[way[-1]])
-        states = [self._states[each] for each in reversed(way)]
-        return [
-            next(move for move in self._model.moves(before) if move.target == after)
-            for before, after in itertools.pairwise(states)
-        ]
+        return self._moves(way[::-1])
 
-    def _along(self, ways: Sequence[tuple[int, int]], label: int, start: int, safe: Sequence[bool]) -> list[Move]:
-        """The moves that the environment's constant choice leads through, until they repeat."""
-        moves: list[Move] = []
-        been: set[int] = set()
-        at = start
-        while at not in been and not safe[at]:
-            been.add(at)
-            there = self._states[ways[at][0]]
-            at_hand = self._model.moves(self._states[at])
-            moves.append(next(move for move in at_hand if move.label == label and move.target == there))
-            at = ways[at][0]
-        return moves
+    def _moves(self, way: Sequence[int], label: int | None = None) -> list[Move]:
+        """The moves from each of these states to the next, with that label."""
+        return [
+            next(
+                move
+                for move in self._model.moves(self._states[before])
+                if move.target == self._states[after] and label in (None, move.label)
+            )
+            for before, after in itertools.pairwise(way)
+        ]

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 from inspect import signature
 from types import SimpleNamespace
 from typing import Any, Final
 from unittest.mock import patch
 
-from fsai_hil.evidence.model import Composition
+from fsai_hil.evidence.model import Composition, Setting
 from fsai_hil.evidence.scopes import scope
 from fsai_hil.evidence.search import Search, explore
 from fsai_hil.rules.numbers import MS
 from fsai_vcu.core import bridge
+from fsai_vcu.core.bridge import BridgeConfig
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision import gate as gating
 from fsai_vcu.core.supervision import supervisor, wheel_speeds
@@ -54,8 +55,16 @@ class Seed:
     rule: str
     scope: str
     patches: Patches = ()
-    config: Mapping[str, object] = field(default_factory=dict)
     shows_in_fuzz: bool = True
+
+    def configured(self, setting: Setting) -> Setting:
+        """The setting with what this mistake configures otherwise."""
+        changed = {name: value for owner, name, value in self.patches if owner is BridgeConfig}
+        return replace(setting, config=replace(setting.config, **changed))
+
+
+def _config(**changed: object) -> Patches:
+    return tuple((BridgeConfig, name, value) for name, value in changed.items())
 
 
 def _reactions(changed: Mapping[Reason, tuple[Step, ...]]) -> Patches:
@@ -75,10 +84,6 @@ def _first_step(reason: Reason) -> Patches:
 def _output(phase: Phase, **changes: object) -> Patches:
     row = replace(OUTPUT[phase], **changes)  # type: ignore[arg-type]
     return ((supervisor, "OUTPUT", {**OUTPUT, phase: row}),)
-
-
-def _row(name: str, phase: Phase, where: str = "run", **changes: object) -> Seed:
-    return Seed(name, "output table", where, _output(phase, **changes))
 
 
 def _wrapped(owner: Any, name: str, change: Callable[..., Any]) -> Patches:
@@ -173,295 +178,229 @@ _ACKNOWLEDGED: Final = _given(bridge, "gate", state=lambda a: replace(a.state, a
 _LATE_STOP: Final = (REACTIONS[Reason.COMMAND_STALE][0], Step("command_lost_ns", Consequence.STOP))
 _AT_ONCE: Final = (Step("command_stale_ns", Consequence.ESTOP), REACTIONS[Reason.COMMAND_STALE][1])
 
-SEEDS: Final[tuple[Seed, ...]] = (
-    # ---- torque and brake
-    Seed("torque rises right after the brake", "1", "commands", _always(gating, "_released", True)),
-    Seed("a cycle cut short counts as whole", "1", "sends", _given(bridge, "sent", complete=lambda _: True)),
-    Seed(
-        "torque is forgotten as soon as a cycle with it is over",
-        "1",
-        "commands",
-        _wrapped(bridge, "sent", lambda original, *rest: replace(original(*rest), torque_there=False)),
-    ),
-    # ---- what torque needs
-    Seed("the 3 s of standing still last 2.9 s", "2", "run", config={"launch_wait_ns": 2900 * MS}),
-    Seed(
-        "the 3 s of standing still end 1 ns early", "2", "official simulator", config={"launch_wait_ns": 3000 * MS - 1}
-    ),
-    Seed(
-        "the driving row is taken from the start",
-        "2",
-        "run",
-        _output(Phase.LAUNCH_WAIT, torque=True, steer=Steer.COMMAND, brake=Brake.COMMAND)
-        + _given(bridge, "gate", decision=lambda a: replace(a.decision, may_move=True)),
-    ),
-    Seed("a command lasts 150 ms", "2", "commands", config={"command_stale_ns": 150 * MS}),
-    Seed("a command lasts 1 ns too long", "2", "commands", config={"command_stale_ns": 100 * MS + 1}),
-    Seed("sensor data lasts 1 ns too long", "2", "commands", config={"sensor_stale_ns": 500 * MS + 1}),
-    Seed("0x520 lasts 1 ns too long", "2", "messages", config={"vcu_stale_ns": 50 * MS + 1}),
-    Seed(
-        "a VCU that skips AS_READY is trusted",
-        "2",
-        "any car",
-        ((supervisor, "NEXT", {**supervisor.NEXT, (Sequence.OFF_SEEN, AsState.AS_DRIVING): Sequence.COMPLETE}),),
-        config={"short_sequence_allowed": True},  # else the 5 s in AS_READY are missed as well
-    ),
-    Seed(
-        "Go that was on all along counts as given", "2", "beginnings", _wrapped(supervisor, "on_status", _go_on_counts)
-    ),
-    Seed("AS_READY for 4.8 s is enough", "2", "beginnings", config={"ready_wait_ns": 4800 * MS}),
-    Seed(
-        "AS_READY is enough 1 ns early",
-        "2",
-        "beginnings",
-        config={"ready_wait_ns": 4900 * MS - 1},
-        shows_in_fuzz=False,  # its AS_READY lasts whole cycles
-    ),
-    Seed("a short sequence is only reported", "2", "beginnings", _reported(Reason.SEQUENCE_SHORT)),
-    Seed("torque without a mission", "2", "beginnings", _reported(Reason.NO_MISSION) + _ACKNOWLEDGED),
-    Seed(
-        "SELECTED counts though its cycle was cut short",
-        "2",
-        "beginnings",
-        _wrapped(bridge.Bridge, "on_sent", _cut_short_counts),
-        shows_in_fuzz=False,  # SELECTED goes out again and again: that no cycle was whole for 5 s is too rare
-    ),
-    Seed(
-        "an AS_STATE that nobody knows is only reported",
-        "2",
-        "messages",
-        _reported(Reason.AS_STATE_UNKNOWN)
-        + _given(bridge, "gate", vehicle=lambda a: replace(a.vehicle, status_known=True)),
-    ),
-    Seed(
-        "a lost bus does not break the sequence",
-        "2",
-        "trouble",
-        _wrapped(supervisor, "bus_lost", lambda original, config, state, *rest: state),
-    ),
-    # ---- rest
-    Seed("one look at the wheels proves rest", "3", "run", ((supervisor, "standing", _only_fast),)),
-    Seed("rest is proven after 400 ms", "3", "run", config={"standstill_ns": 400 * MS}),
-    Seed("a wheel under 301 rpm stands", "3", "limits", config={"standstill_rpm": 301}),
-    Seed(
-        "pulse counts are not asked whether the wheels stand",
-        "3",
-        "wheel speeds",
-        _always(supervisor, "turning", False) + _always(gating, "turning", False),
-    ),
-    # ---- limits
-    Seed("a jump that no tyre can follow is believed", "4", "limits", config={"wheel_change_max_rpm": 65535}),
-    Seed("ANGLE_MAX is not looked at", "4", "limits", _always(gating, "_live_limit_deg", 30.0)),
-    Seed(
-        "TRQ_MAX is not looked at",
-        "4",
-        "limits",
-        _given(gating, "_axle_limit_nm", axle=lambda a: a.axle and replace(a.axle, torque_max_nm=195.0)),
-    ),
-    Seed(
-        "TRQ_MAX is believed for ever",
-        "4",
-        "messages",
-        _given(gating, "_axle_limit_nm", now_ns=lambda a: a.axle.t_rx_ns if a.axle else a.now_ns),
-    ),
-    Seed("no constant-power steps", "4", "limits", _always(gating, "constant_power_nm", 195.0)),
-    Seed("the operational speed limit is forgotten", "4", "run", _always(gating, "motor_rpm", 4000)),
-    # ---- before AS_DRIVING
-    Seed("FORWARD in AS_READY", "5", "run", _output(Phase.READY, direction=Direction.FORWARD)),
-    Seed("RUNNING in AS_OFF", "5", "run", _output(Phase.IDLE, mission_status=MissionStatus.RUNNING)),
-    Seed("SELECTED whatever the mode", "5", "run", _always(supervisor, "acknowledged", True)),
-    Seed(
-        "SELECTED before the resets are confirmed",
-        "5",
-        "run",
-        _given(supervisor, "acknowledged", state=lambda a: replace(a.state, confirmed=frozenset(supervisor.ROLES))),
-    ),
-    # ---- the latch
-    Seed("AS_OFF clears the emergency", "6", "run", _wrapped(supervisor, "on_status", _clears_latch)),
-    Seed(
-        "reset works everywhere",
-        "6",
-        "run",
-        _wrapped(
-            supervisor, "reset", lambda _, config, state, now_ns: (replace(state, emergency=None), True, "cleared")
+_MISTAKES: Final[Mapping[str, Mapping[str, tuple[str, Patches]]]] = {
+    "1": {
+        "torque rises right after the brake": ("commands", _always(gating, "_released", True)),
+        "a cycle cut short counts as whole": ("sends", _given(bridge, "sent", complete=lambda _: True)),
+        "torque is forgotten as soon as a cycle with it is over": (
+            "commands",
+            _wrapped(bridge, "sent", lambda original, *rest: replace(original(*rest), torque_there=False)),
         ),
-    ),
-    Seed("half a second of silence is a power cycle", "6", "power cycle", config={"power_cycle_ns": 500 * MS}),
-    # ---- commands
-    Seed("no command is out of order", "7", "commands", _always(VehicleCommand, "problems", ())),
-    Seed("data from the future is taken", "7", "commands", config={"sensor_future_ns": 50 * MS}),
-    # ---- the wire
-    Seed(
-        "a process that only listens sends", "8", "listen only", _wrapped(bridge.Bridge, "cycle", _sends_all_the_same)
-    ),
-    Seed(
-        "the fifth frame has an id that is not ours",
-        "8",
-        "run",
-        _wrapped(Codec, "encode_command", _last_frame_by_another_name),
-    ),
-    Seed("a process listens for 190 ms only", "8", "run", config={"listen_first_ns": 190 * MS}),
-    Seed(
-        "what is lost is sent to all the same",
-        "8",
-        "trouble",
-        _wrapped(bridge.Bridge, "bus_lost", _loses_nothing),
-        shows_in_fuzz=False,  # its loop sends nothing to a bus that is lost, whatever the bridge says
-    ),
-    Seed("the echo follows believed frames only", "9", "messages", _wrapped(bridge, "gate", _believed_bit)),
-    # ---- restarts
-    Seed(
-        "a new process believes that it saw AS_OFF and AS_READY",
-        "10",
-        "restarts, any car",
-        ((bridge, "SupervisorState", partial(SupervisorState, sequence=Sequence.READY_SEEN)),),
-    ),
-    # ---- reactions
-    Seed("a lost 0x520 is only held", "reactions", "messages", _first_step(Reason.VCU_SILENT)),
-    Seed(
-        "lost wheel speeds are only reported",
-        "reactions",
-        "messages",
-        _reactions({Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.REPORT),)}),
-    ),
-    Seed(
-        "lost steering feedback never asks for the emergency",
-        "reactions",
-        "messages",
-        _first_step(Reason.STEERING_STALE),
-    ),
-    Seed("both pedals are only reported", "reactions", "commands", _reported(Reason.BOTH_PEDALS)),
-    Seed("an intruder is only reported", "reactions", "trouble", _reported(Reason.INTRUDER)),
-    Seed(
-        "a fault of the loop only stops",
-        "reactions",
-        "trouble",
-        _reactions({Reason.LOOP_FAULT: (Step(None, Consequence.STOP),)}),
-    ),
-    Seed(
-        "a stale command asks for the emergency at once",
-        "reactions",
-        "commands",
-        _reactions({Reason.COMMAND_STALE: _AT_ONCE}),
-        shows_in_fuzz=False,  # who looks at frames alone takes any ESTOP_REQUEST
-    ),
-    Seed("a lost command is only held", "reactions", "commands", _first_step(Reason.COMMAND_STALE)),
-    *(
-        Seed(f"{words} is only reported", "reactions", "marks", _reported(reason))
-        for reason, words in (
-            (Reason.AS_SWITCH_OFF, "an AS switch that falls"),
-            (Reason.TS_SWITCH_OFF, "a TS switch that falls"),
-            (Reason.SHUTDOWN_REQUESTED, "SHUTDOWN_REQUEST that rises"),
-            (Reason.FAULT_BIT, "a fault bit that rises"),
-            (Reason.SHUTDOWN_CAUSE, "a SHUTDOWN_CAUSE that rises"),
-        )
-    ),
-    Seed(
-        "one fault bit hides the others",
-        "reactions",
-        "marks",
-        _given(bridge, "changes", now=lambda a: _first_bit_alone(a.now, a.before)),
-        shows_in_fuzz=False,  # two bits one after the other, and no other stop before, are too rare
-    ),
-    Seed("a jump that stays is believed at once", "reactions", "wheel speeds", config={"wheel_jump_ns": 20 * MS}),
-    Seed("65535 rpm is believed", "reactions", "wheel speeds", config={"wheel_max_rpm": 65535}),
-    Seed("a pulse count contradicts no wheel speed", "reactions", "", _always(wheel_speeds, "_contradicted", "")),
-    Seed("Go off is only reported", "reactions", "any car", _reported(Reason.GO_OFF)),
-    Seed(
-        "odd wheels never ask for the emergency",
-        "reactions",
-        "plausibility",
-        _first_step(Reason.WHEEL_IMPLAUSIBLE),
-        shows_in_fuzz=False,  # what the process takes for implausible is hidden from it
-    ),
-    Seed(
-        "a lost bus and a broken sequence are only reported",
-        "reactions",
-        "trouble",
-        _reported(Reason.BUS_LOST, Reason.NOT_SEEN),
-    ),
-    Seed(
-        "resets that nobody confirmed are no matter",
-        "reactions",
-        "confirmations",  # SELECTED waits for them: two more guards miss it
-        _reactions({Reason.NOT_CONFIRMED: (), Reason.NO_MISSION: (Step(None, Consequence.REPORT),)}) + _ACKNOWLEDGED,
-    ),
-    # ---- the output table
-    Seed(
-        "what has been shown since before the run stops it",
-        "output table",
-        "marks",
-        _given(bridge, "changes", before=lambda _: _NOTHING_SHOWN),
-        shows_in_fuzz=False,  # who looks at frames alone takes any stop
-    ),
-    _row("a stop without the brake", Phase.STOPPING, brake=Brake.ZERO),
-    _row("a stop by the motors without the motors", Phase.STOPPING, "official simulator", brake=Brake.ZERO),
-    _row("a stop by the holding brake", Phase.STOPPING, brake=Brake.HOLDING),
-    _row("ESTOP_REQUEST without the brake", Phase.ESTOP_ASKED, brake=Brake.ZERO),
-    _row("AS_READY without the holding brake", Phase.READY, brake=Brake.ZERO),
-    _row("the first 3 s without the brake", Phase.LAUNCH_WAIT, brake=Brake.ZERO),
-    _row("a stop that is over lets the brake go", Phase.STOPPED, brake=Brake.ZERO),
-    _row("AS_FINISHED lets the brake go", Phase.FINISHED, brake=Brake.ZERO),
-    _row("NEUTRAL in EMERGENCY_BRAKE while wheels turn", Phase.EMERGENCY_MOVING, direction=Direction.NEUTRAL),
-    _row("FORWARD in EMERGENCY_BRAKE for ever", Phase.EMERGENCY_STANDING, direction=Direction.FORWARD),
-    _row("a brake in EMERGENCY_BRAKE", Phase.EMERGENCY_MOVING, brake=Brake.SERVICE),
-    _row("a stale command turns the steering to zero", Phase.HOLDING, "commands", steer=Steer.ZERO),
-    _row("a stale command lets the brake go", Phase.HOLDING, "commands", brake=Brake.ZERO),
-    _row("ESTOP_REQUEST and not RUNNING", Phase.ESTOP_ASKED, mission_status=MissionStatus.SELECTED),
-    _row("steering in the first 3 s", Phase.LAUNCH_WAIT, steer=Steer.COMMAND),
-    _row("manual, and the planner still steers", Phase.STOPPING, steer=Steer.COMMAND),
-    _row(
-        "a stop that is over is never FINISHED",
-        Phase.STOPPED,
-        mission_status=MissionStatus.RUNNING,
-        direction=Direction.FORWARD,
-    ),
-    Seed(
-        "the command does not steer",
-        "output table",
-        "commands",
-        _output(Phase.DRIVING, steer=Steer.HELD),
-        shows_in_fuzz=False,  # who looks at frames alone does not ask that steering moves
-    ),
-    # ---- modes
-    Seed("autonomous is accepted in every state", "modes", "run", ((supervisor, "IDLE_STATES", frozenset(AsState)),)),
-    Seed(
-        "an unknown mode counts as autonomous",
-        "modes",
-        "power-up",
-        _given(supervisor, "set_mode", mode=lambda a: "autonomous" if a.mode == "sideways" else a.mode),
-    ),
-    Seed(
-        "a lost command leaves the mode autonomous", "modes", "commands", _reactions({Reason.COMMAND_STALE: _LATE_STOP})
-    ),
-    Seed(
-        "autonomous at power-up in every AS state",
-        "modes",
-        "power-up, any car",
-        _powers_up_in(frozenset(AsState), moving=False),
-    ),
-    Seed(
-        "autonomous at power-up while wheels turn", "modes", "power-up", _powers_up_in(supervisor.OFF_LIKE, moving=True)
-    ),
-    # ---- the safe end
-    Seed("a stop without effect goes unnoticed", "safe end", "limits", _reactions({Reason.STOP_INEFFECTIVE: ()})),
+    },
+    "2": {
+        "the 3 s of standing still last 2.9 s": ("run", _config(launch_wait_ns=2900 * MS)),
+        "the 3 s of standing still end 1 ns early": ("official simulator", _config(launch_wait_ns=3000 * MS - 1)),
+        "the driving row is taken from the start": (
+            "run",
+            _output(Phase.LAUNCH_WAIT, torque=True, steer=Steer.COMMAND, brake=Brake.COMMAND)
+            + _given(bridge, "gate", decision=lambda a: replace(a.decision, may_move=True)),
+        ),
+        "a command lasts 150 ms": ("commands", _config(command_stale_ns=150 * MS)),
+        "a command lasts 1 ns too long": ("commands", _config(command_stale_ns=100 * MS + 1)),
+        "sensor data lasts 1 ns too long": ("commands", _config(sensor_stale_ns=500 * MS + 1)),
+        "0x520 lasts 1 ns too long": ("messages", _config(vcu_stale_ns=50 * MS + 1)),
+        "a VCU that skips AS_READY is trusted": (
+            "any car",
+            (
+                (supervisor, "NEXT", {**supervisor.NEXT, (Sequence.OFF_SEEN, AsState.AS_DRIVING): Sequence.COMPLETE}),
+                (BridgeConfig, "short_sequence_allowed", True),  # else the 5 s in AS_READY are missed as well
+            ),
+        ),
+        "Go that was on all along counts as given": ("beginnings", _wrapped(supervisor, "on_status", _go_on_counts)),
+        "AS_READY for 4.8 s is enough": ("beginnings", _config(ready_wait_ns=4800 * MS)),
+        "AS_READY is enough 1 ns early": ("beginnings", _config(ready_wait_ns=4900 * MS - 1)),
+        "a short sequence is only reported": ("beginnings", _reported(Reason.SEQUENCE_SHORT)),
+        "torque without a mission": ("beginnings", _reported(Reason.NO_MISSION) + _ACKNOWLEDGED),
+        "SELECTED counts though its cycle was cut short": (
+            "beginnings",
+            _wrapped(bridge.Bridge, "on_sent", _cut_short_counts),
+        ),
+        "an AS_STATE that nobody knows is only reported": (
+            "messages",
+            _reported(Reason.AS_STATE_UNKNOWN)
+            + _given(bridge, "gate", vehicle=lambda a: replace(a.vehicle, status_known=True)),
+        ),
+        "a lost bus does not break the sequence": (
+            "trouble",
+            _wrapped(supervisor, "bus_lost", lambda original, config, state, *rest: state),
+        ),
+    },
+    "3": {
+        "one look at the wheels proves rest": ("run", ((supervisor, "standing", _only_fast),)),
+        "rest is proven after 400 ms": ("run", _config(standstill_ns=400 * MS)),
+        "a wheel under 301 rpm stands": ("limits", _config(standstill_rpm=301)),
+        "pulse counts are not asked whether the wheels stand": (
+            "wheel speeds",
+            _always(supervisor, "turning", False) + _always(gating, "turning", False),
+        ),
+    },
+    "4": {
+        "a jump that no tyre can follow is believed": ("limits", _config(wheel_change_max_rpm=65535)),
+        "ANGLE_MAX is not looked at": ("limits", _always(gating, "_live_limit_deg", 30.0)),
+        "TRQ_MAX is not looked at": (
+            "limits",
+            _given(gating, "_axle_limit_nm", axle=lambda a: a.axle and replace(a.axle, torque_max_nm=195.0)),
+        ),
+        "TRQ_MAX is believed for ever": (
+            "messages",
+            _given(gating, "_axle_limit_nm", now_ns=lambda a: a.axle.t_rx_ns if a.axle else a.now_ns),
+        ),
+        "no constant-power steps": ("limits", _always(gating, "constant_power_nm", 195.0)),
+        "the operational speed limit is forgotten": ("run", _always(gating, "motor_rpm", 4000)),
+    },
+    "5": {
+        "FORWARD in AS_READY": ("run", _output(Phase.READY, direction=Direction.FORWARD)),
+        "RUNNING in AS_OFF": ("run", _output(Phase.IDLE, mission_status=MissionStatus.RUNNING)),
+        "SELECTED whatever the mode": ("run", _always(supervisor, "acknowledged", True)),
+        "SELECTED before the resets are confirmed": (
+            "run",
+            _given(supervisor, "acknowledged", state=lambda a: replace(a.state, confirmed=frozenset(supervisor.ROLES))),
+        ),
+    },
+    "6": {
+        "AS_OFF clears the emergency": ("run", _wrapped(supervisor, "on_status", _clears_latch)),
+        "reset works everywhere": (
+            "run",
+            _wrapped(
+                supervisor, "reset", lambda _, config, state, now_ns: (replace(state, emergency=None), True, "cleared")
+            ),
+        ),
+        "half a second of silence is a power cycle": ("power cycle", _config(power_cycle_ns=500 * MS)),
+    },
+    "7": {
+        "no command is out of order": ("commands", _always(VehicleCommand, "problems", ())),
+        "data from the future is taken": ("commands", _config(sensor_future_ns=50 * MS)),
+    },
+    "8": {
+        "a process that only listens sends": ("listen only", _wrapped(bridge.Bridge, "cycle", _sends_all_the_same)),
+        "the fifth frame has an id that is not ours": (
+            "run",
+            _wrapped(Codec, "encode_command", _last_frame_by_another_name),
+        ),
+        "a process listens for 190 ms only": ("run", _config(listen_first_ns=190 * MS)),
+        "what is lost is sent to all the same": ("trouble", _wrapped(bridge.Bridge, "bus_lost", _loses_nothing)),
+    },
+    "9": {
+        "the echo follows believed frames only": ("messages", _wrapped(bridge, "gate", _believed_bit)),
+    },
+    "10": {
+        "a new process believes that it saw AS_OFF and AS_READY": (
+            "restarts, any car",
+            ((bridge, "SupervisorState", partial(SupervisorState, sequence=Sequence.READY_SEEN)),),
+        ),
+    },
+    "reactions": {
+        "a lost 0x520 is only held": ("messages", _first_step(Reason.VCU_SILENT)),
+        "lost wheel speeds are only reported": (
+            "messages",
+            _reactions({Reason.WHEELS_STALE: (Step("feedback_stale_ns", Consequence.REPORT),)}),
+        ),
+        "lost steering feedback never asks for the emergency": ("messages", _first_step(Reason.STEERING_STALE)),
+        "both pedals are only reported": ("commands", _reported(Reason.BOTH_PEDALS)),
+        "an intruder is only reported": ("trouble", _reported(Reason.INTRUDER)),
+        "a fault of the loop only stops": ("trouble", _reactions({Reason.LOOP_FAULT: (Step(None, Consequence.STOP),)})),
+        "a stale command asks for the emergency at once": ("commands", _reactions({Reason.COMMAND_STALE: _AT_ONCE})),
+        "a lost command is only held": ("commands", _first_step(Reason.COMMAND_STALE)),
+        "an AS switch that falls is only reported": ("marks", _reported(Reason.AS_SWITCH_OFF)),
+        "a TS switch that falls is only reported": ("marks", _reported(Reason.TS_SWITCH_OFF)),
+        "SHUTDOWN_REQUEST that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_REQUESTED)),
+        "a fault bit that rises is only reported": ("marks", _reported(Reason.FAULT_BIT)),
+        "a SHUTDOWN_CAUSE that rises is only reported": ("marks", _reported(Reason.SHUTDOWN_CAUSE)),
+        "one fault bit hides the others": (
+            "marks",
+            _given(bridge, "changes", now=lambda a: _first_bit_alone(a.now, a.before)),
+        ),
+        "a jump that stays is believed at once": ("wheel speeds", _config(wheel_jump_ns=20 * MS)),
+        "65535 rpm is believed": ("wheel speeds", _config(wheel_max_rpm=65535)),
+        "a pulse count contradicts no wheel speed": ("", _always(wheel_speeds, "_contradicted", "")),
+        "Go off is only reported": ("any car", _reported(Reason.GO_OFF)),
+        "odd wheels never ask for the emergency": ("plausibility", _first_step(Reason.WHEEL_IMPLAUSIBLE)),
+        "a lost bus and a broken sequence are only reported": ("trouble", _reported(Reason.BUS_LOST, Reason.NOT_SEEN)),
+        "resets that nobody confirmed are no matter": (
+            "confirmations",  # SELECTED waits for them: two more guards miss it
+            _reactions({Reason.NOT_CONFIRMED: (), Reason.NO_MISSION: (Step(None, Consequence.REPORT),)})
+            + _ACKNOWLEDGED,
+        ),
+    },
+    "output table": {
+        "what has been shown since before the run stops it": (
+            "marks",
+            _given(bridge, "changes", before=lambda _: _NOTHING_SHOWN),
+        ),
+        "a stop without the brake": ("run", _output(Phase.STOPPING, brake=Brake.ZERO)),
+        "a stop by the motors without the motors": ("official simulator", _output(Phase.STOPPING, brake=Brake.ZERO)),
+        "a stop by the holding brake": ("run", _output(Phase.STOPPING, brake=Brake.HOLDING)),
+        "ESTOP_REQUEST without the brake": ("run", _output(Phase.ESTOP_ASKED, brake=Brake.ZERO)),
+        "AS_READY without the holding brake": ("run", _output(Phase.READY, brake=Brake.ZERO)),
+        "the first 3 s without the brake": ("run", _output(Phase.LAUNCH_WAIT, brake=Brake.ZERO)),
+        "a stop that is over lets the brake go": ("run", _output(Phase.STOPPED, brake=Brake.ZERO)),
+        "AS_FINISHED lets the brake go": ("run", _output(Phase.FINISHED, brake=Brake.ZERO)),
+        "NEUTRAL in EMERGENCY_BRAKE while wheels turn": (
+            "run",
+            _output(Phase.EMERGENCY_MOVING, direction=Direction.NEUTRAL),
+        ),
+        "FORWARD in EMERGENCY_BRAKE for ever": ("run", _output(Phase.EMERGENCY_STANDING, direction=Direction.FORWARD)),
+        "a brake in EMERGENCY_BRAKE": ("run", _output(Phase.EMERGENCY_MOVING, brake=Brake.SERVICE)),
+        "a stale command turns the steering to zero": ("commands", _output(Phase.HOLDING, steer=Steer.ZERO)),
+        "a stale command lets the brake go": ("commands", _output(Phase.HOLDING, brake=Brake.ZERO)),
+        "ESTOP_REQUEST and not RUNNING": ("run", _output(Phase.ESTOP_ASKED, mission_status=MissionStatus.SELECTED)),
+        "steering in the first 3 s": ("run", _output(Phase.LAUNCH_WAIT, steer=Steer.COMMAND)),
+        "manual, and the planner still steers": ("run", _output(Phase.STOPPING, steer=Steer.COMMAND)),
+        "a stop that is over is never FINISHED": (
+            "run",
+            _output(Phase.STOPPED, mission_status=MissionStatus.RUNNING, direction=Direction.FORWARD),
+        ),
+        "the command does not steer": ("commands", _output(Phase.DRIVING, steer=Steer.HELD)),
+    },
+    "modes": {
+        "autonomous is accepted in every state": ("run", ((supervisor, "IDLE_STATES", frozenset(AsState)),)),
+        "an unknown mode counts as autonomous": (
+            "power-up",
+            _given(supervisor, "set_mode", mode=lambda a: "autonomous" if a.mode == "sideways" else a.mode),
+        ),
+        "a lost command leaves the mode autonomous": ("commands", _reactions({Reason.COMMAND_STALE: _LATE_STOP})),
+        "autonomous at power-up in every AS state": (
+            "power-up, any car",
+            _powers_up_in(frozenset(AsState), moving=False),
+        ),
+        "autonomous at power-up while wheels turn": ("power-up", _powers_up_in(supervisor.OFF_LIKE, moving=True)),
+    },
+    "safe end": {
+        "a stop without effect goes unnoticed": ("limits", _reactions({Reason.STOP_INEFFECTIVE: ()})),
+    },
+}
+"""Of each rule, by name: the scope in which the mistake breaks it, and how it is made."""
+
+_NOT_IN_FUZZ: Final = {
+    "AS_READY is enough 1 ns early",  # its AS_READY lasts whole cycles
+    "SELECTED counts though its cycle was cut short",  # it goes out again and again: no whole cycle in 5 s is too rare
+    "what is lost is sent to all the same",  # its loop sends nothing to a bus that is lost, whatever the bridge says
+    "a stale command asks for the emergency at once",  # who looks at frames alone takes any ESTOP_REQUEST
+    "one fault bit hides the others",  # two bits one after the other, and no other stop before, are too rare
+    "odd wheels never ask for the emergency",  # what the process takes for implausible is hidden from it
+    "what has been shown since before the run stops it",  # who looks at frames alone takes any stop
+    "the command does not steer",  # who looks at frames alone does not ask that steering moves
+}
+SEEDS: Final = tuple(
+    Seed(name, rule, where, patches, name not in _NOT_IN_FUZZ)
+    for rule, mistakes in _MISTAKES.items()
+    for name, (where, patches) in mistakes.items()
 )
 
 
 @contextmanager
 def patched(patches: Patches) -> Iterator[None]:
-    """These are in force."""
+    """These are in force, but for what is configured."""
     with ExitStack() as stack:
         for owner, name, value in patches:
-            stack.enter_context(patch.object(owner, name, value))
+            if owner is not BridgeConfig:
+                stack.enter_context(patch.object(owner, name, value))
         yield
 
 
-def search_seed(seed: Seed) -> tuple[Search, list[str]]:
-    """Search the seed's scope for its rule alone: what was found, and its trace in words."""
+def search_for(seed: Seed) -> tuple[Search, Composition]:
+    """Search the seed's scope for its rule alone."""
     searched = scope(seed.scope)
-    setting = replace(searched.setting, config=replace(searched.setting.config, **seed.config))  # type: ignore[arg-type]
     with patched(seed.patches):
-        model = Composition(replace(searched, setting=setting), seed.rule)
-        found = explore(model, bounds_ns=searched.bounds_ns)
-        return found, model.described(found.trace)
+        model = Composition(replace(searched, setting=seed.configured(searched.setting)), seed.rule)
+        return explore(model, bounds_ns=searched.bounds_ns), model

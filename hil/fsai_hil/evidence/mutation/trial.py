@@ -59,8 +59,8 @@ def prepare() -> None:
 
 def mutants() -> list[Mutant]:
     """All mutants. What is edited while they are tried does not reach them."""
-    texts = {name: path.read_text() for name, path in MODULES.items()}
-    return [one for name in texts for one in Walk(name, texts[name], vars(importlib.import_module(name))).mutants()]
+    walks = [Walk(name, path.read_text(), vars(importlib.import_module(name))) for name, path in MODULES.items()]
+    return [mutant for walk in walks for mutant in walk.mutants()]
 
 
 def _run(tests: Sequence[str], *plugins: object) -> int:
@@ -122,15 +122,6 @@ def measure() -> Baseline:
 # ---------------------------------------------------------------- one mutant
 
 
-def _survives(mutant: Mutant, tests: Sequence[Sequence[str]]) -> bool:
-    mistaken, as_it_is = mutant.code(str(MODULES[mutant.module])), SourceFileLoader.get_code
-    SourceFileLoader.get_code = (  # type: ignore[method-assign]
-        lambda loader, name: mistaken if name == mutant.module else as_it_is(loader, name)
-    )
-    # File by file: most mutants fall to the first, and the others need not be imported.
-    return not any(_run(some) for some in tests if some)
-
-
 def _child(mutant: Mutant, tests: Sequence[Sequence[str]], cpu_s: int) -> None:
     """Ends with status 0 if the mutant survives; with 1, or by a signal, if it does not."""
     status = 1
@@ -138,8 +129,13 @@ def _child(mutant: Mutant, tests: Sequence[Sequence[str]], cpu_s: int) -> None:
         signal.alarm(900)  # a mutant may wait for ever
         resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+        mistaken, as_it_is = mutant.code(str(MODULES[mutant.module])), SourceFileLoader.get_code
+        SourceFileLoader.get_code = (  # type: ignore[method-assign]
+            lambda loader, name: mistaken if name == mutant.module else as_it_is(loader, name)
+        )
         with Path(os.devnull).open("w") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
-            status = 0 if _survives(mutant, tests) else 1
+            # File by file: most mutants fall to the first, and the others need not be imported.
+            status = int(any(_run(some) for some in tests if some))
     finally:
         os._exit(status)
 
