@@ -378,15 +378,6 @@ class GpsStatus(Message, name="GPS_Status"):
 
 
 @dataclass(frozen=True, slots=True)
-class GpsCourseSpeed(Message, name="GPS_CourseSpeed"):
-    """0x621 GPS_CourseSpeed."""
-
-    course_deg: float = signal("GPS_Course", 0.0)
-    speed_kmh: float = signal("GPS_Speed", 0.0)
-    t_rx_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class GpsLongitude(Message, name="GPS_PositionLongitude"):
     """0x622 GPS_PositionLongitude: whole degrees, minutes and a letter (0 before a fix)."""
 
@@ -432,56 +423,6 @@ class GpsDilutionB(Message, name="GPS_Delusions_B"):
 
 
 @dataclass(frozen=True, slots=True)
-class GpsDateTime(Message, name="GPS_DateTime"):
-    """0x627 GPS_DateTime (UTC; the year counts from 2000)."""
-
-    year: int = signal("UTC_Year", 0)
-    month: int = signal("UTC_Month", 0)
-    day: int = signal("UTC_DayOfMonth", 0)
-    hour: int = signal("UTC_Hour", 0)
-    minute: int = signal("UTC_Minute", 0)
-    second: int = signal("UTC_Second", 0)
-    t_rx_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class MagneticField(Message, name="BMC_MagneticField"):
-    """0x628 BMC_MagneticField, in the sensor's axes."""
-
-    x_ut: float = signal("MagneticField_X", 0.0)
-    y_ut: float = signal("MagneticField_Y", 0.0)
-    z_ut: float = signal("MagneticField_Z", 0.0)
-    t_rx_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceIo(Message, name="IO"):
-    """0x630 IO: the device's own inputs and outputs."""
-
-    input_1: bool = signal("Din1_Status", False)
-    input_2: bool = signal("Din2_Status", False)
-    output: bool = signal("Dout_Status", False)
-    sd_card: bool = signal("SD_Present", False)
-    gps_power: bool = signal("GPS_PowerStatus", False)
-    device_id: int = signal("Device_ID", 0)
-    t_rx_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceClock(Message, name="RTC_DateTime"):
-    """0x640 RTC_DateTime: the device's own clock, with the full year."""
-
-    second: int = signal("RTC_Sec", 0)
-    minute: int = signal("RTC_Min", 0)
-    hour: int = signal("RTC_Hour", 0)
-    day_of_week: int = signal("RTC_DayOfWeek", 0)  # 0 Monday
-    day: int = signal("RTC_DayOfMonth", 0)
-    month: int = signal("RTC_Month", 0)
-    year: int = signal("RTC_Year", 0)
-    t_rx_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class LogDynamics2(Message, name="AI2LOG_Dynamics2"):
     """0x501 AI2LOG_Dynamics2: sent by the PCAN-GPS, or by the AI computer on a car without one."""
 
@@ -493,22 +434,17 @@ class LogDynamics2(Message, name="AI2LOG_Dynamics2"):
 
 @dataclass(frozen=True, slots=True)
 class GpsImu(Immutable):
-    """What the PCAN-GPS has reported so far. None: never received."""
+    """What the PCAN-GPS has reported so far, of what is read of it. None: never received."""
 
     acceleration: Acceleration | None = None
     rotation_a: RotationA | None = None
     rotation_b: RotationB | None = None
     status: GpsStatus | None = None
-    course_speed: GpsCourseSpeed | None = None
     longitude: GpsLongitude | None = None
     latitude: GpsLatitude | None = None
     altitude: GpsAltitude | None = None
     dilution_a: GpsDilutionA | None = None
     dilution_b: GpsDilutionB | None = None
-    date_time: GpsDateTime | None = None
-    magnetic_field: MagneticField | None = None
-    io: DeviceIo | None = None
-    clock: DeviceClock | None = None
     dynamics: LogDynamics2 | None = None
 
 

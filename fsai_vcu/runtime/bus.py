@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import select
 import socket
 import struct
@@ -203,6 +202,8 @@ class SocketCanBus(CanBus):
     def __init__(self, bus: can.BusABC, spec: str, may_send: Iterable[int] | None = None) -> None:
         super().__init__(bus, spec, may_send, wall_clock_stamps=True)
         self._socket: socket.socket = bus.socket  # type: ignore[attr-defined]
+        # At most some ten frames wait in the kernel: 20 ms of commands, never seconds of stale ones.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
 
     def _put(self, frame: Frame) -> None:
         word = frame.can_id
@@ -264,11 +265,6 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise BusError(f"cannot open CAN interface '{spec}': {reason}") from error
     if kind == "socketcan":
-        try:
-            _bound_queue(bus)
-        except OSError as error:
-            bus.shutdown()
-            raise BusError(f"cannot open CAN interface '{spec}': {error.strerror}") from error
         return SocketCanBus(bus, spec, may_send)
     return CanBus(bus, spec, may_send, wall_clock_stamps=kind in _STAMPED_BY_WALL_CLOCK)
 
@@ -288,12 +284,6 @@ def _allowed(may_send: Iterable[int] | None) -> frozenset[int] | None:
     if reserved:
         raise ValueError(f"ids reserved for the car can never be allowed: {', '.join(map(hex, reserved))}")
     return allowed
-
-
-def _bound_queue(bus: can.BusABC) -> None:
-    """Let at most some ten of our frames wait in the kernel: 20 ms of commands, never seconds of stale ones."""
-    with socket.socket(fileno=os.dup(bus.fileno())) as ours:
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
 
 
 def can_interfaces() -> list[str]:

@@ -21,7 +21,7 @@ from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.runtime.bus import BusError, BusLost, CanBus, open_bus
 from fsai_vcu.runtime.engine import DEADLINE_MISS_NS, Engine
-from fsai_vcu.runtime.link import Alive, Answer, Ask, Ended, LinkEnd, LoopReport, ResetConfirmed
+from fsai_vcu.runtime.link import Alive, Answer, Ask, Ended, LinkEnd, LoopReport, LoopSettings, ResetConfirmed
 from fsai_vcu.runtime.lock import InterfaceLock
 from fsai_vcu.runtime.notify import Notifier
 from fsai_vcu.runtime.realtime import go_real_time
@@ -40,32 +40,21 @@ RECEIVE_IDS = frozenset({0x120, *range(0x500, 0x503), *range(0x510, 0x515), *ran
 class BridgeLoop:
     """Runs a Bridge on a bus until the edge asks for the end, or is gone and the car does not drive."""
 
-    def __init__(
-        self,
-        bridge: Bridge,
-        codec: Codec,
-        bus_spec: str,
-        link: LinkEnd,
-        *,
-        real_time: bool = True,
-        report_period_ns: int = 10_000_000,
-    ) -> None:
+    def __init__(self, bridge: Bridge, codec: Codec, settings: LoopSettings, link: LinkEnd) -> None:
         """Takes the interface's lock and opens it. Raises AlreadyRunning or BusError, with one clear line each."""
         self._bridge = bridge
         self._codec = codec
-        self._spec = bus_spec
+        self._settings = settings
         self._link = link
-        self._real_time = real_time
-        self._report_period_ns = report_period_ns
         self._notifier = Notifier()
-        self._lock = InterfaceLock(bus_spec)
+        self._lock = InterfaceLock(settings.bus)
         self._inputs: list[int] = []  # what a turn waits for: the descriptors of bus and edge
         try:
             self._bus: CanBus | None = self._open()
         except BaseException:
             self._lock.release()
             raise
-        self._engine = Engine(bridge, codec, self._send, time.monotonic_ns(), time.monotonic_ns)
+        self._engine = self._new_engine()
         self._edge_ns = time.monotonic_ns()  # when the edge last sent anything
         self._stopping = False
         self._stop_number: int | None = None  # of the request to stop
@@ -82,7 +71,7 @@ class BridgeLoop:
         number: of the request to run, which is answered once it does.
         """
         try:
-            if self._real_time:
+            if self._settings.real_time:
                 self._refused = go_real_time()
                 for sentence in self._refused:
                     logger.warning("%s", sentence)
@@ -213,7 +202,7 @@ class BridgeLoop:
             return False
         unsent_ns = self._engine.unsent_ns(now_ns)
         if unsent_ns >= self._bridge.config.send_lost_ns:
-            raise BusLost(f"{self._spec}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms")
+            raise BusLost(f"{self._settings.bus}: no complete cycle sent for {unsent_ns / 1e6:.0f} ms")
         if not missed and not self._missed(due_ns, time.monotonic_ns()):  # made in time, it may have left late
             self._feed_watchdog(now_ns)
         if self._engine.cycles > self._engine.incomplete_cycles or self._bridge.config.listen_only:
@@ -239,7 +228,7 @@ class BridgeLoop:
             self._lock.answer_probes()
 
     def _send_report(self, now_ns: int, *, at_once: bool = False) -> None:
-        if at_once or now_ns - self._report_ns >= self._report_period_ns:
+        if at_once or now_ns - self._report_ns >= self._settings.report_period_ns:
             self._report_ns = now_ns
             report = self._bridge.report(now_ns)
             self._link.send(LoopReport(report, self._reopened, self._deadline_misses, self._refused))
@@ -255,7 +244,7 @@ class BridgeLoop:
     # ------------------------------------------------------------ the bus comes and goes
 
     def _open(self) -> CanBus:
-        bus = open_bus(self._spec, receive=RECEIVE_IDS, may_send=AI_IDS)
+        bus = open_bus(self._settings.bus, receive=RECEIVE_IDS, may_send=AI_IDS)
         descriptor = bus.fileno()
         self._wait_for(descriptor)
         # Where there is nothing to wait on, frames are looked for in short steps.
@@ -313,7 +302,7 @@ class BridgeLoop:
         self._reopened += 1
         self._engine = self._new_engine()
         self._bridge.bus_back(now_ns)
-        logger.log(logging.WARNING if first else logging.DEBUG, "bus back: %s", self._spec)
+        logger.log(logging.WARNING if first else logging.DEBUG, "bus back: %s", self._settings.bus)
         return True
 
     def _last_words(self, why: str) -> None:

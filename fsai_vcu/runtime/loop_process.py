@@ -40,7 +40,8 @@ def serve(link: LinkEnd) -> None:
             match message:
                 case Ask(what="configure", argument=LoopSettings() as settings):
                     try:
-                        codec = _codec(settings)
+                        files = settings.dbc_files or None
+                        codec = Codec(REVISIONS[settings.revision], files, settings.wheel_mapping)
                     except (DatabaseError, ValueError) as error:
                         link.send(Answer(message.number, False, str(error)))
                     else:
@@ -51,10 +52,6 @@ def serve(link: LinkEnd) -> None:
                     _run(link, settings, codec, message)
                 case _:
                     pass  # what was meant for a run that has ended
-
-
-def _codec(settings: LoopSettings) -> Codec:
-    return Codec(REVISIONS[settings.revision], list(settings.dbc_files) or None, settings.wheel_mapping)
 
 
 def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, activate: Ask) -> None:
@@ -68,14 +65,7 @@ def _run(link: LinkEnd, settings: LoopSettings, codec: Codec, activate: Ask) -> 
         now_ns=time.monotonic_ns(),
     )
     try:
-        loop = BridgeLoop(
-            bridge,
-            codec,
-            settings.bus,
-            link,
-            real_time=settings.real_time,
-            report_period_ns=settings.report_period_ns,
-        )
+        loop = BridgeLoop(bridge, codec, settings, link)
     except (BusError, AlreadyRunning) as error:
         link.send(Answer(activate.number, False, str(error)))
         return

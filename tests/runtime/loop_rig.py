@@ -20,7 +20,7 @@ from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.messages import AiStatus, VcuStatus, WheelSpeeds
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.bus import CanBus, open_bus
-from fsai_vcu.runtime.link import LinkEnd, link_pair
+from fsai_vcu.runtime.link import LinkEnd, LoopSettings, link_pair
 from fsai_vcu.runtime.loop import BridgeLoop
 from fsai_vcu.runtime.loop_handle import LoopHandle
 
@@ -37,7 +37,7 @@ class ThreadedLoop(LoopHandle):
         super().__init__(ours)
         self.far_end = LinkEnd(theirs)
         bridge = Bridge(CODEC, REVISION, CARS["2026"], config, now_ns=time.monotonic_ns())
-        self.loop = BridgeLoop(bridge, CODEC, spec, self.far_end, real_time=real_time)
+        self.loop = BridgeLoop(bridge, CODEC, LoopSettings(spec, "2026", "2026", real_time=real_time), self.far_end)
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self) -> None:

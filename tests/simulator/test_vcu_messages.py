@@ -12,8 +12,6 @@ from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.enums import Ami, AsState, Direction, MissionStatus
 from fsai_vcu.interface.messages import (
     Acceleration,
-    GpsCourseSpeed,
-    GpsDateTime,
     GpsLatitude,
     GpsLongitude,
     GpsStatus,
@@ -29,6 +27,10 @@ from fsai_vcu.interface.messages import (
     WheelSpeeds,
 )
 from fsai_vcu.interface.units import MS, S
+
+
+def sent_last(bench: Bench, can_id: int) -> str:
+    return next(str(frame) for frame in reversed(bench.sent) if frame.can_id == can_id)
 
 
 @pytest.mark.parametrize("name", ["2021", "2026"])
@@ -161,8 +163,7 @@ def test_the_gps_has_no_position_for_its_first_two_seconds() -> None:
     assert latitude.minutes == pytest.approx(0.0706 * 60, abs=1e-5)
     assert (longitude.degrees, chr(longitude.indicator)) == (1, "W")
     assert longitude.minutes == pytest.approx(0.0174 * 60, abs=1e-5)
-    course = bench.images(GpsCourseSpeed)[-1]
-    assert (course.course_deg, course.speed_kmh) == (271.0, 36.0)
+    assert sent_last(bench, 0x621) == "621#0080874300001042", "271 degrees and 36 km/h as floats"
     status = bench.images(GpsStatus)[-1]
     assert status.navigation_method == 3
 
@@ -180,11 +181,13 @@ def test_the_inertial_messages_follow_the_car() -> None:
     assert dynamics.yaw_rate_degps == pytest.approx(28.65, abs=0.01)
 
 
-def test_the_gps_sends_the_time_of_the_virtual_clock() -> None:
+def test_what_the_ai_does_not_read_of_the_gps_has_these_bytes() -> None:
     bench = Bench("2026", gps=True).power_up()
     bench.run(60 * S - bench.now_ns + 300 * MS)
-    sent = bench.images(GpsDateTime)[-1]
-    assert (sent.year, sent.hour, sent.minute, sent.second) == (26, 9, 1, 0)
+    assert sent_last(bench, 0x627) == "627#1A070F090100", "2026-07-15, 09:01:00, a minute after the virtual clock's 0"
+    assert sent_last(bench, 0x640) == "640#000109020F07EA07", "a Wednesday"
+    assert sent_last(bench, 0x628) == "628#400000006BFF", "19.2 and -44.8 uT in steps of 0.3"
+    assert sent_last(bench, 0x630) == "630#10", "the receiver has power"
 
 
 def test_readings_far_beyond_any_car_do_not_silence_a_message() -> None:

@@ -10,23 +10,20 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from fsai_hil.simulator.car_signals import CarFeedback, limited
-from fsai_vcu.interface.bus_table import BY_NAME
+from fsai_vcu.interface.bus_table import BUS_TABLE, BY_NAME, Flow
+from fsai_vcu.interface.codec import Codec
+from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.messages import (
-    GPS_FIELD_OF,
     Acceleration,
-    DeviceClock,
-    DeviceIo,
     GpsAltitude,
-    GpsCourseSpeed,
-    GpsDateTime,
     GpsDilutionA,
     GpsDilutionB,
     GpsLatitude,
     GpsLongitude,
     GpsStatus,
     LogDynamics2,
-    MagneticField,
     Message,
+    RotationA,
     RotationB,
 )
 from fsai_vcu.interface.units import KMH_PER_MPS, MS, STANDARD_GRAVITY_MPS2, S
@@ -59,57 +56,70 @@ def degrees_and_minutes(angle_deg: float, positive: str, negative: str) -> tuple
 class PcanGps:
     """The device from its power-up on.
 
-    `image(kind, now_ns, car)` is its message of that kind now. What the receiver and the magnetometer repeat is the
-    same object until they have something new; the inertial messages are new each time and carry `now_ns`.
+    `frame(name, now_ns, car)` is its message of that name now. What the receiver and the magnetometer repeat is encoded
+    once, for it is most of the bus; the inertial messages are new each time.
     """
 
-    def __init__(self, now_ns: int) -> None:
+    def __init__(self, codec: Codec, now_ns: int) -> None:
+        self._codec = codec
         self._powered_ns = now_ns
         self._solved_ns: int | None = None
-        self._slow: dict[type[Message], Message] = {}
+        self._slow: dict[str, bytes] = {}
 
-    def image(self, kind: type[Message], now_ns: int, car: CarFeedback) -> Message:
-        if kind is Acceleration:
+    def frame(self, name: str, now_ns: int, car: CarFeedback) -> Frame:
+        if name == Acceleration.dbc_name:
             xyz_mg = (limited(mps2 * MILLI_G_PER_MPS2, MILLI_G_MOST) for mps2 in car.accel_xyz_mps2)
-            return Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0, now_ns)
-        if kind is RotationB:
-            return RotationB(math.degrees(car.yaw_rate_radps), now_ns)
-        if kind is LogDynamics2:
+            return self._codec.encode(Acceleration(*xyz_mg, TEMPERATURE_DEGC, VERTICAL_AXIS_Z, 0, now_ns))
+        if name == RotationB.dbc_name:
+            return self._codec.encode(RotationB(math.degrees(car.yaw_rate_radps), now_ns))
+        if name == LogDynamics2.dbc_name:
             along, across, _ = (limited(mps2, DYNAMICS_MOST_MPS2) for mps2 in car.accel_xyz_mps2)
-            return LogDynamics2(along, across, limited(math.degrees(car.yaw_rate_radps), DYNAMICS_MOST_DEGPS), now_ns)
+            turning = limited(math.degrees(car.yaw_rate_radps), DYNAMICS_MOST_DEGPS)
+            return self._codec.encode(LogDynamics2(along, across, turning, now_ns))
         if self._solved_ns is None or now_ns - self._solved_ns >= RECEIVER_PERIOD_NS:
             self._solved_ns = now_ns
             self._slow = self._solve(now_ns, car)
-        return self._slow[kind]
+        return Frame(BY_NAME[name].can_id, self._slow[name], now_ns)
 
-    def _solve(self, now_ns: int, car: CarFeedback) -> dict[type[Message], Message]:
+    def _solve(self, now_ns: int, car: CarFeedback) -> dict[str, bytes]:
         """Everything that changes ten times a second at most."""
         heading = math.radians(car.course_deg)
         utc = UTC_AT_0 + timedelta(microseconds=now_ns // 1000)
-        solved: list[Message] = [
-            MagneticField(FIELD_NORTH_UT * math.cos(heading), FIELD_NORTH_UT * math.sin(heading), -FIELD_DOWN_UT),
-            GpsDateTime(utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
-            DeviceIo(gps_power=True),
-            DeviceClock(utc.second, utc.minute, utc.hour, utc.weekday(), utc.day, utc.month, utc.year),
+        east_deg, east_min, east = degrees_and_minutes(car.longitude_deg, "E", "W")
+        north_deg, north_min, north = degrees_and_minutes(car.latitude_deg, "N", "S")
+        images: list[Message] = [
+            RotationA(),  # a flat track and a stiff car neither roll nor pitch
+            GpsStatus(ANTENNA_OK, 11, NAVIGATION_3D),
+            GpsLongitude(east_min, east_deg, east),
+            GpsLatitude(north_min, north_deg, north),
+            GpsAltitude(ALTITUDE_M),
+            GpsDilutionA(1.4, 0.8),
+            GpsDilutionB(1.1),
         ]
+        # What the AI computer does not read has no class: the values of its signals, in the order of their places.
+        others: dict[str, tuple[float, ...]] = {
+            "GPS_CourseSpeed": (car.course_deg % 360.0, car.speed_mps * KMH_PER_MPS),
+            "GPS_DateTime": (utc.year - 2000, utc.month, utc.day, utc.hour, utc.minute, utc.second),
+            "BMC_MagneticField": (
+                FIELD_NORTH_UT * math.cos(heading),
+                FIELD_NORTH_UT * math.sin(heading),
+                -FIELD_DOWN_UT,
+            ),
+            "IO": (0, 0, 0, 0, 1, 0),  # the receiver has power
+            "RTC_DateTime": (utc.second, utc.minute, utc.hour, utc.weekday(), utc.day, utc.month, utc.year),
+        }
         if now_ns - self._powered_ns < FIRST_FIX_NS:
-            solved += [GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE), GpsDilutionA(99.9, 99.9), GpsDilutionB(99.9)]
-        else:
-            east_deg, east_min, east = degrees_and_minutes(car.longitude_deg, "E", "W")
-            north_deg, north_min, north = degrees_and_minutes(car.latitude_deg, "N", "S")
-            solved += [
-                GpsStatus(ANTENNA_OK, 11, NAVIGATION_3D),
-                GpsCourseSpeed(car.course_deg % 360.0, car.speed_mps * KMH_PER_MPS),
-                GpsLongitude(east_min, east_deg, east),
-                GpsLatitude(north_min, north_deg, north),
-                GpsAltitude(ALTITUDE_M),
-                GpsDilutionA(1.4, 0.8),
-                GpsDilutionB(1.1),
-            ]
-        # Without a fix there is no position; and a flat track and a stiff car neither roll nor pitch.
-        return {kind: kind() for kind in GPS_IMAGES} | {type(image): image for image in solved}
+            images[1:] = [GpsStatus(ANTENNA_OK, 0, NAVIGATION_NONE), GpsLongitude(), GpsLatitude(), GpsAltitude()]
+            images += [GpsDilutionA(99.9, 99.9), GpsDilutionB(99.9)]
+            others["GPS_CourseSpeed"] = (0.0, 0.0)
+        solved = {image.dbc_name: self._codec.encode(image).data for image in images}
+        for name, values in others.items():
+            message = self._codec.database.get_message_by_name(name)
+            signals = [signal.name for signal in message.signals]
+            solved[name] = message.encode(dict(zip(signals, values, strict=True)))
+        return solved
 
 
-GPS_IMAGES: Final[tuple[type[Message], ...]] = tuple(
-    sorted(GPS_FIELD_OF, key=lambda kind: BY_NAME[kind.dbc_name].can_id)
+GPS_NAMES: Final = tuple(
+    message.name for message in sorted(BUS_TABLE, key=lambda each: each.can_id) if message.flow is Flow.FROM_SENSOR
 )

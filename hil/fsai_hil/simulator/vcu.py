@@ -19,7 +19,7 @@ from fsai_hil.simulator.ai_link import AiLink
 from fsai_hil.simulator.as_machine import AI_COMMS_LOST, CAR_FAULTS, Row, Situation, ai_faults, taken, transition_table
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback, limited
 from fsai_hil.simulator.faults import FaultyWire
-from fsai_hil.simulator.gps_device import GPS_IMAGES, PcanGps
+from fsai_hil.simulator.gps_device import GPS_NAMES, PcanGps
 from fsai_hil.simulator.power import (
     EBS_STATUS,
     INITIAL_ACTIONS_NS,
@@ -133,7 +133,6 @@ class SimulatedVcu:
         self._feedback = CarFeedback()
         self.behave(profile)
         self._messages = self._cyclic_messages(gps, gps_decimation, log_decimation)
-        self._repeated: dict[type[Image], tuple[Image, Frame]] = {}  # what the PCAN-GPS sent last
         self.powered = False  # low voltage is on: the VCU runs and sends
         self._ebs_closed_itself = False
         self._begin(now_ns)
@@ -184,9 +183,9 @@ class SimulatedVcu:
             due = self._due
             while due and due[0][0] <= now_ns:
                 t_ns, order = due[0]
-                kind, period_ns = self._messages[order]
+                name, period_ns = self._messages[order]
                 heapq.heapreplace(due, (t_ns + period_ns, order))
-                sent.append(self._frame(kind, t_ns))
+                sent.append(self._frame(name, t_ns))
         return self.outgoing.through(sent, now_ns)
 
     def next_due_ns(self) -> int:
@@ -201,7 +200,7 @@ class SimulatedVcu:
         self._comms_were_lost = False
         self._tractive_system = Subsystem(TsState.TS_INIT, now_ns)
         self._ebs = Subsystem(EbsState.EBS_INIT, now_ns)
-        self._device = PcanGps(now_ns)
+        self._device = PcanGps(self.codec, now_ns)
         self._situation = Situation()
         self._latched: set[str] = set()
         self.shutdown_cause = ShutdownCause.NO_SHUTDOWN
@@ -214,7 +213,7 @@ class SimulatedVcu:
         self._shutdown_since_ns: int | None = None
         self._held_steer_deg = self._feedback.steer_deg
         begin_ns = now_ns + INITIAL_ACTIONS_NS
-        phases_ns = [0 if kind in BUILDERS else GPS_PHASE_NS for kind, _ in self._messages]
+        phases_ns = [0 if name in BUILDERS else GPS_PHASE_NS for name, _ in self._messages]
         self._due = sorted((begin_ns + phase_ns, order) for order, phase_ns in enumerate(phases_ns))
 
     def _power_off(self, now_ns: int) -> None:
@@ -465,29 +464,22 @@ class SimulatedVcu:
 
     # ------------------------------------------------------------ what it sends
 
-    def _cyclic_messages(
-        self, gps: bool, gps_decimation: int, log_decimation: int
-    ) -> tuple[tuple[type[Image], int], ...]:
+    def _cyclic_messages(self, gps: bool, gps_decimation: int, log_decimation: int) -> tuple[tuple[str, int], ...]:
         """Everything that is sent in this revision and its period in ns, 0x520 first."""
-        decimation: dict[type, int] = {LogDynamics1: log_decimation, LogStatus: log_decimation}
-        decimation |= dict.fromkeys(GPS_IMAGES, gps_decimation)
-        name, kinds = self.revision.name, (*BUILDERS, *(GPS_IMAGES if gps else ()))
-        messages = [(kind, BY_NAME[kind.dbc_name]) for kind in kinds]
+        decimation = dict.fromkeys((LogDynamics1.dbc_name, LogStatus.dbc_name), log_decimation)
+        decimation |= dict.fromkeys(GPS_NAMES, gps_decimation)
+        revision = self.revision.name
         return tuple(
-            (kind, message.period_ns[name] * decimation.get(kind, 1))
-            for kind, message in messages
-            if name in message.period_ns and self.codec.knows(message.can_id)
+            (name, BY_NAME[name].period_ns[revision] * decimation.get(name, 1))
+            for name in (*BUILDERS, *(GPS_NAMES if gps else ()))
+            if revision in BY_NAME[name].period_ns
         )
 
-    def _frame(self, kind: type[Image], t_ns: int) -> Frame:
-        if kind in BUILDERS:
-            return self.codec.encode(BUILDERS[kind](self, t_ns))
-        # What the PCAN-GPS repeats is encoded once: its frames are most of the bus.
-        image = self._device.image(kind, t_ns, self._feedback)
-        last = self._repeated.get(kind)
-        if last is None or image is not last[0]:
-            last = self._repeated[kind] = image, self.codec.encode(image)
-        return Frame(last[1].can_id, last[1].data, t_ns)
+    def _frame(self, name: str, t_ns: int) -> Frame:
+        build = BUILDERS.get(name)
+        if build is None:
+            return self._device.frame(name, t_ns, self._feedback)
+        return self.codec.encode(build(self, t_ns))
 
     def _status_image(self, t_ns: int) -> VcuStatus:
         s, profile = self.switches, self.profile
@@ -629,18 +621,18 @@ class SimulatedVcu:
         )
 
 
-BUILDERS: Final[Mapping[type[Image], Callable[[SimulatedVcu, int], Image]]] = MappingProxyType(
+BUILDERS: Final[Mapping[str, Callable[[SimulatedVcu, int], Image]]] = MappingProxyType(
     {
-        VcuStatus: SimulatedVcu._status_image,
-        VcuDriveFront: SimulatedVcu._drive_front_image,
-        VcuDriveRear: SimulatedVcu._drive_rear_image,
-        VcuSteer: SimulatedVcu._steer_image,
-        VcuBrake: SimulatedVcu._brake_image,
-        WheelSpeeds: SimulatedVcu._speeds_image,
-        WheelCounts: SimulatedVcu._counts_image,
-        VcuSystemStatus: SimulatedVcu._system_image,
-        LogDynamics1: SimulatedVcu._log_dynamics_image,
-        LogStatus: SimulatedVcu._log_status_image,
+        VcuStatus.dbc_name: SimulatedVcu._status_image,
+        VcuDriveFront.dbc_name: SimulatedVcu._drive_front_image,
+        VcuDriveRear.dbc_name: SimulatedVcu._drive_rear_image,
+        VcuSteer.dbc_name: SimulatedVcu._steer_image,
+        VcuBrake.dbc_name: SimulatedVcu._brake_image,
+        WheelSpeeds.dbc_name: SimulatedVcu._speeds_image,
+        WheelCounts.dbc_name: SimulatedVcu._counts_image,
+        VcuSystemStatus.dbc_name: SimulatedVcu._system_image,
+        LogDynamics1.dbc_name: SimulatedVcu._log_dynamics_image,
+        LogStatus.dbc_name: SimulatedVcu._log_status_image,
     }
 )
 

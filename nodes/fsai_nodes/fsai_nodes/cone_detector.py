@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from fsai_msgs.msg import Cone, ConeArray
 from rclpy.node import Node
@@ -10,6 +11,7 @@ from rclpy.timer import Timer
 
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.parameters import Settings, of_the_file
+from fsai_nodes.process import run
 from fsai_nodes.qos import TOPICS, publisher
 
 SETTINGS = of_the_file("cone_detector", live=True)
@@ -44,10 +46,7 @@ class ConeDetector(Node):
         self._publisher.publish(raw)
 
 
-def main() -> int:
-    from fsai_nodes.process import run
-
-    return run([ConeDetector], "cone_detector")
+main = partial(run, [ConeDetector], "cone_detector")
 
 
 if __name__ == "__main__":

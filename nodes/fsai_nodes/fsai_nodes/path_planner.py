@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from fsai_msgs.msg import ConeArray, PlannerStatus, ResetConfirmation, RunState, VehicleState
@@ -12,6 +13,7 @@ from rclpy.node import Node
 from fsai_nodes.clocks import WATCH_S, Clocks, Input
 from fsai_nodes.conversions import cones_from_msg, motion_from_state, path_to_msg, plan_to_msgs, run_from_msg
 from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
+from fsai_nodes.process import run
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import WITHOUT_PATH
 from fsai_vcu.core.driving import Motion, Run
@@ -110,10 +112,7 @@ class PathPlanner(Node):
         self._path.publish(path)
 
 
-def main() -> int:
-    from fsai_nodes.process import run
-
-    return run([PathPlanner], "path_planner")
+main = partial(run, [PathPlanner], "path_planner")
 
 
 if __name__ == "__main__":

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-import logging.handlers
 import os
-import queue
 import signal
 import sys
 import threading
@@ -43,7 +41,11 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
     except Exception as error:  # NodeError; and what a bad --ros-args raises has no class of its own
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return 1
-    listener = _forward_logging()
+    # What the rooms below report by Python's logging goes to ROS's log.
+    source = logging.getLogger("fsai_vcu")
+    source.setLevel(logging.INFO)
+    source.addHandler(_RosHandler())
+    source.propagate = False
     executor = SingleThreadedExecutor()
     stop_signals.wake(lambda: executor.create_task(lambda: None))
     on_clock_step(lambda: executor.create_task(lambda: None))
@@ -67,7 +69,6 @@ def run(factories: Sequence[Callable[[], Node]], name: str, arguments: Sequence[
             stop = getattr(node, "stop", None)
             if stop is not None:
                 stop()
-        listener.stop()
         executor.shutdown(timeout_sec=1.0)
         for node in reversed(nodes):
             node.destroy_node()
@@ -116,21 +117,6 @@ class _StopSignals:
                     os._exit(128 + number)
                 self.received.set()
                 self._wake()
-
-
-def _forward_logging() -> logging.handlers.QueueListener:
-    """What the rooms below say by Python's logging goes to ROS's log, from a thread of its own.
-
-    ROS's log publishes to /rosout, and the CAN loop must never wait for that.
-    """
-    records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
-    source = logging.getLogger("fsai_vcu")
-    source.setLevel(logging.INFO)
-    source.addHandler(logging.handlers.QueueHandler(records))
-    source.propagate = False
-    listener = logging.handlers.QueueListener(records, _RosHandler())
-    listener.start()
-    return listener
 
 
 class _RosHandler(logging.Handler):

@@ -19,7 +19,7 @@ COMMAND_DEADLINE_MS = 100
 PATH_LIFESPAN_MS = 500
 
 
-def _profile(depth: int, *, reliable: bool = True, kept: bool = False, **times_ms: int) -> QoSProfile:
+def profile(depth: int, *, reliable: bool = True, kept: bool = False, **times_ms: int) -> QoSProfile:
     """The last `depth` messages; kept: also for readers that come later. times_ms: deadline and lifespan."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -30,13 +30,13 @@ def _profile(depth: int, *, reliable: bool = True, kept: bool = False, **times_m
     )
 
 
-COMMAND = _profile(1, deadline=COMMAND_DEADLINE_MS, lifespan=COMMAND_DEADLINE_MS)
-PLAN = _profile(1, lifespan=PATH_LIFESPAN_MS)
-SENSOR = _profile(1, reliable=False)
-MOTION = _profile(10)  # reliable, because RViz and others ask for that; a reader that asks for less gets it too
-STATE = _profile(1, kept=True)
-CONFIRMATION = _profile(10, kept=True)  # several nodes write it and none of their words may push out another's
-DIAGNOSTICS = _profile(10)  # what the ecosystem's diagnostic tools expect
+COMMAND = profile(1, deadline=COMMAND_DEADLINE_MS, lifespan=COMMAND_DEADLINE_MS)
+PLAN = profile(1, lifespan=PATH_LIFESPAN_MS)
+SENSOR = profile(1, reliable=False)
+MOTION = profile(10)  # reliable, because RViz and others ask for that; a reader that asks for less gets it too
+STATE = profile(1, kept=True)
+CONFIRMATION = profile(10, kept=True)  # several nodes write it and none of their words may push out another's
+DIAGNOSTICS = profile(10)  # what the ecosystem's diagnostic tools expect
 
 # By relative names, so that a namespace holds for all of them.
 TOPICS: Mapping[str, QoSProfile] = MappingProxyType(

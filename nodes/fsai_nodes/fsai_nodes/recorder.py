@@ -24,11 +24,11 @@ from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from fsai_nodes.qos import TOPICS
+from fsai_nodes.qos import TOPICS, profile
 from fsai_vcu.diagnostics.export.mcap_file import RosMessage, RosTopic
 from fsai_vcu.runtime.transport import set_transport
 
@@ -126,12 +126,7 @@ class TopicRecorder:
     def _qos_for(self, name: str) -> QoSProfile:
         publishers = self._node.get_publishers_info_by_topic(name)
         kept = all(each.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL for each in publishers)
-        return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if kept else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
-        )
+        return profile(DEPTH, reliable=kept, kept=kept)
 
 
 def class_of(type_name: str) -> type[Any]:
@@ -154,7 +149,7 @@ def definition_of(type_name: str) -> str:
             texts[name] = _msg_text(name)
             waiting += _types_in(name)
     first, *others = texts
-    parts = [texts[first], *(f"{_RULE}\nMSG: {_short(name)}\n{texts[name]}" for name in others)]
+    parts = [texts[first], *(f"{_RULE}\nMSG: {name.replace('/msg/', '/')}\n{texts[name]}" for name in others)]
     return "\n".join(part.rstrip("\n") for part in parts) + "\n"
 
 
@@ -172,11 +167,6 @@ def _types_in(type_name: str) -> list[str]:
     """The message types of its fields: they read as 'float64', 'std_msgs/Header', 'sequence<geometry_msgs/Point>'."""
     fields = " ".join(class_of(type_name).get_fields_and_field_types().values())
     return [f"{package}/msg/{name}" for package, name in re.findall(r"(\w+)/(\w+)", fields)]
-
-
-def _short(type_name: str) -> str:
-    package, _, name = type_name.split("/")
-    return f"{package}/{name}"
 
 
 def _yaml(qos: QoSProfile) -> str:

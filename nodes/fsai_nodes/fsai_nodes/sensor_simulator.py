@@ -7,6 +7,7 @@ channel (UDP on this machine's loopback) that no other node reads.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from fsai_msgs.msg import ConeArray
 from rclpy.node import Node
@@ -17,6 +18,7 @@ from fsai_hil.simulator.tracks import TrackError, load_track
 from fsai_nodes.clocks import Clocks
 from fsai_nodes.conversions import cones_to_msg
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings
+from fsai_nodes.process import run
 from fsai_nodes.qos import publisher
 
 _DEFAULT = SensorSettings()
@@ -110,10 +112,7 @@ class SensorSimulator(Node):
         return self._sensor
 
 
-def main() -> int:
-    from fsai_nodes.process import run
-
-    return run([SensorSimulator], "sensor_simulator")
+main = partial(run, [SensorSimulator], "sensor_simulator")
 
 
 if __name__ == "__main__":

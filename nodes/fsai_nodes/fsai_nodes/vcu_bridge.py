@@ -13,7 +13,7 @@ import secrets
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -46,6 +46,7 @@ from fsai_nodes.conversions import (
 from fsai_nodes.diagnosis import diagnostics_of
 from fsai_nodes.mission_goal import GoalError, GoalResult, Waiting
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
+from fsai_nodes.process import run
 from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
 from fsai_nodes.report_log import News
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
@@ -140,7 +141,6 @@ class VcuBridge(LifecycleNode):
 
     def __init__(self, **options: object) -> None:
         super().__init__("vcu_bridge", **options)
-        self._state_label = "unconfigured"
         self._trouble = ""  # why the last transition failed
         self._starting = True  # this constructor runs
         self._last_answer = ""
@@ -210,7 +210,6 @@ class VcuBridge(LifecycleNode):
         except (NodeError, LoopError) as error:
             self._end_process()
             return self._failed(str(error))
-        self._state_label = "inactive"
         limits = self._configured.limits
         for line in limits.described() if limits is not None else ("none but the car's own",):
             self.get_logger().info(f"operational limits: {line}")
@@ -234,7 +233,6 @@ class VcuBridge(LifecycleNode):
             self._clocks.every(1.0 / self._settings.number("publish_rate_hz"), self._publish),
             self._clocks.every(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
         ]
-        self._state_label = "active"
         sends = "listens only: nothing is sent" if configured.config.listen_only else "drives the bus"
         self.get_logger().info(
             f"active on {configured.bus}, interface revision {configured.revision}, car {configured.car}; {sends} "
@@ -245,22 +243,17 @@ class VcuBridge(LifecycleNode):
     @_reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._end_loop()
-        self._state_label = "inactive"
         self.get_logger().info("inactive: silent on the bus")
         return super().on_deactivate(state)
 
     @_reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._configured = None
+        """Cleaned up, shut down or after an error: neither a loop nor its process is left."""
+        self._end_loop()
         self._end_process()
-        self._state_label = "unconfigured"
         return super().on_cleanup(state)
 
-    @_reported
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._end()
-        self._state_label = "finalized"
-        return super().on_shutdown(state)
+    on_shutdown = on_error = on_cleanup
 
     def stop(self) -> None:
         """The process ends: say goodbye to the car first."""
@@ -273,12 +266,6 @@ class VcuBridge(LifecycleNode):
         self._missions.destroy()
         super().destroy_node()
 
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._end()
-        self._configured = None
-        self._state_label = "unconfigured"
-        return super().on_error(state)
-
     def _failed(self, why: str) -> TransitionCallbackReturn:
         self._report_failure(why)
         return TransitionCallbackReturn.FAILURE
@@ -287,10 +274,6 @@ class VcuBridge(LifecycleNode):
         self._trouble = why
         if not self._starting:  # else the process ends with this line
             self.get_logger().error(f"the lifecycle transition failed: {why}")
-
-    def _end(self) -> None:
-        self._end_loop()
-        self._end_process()
 
     def _end_loop(self) -> None:
         loop, self._loop = self._loop, None
@@ -313,10 +296,11 @@ class VcuBridge(LifecycleNode):
             process.close()
 
     def _why_fixed(self) -> str | None:
-        if self._state_label == "unconfigured":
+        label = self._state_machine.current_state[1]
+        if label == "unconfigured":
             return None
         name = self.get_fully_qualified_name()
-        return f"vcu_bridge is {self._state_label}; first: ros2 lifecycle set {name} deactivate, then cleanup"
+        return f"vcu_bridge is {label}; first: ros2 lifecycle set {name} deactivate, then cleanup"
 
     def _configure(self) -> LoopSettings:
         """Read and check all parameters. Raises NodeError."""
@@ -620,10 +604,7 @@ def wheel_mapping_of(text: str) -> WheelMapping:
     return WheelMapping.of({wheel.strip(): source.strip() for wheel, source in (pair.split("=") for pair in pairs)})
 
 
-def main() -> int:
-    from fsai_nodes.process import run
-
-    return run([VcuBridge], "vcu_bridge")
+main = partial(run, [VcuBridge], "vcu_bridge")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 from fsai_msgs.msg import PlannerStatus, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from nav_msgs.msg import Path
@@ -12,6 +13,7 @@ from rclpy.node import Node
 from fsai_nodes.clocks import LATE_NS, Clocks, Input, nanoseconds
 from fsai_nodes.conversions import command_to_msg, motion_from_state, plan_from_msgs, run_from_msg
 from fsai_nodes.parameters import NodeParameter, Settings, of_the_file
+from fsai_nodes.process import run
 from fsai_nodes.qos import TOPICS, publisher
 from fsai_vcu.core.control.controller import Controller
 from fsai_vcu.core.control.settings import NO_SPEED_LIMIT_MPS, ControllerSettings
@@ -159,10 +161,7 @@ class VehicleController(Node):
         return late
 
 
-def main() -> int:
-    from fsai_nodes.process import run
-
-    return run([VehicleController], "vehicle_controller")
+main = partial(run, [VehicleController], "vehicle_controller")
 
 
 if __name__ == "__main__":
