@@ -50,9 +50,8 @@ class Mismatch:
     least_ns: int = LASTING_NS
 
 
-def mismatches(record: Record) -> list[Incident]:
+def mismatches(record: Record) -> Iterator[Incident]:
     """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
-    found: list[Incident] = []
     for span in record.series(sig.AS_STATE).spans:
         times = record.times(0x513)
         times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
@@ -67,8 +66,7 @@ def mismatches(record: Record) -> list[Incident]:
                 words = f"{one.words(sum(stretch) // 2)}, for {ms(end_ns - begin_ns)}"
                 cause = shown(one.slug, one.signal.step(begin_ns, words))
                 seen.setdefault(one.slug, Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,)))
-        found += seen.values()
-    return found
+        yield from seen.values()
 
 
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
@@ -78,8 +76,7 @@ def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
         return np.zeros(len(times), np.bool_)
     newest = received[np.maximum(np.searchsorted(received, times, side="right") - 1, 0)]
     late = (times - newest >= FRESH_NS).astype(np.float64)
-    fresh: Mask = highest(late, START_TIME_NS) == 0.0
-    return fresh
+    return np.asarray(_range(late, START_TIME_NS)[1] == 0.0)
 
 
 def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
@@ -111,24 +108,24 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
         asked, given = column(asked_signal), column(given_signal)
         given_sum += given
         free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
-        low = lowest(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
-        high = highest(asked, TORQUE_TIME_NS)
+        low, _ = _range(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
+        _, high = _range(asked, TORQUE_TIME_NS)
         words = asked_and_given(f"{axle} torque", "Nm", asked, given)
         less, more = (low > TORQUE_NM) & (given < TORQUE_SHARE * low), given > high + TORQUE_NM
         yield Mismatch("torque_not_given", given_signal, asked_signal, less, words)
         yield Mismatch("torque_unasked", given_signal, asked_signal, more, words)
-    pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
+    pushed, _ = _range(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
         CAR_TORQUE[1],
         sig.TORQUE_R,
-        (pushed > TORQUE_NM) & (highest(fastest, START_TIME_NS) < STANDING_RPM),
+        (pushed > TORQUE_NM) & (_range(fastest, START_TIME_NS)[1] < STANDING_RPM),
         lambda row: f"{given_sum[row]:.0f} Nm are given, and no wheel turns",
     )
     brakes = (("front", sig.BRAKE_REQ_F, sig.BRAKE_F), ("rear", sig.BRAKE_REQ_R, sig.BRAKE_R))
     for axle, asked_signal, given_signal in brakes:
         asked, given = column(asked_signal), column(given_signal)
-        low, high = lowest(asked, BRAKE_TIME_NS), highest(asked, 2 * BRAKE_TIME_NS)
+        low, high = _range(asked, BRAKE_TIME_NS)[0], _range(asked, 2 * BRAKE_TIME_NS)[1]
         words = asked_and_given(f"{axle} brake", "%", asked, given)
         less, more = (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), given > 1.3 * high + BRAKE_PCT
         yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, BRAKE_LASTING_NS)
@@ -136,7 +133,7 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     asked, angle = column(sig.STEER), column(sig.ANGLE)
     limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
     within = np.clip(asked, -limit, limit)
-    low, high = lowest(within, STEER_TIME_NS), highest(within, STEER_TIME_NS)
+    low, high = _range(within, STEER_TIME_NS)
     off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
     off[: STEER_TIME_NS // PERIOD_NS] = False
     words = asked_and_given("steering", "deg", asked, angle)
@@ -158,15 +155,8 @@ def compared(wheel: str, speed: Values, others: Values) -> Callable[[int], str]:
     return lambda row: f"{wheel} at {speed[row]:.0f} rpm, the others at {others[row]:.0f} rpm"
 
 
-def lowest(values: Values, over_ns: int) -> Values:
-    """The lowest value of the last `over_ns`, of one value a cycle; before the beginning counts as nothing asked."""
-    return np.asarray(_window(values, over_ns).min(axis=1))
-
-
-def highest(values: Values, over_ns: int) -> Values:
-    return np.asarray(_window(values, over_ns).max(axis=1))
-
-
-def _window(values: Values, over_ns: int) -> Values:
+def _range(values: Values, over_ns: int) -> tuple[Values, Values]:
+    """The lowest and highest value of the last `over_ns`, of one value a cycle; before the first it counts as 0."""
     width = over_ns // PERIOD_NS
-    return np.lib.stride_tricks.sliding_window_view(np.concatenate((np.zeros(width - 1), values)), width)
+    window = np.lib.stride_tricks.sliding_window_view(np.concatenate((np.zeros(width - 1), values)), width)
+    return window.min(axis=1), window.max(axis=1)

@@ -21,7 +21,7 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate, shown
 from fsai_vcu.diagnostics.explain.record import Gap, Record, Values, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
-from fsai_vcu.diagnostics.log.frames import ERROR, Ints
+from fsai_vcu.diagnostics.log.frames import ERROR
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.fields import fields_of
@@ -257,13 +257,8 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
     def column(signal: Signal) -> Values:
         return record.series(signal).sampled(times)
 
-    def received_ns(can_id: int) -> Ints:
-        """When the newest one came, for each of the times."""
-        received = np.append(-S, record.times(can_id))
-        return received[np.searchsorted(received, times, side="right") - 1]
-
-    angle, angle_ns, asked = column(sig.ANGLE), received_ns(0x523), column(sig.STEER)
-    rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], received_ns(0x525)
+    angle, angle_ns, asked = column(sig.ANGLE), record.newest_ns(0x523, times), column(sig.STEER)
+    rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], record.newest_ns(0x525, times)
     requests: dict[Any, list[Any]] = {
         one.command: column(Signal(message.dbc_name, one.signal)).astype(one.holds).tolist()
         for message in (AiDriveFront, AiDriveRear, AiBrake)

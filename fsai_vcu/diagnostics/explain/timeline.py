@@ -109,8 +109,6 @@ def _switches(record: Record) -> Iterator[TimelineEntry]:
 
 def _states(record: Record) -> Iterator[TimelineEntry]:
     for signal, topic, usual in STATES:
-        if signal in (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE) and record.revision.name == "2021":
-            continue
         if signal in (sig.STATUS_BRK, sig.STATUS_EBS) and not record.series(signal).values.any():
             continue
         for span in record.series(signal).spans:

@@ -209,7 +209,7 @@ def lanes(record: Record) -> list[dict[str, Any]]:
     of("direction", sig.DIRECTION, off)
     for signal, name in ((sig.AS_SWITCH, "ASMS"), (sig.TS_SWITCH, "TSMS"), (sig.GO, "Go")):
         of(name, signal, off, lambda value: "on" if value else "off")
-    ebs = sig.EBS_STATE if record.revision.name != "2021" else sig.STATUS_EBS
+    ebs = sig.EBS_STATE if len(record.series(sig.EBS_STATE)) else sig.STATUS_EBS
     if record.series(ebs).values.any():
         values = {span.value for span in record.series(ebs).spans}
         of("EBS", ebs, {v: "bad" for v in values if any(word in label(ebs, v) for word in ("TRIGGERED", "FAULT"))})

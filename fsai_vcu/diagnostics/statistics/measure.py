@@ -227,7 +227,7 @@ def _measure_channel(
         messages=tuple(messages),
         missing=tuple(layouts[key] for key in expected if key not in received),
         error_frames=dict(words),
-        load=_share(int(bits.sum()), duration_ns, bitrate),
+        load=share(bits, duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
         bitrate=bitrate,
         handshake=handshake_of(frames, decoder),
@@ -263,7 +263,6 @@ def _measure_message(
         lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
         wrong = dict(zip(lengths.tolist(), counts.tolist(), strict=True))
     longest = int(np.argmax(intervals)) if timed and len(intervals) else None
-    total_bits = int(bits[rows].sum())
     can_id = int(frames.can_id[rows[0]])
     return MessageStatistics(
         can_id=can_id,
@@ -286,8 +285,8 @@ def _measure_message(
         silent_ms=int(frames.t_ns[-1] - t_ns[-1]) / MS,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=1 + int(np.count_nonzero(np.diff(np.sort(word)))),
-        bits=total_bits,
-        load=_share(total_bits, duration_ns, bitrate),
+        bits=int(bits[rows].sum()),
+        load=share(bits[rows], duration_ns, bitrate),
     )
 
 
@@ -306,8 +305,9 @@ def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
     return int(t_ns[begins[longest]]), int(lasted[longest])
 
 
-def _share(bits: int, duration_ns: int, bitrate: int) -> float:
-    return bits / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
+def share(bits: Ints, duration_ns: int, bitrate: int) -> float:
+    """Of that time on the wire."""
+    return int(bits.sum()) / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
 def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
