@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.explain import record_for
-    from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
+    from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
 
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"no frame of {sources.name} is in that part")
     buses = measure(frames, record.decoder, revision=record.revision.name)
     verdict = judge_log(record, buses).between(begin_s, end_s)
-    shown = cut(verdict.explanation, begin_s, end_s)
+    shown = verdict.explanation
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)

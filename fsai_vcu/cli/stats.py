@@ -83,10 +83,10 @@ def _for_people(bus: BusStatistics, *, table: bool) -> str:
             lines.append("  ".join(cells).rstrip())
         lines.append("times in ms; frozen: the longest time with one and the same payload")
         handshake = bus.handshake
-        if handshake is not None and handshake.response.p50_ms is not None:
+        if handshake is not None and handshake.response_ms.p50_ms is not None:
             lines.append(
-                f"handshake: {handshake.answered} answers, response time p50 {handshake.response.p50_ms:.2f} ms,"
-                f" p99 {handshake.response.p99_ms:.2f} ms, max {handshake.response.max_ms:.2f} ms"
+                f"handshake: {handshake.answered} answers, response time p50 {handshake.response_ms.p50_ms:.2f} ms,"
+                f" p99 {handshake.response_ms.p99_ms:.2f} ms, max {handshake.response_ms.max_ms:.2f} ms"
             )
     return "\n".join(lines) + "\n"
 
@@ -97,10 +97,10 @@ def _row(message: MessageStatistics) -> tuple[str, ...]:
         message.name or "?",
         str(message.count),
         "" if message.expected_ms is None else f"{message.expected_ms:g}",
-        _ms(message.interval.p50_ms),
-        _ms(message.jitter.p50_ms),
-        _ms(message.jitter.p99_ms),
-        _ms(message.jitter.max_ms),
+        _ms(message.interval_ms.p50_ms),
+        _ms(message.jitter_ms.p50_ms),
+        _ms(message.jitter_ms.p99_ms),
+        _ms(message.jitter_ms.max_ms),
         str(message.gaps),
         _ms(message.longest_gap_ms),
         f"{message.frozen_ms:.0f}",

@@ -77,9 +77,9 @@ def test_periods_jitter_and_gaps_are_those_of_the_times() -> None:
     intervals = np.sort(np.diff(times))
     jitter = np.sort(np.abs(np.diff(times) - 10 * MS))
     assert message.expected_ms == 10
-    assert message.interval.p50_ms == intervals[499] / MS
-    assert message.jitter.p99_ms == jitter[989] / MS  # nearest rank of 999
-    assert message.jitter.max_ms == jitter[-1] / MS
+    assert message.interval_ms.p50_ms == intervals[499] / MS
+    assert message.jitter_ms.p99_ms == jitter[989] / MS  # nearest rank of 999
+    assert message.jitter_ms.max_ms == jitter[-1] / MS
     assert message.gaps == 1
     assert message.longest_gap_ms == intervals[-1] / MS
     assert message.longest_gap_at_s == times[499] / 1e9
@@ -156,7 +156,7 @@ def test_the_response_ends_with_the_first_frame_of_the_new_bit() -> None:
     handshake = measured(NOMINAL).handshake
     assert handshake is not None
     assert (handshake.answered, handshake.unanswered) == (299, 0)
-    assert (handshake.response.p50_ms, handshake.response.max_ms) == (1.0, 1.0)
+    assert (handshake.response_ms.p50_ms, handshake.response_ms.max_ms) == (1.0, 1.0)
 
 
 def test_an_echo_that_takes_100_ms_is_a_problem_and_99_is_not() -> None:
@@ -199,7 +199,7 @@ def test_each_channel_is_measured_by_itself() -> None:
 def test_a_log_without_times_is_counted_and_not_timed() -> None:
     bus = measured([replace(f, t_ns=0) for f in NOMINAL])
     assert not bus.timed
-    assert {m.interval.p50_ms for m in bus.messages} == {None}
+    assert {m.interval_ms.p50_ms for m in bus.messages} == {None}
     assert "no-times" in {finding.kind for finding in judge(bus)}
 
 
@@ -218,6 +218,6 @@ def test_a_simulated_drive_is_well_with_the_checkers_times() -> None:
     responses, handshake = checker.responses, bus.handshake
     assert handshake is not None
     assert handshake.answered == len(responses)
-    assert handshake.response.p50_ms == responses.quantile_ms(0.5)
-    assert handshake.response.p99_ms == responses.quantile_ms(0.99)
-    assert handshake.response.max_ms == responses.quantile_ms(1.0)
+    assert handshake.response_ms.p50_ms == responses.quantile_ms(0.5)
+    assert handshake.response_ms.p99_ms == responses.quantile_ms(0.99)
+    assert handshake.response_ms.max_ms == responses.quantile_ms(1.0)

@@ -10,6 +10,8 @@ find causes by rules, with `causes.py` as the table of their words; nothing here
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.databases import Databases
@@ -62,27 +64,23 @@ def _closing(record: Record) -> str:
     return f"the log ends with the car in {label(AS_STATE, float(state.values[-1]))}{silent}"
 
 
-def _missing(record: Record) -> list[str]:
+def _missing(record: Record) -> Iterator[str]:
     """What this log lacks to be explained whole."""
-    lacking = []
     if not record.has(STATUS):
-        lacking.append(
-            "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
-        )
+        yield "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
     absent = [f"0x{can_id:03X}" for can_id in AI_IDS if not record.has(can_id)]
     if len(absent) == len(AI_IDS):
-        lacking.append("no frame of the AI computer (0x510 to 0x514): what it asked for is not known")
+        yield "no frame of the AI computer (0x510 to 0x514): what it asked for is not known"
     elif absent:
-        lacking.append(f"the AI computer never sends {', '.join(absent)}")
+        yield f"the AI computer never sends {', '.join(absent)}"
     if not record.has(0x525):
-        lacking.append("no 0x525: whether the wheels turned is not known")
+        yield "no 0x525: whether the wheels turned is not known"
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
-        lacking.append(f"the log begins in {first}: what led there is not in it")
+        yield f"the log begins in {first}: what led there is not in it"
     for name, count in record.other_channels.items():
-        lacking.append(f"{count} frames of another bus ({name}) are left out")
+        yield f"{count} frames of another bus ({name}) are left out"
     strange = {f"0x{i:03X}": n for i, n in record.unknown_ids.items() if i not in BY_ID}
     if strange:
         some = ", ".join(list(strange)[:6]) + (" …" if len(strange) > 6 else "")
-        lacking.append(f"{sum(strange.values())} frames with ids that the databases do not name: {some}")
-    return lacking
+        yield f"{sum(strange.values())} frames with ids that the databases do not name: {some}"

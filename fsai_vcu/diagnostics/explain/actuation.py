@@ -5,7 +5,7 @@ Each check is a mask over the drive's cycles; one that holds for long enough is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -46,7 +46,8 @@ class Mismatch:
     signal: Signal
     asked: Signal
     holds: Mask
-    words: Callable[[int], str]  # of a cycle's row
+    words: str  # with places for the values of a cycle
+    values: Sequence[Values]
     least_ns: int = LASTING_NS
 
 
@@ -63,7 +64,8 @@ def mismatches(record: Record) -> Iterator[Incident]:
             stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times)
             if stretch is not None:
                 begin_ns, end_ns = (int(times[row]) for row in stretch)
-                words = f"{one.words(sum(stretch) // 2)}, for {ms(end_ns - begin_ns)}"
+                middle = one.words.format(*(values[sum(stretch) // 2] for values in one.values))
+                words = f"{middle}, for {ms(end_ns - begin_ns)}"
                 cause = shown(one.slug, one.signal.step(begin_ns, words))
                 seen.setdefault(one.slug, Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,)))
         yield from seen.values()
@@ -110,49 +112,42 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
         free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
         low, _ = _range(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
         _, high = _range(asked, TORQUE_TIME_NS)
-        words = asked_and_given(f"{axle} torque", "Nm", asked, given)
+        words = f"{axle} torque: {{:.1f}} Nm asked for, {{:.1f}} Nm measured"
         less, more = (low > TORQUE_NM) & (given < TORQUE_SHARE * low), given > high + TORQUE_NM
-        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words)
-        yield Mismatch("torque_unasked", given_signal, asked_signal, more, words)
+        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words, (asked, given))
+        yield Mismatch("torque_unasked", given_signal, asked_signal, more, words, (asked, given))
     pushed, _ = _range(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
         CAR_TORQUE[1],
         sig.TORQUE_R,
         (pushed > TORQUE_NM) & (_range(fastest, START_TIME_NS)[1] < STANDING_RPM),
-        lambda row: f"{given_sum[row]:.0f} Nm are given, and no wheel turns",
+        "{:.0f} Nm are given, and no wheel turns",
+        (given_sum,),
     )
     brakes = (("front", sig.BRAKE_REQ_F, sig.BRAKE_F), ("rear", sig.BRAKE_REQ_R, sig.BRAKE_R))
     for axle, asked_signal, given_signal in brakes:
         asked, given = column(asked_signal), column(given_signal)
         low, high = _range(asked, BRAKE_TIME_NS)[0], _range(asked, 2 * BRAKE_TIME_NS)[1]
-        words = asked_and_given(f"{axle} brake", "%", asked, given)
+        words = f"{axle} brake: {{:.1f}} % asked for, {{:.1f}} % measured"
         less, more = (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), given > 1.3 * high + BRAKE_PCT
-        yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, BRAKE_LASTING_NS)
-        yield Mismatch("brake_unasked", given_signal, asked_signal, more, words)
+        yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, (asked, given), BRAKE_LASTING_NS)
+        yield Mismatch("brake_unasked", given_signal, asked_signal, more, words, (asked, given))
     asked, angle = column(sig.STEER), column(sig.ANGLE)
     limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
     within = np.clip(asked, -limit, limit)
     low, high = _range(within, STEER_TIME_NS)
     off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
     off[: STEER_TIME_NS // PERIOD_NS] = False
-    words = asked_and_given("steering", "deg", asked, angle)
-    yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words)
+    words = "steering: {:.1f} deg asked for, {:.1f} deg measured"
+    yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words, (asked, angle))
     for number, name in enumerate(sig.WHEEL_NAMES):
         others = np.sort(np.delete(wheels, number, axis=0), axis=0)
         middle = others[1]
         allowed = WHEEL_RPM + WHEEL_SHARE * middle
         unlike = (np.abs(wheels[number] - middle) > allowed) & (others[2] - others[0] <= allowed)
-        words = compared(name, wheels[number], middle)
-        yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words)
-
-
-def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:
-    return lambda row: f"{what}: {asked[row]:.1f} {unit} asked for, {given[row]:.1f} {unit} measured"
-
-
-def compared(wheel: str, speed: Values, others: Values) -> Callable[[int], str]:
-    return lambda row: f"{wheel} at {speed[row]:.0f} rpm, the others at {others[row]:.0f} rpm"
+        words = f"{name} at {{:.0f}} rpm, the others at {{:.0f}} rpm"
+        yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words, (wheels[number], middle))
 
 
 def _range(values: Values, over_ns: int) -> tuple[Values, Values]:

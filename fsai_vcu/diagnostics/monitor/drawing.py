@@ -118,7 +118,8 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
         shown = (shown[0], STRONG)
     held = f" for {duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
     switches = (("Go", picture.go), ("ASMS", picture.as_switch), ("TSMS", picture.ts_switch))
-    parts = [part for name, on in switches for part in (f"  {name} ", _switch(on))]
+    styles = {None: "", True: GOOD, False: WARN}
+    parts = [part for name, on in switches for part in (f"  {name} ", (on_off(on), styles[on]))]
     asked = [word for word in (picture.mission_status, picture.direction) if word]
     ai = f"sends {' '.join(asked)}" if asked else "is silent"
     estop = [("   ESTOP_REQUEST 1", BAD)] if picture.estop_request else []
@@ -170,10 +171,10 @@ def _figures(picture: Picture) -> list[Text]:
 
 def _handshake(picture: Picture) -> Text:
     shown = picture.handshake
-    if shown is None or shown.response.max_ms is None:
+    if shown is None or shown.response_ms.max_ms is None:
         return line("handshake   ", ("no answers", WARN))
     late = (f", {shown.unanswered} unanswered" if shown.unanswered else "", BAD)
-    text = f"answered in {picture.response}, at most {shown.response.max_ms:.1f} ms, {shown.answered} times in 3 s"
+    text = f"answered in {picture.response}, at most {shown.response_ms.max_ms:.1f} ms, {shown.answered} times in 3 s"
     return line("handshake   ", text, late)
 
 
@@ -183,7 +184,3 @@ def _tail(message: MessagePicture) -> str:
         return message.freshness.value
     marks = {Freshness.LATE: " late", Freshness.LOST: " LOST"}
     return f"{age(message.age_s):>6}{marks.get(message.freshness, '')}"
-
-
-def _switch(on: bool | None) -> tuple[str, str]:
-    return on_off(on), "" if on is None else GOOD if on else WARN

@@ -167,7 +167,7 @@ def bytes_of(frames: Frames, key: int, now_ns: int) -> list[History]:
     rows = np.flatnonzero(keys_of(frames) == key)
     payloads = [frames.payload(row) for row in rows.tolist()]
     width = max(map(len, payloads), default=0)
-    table = np.array([list(data.ljust(width, b"\0")) for data in payloads], np.int64).reshape(-1, width)
+    table = np.array([list(data.ljust(width, b"\0")) for data in payloads], np.int64).reshape(len(rows), width)
     t_ns = frames.t_ns[rows]
 
     def text(place: int) -> Callable[[int], str]:

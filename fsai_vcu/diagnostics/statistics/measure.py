@@ -52,11 +52,6 @@ def as_json(value: Any, digits: int) -> Any:
     return as_json(asdict(value), digits) if is_dataclass(value) else value  # type: ignore[arg-type]
 
 
-def _renamed(statistics: Any, names: Mapping[str, str]) -> dict[str, Any]:
-    """The fields for JSON, some of them under other names."""
-    return {names.get(name, name): value for name, value in as_json(statistics, 6).items()}
-
-
 def keys_of(frames: Frames) -> Ints:
     """The key of each frame's message (layouts.EXTENDED_KEY); -1 for error frames."""
     keys = frames.can_id.astype(np.int64)
@@ -99,9 +94,9 @@ class MessageStatistics:
     remote: int
     sent: int
     expected_ms: float | None
-    interval: TimeSpread
+    interval_ms: TimeSpread
     mean_ms: float | None
-    jitter: TimeSpread
+    jitter_ms: TimeSpread
     gaps: int
     longest_gap_ms: float | None
     longest_gap_at_s: float | None
@@ -112,8 +107,8 @@ class MessageStatistics:
     load: float
 
     def as_dict(self) -> dict[str, Any]:
-        names = {"can_id": "id", "name": "message", "interval": "interval_ms", "jitter": "jitter_ms"}
-        return {"type": "message", **_renamed(self, names)}
+        names = {"can_id": "id", "name": "message"}
+        return {"type": "message", **{names.get(name, name): value for name, value in as_json(self, 6).items()}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +118,8 @@ class Handshake:
     answered: int
     unanswered: int  # toggles whose bit did not come back before the next one, or for 100 ms at the log's end
     stood_ms: float  # the longest time for which the VCU kept its bit
-    response: TimeSpread
-    above_patience: int  # answers that took 100 ms or longer
-
-    def as_dict(self) -> dict[str, Any]:
-        return _renamed(self, {"response": "response_ms", "above_patience": "above_100_ms"})
+    response_ms: TimeSpread
+    above_100_ms: int  # answers that took as long, or longer
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,11 +141,10 @@ class BusStatistics:
     backwards: int  # frames with a time before that of their predecessor
 
     def as_dict(self) -> dict[str, Any]:
-        names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames")
+        names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames", "handshake")
         found = as_json({name: getattr(self, name) for name in names}, 6)
-        handshake = self.handshake.as_dict() if self.handshake else None
         missing = [layout.name for layout in self.missing]
-        return {"type": "bus", **found, "handshake": handshake, "missing": missing, "backwards": self.backwards}
+        return {"type": "bus", **found, "missing": missing, "backwards": self.backwards}
 
 
 class Severity(Enum):
@@ -276,9 +267,9 @@ def _measure_message(
         remote=int(remote.sum()),
         sent=int(((frames.flags[rows] & SENT) != 0).sum()),
         expected_ms=expected_ns / MS if expected_ns else None,
-        interval=TimeSpread.of(intervals if timed else intervals[:0]),
+        interval_ms=TimeSpread.of(intervals if timed else intervals[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
-        jitter=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
+        jitter_ms=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
         gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
@@ -421,12 +412,12 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
 
 
 def _judge_handshake(handshake: Handshake) -> Iterator[Finding]:
-    if handshake.above_patience or handshake.unanswered:
-        late = f"{handshake.above_patience} answered after {COMMS_LOST_NS // MS} ms or more"
+    if handshake.above_100_ms or handshake.unanswered:
+        late = f"{handshake.above_100_ms} answered after {COMMS_LOST_NS // MS} ms or more"
         text = f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"
         yield _finding(True, "handshake", text, 0x510)
-    elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > PERIOD_NS:
-        text = f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow"
+    elif handshake.response_ms.p99_ms is not None and handshake.response_ms.p99_ms * MS > PERIOD_NS:
+        text = f"handshake answered within {handshake.response_ms.p99_ms:.1f} ms (p99): slow"
         yield _finding(False, "handshake", text, 0x510)
     if handshake.stood_ms * MS >= COMMS_LOST_NS:
         yield _finding(False, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
@@ -445,7 +436,7 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
     if not message.extended and message.sent and can_id in RESERVED_IDS:
         text = f"{name}: sent {message.sent} times by this computer, which must not"
         yield _finding(True, "reserved", text, can_id)
-    expected_ms, gap_ms, p50_ms = message.expected_ms, message.longest_gap_ms, message.interval.p50_ms
+    expected_ms, gap_ms, p50_ms = message.expected_ms, message.longest_gap_ms, message.interval_ms.p50_ms
     if expected_ms is None or gap_ms is None or p50_ms is None:
         return
     own = None if message.extended else BY_ID.get(can_id)

@@ -53,10 +53,20 @@ class Verdict:
         return 0 if self.ok else 1
 
     def between(self, from_s: float | None, to_s: float | None) -> Verdict:
-        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays."""
+        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays, and causes
+        keep their chains."""
         low, high = -math.inf if from_s is None else from_s, math.inf if to_s is None else to_s
-        inside = (f for f in self.findings if f.t_ns is None or low <= (f.t_ns - self.begin_ns) / S <= high)
-        return replace(self, findings=tuple(inside))
+
+        def inside(t_ns: int | None) -> bool:
+            return t_ns is None or low <= (t_ns - self.begin_ns) / S <= high
+
+        explanation = replace(
+            self.explanation,
+            events=tuple(event for event in self.explanation.events if inside(event.t_ns)),
+            incidents=tuple(incident for incident in self.explanation.incidents if inside(incident.t_ns)),
+        )
+        findings = tuple(finding for finding in self.findings if inside(finding.t_ns))
+        return replace(self, explanation=explanation, findings=findings)
 
     def line(self) -> str:
         """In one line, without findings."""
@@ -120,7 +130,7 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
     absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
     for bus in buses:
-        stopped = _stopped(record, bus)
+        stopped = list(_stopped(record, bus))
         findings += stopped
         gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
@@ -177,14 +187,13 @@ def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
         yield replace(pause[0], severity=severity, text=text, can_ids=ids)
 
 
-def _stopped(record: Record, bus: BusStatistics) -> list[Finding]:
+def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
     """All messages of the car, or of the AI computer, that end together before the log does: one finding.
 
     Where the car was not about to drive somebody switched it off, or ended the program: that is no problem.
     """
     state = record.series(AS_STATE)
     active = bool(len(state)) and state.values[-1] in (READY, DRIVING)
-    found = []
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
         silent = {m.can_id: m for m in bus.messages if m.can_id in ids and not m.extended}
         lost = [m for m in silent.values() if m.silent_ms * MS >= COMMS_LOST_NS]
@@ -194,8 +203,7 @@ def _stopped(record: Record, bus: BusStatistics) -> list[Finding]:
             last_s = max(m.last_s for m in lost)
             with_it = [m.can_id for m in bus.messages if abs(m.last_s - last_s) * S < WITH_IT_NS]  # its other devices
             gone = tuple(sorted({*silent, *with_it}))
-            found.append(Finding(severity, "stopped", text, round(last_s * S), "", gone, bus.channel))
-    return found
+            yield Finding(severity, "stopped", text, round(last_s * S), "", gone, bus.channel)
 
 
 def _whose(ids: tuple[int, ...], messages: int) -> str:
