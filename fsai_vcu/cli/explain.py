@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.diagnostics.explain import record_for
+    from fsai_vcu.diagnostics.explain import Record
     from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     frames = sources.everything(args.seconds)
     if not len(frames):
         return 1
-    record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+    record = Record(frames, args.revision, decoding.databases if args.dbc else None)
     begin_s, end_s = part.seconds(record.begin_ns)
     length_s = (record.end_ns - record.begin_ns) / 1e9
     if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):

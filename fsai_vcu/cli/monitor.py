@@ -51,7 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from fsai_vcu.diagnostics.monitor.sources import Live, Log
     from fsai_vcu.diagnostics.monitor.view import View
-    from fsai_vcu.interface.revisions import revision
 
     check_numbers(args, every=0.02, seconds=0.0, at=0.0, rate=0.0)
     sources = Sources("monitor", [args.source])
@@ -61,9 +60,10 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--seconds is for live buses; --at shows a moment of a log")
     decoding = Decoding("monitor", args)
     patterns = _patterns(args.signals, decoding)
-    chosen = revision(args.revision) if args.revision else None
     name = args.source.partition(",")[0]
-    view = View("standard input" if name == "-" else Path(name).name, chosen, decoding.databases if args.dbc else None)
+    view = View(
+        "standard input" if name == "-" else Path(name).name, args.revision, decoding.databases if args.dbc else None
+    )
     chunks = sources.chunks(args.seconds)
     terminal, still = _is_terminal(), not sources.live and args.rate is None
     textual = not (args.plain or args.json) and (terminal or still) and _has_textual()

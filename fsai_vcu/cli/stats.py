@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
 
 def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     """Read, measure, print; `table`: the figures too, not the findings only. 0 if all is well and was readable."""
-    from fsai_vcu.diagnostics.explain import record_for
+    from fsai_vcu.diagnostics.explain import Record
     from fsai_vcu.diagnostics.statistics.measure import measure
     from fsai_vcu.diagnostics.verdict import judge_log
 
@@ -52,7 +52,7 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     if not len(frames):
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
-    record = record_for(frames, decoding.revision, decoding.databases if args.dbc else None)
+    record = Record(frames, decoding.revision, decoding.databases if args.dbc else None)
     verdict = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     write_out("".join(f"{line}\n" for line in lines).encode())

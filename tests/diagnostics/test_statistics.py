@@ -13,7 +13,7 @@ from fsai_hil.rules.checker import WireChecker
 from fsai_vcu.diagnostics.decode.databases import load_databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.log.frames import LogFrame, frames_of
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, Severity, judge, measure
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge, measure
 from fsai_vcu.diagnostics.statistics.quantiles import quantile
 from fsai_vcu.interface.bus_table import BUS_TABLE, Flow
 from fsai_vcu.interface.codec import Codec
@@ -53,7 +53,7 @@ def measured(frames: Sequence[LogFrame]) -> BusStatistics:
 
 
 def problems(frames: Sequence[LogFrame]) -> list[Finding]:
-    return [finding for finding in judge(measured(frames)) if finding.severity.value == "problem"]
+    return [finding for finding in judge(measured(frames)) if finding.severity == "problem"]
 
 
 def only(frames: Sequence[LogFrame], kind: str) -> Finding:
@@ -193,7 +193,7 @@ def test_each_channel_is_measured_by_itself() -> None:
     buses = measure(frames_of(both), DECODER, revision="2026")
     assert [bus.channel for bus in buses] == ["can0", "can1"]
     assert [bus.frames for bus in buses] == [len(NOMINAL)] * 2
-    assert not any(found.severity is Severity.PROBLEM for bus in buses for found in judge(bus))
+    assert not any(found.severity == "problem" for bus in buses for found in judge(bus))
 
 
 def test_a_log_without_times_is_counted_and_not_timed() -> None:
@@ -211,7 +211,7 @@ def test_times_that_go_backwards_are_said() -> None:
 def test_a_simulated_drive_is_well_with_the_checkers_times() -> None:
     frames = driving().frames
     (bus,) = measure(log_of(frames), DECODER, revision="2026")
-    assert [finding for finding in judge(bus) if finding.severity.value == "problem"] == []
+    assert [finding for finding in judge(bus) if finding.severity == "problem"] == []
     checker = WireChecker(Codec(revision("2026")))
     for frame in frames:
         checker.on_frame(frame)

@@ -1,6 +1,6 @@
 """A run explained: what happened on the car's bus, and why.
 
-    explanation = explained(record_for(frames))     # frames.Frames of a whole log
+    explanation = explained(Record(frames))     # frames.Frames of a whole log
     explanation.events, explanation.incidents       # timeline; emergency brakes, refusals to start, early stops, causes
     text_lines(explanation, …), json_lines(…)       # render.py
 
@@ -14,7 +14,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain.actuation import mismatches
 from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
 from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
@@ -22,17 +21,10 @@ from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
-from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import revision as revision_named
 
-__all__ = ["Explanation", "Incident", "IncidentKind", "TimelineEntry", "explained", "record_for"]
-
-
-def record_for(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Record:
-    """The frames of a log sorted; the revision is guessed if none is given. Raises ValueError."""
-    return Record(frames, None if revision is None else revision_named(revision), databases)
+__all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
 
 def explained(record: Record) -> Explanation:

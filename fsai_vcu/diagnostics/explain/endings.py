@@ -16,15 +16,7 @@ import numpy as np
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
-from fsai_vcu.diagnostics.explain.evidence import (
-    CONFIG,
-    GONE_NS,
-    REBOOT_NS,
-    SLACK_NS,
-    found_before,
-    gap_at,
-    link_losses,
-)
+from fsai_vcu.diagnostics.explain.evidence import CONFIG, GONE_NS, SLACK_NS, found_before, gap_at, link_losses
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
     ChainLink,
@@ -46,6 +38,7 @@ AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of 
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
 BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
+REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good

@@ -40,8 +40,7 @@ from fsai_vcu.interface.units import MS, S
 
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # messages that stop within this time stop together
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off …
-REBOOT_NS: Final = 3 * S  # … unless it is back by then: a VCU that restarted by itself
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 LOOK_BACK_NS: Final = 2 * S
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle

@@ -25,7 +25,7 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.units import MS, S
 
 Values = npt.NDArray[np.float64]
@@ -144,14 +144,16 @@ class Record:
     wrong_length: how often a message came so, and when first. set_back: where the log's clock was, and by how much.
     """
 
-    def __init__(self, frames: Frames, revision: Revision | None = None, databases: Databases | None = None) -> None:
+    def __init__(self, frames: Frames, revision: str | None = None, databases: Databases | None = None) -> None:
         """revision: guessed from the frames where none is given. `databases` replaces the revision's own.
 
-        Raises ValueError for a log without a frame.
+        Raises ValueError for a log without a frame, and for an unknown revision.
         """
         if not len(frames):
             raise ValueError("there is no frame to be explained")
-        self.revision, self.revision_reason = (revision, "given") if revision else guess_revision(frames)
+        self.revision, self.revision_reason = (
+            (revision_named(revision), "given") if revision else guess_revision(frames)
+        )
         chosen = _car_channel(frames)
         self.channel = frames.channels[chosen]
         counts = np.bincount(frames.channel, minlength=len(frames.channels)).tolist()

@@ -28,7 +28,6 @@ from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.units import S
 
 EXPECTED: Final = tuple(
@@ -60,7 +59,7 @@ _STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig
 class View:
     """What is on a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace our own."""
 
-    def __init__(self, channel: str = "", revision: Revision | None = None, databases: Databases | None = None) -> None:
+    def __init__(self, channel: str = "", revision: str | None = None, databases: Databases | None = None) -> None:
         self.memory = Memory()
         self._channel = channel
         self._revision = revision
@@ -87,7 +86,7 @@ class View:
         """What there is to see at `now_ns`, on the clock of the frames."""
         frames = self.memory.condensed(self.memory.window(now_ns))
         if not len(frames):
-            named, nothing = self._revision.name if self._revision else "2026", ("nothing is received on this bus",)
+            named, nothing = self._revision or "2026", ("nothing is received on this bus",)
             return Picture(now_ns, self._channel, named, "nothing received yet", 0, link=nothing)
         record = self._record(frames)
         self._decoder = record.decoder

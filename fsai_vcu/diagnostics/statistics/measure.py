@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from enum import Enum
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -147,16 +147,11 @@ class BusStatistics:
         return {"type": "bus", **found, "missing": missing, "backwards": self.backwards}
 
 
-class Severity(Enum):
-    PROBLEM = "problem"
-    NOTE = "note"
-
-
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Something that a person should know. A problem makes the verdict bad. `t_ns` None: it is about the whole log."""
 
-    severity: Severity
+    severity: Literal["problem", "note"]
     kind: str
     text: str
     t_ns: int | None = None
@@ -367,14 +362,14 @@ def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, fl
 def judge(bus: BusStatistics) -> list[Finding]:
     """Everything that is not as it should be, the grave first."""
     found = [*_judge_bus(bus), *(finding for message in bus.messages for finding in _judge_message(message))]
-    found.sort(key=lambda finding: finding.severity is not Severity.PROBLEM)
+    found.sort(key=lambda finding: finding.severity != "problem")
     return [replace(finding, channel=bus.channel) for finding in found]
 
 
 def _finding(grave: bool, kind: str, text: str, can_id: int | None = None, t_s: float | None = None) -> Finding:
-    severity = Severity.PROBLEM if grave else Severity.NOTE
     t_ns = None if t_s is None else round(t_s * S)
-    return Finding(severity, kind, text, t_ns, can_ids=() if can_id is None else (can_id,))
+    ids = () if can_id is None else (can_id,)
+    return Finding("problem" if grave else "note", kind, text, t_ns, can_ids=ids)
 
 
 def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
