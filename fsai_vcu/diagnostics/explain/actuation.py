@@ -34,9 +34,6 @@ FRESH_NS: Final = 50 * MS
 LASTING_NS: Final = 500 * MS
 BRAKE_LASTING_NS: Final = 200 * MS
 
-CAR_TORQUE: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
-CAR_TORQUE_MAX: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"))
-
 
 @dataclass(frozen=True)
 class Mismatch:
@@ -102,8 +99,8 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
     given_sum = np.zeros(len(times))
     for axle, driven, asked_signal, limit_signal, given_signal, max_signal in (
-        ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0]),
-        ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1]),
+        ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, sig.CAR_TORQUE[0], sig.CAR_TORQUE_MAX[0]),
+        ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, sig.CAR_TORQUE[1], sig.CAR_TORQUE_MAX[1]),
     ):
         if not driven:
             continue
@@ -119,7 +116,7 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     pushed, _ = _range(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
-        CAR_TORQUE[1],
+        sig.CAR_TORQUE[1],
         sig.TORQUE_R,
         (pushed > TORQUE_NM) & (_range(fastest, START_TIME_NS)[1] < STANDING_RPM),
         "{:.0f} Nm are given, and no wheel turns",

@@ -12,7 +12,6 @@ from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE, CAR_TORQUE_MAX
 from fsai_vcu.diagnostics.explain.endings import emergencies
 from fsai_vcu.diagnostics.explain.evidence import error_text
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
@@ -46,8 +45,8 @@ _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake
 
 _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "steering": (sig.STEER, sig.ANGLE, sig.ANGLE_MAX, "deg"),
-    "torque front": (sig.TORQUE_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0], "Nm"),
-    "torque rear": (sig.TORQUE_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1], "Nm"),
+    "torque front": (sig.TORQUE_F, sig.CAR_TORQUE[0], sig.CAR_TORQUE_MAX[0], "Nm"),
+    "torque rear": (sig.TORQUE_R, sig.CAR_TORQUE[1], sig.CAR_TORQUE_MAX[1], "Nm"),
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }

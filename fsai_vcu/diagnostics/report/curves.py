@@ -11,7 +11,6 @@ import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE
 from fsai_vcu.diagnostics.explain.record import Record, Series, Values
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import Ints
@@ -71,7 +70,7 @@ YAW_RATE: Final = Signal("AI2LOG_Dynamics2", "Yaw_rate_degps")
 # slug, title, unit, digits, pairs of (signal, name)
 _OF_SIGNALS: Final = (
     ("steering", "Steering", "deg", 1, ((sig.STEER, "asked"), (sig.ANGLE, "given"))),
-    ("torque", "Axle torque", "Nm", 1, _axles(sig.TORQUE_F, CAR_TORQUE[0], sig.TORQUE_R, CAR_TORQUE[1])),
+    ("torque", "Axle torque", "Nm", 1, _axles(sig.TORQUE_F, sig.CAR_TORQUE[0], sig.TORQUE_R, sig.CAR_TORQUE[1])),
     ("brake", "Brake", "%", 1, _axles(sig.BRAKE_REQ_F, sig.BRAKE_F, sig.BRAKE_REQ_R, sig.BRAKE_R)),
     ("acceleration", "Acceleration", "m/s²", 1, ((LONGITUDINAL, "longitudinal"), (LATERAL, "lateral"))),
     ("yaw", "Yaw rate", "deg/s", 1, ((YAW_RATE, "to the left"),)),
