@@ -140,6 +140,7 @@ def _print_whole(moment: Moment, width: int, height: int, most: int | None) -> N
 
 def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json: bool) -> None:
     from fsai_vcu.diagnostics.monitor.snapshot import plain_line
+    from fsai_vcu.diagnostics.monitor.sources import Log
 
     try:
         while True:
@@ -154,7 +155,7 @@ def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json
             if source.ended or not source.playing:
                 break
     except KeyboardInterrupt:
-        if source.is_log:
+        if isinstance(source, Log):
             raise
     finally:
         source.close()

@@ -198,7 +198,7 @@ def test_each_channel_is_measured_by_itself() -> None:
 
 def test_a_log_without_times_is_counted_and_not_timed() -> None:
     bus = measured([replace(f, t_ns=0) for f in NOMINAL])
-    assert not bus.timed
+    assert not bus.duration_s
     assert {m.interval_ms.p50_ms for m in bus.messages} == {None}
     assert "no-times" in {finding.kind for finding in judge(bus)}
 

@@ -32,6 +32,7 @@ Values = npt.NDArray[np.float64]
 
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
+_own_databases: Final = cache(load_databases)
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
 
@@ -164,7 +165,7 @@ class Record:
         self.begin_ns, self.end_ns = int(straight[0]), int(straight[-1])
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
-        self.decoder = Decoder(databases or _own_databases(self.revision.name))
+        self.decoder = Decoder(databases or _own_databases(revision=self.revision.name))
         self.wrong_length: dict[int, tuple[int, int]] = {}
         self.unknown_ids: Counter[int] = Counter()
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
@@ -307,11 +308,6 @@ class Record:
     def second_senders(self) -> Sequence[SecondSender]:
         """Where somebody else sends on the AI computer's ids, in the order of time."""
         return second_senders(self.frames, self.decoder.databases)
-
-
-@cache
-def _own_databases(revision: str) -> Databases:
-    return load_databases(revision=revision)
 
 
 def _car_channel(frames: Frames) -> int:

@@ -129,7 +129,6 @@ class BusStatistics:
     channel: str
     frames: int
     duration_s: float
-    timed: bool  # the log has times
     messages: tuple[MessageStatistics, ...]
     missing: tuple[MessageLayout, ...]  # described with a period, and not received
     error_frames: Mapping[str, int]
@@ -204,14 +203,13 @@ def _measure_channel(
             messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
     received = set(distinct.tolist())
     described = {} if received.isdisjoint(layouts) else layouts
-    expected = [key for key, layout in described.items() if expected_period_ns(key, layout, revision) is not None]
+    silent = {key: layout for key, layout in described.items() if key not in received}
     return BusStatistics(
         channel=channel,
         frames=len(frames),
         duration_s=duration_ns / S,
-        timed=duration_ns > 0,
         messages=tuple(messages),
-        missing=tuple(layouts[key] for key in expected if key not in received),
+        missing=tuple(layout for key, layout in silent.items() if expected_period_ns(key, layout, revision)),
         error_frames=dict(words),
         load=share(bits, duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
@@ -376,7 +374,7 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     if not bus.frames:
         yield _finding(True, "silent", f"nothing was received on {bus.channel}")
         return
-    if not bus.timed:
+    if not bus.duration_s:
         yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
         text = f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
