@@ -8,8 +8,8 @@ import os
 import sys
 
 from fsai_vcu.cli.sources import Decoding, Sources, add_log_arguments, check_seconds, part_of
-from fsai_vcu.diagnostics.explain import record_for
-from fsai_vcu.diagnostics.explain.render import cut, json_lines, text_lines
+from fsai_vcu.diagnostics.explain import Record
+from fsai_vcu.diagnostics.explain.render import json_lines, text_lines
 from fsai_vcu.diagnostics.statistics.measure import measure
 from fsai_vcu.diagnostics.verdict import judge_log
 from fsai_vcu.interface.errors import UserError
@@ -35,14 +35,14 @@ def run(args: argparse.Namespace) -> int:
     frames = sources.everything(args.seconds)
     if not len(frames):
         return 1
-    record = record_for(frames, args.revision, decoding.databases if args.dbc else None)
+    record = Record(frames, args.revision, decoding.databases if args.dbc else None)
     begin_s, end_s = part.seconds(record.begin_ns)
     length_s = (record.end_ns - record.begin_ns) / 1e9
     if (begin_s or 0.0) > min(length_s, length_s if end_s is None else end_s):
         raise UserError(f"no frame of {sources.name} is in that part")
     buses = measure(frames, record.decoder, revision=record.revision.name)
     verdict = judge_log(record, buses).between(begin_s, end_s)
-    shown = cut(verdict.explanation, begin_s, end_s)
+    shown = verdict.explanation
     colour = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
     for line in json_lines(shown, sources.name) if args.json else text_lines(shown, sources.name, colour=colour):
         print(line)

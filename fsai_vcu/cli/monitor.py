@@ -16,7 +16,6 @@ from fsai_vcu.diagnostics.monitor.snapshot import plain_line
 from fsai_vcu.diagnostics.monitor.sources import Live, Log, Moment, Source
 from fsai_vcu.diagnostics.monitor.view import View
 from fsai_vcu.interface.errors import UserError, WrongUse
-from fsai_vcu.interface.revisions import revision
 
 EXAMPLE = (
     "fsai-vcu monitor can0\n  fsai-vcu monitor run.log --at 62.5\n  fsai-vcu monitor run.log --rate 2\n"
@@ -57,9 +56,10 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--seconds is for live buses; --at shows a moment of a log")
     decoding = Decoding("monitor", args)
     patterns = _patterns(args.signals, decoding)
-    chosen = revision(args.revision) if args.revision else None
     name = args.source.partition(",")[0]
-    view = View("standard input" if name == "-" else Path(name).name, chosen, decoding.databases if args.dbc else None)
+    view = View(
+        "standard input" if name == "-" else Path(name).name, args.revision, decoding.databases if args.dbc else None
+    )
     chunks = sources.chunks(args.seconds)
     terminal, still = _is_terminal(), not sources.live and args.rate is None
     textual = not (args.plain or args.json) and (terminal or still) and _has_textual()
@@ -148,7 +148,7 @@ def _print_lines(source: Source, every_s: float, patterns: list[str], *, as_json
             if source.ended or not source.playing:
                 break
     except KeyboardInterrupt:
-        if source.is_log:
+        if isinstance(source, Log):
             raise
     finally:
         source.close()

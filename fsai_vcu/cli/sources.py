@@ -72,10 +72,10 @@ def add_log_arguments(parser: argparse.ArgumentParser, *, messages: bool = True)
 
 def record_in(args: argparse.Namespace, sources: Sources, decoding: Decoding) -> Record | None:
     """The frames of all sources sorted for an explanation; None without a frame, which was reported then."""
-    from fsai_vcu.diagnostics.explain import record_for
+    from fsai_vcu.diagnostics.explain import Record
 
     frames = sources.everything(getattr(args, "seconds", None))
-    return record_for(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
+    return Record(frames, args.revision, decoding.databases if args.dbc else None) if len(frames) else None
 
 
 def part_of(args: argparse.Namespace, decoding: Decoding | None = None) -> Part:

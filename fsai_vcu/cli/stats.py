@@ -7,7 +7,7 @@ import json
 from dataclasses import replace
 
 from fsai_vcu.cli.sources import Decoding, Progress, Sources, add_log_arguments, check_seconds, part_of, write_out
-from fsai_vcu.diagnostics.explain import record_for
+from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.statistics.measure import BusStatistics, MessageStatistics, measure
 from fsai_vcu.diagnostics.verdict import judge_log
 from fsai_vcu.interface.errors import WrongUse
@@ -47,7 +47,7 @@ def measured(verb: str, args: argparse.Namespace, *, table: bool) -> int:
     if not len(frames):
         write_out(b"verdict: NOT OK: no frames\n" if not args.json else b'{"type": "verdict", "verdict": "not ok"}\n')
         return 1
-    record = record_for(frames, decoding.revision, decoding.databases if args.dbc else None)
+    record = Record(frames, decoding.revision, decoding.databases if args.dbc else None)
     verdict = replace(judge_log(record, buses), begin_ns=sources.first_ns or record.begin_ns)
     lines = map(json.dumps, verdict.as_dicts()) if args.json else (*verdict.lines(), f"verdict: {verdict.line()}")
     write_out("".join(f"{line}\n" for line in lines).encode())
@@ -78,10 +78,10 @@ def _for_people(bus: BusStatistics, *, table: bool) -> str:
             lines.append("  ".join(cells).rstrip())
         lines.append("times in ms; frozen: the longest time with one and the same payload")
         handshake = bus.handshake
-        if handshake is not None and handshake.response.p50_ms is not None:
+        if handshake is not None and handshake.response_ms.p50_ms is not None:
             lines.append(
-                f"handshake: {handshake.answered} answers, response time p50 {handshake.response.p50_ms:.2f} ms,"
-                f" p99 {handshake.response.p99_ms:.2f} ms, max {handshake.response.max_ms:.2f} ms"
+                f"handshake: {handshake.answered} answers, response time p50 {handshake.response_ms.p50_ms:.2f} ms,"
+                f" p99 {handshake.response_ms.p99_ms:.2f} ms, max {handshake.response_ms.max_ms:.2f} ms"
             )
     return "\n".join(lines) + "\n"
 
@@ -92,10 +92,10 @@ def _row(message: MessageStatistics) -> tuple[str, ...]:
         message.name or "?",
         str(message.count),
         "" if message.expected_ms is None else f"{message.expected_ms:g}",
-        _ms(message.interval.p50_ms),
-        _ms(message.jitter.p50_ms),
-        _ms(message.jitter.p99_ms),
-        _ms(message.jitter.max_ms),
+        _ms(message.interval_ms.p50_ms),
+        _ms(message.jitter_ms.p50_ms),
+        _ms(message.jitter_ms.p99_ms),
+        _ms(message.jitter_ms.max_ms),
         str(message.gaps),
         _ms(message.longest_gap_ms),
         f"{message.frozen_ms:.0f}",

@@ -17,7 +17,7 @@ from fsai_hil.simulator.faults import FaultyWire, FrameFault
 from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.diagnostics.decode.databases import Databases
-from fsai_vcu.diagnostics.explain import Explanation, explained, record_for
+from fsai_vcu.diagnostics.explain import Explanation, Record, explained
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of, joined
 from fsai_vcu.diagnostics.report.page import page_of
 from fsai_vcu.interface.enums import Ami, AsState
@@ -174,9 +174,9 @@ def hand_made(lines: Sequence[tuple[float, int, str]]) -> Frames:
 
 def tell(frames: Frames, databases: Databases | None = None) -> Explanation:
     """What explain makes of these frames."""
-    return explained(record_for(frames, databases=databases))
+    return explained(Record(frames, databases=databases))
 
 
 def page(frames: Frames, name: str) -> str:
     """The report's page on these frames."""
-    return page_of(record_for(frames), name)
+    return page_of(Record(frames), name)

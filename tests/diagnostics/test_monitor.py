@@ -24,7 +24,6 @@ from fsai_vcu.diagnostics.monitor.state_history import LONG_NS
 from fsai_vcu.diagnostics.monitor.view import EXPECTED, View
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import REVISIONS
 from fsai_vcu.interface.units import MS, S
 
 CYCLE = 10 * MS
@@ -312,7 +311,7 @@ def test_the_revision_is_recognised_or_as_given() -> None:
     old = every_cycle(0, S, (0x520, status_2021), (0x523, steer), (0x120, system))
     assert seen(old).revision == "2021"
     assert "TS_STATE" not in seen(old).states
-    given = View("can0", REVISIONS["2026"])
+    given = View("can0", "2026")
     given.update(old)
     assert given.picture(S).revision == "2026"
 

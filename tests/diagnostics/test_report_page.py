@@ -15,7 +15,7 @@ import pytest
 from story_runs import branch, driving, log_of, page
 
 from fsai_vcu.cli.main import main
-from fsai_vcu.diagnostics.explain import record_for
+from fsai_vcu.diagnostics.explain import Record
 from fsai_vcu.diagnostics.explain.record import Series
 from fsai_vcu.diagnostics.log.candump import log_lines
 from fsai_vcu.diagnostics.log.frames import Frames, joined
@@ -81,7 +81,7 @@ def test_a_logs_name_is_text_and_data_cannot_end_their_script() -> None:
 
 
 def test_every_curve_begins_ends_and_peaks_as_the_log_does(html: str, frames: Frames) -> None:
-    record = record_for(frames)
+    record = Record(frames)
     shown = {plot["slug"]: plot for plot in data_of(html)["plots"]}
     for plot in plots(record):
         for curve, drawn in zip(plot.curves, shown[plot.slug]["curves"], strict=True):
@@ -116,7 +116,7 @@ def test_a_message_that_was_missing_leaves_a_hole_in_its_curve() -> None:
 
 
 def test_lanes_show_the_as_states_one_behind_the_other(frames: Frames) -> None:
-    lane = next(lane for lane in lanes(record_for(frames)) if lane["name"] == "AS state")
+    lane = next(lane for lane in lanes(Record(frames)) if lane["name"] == "AS state")
     assert [span[2] for span in lane["spans"]] == ["AS_INIT", "AS_OFF", "AS_READY", "AS_DRIVING", "EMERGENCY_BRAKE"]
     for one, following in zip(lane["spans"], lane["spans"][1:], strict=False):
         assert one[1] == following[0]
@@ -129,7 +129,7 @@ def test_a_silence_of_the_car_is_a_hole_in_its_lanes() -> None:
         run.switch(lvms=True)
 
     frames = branch(driving(), away, 1.0).frames
-    lane = next(lane for lane in lanes(record_for(frames)) if lane["name"] == "AS state")
+    lane = next(lane for lane in lanes(Record(frames)) if lane["name"] == "AS state")
     assert any(b[0] - a[1] > 0.9 for a, b in zip(lane["spans"], lane["spans"][1:], strict=False))
 
 

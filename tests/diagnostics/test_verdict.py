@@ -10,7 +10,7 @@ import pytest
 from story_runs import branch, driving, hand_made
 
 from fsai_vcu.diagnostics.decode.databases import load_databases
-from fsai_vcu.diagnostics.explain import IncidentKind, explained, record_for
+from fsai_vcu.diagnostics.explain import IncidentKind, Record, explained
 from fsai_vcu.diagnostics.log.frames import Frames, joined
 from fsai_vcu.diagnostics.statistics.measure import measure
 from fsai_vcu.diagnostics.verdict import Verdict, judge_log
@@ -24,12 +24,12 @@ def drive() -> Frames:
 
 
 def judged(frames: Frames) -> Verdict:
-    record = record_for(frames)
+    record = Record(frames)
     return judge_log(record, measure(frames, record.decoder, revision=record.revision.name))
 
 
 def kinds(frames: Frames) -> list[str]:
-    return [finding.kind for finding in judged(frames).findings if finding.severity.value == "problem"]
+    return [finding.kind for finding in judged(frames).findings if finding.severity == "problem"]
 
 
 def in_order(*parts: Frames) -> Frames:
@@ -62,7 +62,7 @@ def test_a_missing_message_is_no_mismatch_of_the_car(drive: Frames, can_id: int)
 def test_a_database_that_is_not_the_cars_is_unknown(drive: Frames, tmp_path: Path) -> None:
     text = 'VERSION ""\n\nBU_: A\n\nBO_ 1312 Engine: 8 A\n SG_ Rpm : 0|16@1+ (1,0) [0|0] "" A\n'
     (tmp_path / "other.dbc").write_text(text)
-    record = record_for(drive, databases=load_databases([tmp_path / "other.dbc"]))
+    record = Record(drive, databases=load_databases([tmp_path / "other.dbc"]))
     buses = measure(drive, record.decoder, revision=record.revision.name)
     assert judge_log(record, buses).line().startswith("UNKNOWN: the database has no AS_STATE")
 
@@ -140,6 +140,6 @@ def changed(drive: Frames, can_id: int, data: str, since_ns: int) -> Frames:
     ],
 )
 def test_what_the_car_does_not_do_as_asked_is_named(drive: Frames, can_id: int, data: str, slug: str) -> None:
-    story = explained(record_for(changed(drive, can_id, data, int(drive.t_ns[-1]) - 1900 * MS)))
+    story = explained(Record(changed(drive, can_id, data, int(drive.t_ns[-1]) - 1900 * MS)))
     found = {i.candidates[0].slug for i in story.incidents if i.kind is IncidentKind.MISMATCH}
     assert slug in found

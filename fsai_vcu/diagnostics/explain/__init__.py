@@ -1,6 +1,6 @@
 """A run explained: what happened on the car's bus, and why.
 
-    explanation = explained(record_for(frames))     # frames.Frames of a whole log
+    explanation = explained(Record(frames))     # frames.Frames of a whole log
     explanation.events, explanation.incidents       # timeline; emergency brakes, refusals to start, early stops, causes
     text_lines(explanation, …), json_lines(…)       # render.py
 
@@ -10,9 +10,10 @@ find causes by rules, with `causes.py` as the table of their words; nothing here
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.explain.actuation import mismatches
 from fsai_vcu.diagnostics.explain.endings import early_stops, emergencies
 from fsai_vcu.diagnostics.explain.incident import Explanation, Incident, IncidentKind, TimelineEntry
@@ -20,17 +21,10 @@ from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, STATUS, label
 from fsai_vcu.diagnostics.explain.starting import refusals
 from fsai_vcu.diagnostics.explain.timeline import timeline
-from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import revision as revision_named
 
-__all__ = ["Explanation", "Incident", "IncidentKind", "TimelineEntry", "explained", "record_for"]
-
-
-def record_for(frames: Frames, revision: str | None = None, databases: Databases | None = None) -> Record:
-    """The frames of a log sorted; the revision is guessed if none is given. Raises ValueError."""
-    return Record(frames, None if revision is None else revision_named(revision), databases)
+__all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
 
 def explained(record: Record) -> Explanation:
@@ -62,27 +56,23 @@ def _closing(record: Record) -> str:
     return f"the log ends with the car in {label(AS_STATE, float(state.values[-1]))}{silent}"
 
 
-def _missing(record: Record) -> list[str]:
+def _missing(record: Record) -> Iterator[str]:
     """What this log lacks to be explained whole."""
-    lacking = []
     if not record.has(STATUS):
-        lacking.append(
-            "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
-        )
+        yield "no 0x520 in this log: without the VCU's status there is no AS state, switch or fault to tell of"
     absent = [f"0x{can_id:03X}" for can_id in AI_IDS if not record.has(can_id)]
     if len(absent) == len(AI_IDS):
-        lacking.append("no frame of the AI computer (0x510 to 0x514): what it asked for is not known")
+        yield "no frame of the AI computer (0x510 to 0x514): what it asked for is not known"
     elif absent:
-        lacking.append(f"the AI computer never sends {', '.join(absent)}")
+        yield f"the AI computer never sends {', '.join(absent)}"
     if not record.has(0x525):
-        lacking.append("no 0x525: whether the wheels turned is not known")
+        yield "no 0x525: whether the wheels turned is not known"
     if record.has(STATUS) and len(record.series(AS_STATE)) and record.series(AS_STATE).values[0] > 1:
         first = label(AS_STATE, float(record.series(AS_STATE).values[0]))
-        lacking.append(f"the log begins in {first}: what led there is not in it")
+        yield f"the log begins in {first}: what led there is not in it"
     for name, count in record.other_channels.items():
-        lacking.append(f"{count} frames of another bus ({name}) are left out")
+        yield f"{count} frames of another bus ({name}) are left out"
     strange = {f"0x{i:03X}": n for i, n in record.unknown_ids.items() if i not in BY_ID}
     if strange:
         some = ", ".join(list(strange)[:6]) + (" …" if len(strange) > 6 else "")
-        lacking.append(f"{sum(strange.values())} frames with ids that the databases do not name: {some}")
-    return lacking
+        yield f"{sum(strange.values())} frames with ids that the databases do not name: {some}"

@@ -5,7 +5,7 @@ Each check is a mask over the drive's cycles; one that holds for long enough is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -34,9 +34,6 @@ FRESH_NS: Final = 50 * MS
 LASTING_NS: Final = 500 * MS
 BRAKE_LASTING_NS: Final = 200 * MS
 
-CAR_TORQUE: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ"))
-CAR_TORQUE_MAX: Final = (Signal("VCU2AI_Drive_F", "FRONT_AXLE_TRQ_MAX"), Signal("VCU2AI_Drive_R", "REAR_AXLE_TRQ_MAX"))
-
 
 @dataclass(frozen=True)
 class Mismatch:
@@ -46,13 +43,13 @@ class Mismatch:
     signal: Signal
     asked: Signal
     holds: Mask
-    words: Callable[[int], str]  # of a cycle's row
+    words: str  # with places for the values of a cycle
+    values: Sequence[Values]
     least_ns: int = LASTING_NS
 
 
-def mismatches(record: Record) -> list[Incident]:
+def mismatches(record: Record) -> Iterator[Incident]:
     """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
-    found: list[Incident] = []
     for span in record.series(sig.AS_STATE).spans:
         times = record.times(0x513)
         times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
@@ -64,11 +61,11 @@ def mismatches(record: Record) -> list[Incident]:
             stretch = _longest(replace(one, holds=np.logical_and.reduce([one.holds, *known])), times)
             if stretch is not None:
                 begin_ns, end_ns = (int(times[row]) for row in stretch)
-                words = f"{one.words(sum(stretch) // 2)}, for {ms(end_ns - begin_ns)}"
+                middle = one.words.format(*(values[sum(stretch) // 2] for values in one.values))
+                words = f"{middle}, for {ms(end_ns - begin_ns)}"
                 cause = shown(one.slug, one.signal.step(begin_ns, words))
                 seen.setdefault(one.slug, Incident(IncidentKind.MISMATCH, begin_ns, words, (cause,)))
-        found += seen.values()
-    return found
+        yield from seen.values()
 
 
 def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
@@ -78,8 +75,7 @@ def _fresh(record: Record, signal: Signal, times: Ints) -> Mask:
         return np.zeros(len(times), np.bool_)
     newest = received[np.maximum(np.searchsorted(received, times, side="right") - 1, 0)]
     late = (times - newest >= FRESH_NS).astype(np.float64)
-    fresh: Mask = highest(late, START_TIME_NS) == 0.0
-    return fresh
+    return np.asarray(_range(late, START_TIME_NS)[1] == 0.0)
 
 
 def _longest(one: Mismatch, times: Ints) -> tuple[int, int] | None:
@@ -103,70 +99,56 @@ def _all(record: Record, times: Ints) -> Iterator[Mismatch]:
     pressed = np.maximum(column(sig.BRAKE_F), column(sig.BRAKE_R)) > 2.0
     given_sum = np.zeros(len(times))
     for axle, driven, asked_signal, limit_signal, given_signal, max_signal in (
-        ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0]),
-        ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1]),
+        ("front", car.driven_front, sig.TORQUE_F, sig.SPEED_MAX_F, sig.CAR_TORQUE[0], sig.CAR_TORQUE_MAX[0]),
+        ("rear", car.driven_rear, sig.TORQUE_R, sig.SPEED_MAX_R, sig.CAR_TORQUE[1], sig.CAR_TORQUE_MAX[1]),
     ):
         if not driven:
             continue
         asked, given = column(asked_signal), column(given_signal)
         given_sum += given
         free = (fastest * car.gear_ratio < 0.9 * column(limit_signal)) & ~braked
-        low = lowest(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
-        high = highest(asked, TORQUE_TIME_NS)
-        words = asked_and_given(f"{axle} torque", "Nm", asked, given)
+        low, _ = _range(np.where(free, np.minimum(asked, column(max_signal)), 0.0), TORQUE_TIME_NS)
+        _, high = _range(asked, TORQUE_TIME_NS)
+        words = f"{axle} torque: {{:.1f}} Nm asked for, {{:.1f}} Nm measured"
         less, more = (low > TORQUE_NM) & (given < TORQUE_SHARE * low), given > high + TORQUE_NM
-        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words)
-        yield Mismatch("torque_unasked", given_signal, asked_signal, more, words)
-    pushed = lowest(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
+        yield Mismatch("torque_not_given", given_signal, asked_signal, less, words, (asked, given))
+        yield Mismatch("torque_unasked", given_signal, asked_signal, more, words, (asked, given))
+    pushed, _ = _range(np.where(braked | pressed, 0.0, given_sum), START_TIME_NS)
     yield Mismatch(
         "no_motion",
-        CAR_TORQUE[1],
+        sig.CAR_TORQUE[1],
         sig.TORQUE_R,
-        (pushed > TORQUE_NM) & (highest(fastest, START_TIME_NS) < STANDING_RPM),
-        lambda row: f"{given_sum[row]:.0f} Nm are given, and no wheel turns",
+        (pushed > TORQUE_NM) & (_range(fastest, START_TIME_NS)[1] < STANDING_RPM),
+        "{:.0f} Nm are given, and no wheel turns",
+        (given_sum,),
     )
     brakes = (("front", sig.BRAKE_REQ_F, sig.BRAKE_F), ("rear", sig.BRAKE_REQ_R, sig.BRAKE_R))
     for axle, asked_signal, given_signal in brakes:
         asked, given = column(asked_signal), column(given_signal)
-        low, high = lowest(asked, BRAKE_TIME_NS), highest(asked, 2 * BRAKE_TIME_NS)
-        words = asked_and_given(f"{axle} brake", "%", asked, given)
+        low, high = _range(asked, BRAKE_TIME_NS)[0], _range(asked, 2 * BRAKE_TIME_NS)[1]
+        words = f"{axle} brake: {{:.1f}} % asked for, {{:.1f}} % measured"
         less, more = (low > BRAKE_PCT) & (given < BRAKE_SHARE * low), given > 1.3 * high + BRAKE_PCT
-        yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, BRAKE_LASTING_NS)
-        yield Mismatch("brake_unasked", given_signal, asked_signal, more, words)
+        yield Mismatch("brake_not_following", given_signal, asked_signal, less, words, (asked, given), BRAKE_LASTING_NS)
+        yield Mismatch("brake_unasked", given_signal, asked_signal, more, words, (asked, given))
     asked, angle = column(sig.STEER), column(sig.ANGLE)
     limit = column(sig.ANGLE_MAX) if len(record.series(sig.ANGLE_MAX)) else np.full(len(times), np.inf)
     within = np.clip(asked, -limit, limit)
-    low, high = lowest(within, STEER_TIME_NS), highest(within, STEER_TIME_NS)
+    low, high = _range(within, STEER_TIME_NS)
     off = (angle < low - STEER_DEG) | (angle > high + STEER_DEG)
     off[: STEER_TIME_NS // PERIOD_NS] = False
-    words = asked_and_given("steering", "deg", asked, angle)
-    yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words)
+    words = "steering: {:.1f} deg asked for, {:.1f} deg measured"
+    yield Mismatch("steering_not_following", sig.ANGLE, sig.STEER, off, words, (asked, angle))
     for number, name in enumerate(sig.WHEEL_NAMES):
         others = np.sort(np.delete(wheels, number, axis=0), axis=0)
         middle = others[1]
         allowed = WHEEL_RPM + WHEEL_SHARE * middle
         unlike = (np.abs(wheels[number] - middle) > allowed) & (others[2] - others[0] <= allowed)
-        words = compared(name, wheels[number], middle)
-        yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words)
+        words = f"{name} at {{:.0f}} rpm, the others at {{:.0f}} rpm"
+        yield Mismatch("wheel_unlike", sig.WHEELS[number], sig.WHEELS[0], unlike, words, (wheels[number], middle))
 
 
-def asked_and_given(what: str, unit: str, asked: Values, given: Values) -> Callable[[int], str]:
-    return lambda row: f"{what}: {asked[row]:.1f} {unit} asked for, {given[row]:.1f} {unit} measured"
-
-
-def compared(wheel: str, speed: Values, others: Values) -> Callable[[int], str]:
-    return lambda row: f"{wheel} at {speed[row]:.0f} rpm, the others at {others[row]:.0f} rpm"
-
-
-def lowest(values: Values, over_ns: int) -> Values:
-    """The lowest value of the last `over_ns`, of one value a cycle; before the beginning counts as nothing asked."""
-    return np.asarray(_window(values, over_ns).min(axis=1))
-
-
-def highest(values: Values, over_ns: int) -> Values:
-    return np.asarray(_window(values, over_ns).max(axis=1))
-
-
-def _window(values: Values, over_ns: int) -> Values:
+def _range(values: Values, over_ns: int) -> tuple[Values, Values]:
+    """The lowest and highest value of the last `over_ns`, of one value a cycle; before the first it counts as 0."""
     width = over_ns // PERIOD_NS
-    return np.lib.stride_tricks.sliding_window_view(np.concatenate((np.zeros(width - 1), values)), width)
+    window = np.lib.stride_tricks.sliding_window_view(np.concatenate((np.zeros(width - 1), values)), width)
+    return window.min(axis=1), window.max(axis=1)

@@ -8,7 +8,7 @@ held for 200 ms before the brake comes; everything else brakes at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -16,15 +16,7 @@ import numpy as np
 from fsai_vcu.core.supervision.reasons import Reason
 from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.causes import FAULT_BITS, SHUTDOWN
-from fsai_vcu.diagnostics.explain.evidence import (
-    CONFIG,
-    GONE_NS,
-    REBOOT_NS,
-    SLACK_NS,
-    found_before,
-    gap_at,
-    link_losses,
-)
+from fsai_vcu.diagnostics.explain.evidence import CONFIG, GONE_NS, SLACK_NS, found_before, gap_at, link_losses
 from fsai_vcu.diagnostics.explain.incident import (
     Candidate,
     ChainLink,
@@ -46,6 +38,7 @@ AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of 
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
 BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
+REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
 FAST_RPM: Final = 80  # 2 m/s: a mission that is done brakes by command to less than this before it stops for good
@@ -54,15 +47,14 @@ NOT_SHOWN: Final = (Reason.COMMAND_STALE.slug, "stop_asked")  # causes that no f
 HELD_NS: Final = 150 * MS  # of the 200 ms between torque 0 and the brake
 
 
-def emergencies(record: Record) -> list[Incident]:
+def emergencies(record: Record) -> Iterator[Incident]:
     """Every entry into EMERGENCY_BRAKE, and drives that ended in no regular state."""
-    found = []
     for span in record.series(sig.AS_STATE).spans:
         if span.value == sig.EMERGENCY:
-            found.append(_emergency(record, span))
+            yield _emergency(record, span)
         elif span.before == sig.DRIVING and span.value != sig.FINISHED:
-            found.append(_cut_off(record, span))
-    return [*found, *_lost_car(record)]
+            yield _cut_off(record, span)
+    yield from _lost_car(record)
 
 
 # ---------------------------------------------------------------- one emergency brake
@@ -141,11 +133,6 @@ def _plain(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Can
     return [candidate(slug, sureness, sig.SHUTDOWN_CAUSE.step(t_ns, f"SHUTDOWN_CAUSE names it: {slug}"))]
 
 
-def _drive_begin(record: Record, t_ns: int) -> int:
-    begins = (s.begin_ns for s in record.series(sig.AS_STATE).spans if s.value == sig.DRIVING and s.begin_ns <= t_ns)
-    return max(begins, default=record.begin_ns)
-
-
 def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list[Candidate]:
     """Why the AI computer asked for the emergency brake."""
     asked = [s for s in record.series(sig.ESTOP).spans if s.value and s.begin_ns <= t_ns + 20 * MS]
@@ -157,7 +144,8 @@ def _requested(record: Record, t_ns: int, slug: str, sureness: Sureness) -> list
         step = sig.ESTOP.step(first.begin_ns, "ESTOP_REQUEST is 1 from the log's first 0x510 on")
         return [candidate(slug, sureness, step)]
     request = sig.ESTOP.step(first.begin_ns, "ESTOP_REQUEST 0 → 1: the AI computer asks")
-    drive_ns = _drive_begin(record, t_ns)
+    begins = (s.begin_ns for s in record.series(sig.AS_STATE).spans if s.value == sig.DRIVING and s.begin_ns <= t_ns)
+    drive_ns = max(begins, default=record.begin_ns)
     # Who asked is reported by the car; why, by the frames before.
     if roots := found_before(record, first.begin_ns, drive_ns, emergency=True):
         return list(ranked(candidate(root.slug, sureness, *root.steps, request) for root in roots))
@@ -257,24 +245,22 @@ def switched(
     return [shown(slug, signal.step(change.begin_ns, words)) for change in changes]
 
 
-def _radio(record: Record, t_ns: int) -> list[Candidate]:
+def _radio(record: Record, t_ns: int) -> Iterator[Candidate]:
     """The remote's own words (0x181), and what a Go that vanishes may mean."""
-    found = []
     # Which of its two values means pressed is not in the interface: what held before the edge was released.
     for edge in record.changes(sig.REMOTE_ESTOP, t_ns - 2 * S, t_ns)[:1]:
         step = sig.REMOTE_ESTOP.step(edge.begin_ns, f"the remote's ESTOP_STATUS {edge.before:g} → {edge.value:g}")
-        found.append(shown("remote_estop", step))
+        yield shown("remote_estop", step)
     silent = gap_at(record, sig.REMOTE_ESTOP.can_id, t_ns, SILENT_NS)
     if silent is not None:
         step = ChainLink(silent.begin_ns, "the last 0x181 (RES_TPDO) before it is missing", sig.REMOTE_ESTOP.can_id)
-        found.append(shown("radio_lost", step))
+        yield shown("radio_lost", step)
     weak = switched(record, "radio_lost", sig.RADIO_STRENGTH, t_ns, "RADIO_STRENGTH falls to 0 %", within_ns=2 * S)
     if weak:
-        found += weak[-1:]
+        yield weak[-1]
     elif record.changes(sig.GO, t_ns - JUST_BEFORE_NS, t_ns, to=0):
         step = sig.GO.step(t_ns, "Go vanishes with the remote's radio, too")
-        found.append(candidate("radio_lost", Sureness.POSSIBLE, step))
-    return found
+        yield candidate("radio_lost", Sureness.POSSIBLE, step)
 
 
 def _unreported(record: Record, t_ns: int) -> list[Candidate]:
@@ -350,31 +336,30 @@ def _cut_off(record: Record, span: Span) -> Incident:
     return Incident(IncidentKind.ABORT, t_ns, f"AS_DRIVING ended in {state}", chains)
 
 
-def _lost_car(record: Record) -> list[Incident]:
+def _lost_car(record: Record) -> Iterator[Incident]:
     """The car fell silent in AS_DRIVING and never came back, while others went on."""
     spans = record.series(sig.AS_STATE).spans
     if not spans or spans[-1].value != sig.DRIVING or record.end_ns - spans[-1].end_ns < GONE_NS:
-        return []
+        return
     last_ns = spans[-1].end_ns
     words = f"the last 0x520 of the log, {ms(record.end_ns - last_ns)} before its end"
     received = [can_id for can_id in BY_ID if sig.STATUS < can_id < 0x527 and record.has(can_id)]
     still = any(int(record.times(can_id)[-1]) > last_ns + SILENT_NS for can_id in received)
     cause = shown("vcu_silent" if still else "power_off", ChainLink(last_ns, words, sig.STATUS))
-    return [Incident(IncidentKind.ABORT, last_ns, "the car fell silent in AS_DRIVING", (cause,))]
+    yield Incident(IncidentKind.ABORT, last_ns, "the car fell silent in AS_DRIVING", (cause,))
 
 
 # ---------------------------------------------------------------- service-brake stops
 
 
-def early_stops(record: Record) -> list[Incident]:
+def early_stops(record: Record) -> Iterator[Incident]:
     """Every service-brake stop from speed in a drive that was not ended by an emergency brake."""
-    found = []
     for span in record.series(sig.AS_STATE).spans:
         if span.value != sig.DRIVING or span.after == sig.EMERGENCY:
             continue
         began_ns = _service_brake(record, span.begin_ns, span.end_ns)
         if began_ns is None or record.at(sig.ESTOP, began_ns):
-            found += _without_a_stop(record, span)
+            yield from _without_a_stop(record, span)
             continue
         stop = _stop(record, began_ns, span.begin_ns)
         # Slow after a drive, or on stands, a mission that is done stops like this: then only what the bus shows counts.
@@ -382,16 +367,15 @@ def early_stops(record: Record) -> list[Incident]:
         slow = len(wheels) and wheels[-1] < FAST_RPM <= wheels.max()
         on_stands = record.at(sig.AMI, began_ns) == Ami.STATIC_INSPECTION_A
         if any(one.slug not in NOT_SHOWN for one in stop.candidates) or not (slow or on_stands):
-            found.append(stop)
-    return found
+            yield stop
 
 
-def _without_a_stop(record: Record, span: Span) -> list[Incident]:
+def _without_a_stop(record: Record, span: Span) -> Iterator[Incident]:
     """AS_DRIVING that was over before it drove, or that the AI computer does not take for a drive of its own."""
     wheels = record.fastest_wheel.between(span.begin_ns, span.end_ns).values
     asked = [record.series(signal).between(span.begin_ns, span.end_ns) for signal in (sig.TORQUE_F, sig.TORQUE_R)]
     if span.before is None or not len(wheels) or not all(map(len, asked)):
-        return []
+        return
     finished = span.after == sig.FINISHED
     over = record.span_at(sig.MISSION_STATUS, span.end_ns) if finished else None
     over_ns = span.end_ns if over is None else over.begin_ns
@@ -402,10 +386,9 @@ def _without_a_stop(record: Record, span: Span) -> list[Incident]:
         if record.at(sig.AMI, span.end_ns) not in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B):
             step = ChainLink(span.begin_ns, "the AI computer does not drive in AS_DRIVING", 0x512)
             candidates.append(candidate("stop_asked", Sureness.POSSIBLE, step))
-    if not candidates:
-        return []
-    what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
-    return [Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))]
+    if candidates:
+        what = f"AS_DRIVING for {ms(span.end_ns - span.begin_ns)}, and not faster than {wheels.max():.0f} rpm"
+        yield Incident(IncidentKind.STOP, over_ns, what, ranked(candidates))
 
 
 def _start_was_wrong(record: Record, span: Span) -> list[Candidate]:

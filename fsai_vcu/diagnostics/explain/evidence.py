@@ -21,27 +21,18 @@ from fsai_vcu.diagnostics.explain import signals as sig
 from fsai_vcu.diagnostics.explain.incident import Candidate, ChainLink, Sureness, candidate, shown
 from fsai_vcu.diagnostics.explain.record import Gap, Record, Values, ms
 from fsai_vcu.diagnostics.explain.signals import Signal, label
-from fsai_vcu.diagnostics.log.frames import ERROR, Ints
+from fsai_vcu.diagnostics.log.frames import ERROR
+from fsai_vcu.interface import messages
 from fsai_vcu.interface.bus_table import BY_ID
 from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.fields import fields_of
-from fsai_vcu.interface.messages import (
-    AiBrake,
-    AiCommand,
-    AiDriveFront,
-    AiDriveRear,
-    VcuSteer,
-    WheelCounts,
-    WheelSpeeds,
-)
 from fsai_vcu.interface.reserved import AI_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS, STANDING_RPM
 from fsai_vcu.interface.units import MS, S
 
 EARLY_NS: Final = 15 * MS  # the VCU counts from when it missed the first one; the log's stamps differ a little
 AT_ONCE_NS: Final = 30 * MS  # messages that stop within this time stop together
-GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off …
-REBOOT_NS: Final = 3 * S  # … unless it is back by then: a VCU that restarted by itself
+GONE_NS: Final = 1 * S  # no 0x520 for so long: switched off
 LOOK_BACK_NS: Final = 2 * S
 CONFIG: Final = BridgeConfig()
 INTRUDER_NS: Final = 60 * MS  # the answer to an intruder leaves with the next cycle
@@ -209,10 +200,10 @@ def _not_believed(record: Record, t_ns: int, patience_ns: int) -> list[Candidate
     for row in rows:
         now_ns = int(times[row])
         while place < len(counts_ns) and counts_ns[place] <= now_ns and all(map(len, pulses)):
-            counts = WheelCounts(*(int(column[place]) for column in pulses))
+            counts = messages.WheelCounts(*(int(column[place]) for column in pulses))
             belief = on_counts(CONFIG, car, belief, replace(counts, t_rx_ns=int(counts_ns[place])))
             place += 1
-        turning = WheelSpeeds(*(int(column[row]) for column in speeds))
+        turning = messages.WheelSpeeds(*(int(column[row]) for column in speeds))
         belief, why = on_speeds(CONFIG, belief, replace(turning, t_rx_ns=now_ns))
         if why:
             doubt = why
@@ -257,25 +248,20 @@ def _implausible(record: Record, t_ns: int, drive_begin_ns: int, patience_ns: in
     def column(signal: Signal) -> Values:
         return record.series(signal).sampled(times)
 
-    def received_ns(can_id: int) -> Ints:
-        """When the newest one came, for each of the times."""
-        received = np.append(-S, record.times(can_id))
-        return received[np.searchsorted(received, times, side="right") - 1]
-
-    angle, angle_ns, asked = column(sig.ANGLE), received_ns(0x523), column(sig.STEER)
-    rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], received_ns(0x525)
+    angle, angle_ns, asked = column(sig.ANGLE), record.newest_ns(0x523, times), column(sig.STEER)
+    rpm, rpm_ns = [column(signal) for signal in sig.WHEELS], record.newest_ns(0x525, times)
     requests: dict[Any, list[Any]] = {
         one.command: column(Signal(message.dbc_name, one.signal)).astype(one.holds).tolist()
-        for message in (AiDriveFront, AiDriveRear, AiBrake)
+        for message in (messages.AiDriveFront, messages.AiDriveRear, messages.AiBrake)
         for one in fields_of(message)
     }
     inspected = record.at(sig.AMI, t_ns) in (Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B)
     for row, now_ns in enumerate(times.tolist()):
-        measured = VcuSteer(float(angle[row]), t_rx_ns=int(angle_ns[row]))
+        measured = messages.VcuSteer(float(angle[row]), t_rx_ns=int(angle_ns[row]))
         steer = check_steering(CONFIG, car, steer, float(asked[row]), measured, now_ns)
         if not inspected:
-            command = AiCommand(**{name: values[row] for name, values in requests.items()})
-            speeds = replace(WheelSpeeds(*(int(column[row]) for column in rpm)), t_rx_ns=int(rpm_ns[row]))
+            command = messages.AiCommand(**{name: values[row] for name, values in requests.items()})
+            speeds = replace(messages.WheelSpeeds(*(int(column[row]) for column in rpm)), t_rx_ns=int(rpm_ns[row]))
             wheel = check_wheels(CONFIG, car, wheel, command, speeds, measured, now_ns)
     found = []
     words = f"asked for {asked[-1]:.1f} deg, measured {angle[-1]:.1f} deg"

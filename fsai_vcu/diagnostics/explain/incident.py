@@ -122,10 +122,6 @@ class Incident:
     candidates: tuple[Candidate, ...]
     planned: bool = False
 
-    @property
-    def bad(self) -> bool:
-        return not self.planned
-
 
 def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
     """The best founded first; of equals the earliest. One of each cause."""
@@ -154,4 +150,4 @@ class Explanation:
     @property
     def clean(self) -> bool:
         """Nothing happened but what was planned."""
-        return not any(incident.bad for incident in self.incidents)
+        return all(incident.planned for incident in self.incidents)

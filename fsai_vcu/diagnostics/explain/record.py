@@ -25,13 +25,14 @@ from fsai_vcu.diagnostics.log.frames import ERROR, Frames, Ints
 from fsai_vcu.diagnostics.statistics.senders import SecondSender, second_senders
 from fsai_vcu.interface.bus_table import BY_ID, Flow
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import Revision
+from fsai_vcu.interface.revisions import revision as revision_named
 from fsai_vcu.interface.units import MS, S
 
 Values = npt.NDArray[np.float64]
 
 DEAD_NS: Final = 50 * MS  # five cycles of everybody
 DEAD_SHARE: Final = 0.8
+_own_databases: Final = cache(load_databases)
 _NAME_TAILS: Final = ("", "_Nm")  # 2026 names in 0x522 carry the unit
 
 
@@ -144,24 +145,27 @@ class Record:
     wrong_length: how often a message came so, and when first. set_back: where the log's clock was, and by how much.
     """
 
-    def __init__(self, frames: Frames, revision: Revision | None = None, databases: Databases | None = None) -> None:
+    def __init__(self, frames: Frames, revision: str | None = None, databases: Databases | None = None) -> None:
         """revision: guessed from the frames where none is given. `databases` replaces the revision's own.
 
-        Raises ValueError for a log without a frame.
+        Raises ValueError for a log without a frame, and for an unknown revision.
         """
         if not len(frames):
             raise ValueError("there is no frame to be explained")
-        self.revision, self.revision_reason = (revision, "given") if revision else guess_revision(frames)
+        self.revision, self.revision_reason = (
+            (revision_named(revision), "given") if revision else guess_revision(frames)
+        )
         chosen = _car_channel(frames)
         self.channel = frames.channels[chosen]
         counts = np.bincount(frames.channel, minlength=len(frames.channels)).tolist()
         others = zip(frames.channels, counts, strict=True)
         self.other_channels = {name: count for name, count in others if count and name != self.channel}
-        straight, self.set_back = _monotonic(frames.t_ns)
+        straight, back_ns = straightened(frames.t_ns)
+        self.set_back = [(int(straight[row]), int(back_ns[row])) for row in np.flatnonzero(back_ns)]
         self.begin_ns, self.end_ns = int(straight[0]), int(straight[-1])
         self.frames = frames.at(straight).only(frames.channel == chosen)
         self.error_ns = self.frames.t_ns[(self.frames.flags & ERROR) != 0]
-        self.decoder = Decoder(databases or _own_databases(self.revision.name))
+        self.decoder = Decoder(databases or _own_databases(revision=self.revision.name))
         self.wrong_length: dict[int, tuple[int, int]] = {}
         self.unknown_ids: Counter[int] = Counter()
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
@@ -194,10 +198,16 @@ class Record:
         rows = self._rows.get(can_id)
         return NOTHING.t_ns if rows is None else self.frames.t_ns[rows]
 
+    def newest_ns(self, can_id: int, at_ns: Ints | int) -> Ints:
+        """When that message came last, before or at each of these times; -1 s: never."""
+        times = np.append(-S, self.times(can_id))
+        return np.asarray(times[np.searchsorted(times, at_ns, side="right") - 1])
+
     def series(self, signal: Signal) -> Series:
         """A signal in physical units; empty if the log or the database does not have it."""
         if signal not in self._series:
-            self._series[signal] = self._read(signal)
+            absent = signal in sig.ONLY_2026 and self.revision.name == "2021"
+            self._series[signal] = NOTHING if absent else self._read(signal)
         return self._series[signal]
 
     def _read(self, signal: Signal) -> Series:
@@ -216,7 +226,7 @@ class Record:
         groups: dict[str, list[tuple[str, Series]]] = {}
         for layout in self.decoder.databases.layouts.values():
             for signal in layout.signals_like(patterns):
-                series = self.series(Signal(layout.name, signal.name))
+                series = self._read(Signal(layout.name, signal.name))
                 if len(series):
                     groups.setdefault(signal.unit, []).append((f"{layout.name}.{signal.name}", series))
         return groups
@@ -300,11 +310,6 @@ class Record:
         return second_senders(self.frames, self.decoder.databases)
 
 
-@cache
-def _own_databases(revision: str) -> Databases:
-    return load_databases(revision=revision)
-
-
 def _car_channel(frames: Frames) -> int:
     """The bus on which most of the VCU's and the AI computer's messages are."""
     known = [can_id for can_id, message in BY_ID.items() if message.flow in (Flow.TO_VCU, Flow.FROM_VCU)]
@@ -313,13 +318,7 @@ def _car_channel(frames: Frames) -> int:
     return int(np.bincount(counted).argmax()) if len(counted) else 0
 
 
-def _monotonic(t_ns: Ints) -> tuple[Ints, Sequence[tuple[int, int]]]:
-    """The times with every step back taken out, and where the steps were."""
-    steps = np.diff(t_ns)
-    back = np.flatnonzero(steps < 0)
-    if not len(back):
-        return t_ns, ()
-    moved = np.zeros(len(t_ns), np.int64)
-    moved[back + 1] = -steps[back]
-    straight = t_ns + np.cumsum(moved)
-    return straight, tuple((int(straight[place + 1]), int(-steps[place])) for place in back)
+def straightened(t_ns: Ints, before_ns: int | None = None) -> tuple[Ints, Ints]:
+    """The times with every step back taken out, and by how much each is one. before_ns: of the frame before."""
+    back_ns = np.maximum(-np.diff(t_ns, prepend=t_ns[0] if before_ns is None else before_ns), 0)
+    return t_ns + np.cumsum(back_ns), back_ns

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -16,7 +15,6 @@ from fsai_vcu.diagnostics.explain.incident import (
     Incident,
     IncidentKind,
     Sureness,
-    TimelineEntry,
     Weight,
 )
 
@@ -38,17 +36,6 @@ def extent(story: Explanation) -> str:
     return f"{heading['seconds']:.1f} s, {heading['frames']} frames on {heading['channel']}{when}"
 
 
-def cut(story: Explanation, from_s: float | None, to_s: float | None) -> Explanation:
-    """The part from `from_s` to `to_s`, in seconds since the log's first frame. Causes keep their chains."""
-    low = float("-inf") if from_s is None else from_s
-    high = float("inf") if to_s is None else to_s
-    return replace(
-        story,
-        events=tuple(event for event in story.events if low <= seconds(story, event.t_ns) <= high),
-        incidents=tuple(incident for incident in story.incidents if low <= seconds(story, incident.t_ns) <= high),
-    )
-
-
 # ---------------------------------------------------------------- for people
 
 
@@ -65,7 +52,9 @@ def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterat
         yield paint(f"note: {problem}", "33")
     yield ""
     for event in story.events:
-        yield _event_line(story, event, paint)
+        where = f"  [0x{event.can_id:03X}]" if event.can_id is not None else ""
+        text = paint(event.text, _COLOURS[event.weight])
+        yield f"{seconds(story, event.t_ns):9.3f} s  {event.topic:<9} {text}{paint(where, '2')}"
     yield f"{heading['seconds']:9.3f} s  {'':<9} {story.closing}"
     for incident in story.incidents:
         yield ""
@@ -74,14 +63,8 @@ def text_lines(story: Explanation, name: str, *, colour: bool = False) -> Iterat
     yield paint(verdict(story), "32;1" if story.clean else "31;1")
 
 
-def _event_line(story: Explanation, event: TimelineEntry, paint: Any) -> str:
-    where = f"  [0x{event.can_id:03X}]" if event.can_id is not None else ""
-    text = paint(event.text, _COLOURS[event.weight])
-    return f"{seconds(story, event.t_ns):9.3f} s  {event.topic:<9} {text}{paint(where, '2')}"
-
-
 def _incident_lines(story: Explanation, incident: Incident, paint: Any) -> Iterator[str]:
-    colour = "31;1" if incident.bad else "33;1"
+    colour = "33;1" if incident.planned else "31;1"
     planned = " (as planned)" if incident.planned else ""
     heading = f"{incident.kind.words.upper()} at {seconds(story, incident.t_ns):.3f} s{planned}: {incident.what}"
     yield paint(heading, colour)
@@ -124,7 +107,7 @@ def _wrapped(text: str, indent: str, paint: Any, code: str = "") -> Iterator[str
 
 def verdict(story: Explanation) -> str:
     """One line that ends the explanation."""
-    counts = [(kind, sum(i.bad for i in story.incidents if i.kind is kind)) for kind in IncidentKind]
+    counts = [(kind, sum(i.kind is kind and not i.planned for i in story.incidents)) for kind in IncidentKind]
     bad = [f"{count} {kind.one if count == 1 else kind.many}" for kind, count in counts if count]
     planned = any(incident.planned for incident in story.incidents)
     rest = ["the emergency brake that the mission ends with"] if planned else []
@@ -168,7 +151,7 @@ def incident_dict(story: Explanation, incident: Incident) -> dict[str, Any]:
         "t_ns": incident.t_ns,
         "what": incident.what,
         "planned": incident.planned,
-        "bad": incident.bad,
+        "bad": not incident.planned,
         "causes": [
             {
                 "cause": one.slug,

@@ -63,16 +63,9 @@ def _is(signal: Signal, wanted: Callable[[float], bool]) -> Unmet:
     return unmet
 
 
-def _last(record: Record, can_id: int, t_ns: int) -> int:
-    """When that message came last, before or at `t_ns`; 0: never."""
-    times = record.times(can_id)
-    place = int(times.searchsorted(t_ns, side="right"))
-    return int(times[place - 1]) if place else 0
-
-
 def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
-    last_ns = max(_last(record, can_id, t_ns) for can_id in AI_IDS)
-    if not last_ns:
+    last_ns = max(int(record.newest_ns(can_id, t_ns)) for can_id in AI_IDS)
+    if last_ns < 0:
         return ChainLink(record.begin_ns, "no 0x510 to 0x514 up to then")
     if t_ns - last_ns < RECENT_NS:
         return None
@@ -80,17 +73,17 @@ def _no_ai_data(record: Record, t_ns: int) -> ChainLink | None:
 
 
 def _incomplete(record: Record, t_ns: int) -> ChainLink | None:
-    missing = [i for i in AI_IDS if t_ns - _last(record, i, t_ns) >= RECENT_NS]
+    missing = [i for i in AI_IDS if t_ns - record.newest_ns(i, t_ns) >= RECENT_NS]
     if not missing or len(missing) == len(AI_IDS):
         return None
     words = f"{', '.join(f'0x{i:03X}' for i in missing)} {'does' if len(missing) == 1 else 'do'} not come"
     if any(i in record.wrong_length for i in missing):
         words += ", or with the wrong length"
-    return ChainLink(max(_last(record, missing[0], t_ns), record.begin_ns), words, missing[0])
+    return ChainLink(max(int(record.newest_ns(missing[0], t_ns)), record.begin_ns), words, missing[0])
 
 
 def _ebs(record: Record, t_ns: int) -> ChainLink | None:
-    if len(record.series(sig.EBS_STATE)) and record.revision.name != "2021":
+    if len(record.series(sig.EBS_STATE)):
         return _is(sig.EBS_STATE, lambda value: value == EbsState.EBS_ARMED)(record, t_ns)
     # 0 is what the official simulator always sends: it says nothing
     return _is(sig.STATUS_EBS, lambda value: value in (0, EbsStatus.ARMED))(record, t_ns)
@@ -195,13 +188,19 @@ def unmet(conditions: tuple[StartCondition, ...], record: Record, t_ns: int) -> 
 # ---------------------------------------------------------------- refusals
 
 
-def refusals(record: Record) -> list[Incident]:
+def refusals(record: Record) -> Iterator[Incident]:
     """Every time that the car was to start and did not."""
-    return [*_never_ready(record), *_never_driving(record)]
+    yield from _never_ready(record)
+    for span in record.series(sig.AS_STATE).spans:
+        if span.value == sig.READY:
+            incident = _refused_go(record, span)
+            if incident is None and span.after not in (sig.DRIVING, sig.EMERGENCY):
+                incident = _waited_in_vain(record, span)
+            if incident is not None:
+                yield incident
 
 
-def _never_ready(record: Record) -> list[Incident]:
-    found = []
+def _never_ready(record: Record) -> Iterator[Incident]:
     for begin_ns, end_ns, after_run, following in _off_stays(record):
         if following is not None or end_ns - begin_ns < PATIENCE_NS:
             continue
@@ -212,8 +211,7 @@ def _never_ready(record: Record) -> list[Incident]:
         candidates = unmet(TO_READY, record, at_ns) or [candidate("start_unknown", Sureness.POSSIBLE, met)]
         state = label(sig.AS_STATE, record.at(sig.AS_STATE, at_ns))
         what = f"the car stays in {state} for {ms(end_ns - begin_ns)} and never gets to AS_READY"
-        found.append(Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates)))
-    return found
+        yield Incident(IncidentKind.REFUSAL, at_ns, what, tuple(candidates))
 
 
 def _off_stays(record: Record) -> Iterator[tuple[int, int, bool, float | None]]:
@@ -231,17 +229,6 @@ def _last_both_on(record: Record, begin_ns: int, end_ns: int) -> int:
     asms, tsms = (record.series(s).between(begin_ns, end_ns) for s in (sig.AS_SWITCH, sig.TS_SWITCH))
     both = asms.t_ns[(asms.values != 0) & (tsms.values != 0)]
     return int(both[-1]) if len(both) else end_ns
-
-
-def _never_driving(record: Record) -> list[Incident]:
-    found = []
-    for span in record.series(sig.AS_STATE).spans:
-        if span.value == sig.READY:
-            incident = _refused_go(record, span)
-            if incident is None and span.after not in (sig.DRIVING, sig.EMERGENCY):
-                incident = _waited_in_vain(record, span)
-            found += [incident] if incident is not None else []
-    return found
 
 
 def _refused_go(record: Record, span: Span) -> Incident | None:

@@ -109,8 +109,6 @@ def _switches(record: Record) -> Iterator[TimelineEntry]:
 
 def _states(record: Record) -> Iterator[TimelineEntry]:
     for signal, topic, usual in STATES:
-        if signal in (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE) and record.revision.name == "2021":
-            continue
         if signal in (sig.STATUS_BRK, sig.STATUS_EBS) and not record.series(signal).values.any():
             continue
         for span in record.series(signal).spans:
@@ -130,20 +128,16 @@ def _states(record: Record) -> Iterator[TimelineEntry]:
 
 
 def _flags(record: Record) -> Iterator[TimelineEntry]:
-    """Fault and warning bits."""
-    groups = (
-        (sig.FAULTS, "fault", FAULT),
-        ((*sig.WARNINGS, *sig.SYSTEM_WARNINGS), "warning", WARNING),
-        (sig.MISSED, "link", WARNING),
-    )
-    for signals, topic, weight in groups:
-        for signal in signals:
-            for span in record.series(signal).spans:
-                if span.value:
-                    what = f"the VCU misses {sig.MISSED[signal]} ({signal.name})" if signal in sig.MISSED else ""
-                    yield _entry(signal, span.begin_ns, topic, what or f"{signal.name} {span.value:.0f}", weight)
-                elif span.before is not None:
-                    yield _entry(signal, span.begin_ns, topic, f"{signal.name} 0")
+    """Fault and warning bits, and what the VCU misses."""
+    rows = [(signal, "fault", f"{signal.name} 1", FAULT) for signal in sig.FAULTS]
+    rows += [(signal, "warning", f"{signal.name} 1", WARNING) for signal in (*sig.WARNINGS, *sig.SYSTEM_WARNINGS)]
+    rows += [(signal, "link", f"the VCU misses {what} ({signal.name})", WARNING) for signal, what in sig.MISSED.items()]
+    for signal, topic, text, weight in rows:
+        for span in record.series(signal).spans:
+            if span.value:
+                yield _entry(signal, span.begin_ns, topic, text, weight)
+            elif span.before is not None:
+                yield _entry(signal, span.begin_ns, topic, f"{signal.name} 0")
 
 
 def _mode(record: Record) -> Iterator[TimelineEntry]:

@@ -82,6 +82,7 @@ class MonitorApp(App[None]):
         self.moment = source.look()
         self.printed: list[str] = []
         self._source = source
+        self._replayed = source if isinstance(source, Log) else None
         self._every_s = every_s
         self._patterns = tuple(patterns) or ("*",)
         self._page = "signals" if patterns else "overview"
@@ -94,7 +95,7 @@ class MonitorApp(App[None]):
         self._scroll = VerticalScroll(self._text, id="scroll")
         self._list = OptionList(markup=False)
         self._input = Input(compact=True)
-        self._foot = Static(FOOT + FOOT_OF_A_LOG * source.is_log, id="foot", markup=False)
+        self._foot = Static(FOOT + FOOT_OF_A_LOG * (self._replayed is not None), id="foot", markup=False)
 
     def compose(self) -> ComposeResult:
         yield from (self._head, self._scroll, self._list, self._input, self._foot)
@@ -114,7 +115,7 @@ class MonitorApp(App[None]):
         self._show()
 
     def _tick(self) -> None:
-        if self._source.ended and not self._source.is_log:
+        if self._source.ended and not self._replayed:
             self.exit()
         playing = self._source.playing
         self._source.advance(self._every_s)
@@ -140,11 +141,11 @@ class MonitorApp(App[None]):
             self._show_rows(list(self._rows_of_page(width - 1)))
 
     def _position(self) -> str:
-        source = self._source
-        if not isinstance(source, Log):
+        log = self._replayed
+        if not log:
             return self.moment.words if self.size.width < _WIDE else f"listening only   {self.moment.words}"
-        position_s, end_s = ((t_ns - source.begin_ns) / S for t_ns in (source.position_ns, source.end_ns))
-        return f"{'▶' if source.playing else '■'} {position_s:.1f} of {end_s:.1f} s"
+        position_s, end_s = ((t_ns - log.begin_ns) / S for t_ns in (log.position_ns, log.end_ns))
+        return f"{'▶' if log.playing else '■'} {position_s:.1f} of {end_s:.1f} s"
 
     def _rows_of_page(self, width: int) -> Iterator[tuple[Text, Any]]:
         """The rows of a list, and what each stands for: a message's key, an event's time."""
@@ -169,7 +170,7 @@ class MonitorApp(App[None]):
 
     def _show_rows(self, rows: list[tuple[Text, Any]]) -> None:
         shown, old = self._list, self._rows
-        follows = shown.highlighted == len(old) - 1 and self._page == "events" and not self._source.is_log
+        follows = shown.highlighted == len(old) - 1 and self._page == "events" and not self._replayed
         if len(rows) < len(old):
             shown.clear_options()
             old = []
@@ -185,7 +186,7 @@ class MonitorApp(App[None]):
 
     def _history(self) -> list[TimelineEntry]:
         """The events: of a log all of them, of a bus those until now, looked for once a second."""
-        if self._events is None or (not self._source.is_log and time.monotonic() - self._events[0] > 1.0):
+        if self._events is None or (not self._replayed and time.monotonic() - self._events[0] > 1.0):
             self._events = time.monotonic(), self._source.events()
         return self._events[1]
 
@@ -195,7 +196,7 @@ class MonitorApp(App[None]):
         """While something is typed keys are letters; a bus cannot be moved in."""
         if self._input.display:
             return action not in ("end", "page", "pause", "next_page", "ask", "step", "change")
-        return self._source.is_log or not (action in ("step", "change") or parameters == ("second",))
+        return self._replayed is not None or not (action in ("step", "change") or parameters == ("second",))
 
     def action_end(self) -> None:
         self.exit()
@@ -227,16 +228,16 @@ class MonitorApp(App[None]):
         self._show()
 
     def action_step(self, seconds: int) -> None:
-        if isinstance(self._source, Log):
-            self._source.seek(self._source.position_ns + seconds * S)
+        if self._replayed:
+            self._replayed.seek(self._replayed.position_ns + seconds * S)
             self._show()
 
     def action_change(self, direction: int) -> None:
-        if isinstance(self._source, Log):
-            now_ns = self._source.position_ns
+        if self._replayed:
+            now_ns = self._replayed.position_ns
             times = [one.t_ns for one in self._history() if one.topic == "AS state"]
             beyond = [t_ns for t_ns in times[::direction] if (t_ns - now_ns) * direction > 0]
-            self._source.seek(beyond[0] if beyond else now_ns)
+            self._replayed.seek(beyond[0] if beyond else now_ns)
             self._show()
 
     def action_ask(self, what: str) -> None:
@@ -252,9 +253,9 @@ class MonitorApp(App[None]):
         if self._asked == "signals":
             self._patterns = tuple(part if "*" in part or "?" in part else f"*{part}*" for part in parts) or ("*",)
             self._page = "signals"
-        elif isinstance(self._source, Log):
+        elif self._replayed:
             try:
-                self._source.seek(self._source.begin_ns + round(float(event.value) * S))
+                self._replayed.seek(self._replayed.begin_ns + round(float(event.value) * S))
             except (ValueError, OverflowError):
                 self.notify(f"{event.value} is no number of seconds", severity="error")
         self.action_page(self._page)
@@ -264,6 +265,6 @@ class MonitorApp(App[None]):
         if self._page == "messages":
             self._key = key
             self.action_page("message")
-        elif self._page == "events" and isinstance(self._source, Log):
-            self._source.seek(key)
+        elif self._page == "events" and self._replayed:
+            self._replayed.seek(key)
             self.action_page("overview")

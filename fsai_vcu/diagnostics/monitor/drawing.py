@@ -8,18 +8,8 @@ from typing import Final
 from rich.text import Text
 
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
-from fsai_vcu.diagnostics.monitor.snapshot import (
-    NO_VALUE,
-    Freshness,
-    History,
-    MessagePicture,
-    Picture,
-    age,
-    duration,
-    number,
-    on_off,
-    printable,
-)
+from fsai_vcu.diagnostics.monitor import snapshot
+from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePicture, Picture
 from fsai_vcu.interface.units import KMH_PER_MPS
 
 STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
@@ -41,7 +31,7 @@ _MANY_REASONS: Final = 4
 def line(*parts: str | tuple[str, str], wrap: bool = False) -> Text:
     """Some text of several styles."""
     pairs = [(part, "") if isinstance(part, str) else part for part in parts]
-    shown = [(printable(text), style) for text, style in pairs]
+    shown = [(snapshot.printable(text), style) for text, style in pairs]
     return Text.assemble(*shown, no_wrap=not wrap, overflow="fold" if wrap else "crop")
 
 
@@ -92,10 +82,10 @@ def history_row(history: History, width: int, *, full: bool = False) -> Text:
     changed = ""
     if history.changed_s is not None:
         beyond = history.extent or f"was {history.before}"
-        changed = f"{age(history.changed_s):>6}"
+        changed = f"{snapshot.age(history.changed_s):>6}"
         if width >= _NARROW:
             changed = f" {changed} ago, {history.changes}×, {beyond}"
-    old = f"   {age(history.age_s)} old" if history.age_s > 1.0 else ""
+    old = f"   {snapshot.age(history.age_s)} old" if history.age_s > 1.0 else ""
     style = STRONG if history.changed_s is None or history.changed_s > 1.0 else "bold reverse"
     blanks = " " * (14 - len(history.value))
     row = line(f"{name:{room}} {blanks}", (history.value, style), (f" {changed}{old}", FAINT))
@@ -116,9 +106,10 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     shown = (state, _STATE_STYLES.get(state, STRONG)) if state else ("no AS state", BAD)
     if dark_phase and state in _FLASHING:
         shown = (shown[0], STRONG)
-    held = f" for {duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
+    held = f" for {snapshot.duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
     switches = (("Go", picture.go), ("ASMS", picture.as_switch), ("TSMS", picture.ts_switch))
-    parts = [part for name, on in switches for part in (f"  {name} ", _switch(on))]
+    styles = {None: "", True: GOOD, False: WARN}
+    parts = [part for name, on in switches for part in (f"  {name} ", (snapshot.on_off(on), styles[on]))]
     asked = [word for word in (picture.mission_status, picture.direction) if word]
     ai = f"sends {' '.join(asked)}" if asked else "is silent"
     estop = [("   ESTOP_REQUEST 1", BAD)] if picture.estop_request else []
@@ -126,7 +117,7 @@ def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     states = "  ".join(f"{names.get(name, '')}{word}" for name, word in picture.states.items())
     return [
         line(shown, held if state else picture.last_state, *parts, f"  mode {picture.mode}", wrap=True),
-        line("mission ", (picture.mission or NO_VALUE, STRONG), f"   AI {ai}", *estop, wrap=True),
+        line("mission ", (picture.mission or snapshot.NO_VALUE, STRONG), f"   AI {ai}", *estop, wrap=True),
         *([line((states, FAINT))] if states else []),
     ]
 
@@ -145,23 +136,23 @@ def _why(picture: Picture, width: int, *, remedies: bool) -> list[Text]:
 
 
 def _wrapped(text: str, indent: str, style: str, width: int) -> Text:
-    text = printable(text)
+    text = snapshot.printable(text)
     return Text(textwrap.fill(text, max(20, width), initial_indent=indent, subsequent_indent="    "), style)
 
 
 def _faults(picture: Picture) -> Text:
     faults = picture.all_faults
-    shown = (", ".join(faults) or "none", BAD if faults else GOOD) if picture.as_state else NO_VALUE
+    shown = (", ".join(faults) or "none", BAD if faults else GOOD) if picture.as_state else snapshot.NO_VALUE
     return line("faults      ", shown, (f"   {', '.join(picture.warnings)}", WARN), wrap=True)
 
 
 def _figures(picture: Picture) -> list[Text]:
     lines = [line((f"{'':12}{'asked':>7}{'given':>7}{'most':>7}", FAINT))]
     for name, one in picture.actuators.items():
-        most = "" if one.limit is None else number(one.limit)
-        given = (f"{number(one.given):>7}", STRONG)
-        lines.append(line(f"{name:12}{number(one.asked):>7}", given, f"{most:>7} {one.unit}"))
-    speed = NO_VALUE
+        most = "" if one.limit is None else snapshot.number(one.limit)
+        given = (f"{snapshot.number(one.given):>7}", STRONG)
+        lines.append(line(f"{name:12}{snapshot.number(one.asked):>7}", given, f"{most:>7} {one.unit}"))
+    speed = snapshot.NO_VALUE
     if picture.speed_mps is not None:
         speed = f"{picture.speed_mps:.1f} m/s, {picture.speed_mps * KMH_PER_MPS:.0f} km/h"
     wheels = "".join(f"  {name} {rpm:.0f}" for name, rpm in picture.wheels_rpm.items())
@@ -170,10 +161,10 @@ def _figures(picture: Picture) -> list[Text]:
 
 def _handshake(picture: Picture) -> Text:
     shown = picture.handshake
-    if shown is None or shown.response.max_ms is None:
+    if shown is None or shown.response_ms.max_ms is None:
         return line("handshake   ", ("no answers", WARN))
     late = (f", {shown.unanswered} unanswered" if shown.unanswered else "", BAD)
-    text = f"answered in {picture.response}, at most {shown.response.max_ms:.1f} ms, {shown.answered} times in 3 s"
+    text = f"answered in {picture.response}, at most {shown.response_ms.max_ms:.1f} ms, {shown.answered} times in 3 s"
     return line("handshake   ", text, late)
 
 
@@ -182,8 +173,4 @@ def _tail(message: MessagePicture) -> str:
     if message.age_s is None:
         return message.freshness.value
     marks = {Freshness.LATE: " late", Freshness.LOST: " LOST"}
-    return f"{age(message.age_s):>6}{marks.get(message.freshness, '')}"
-
-
-def _switch(on: bool | None) -> tuple[str, str]:
-    return on_off(on), "" if on is None else GOOD if on else WARN
+    return f"{snapshot.age(message.age_s):>6}{marks.get(message.freshness, '')}"

@@ -114,7 +114,7 @@ class Picture:
     @property
     def response(self) -> str:
         """How fast the AI computer answers the handshake."""
-        median_ms = self.handshake.response.p50_ms if self.handshake else None
+        median_ms = self.handshake.response_ms.p50_ms if self.handshake else None
         return "no answers" if median_ms is None else f"{median_ms:.1f} ms"
 
     @property
@@ -132,7 +132,7 @@ class Picture:
     def as_dict(self) -> dict[str, Any]:
         """As JSON types, without the time, which is the caller's to name."""
         found: dict[str, Any] = as_json(self, 4)
-        found["handshake"] = self.handshake.as_dict() if self.handshake else None
+        found["handshake"] = as_json(self.handshake, 6)
         for message in found["messages"]:
             message["id"], message["message"] = message.pop("can_id"), message.pop("name")
         del found["t_ns"]

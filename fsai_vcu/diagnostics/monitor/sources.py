@@ -36,8 +36,6 @@ class Live:
     """A bus as it is now: a thread takes its frames. Ages are those of the monotonic clock: a step of the wall clock
     changes none."""
 
-    is_log: Final = False
-
     def __init__(self, chunks: Iterator[Frames], view: View) -> None:
         self.playing = True
         self._chunks = chunks
@@ -105,8 +103,6 @@ def _on_our_clock(frames: Frames, wall_ns: int, now_ns: int) -> Frames:
 class Log:
     """A log at `position_ns`, read as far as was looked. Before each chunk of it the view is kept: any moment takes one
     chunk and no more."""
-
-    is_log: Final = True
 
     def __init__(
         self, chunks: Iterator[Frames], view: View, at_s: float | None, rate: float | None, *, keep: bool = True

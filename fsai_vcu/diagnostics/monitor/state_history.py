@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from fsai_vcu.diagnostics.decode.decoder import Decoder, Numbers, SignalSeries
+from fsai_vcu.diagnostics.explain.record import straightened
 from fsai_vcu.diagnostics.explain.signals import STATUS
 from fsai_vcu.diagnostics.log.frames import ERROR, EXTENDED, REMOTE, Frames, Ints, LogFrame, Words, frames_of, joined
 from fsai_vcu.diagnostics.monitor.snapshot import History
@@ -58,7 +59,8 @@ def _states_of() -> dict[int, Callable[[Words], Words]]:
 class Memory:
     """Frames of one bus, the newest last. Times never go back: where the frames' clock does, what follows is moved on.
 
-    `frames` counts what was received, `begin_ns` and `newest_ns` are the times of the first and the newest frame.
+    `frames` counts what was received, `begin_ns` and `newest_ns` are the times of the first and the newest frame;
+    `newest`: by key (see layouts.py) the newest frame of each message, however old.
     """
 
     def __init__(self) -> None:
@@ -69,14 +71,14 @@ class Memory:
         self._moved_ns = 0
         self._window: list[Frames] = []
         self._states: list[Frames] = []
-        self._newest: dict[int, LogFrame] = {}
+        self.newest: dict[int, LogFrame] = {}
         self._channels: list[str] = []
 
     def copy(self) -> Memory:
         """What is remembered now, for frames with times as `update` returned them."""
         found = copy.copy(self)
         found._moved_ns = 0
-        found.first_ns, found._newest = dict(self.first_ns), dict(self._newest)
+        found.first_ns, found.newest = dict(self.first_ns), dict(self.newest)
         found._window, found._states = list(self._window), list(self._states)
         return found
 
@@ -84,8 +86,9 @@ class Memory:
         """More frames, in the order in which they came; the same with times that never go back."""
         if not len(frames):
             return frames
-        frames = self._straightened(frames)
-        t_ns = frames.t_ns
+        t_ns, back_ns = straightened(frames.t_ns + self._moved_ns, self.newest_ns)
+        self._moved_ns += int(back_ns.sum())
+        frames = frames.at(t_ns)
         self.frames += len(frames)
         if self.begin_ns is None:
             self.begin_ns = int(t_ns[0])
@@ -102,17 +105,8 @@ class Memory:
         for key, row, back in zip(found.tolist(), first.tolist(), last.tolist(), strict=True):
             if key >= 0:
                 self.first_ns.setdefault(key, int(t_ns[row]))
-                self._newest[key] = frames.frame(len(frames) - 1 - back)
+                self.newest[key] = frames.frame(len(frames) - 1 - back)
         return frames
-
-    def _straightened(self, frames: Frames) -> Frames:
-        raw = frames.t_ns + self._moved_ns
-        before = raw[0] if self.newest_ns is None else self.newest_ns
-        back = np.minimum(np.diff(raw, prepend=before), 0)
-        if not back.any():
-            return frames if not self._moved_ns else frames.at(raw)
-        self._moved_ns -= int(back.sum())
-        return frames.at(raw - np.cumsum(back))
 
     def _keep_states(self, frames: Frames) -> None:
         plain = (frames.flags & (ERROR | EXTENDED | REMOTE)) == 0
@@ -120,7 +114,7 @@ class Memory:
             rows: Ints = np.flatnonzero(plain & (frames.can_id == can_id))
             if not len(rows):
                 continue
-            before = self._newest.get(can_id)
+            before = self.newest.get(can_id)
             of_message = frames.only(rows)
             if before is not None:
                 of_message = joined([frames_of([before], list(frames.channels)), of_message])
@@ -137,10 +131,6 @@ class Memory:
         whole = joined(part for part in self._window if int(part.t_ns[-1]) > now_ns - length_ns)
         return whole.only(whole.t_ns > now_ns - length_ns)
 
-    def newest(self, key: int) -> LogFrame | None:
-        """The newest frame of a message (by its key, see layouts.py), however old."""
-        return self._newest.get(key)
-
     def condensed(self, window: Frames) -> Frames:
         """All that is remembered, in the order of time: `window` whole, and before it what shows states."""
         states = joined(self._states)
@@ -148,7 +138,7 @@ class Memory:
             states = states.only(np.arange(len(states) // 4, len(states), dtype=np.int64))
         self._states = [states]
         begin_ns = int(window.t_ns[0]) if len(window) else np.iinfo(np.int64).max
-        newest = frames_of((frame for frame in self._newest.values() if frame.t_ns < begin_ns), list(self._channels))
+        newest = frames_of((frame for frame in self.newest.values() if frame.t_ns < begin_ns), list(self._channels))
         before = joined([states.only(states.t_ns < begin_ns), newest])
         order = np.lexsort((keys_of(before), before.t_ns))
         before = before.only(order)
@@ -177,7 +167,7 @@ def bytes_of(frames: Frames, key: int, now_ns: int) -> list[History]:
     rows = np.flatnonzero(keys_of(frames) == key)
     payloads = [frames.payload(row) for row in rows.tolist()]
     width = max(map(len, payloads), default=0)
-    table = np.array([list(data.ljust(width, b"\0")) for data in payloads], np.int64).reshape(-1, width)
+    table = np.array([list(data.ljust(width, b"\0")) for data in payloads], np.int64).reshape(len(rows), width)
     t_ns = frames.t_ns[rows]
 
     def text(place: int) -> Callable[[int], str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,6 @@ from fsai_vcu.core.vehicle.parameters import ADS_DV_2026, CARS
 from fsai_vcu.diagnostics.decode.databases import Databases
 from fsai_vcu.diagnostics.decode.decoder import Decoder
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE, CAR_TORQUE_MAX
 from fsai_vcu.diagnostics.explain.endings import emergencies
 from fsai_vcu.diagnostics.explain.evidence import error_text
 from fsai_vcu.diagnostics.explain.incident import Incident, TimelineEntry
@@ -23,12 +22,11 @@ from fsai_vcu.diagnostics.explain.timeline import timeline
 from fsai_vcu.diagnostics.log.frames import Frames
 from fsai_vcu.diagnostics.monitor.snapshot import Actuator, Freshness, History, MessagePicture, Picture
 from fsai_vcu.diagnostics.monitor.state_history import LONG_NS, WINDOW_NS, Memory, bytes_of, changed_bytes, signals_of
-from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, handshake_of, keys_of
+from fsai_vcu.diagnostics.statistics.measure import BITRATE, expected_period_ns, handshake_of, keys_of, share
 from fsai_vcu.diagnostics.statistics.wire_bits import wire_bits
 from fsai_vcu.interface.bus_table import BUS_TABLE, BY_ID, Flow
 from fsai_vcu.interface.enums import MissionStatus
 from fsai_vcu.interface.reserved import AI_IDS
-from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.units import S
 
 EXPECTED: Final = tuple(
@@ -47,21 +45,20 @@ _SETTLED_NS: Final = 1 * S  # after so long the frames around an emergency brake
 
 _ACTUATORS: Final[Mapping[str, tuple[Signal, Signal, Signal | None, str]]] = {
     "steering": (sig.STEER, sig.ANGLE, sig.ANGLE_MAX, "deg"),
-    "torque front": (sig.TORQUE_F, CAR_TORQUE[0], CAR_TORQUE_MAX[0], "Nm"),
-    "torque rear": (sig.TORQUE_R, CAR_TORQUE[1], CAR_TORQUE_MAX[1], "Nm"),
+    "torque front": (sig.TORQUE_F, sig.CAR_TORQUE[0], sig.CAR_TORQUE_MAX[0], "Nm"),
+    "torque rear": (sig.TORQUE_R, sig.CAR_TORQUE[1], sig.CAR_TORQUE_MAX[1], "Nm"),
     "brake front": (sig.BRAKE_REQ_F, sig.BRAKE_F, None, "%"),
     "brake rear": (sig.BRAKE_REQ_R, sig.BRAKE_R, None, "%"),
 }
 _WHEELS: Final = dict(zip(sig.WHEEL_NAMES, sig.WHEELS, strict=True))
 _CAR_SPEED: Final = Signal("VCU2LOG_Dynamics1", "Speed_actual")
 _STATES: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE, sig.STATUS_EBS, sig.STEERING_STATUS, sig.STATUS_BRK)
-_ONLY_2026: Final = (sig.OP_STATE, sig.TS_STATE, sig.EBS_STATE)
 
 
 class View:
     """What is on a bus, moment by moment. `revision` None: recognised from the frames. `databases` replace our own."""
 
-    def __init__(self, channel: str = "", revision: Revision | None = None, databases: Databases | None = None) -> None:
+    def __init__(self, channel: str = "", revision: str | None = None, databases: Databases | None = None) -> None:
         self.memory = Memory()
         self._channel = channel
         self._revision = revision
@@ -88,7 +85,7 @@ class View:
         """What there is to see at `now_ns`, on the clock of the frames."""
         frames = self.memory.condensed(self.memory.window(now_ns))
         if not len(frames):
-            named, nothing = self._revision.name if self._revision else "2026", ("nothing is received on this bus",)
+            named, nothing = self._revision or "2026", ("nothing is received on this bus",)
             return Picture(now_ns, self._channel, named, "nothing received yet", 0, link=nothing)
         record = self._record(frames)
         self._decoder = record.decoder
@@ -212,11 +209,7 @@ class _Moment:
         return "manual or unconfirmed" if self._record.at(sig.AMI, self._now_ns) else "unknown before a mission"
 
     def _states(self) -> dict[str, str]:
-        found = {}
-        for signal in _STATES:
-            word = self._label(signal)
-            if word is not None and not (signal in _ONLY_2026 and self._record.revision.name == "2021"):
-                found[signal.name] = word
+        found = {signal.name: word for signal in _STATES if (word := self._label(signal)) is not None}
         if sig.EBS_STATE.name in found:
             found.pop(sig.STATUS_EBS.name, None)  # the older word for the same
         return found
@@ -240,9 +233,8 @@ class _Moment:
     def _load(self) -> float | None:
         if not len(self._window):
             return None
-        length_ns = int(self._window.t_ns[-1] - self._window.t_ns[0])
         bitrate = self._record.decoder.databases.baudrate or BITRATE
-        return int(wire_bits(self._window).sum()) * S / (bitrate * length_ns) if length_ns else 0.0
+        return share(wire_bits(self._window), int(np.ptp(self._window.t_ns)), bitrate)
 
     # ------------------------------------------------------------ messages
 
@@ -256,7 +248,7 @@ class _Moment:
 
     def _message(self, key: int, count: int, changed: tuple[int, ...]) -> MessagePicture:
         layout = self._record.decoder.databases.layouts.get(key)
-        newest = self._memory.newest(key)
+        newest = self._memory.newest.get(key)
         expected_ns = self._expected_ns(key)
         expected_hz = round(S / expected_ns, 2) if expected_ns else None
         name = layout.name if layout is not None else None
@@ -284,28 +276,26 @@ class _Moment:
             return None
         return (self._now_ns - answers[-1].toggle_ns) / S
 
-    def _link(self, messages: tuple[MessagePicture, ...]) -> list[str]:
+    def _link(self, messages: tuple[MessagePicture, ...]) -> Iterator[str]:
         """What is wrong on the bus itself, the gravest first."""
-        found = []
         for other in self._record.second_senders:
             if other.end_ns > self._now_ns - WINDOW_NS:
-                found.append(f"another sender uses the AI computer's ids: {other.words}")
+                yield f"another sender uses the AI computer's ids: {other.words}"
         lost = [m for m in messages if not m.extended and m.can_id in AI_IDS and m.freshness is Freshness.LOST]
         if len(lost) == len(AI_IDS):
             age_s = min(m.age_s or 0.0 for m in lost)
-            found.append(f"the AI computer is silent for {ms(round(age_s * S))}: to the VCU that is AI_COMMS_LOST")
+            yield f"the AI computer is silent for {ms(round(age_s * S))}: to the VCU that is AI_COMMS_LOST"
         else:
-            found += [
-                f"{BY_ID[m.can_id]} is missing for {ms(round((m.age_s or 0.0) * S))}: to the VCU that is AI_COMMS_LOST"
-                for m in lost
-            ]
-        wrong = [message for message in messages if message.wrong_length]
-        found += [f"{m.name} (0x{m.number}) has the wrong length: it counts as missing" for m in wrong]
+            for m in lost:
+                missing = f"{BY_ID[m.can_id]} is missing for {ms(round((m.age_s or 0.0) * S))}"
+                yield f"{missing}: to the VCU that is AI_COMMS_LOST"
+        for m in messages:
+            if m.wrong_length:
+                yield f"{m.name} (0x{m.number}) has the wrong length: it counts as missing"
         waiting_s = self._handshake_waiting_s()
         if waiting_s is not None and waiting_s >= _SLOW_ECHO_S and len(lost) < len(AI_IDS):
-            found.append(f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)")
+            yield f"the handshake's echo is missing for {ms(round(waiting_s * S))} (100 ms are a loss)"
         errors = self._record.error_ns[self._record.error_ns > self._now_ns - WINDOW_NS].tolist()
         if errors:
             many = f"{len(errors)} error frame{'s' * (len(errors) > 1)} in {WINDOW_NS // S} s"
-            found.append(f"{many}, the last: {error_text(self._record, errors[-1])}")
-        return found
+            yield f"{many}, the last: {error_text(self._record, errors[-1])}"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from fsai_vcu.core.supervision.reasons import Reason
-from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.diagnostics.explain import signals as sig
-from fsai_vcu.diagnostics.explain.actuation import CAR_TORQUE
 from fsai_vcu.diagnostics.explain.record import Record, Series, Values
 from fsai_vcu.diagnostics.explain.signals import Signal, label
 from fsai_vcu.diagnostics.log.frames import Ints
@@ -71,7 +70,7 @@ YAW_RATE: Final = Signal("AI2LOG_Dynamics2", "Yaw_rate_degps")
 # slug, title, unit, digits, pairs of (signal, name)
 _OF_SIGNALS: Final = (
     ("steering", "Steering", "deg", 1, ((sig.STEER, "asked"), (sig.ANGLE, "given"))),
-    ("torque", "Axle torque", "Nm", 1, _axles(sig.TORQUE_F, CAR_TORQUE[0], sig.TORQUE_R, CAR_TORQUE[1])),
+    ("torque", "Axle torque", "Nm", 1, _axles(sig.TORQUE_F, sig.CAR_TORQUE[0], sig.TORQUE_R, sig.CAR_TORQUE[1])),
     ("brake", "Brake", "%", 1, _axles(sig.BRAKE_REQ_F, sig.BRAKE_F, sig.BRAKE_REQ_R, sig.BRAKE_R)),
     ("acceleration", "Acceleration", "m/s²", 1, ((LONGITUDINAL, "longitudinal"), (LATERAL, "lateral"))),
     ("yaw", "Yaw rate", "deg/s", 1, ((YAW_RATE, "to the left"),)),
@@ -80,7 +79,7 @@ _OF_SIGNALS: Final = (
 
 def plots(record: Record) -> list[Plot]:
     """Every plot for which the log has something."""
-    found = [Plot("speed", "Speed", "m/s", 2, _speeds(record, record.car))]
+    found = [Plot("speed", "Speed", "m/s", 2, _speeds(record))]
     for slug, title, unit, digits, signals in _OF_SIGNALS:
         curves = [Curve(name, record.series(signal)) for signal, name in signals]
         pairs = [curves[at : at + 2] for at in range(0, len(curves), 2)]
@@ -98,10 +97,7 @@ def plots_of(groups: Mapping[str, Sequence[tuple[str, Series]]]) -> list[Plot]:
     found: list[Plot] = []
     for unit, group in groups.items():
         for at in range(0, len(group), CURVES):
-            curves = []
-            for name, series in group[at : at + CURVES]:
-                finite = np.isfinite(series.values)
-                curves.append(Curve(name, Series(series.t_ns[finite], series.values[finite])))
+            curves = (Curve(name, _finite(series)) for name, series in group[at : at + CURVES])
             known = tuple(curve for curve in curves if len(curve.series))
             whole = all((curve.series.values % 1 == 0).all() for curve in known)
             if known:
@@ -110,20 +106,23 @@ def plots_of(groups: Mapping[str, Sequence[tuple[str, Series]]]) -> list[Plot]:
     return found
 
 
-def _speeds(record: Record, car: VehicleParameters) -> tuple[Curve, ...]:
-    per_rpm = car.speed_of_wheel_rpm(1.0)
+def _finite(series: Series, factor: float = 1.0) -> Series:
+    finite = np.isfinite(series.values)
+    return Series(series.t_ns[finite], series.values[finite] * factor)
+
+
+def _speeds(record: Record) -> tuple[Curve, ...]:
+    per_rpm = record.car.speed_of_wheel_rpm(1.0)
     curves = []
     for signal, name in zip(sig.WHEELS, ("front left", "front right", "rear left", "rear right"), strict=True):
-        series = record.series(signal)
-        curves.append(Curve(f"wheel {name}", Series(series.t_ns, series.values * per_rpm)))
+        curves.append(Curve(f"wheel {name}", _finite(record.series(signal), per_rpm)))
     for signal, name in (
         (Signal("GPS_CourseSpeed", "GPS_Speed"), "GPS"),
         (Signal("AI2VCU_Status", "VEH_SPEED_ACTUAL"), "AI's odometry (0x510)"),
     ):
-        series = record.series(signal)
-        finite = np.isfinite(series.values)
-        if series.values[finite].any():
-            curves.append(Curve(name, Series(series.t_ns[finite], series.values[finite] / KMH_PER_MPS), quiet=True))
+        series = _finite(record.series(signal), 1 / KMH_PER_MPS)
+        if series.values.any():
+            curves.append(Curve(name, series, quiet=True))
     return tuple(curves)
 
 
@@ -198,8 +197,9 @@ def lanes(record: Record) -> list[dict[str, Any]]:
             found.append({"name": name, "spans": shown})
 
     def of(name: str, signal: Signal, kinds: Mapping[float, str], words: Callable[[float], str] | None = None) -> None:
-        spans = _spans(record, signal)
-        add(name, [(b, e, words(v) if words else label(signal, v), kinds.get(v, "plain")) for b, e, v in spans])
+        word = words or partial(label, signal)
+        spans = record.series(signal).spans_within(BREAK_NS)
+        add(name, [(s.begin_ns, s.end_ns, word(s.value), kinds.get(s.value, "plain")) for s in spans])
 
     states = {sig.READY: "ready", sig.DRIVING: "go", sig.EMERGENCY: "bad", sig.FINISHED: "done"}
     off = {0.0: "off"}
@@ -209,16 +209,16 @@ def lanes(record: Record) -> list[dict[str, Any]]:
     of("direction", sig.DIRECTION, off)
     for signal, name in ((sig.AS_SWITCH, "ASMS"), (sig.TS_SWITCH, "TSMS"), (sig.GO, "Go")):
         of(name, signal, off, lambda value: "on" if value else "off")
-    ebs = sig.EBS_STATE if record.revision.name != "2021" else sig.STATUS_EBS
+    ebs = sig.EBS_STATE if len(record.series(sig.EBS_STATE)) else sig.STATUS_EBS
     if record.series(ebs).values.any():
         values = {span.value for span in record.series(ebs).spans}
         of("EBS", ebs, {v: "bad" for v in values if any(word in label(ebs, v) for word in ("TRIGGERED", "FAULT"))})
     bad: dict[str, list[tuple[int, int, str, str]]] = {}
     for signal in (sig.ESTOP, *sig.FAULTS, sig.SHUTDOWN_CAUSE):
-        for b, e, v in _spans(record, signal):
-            text = f"SHUTDOWN_CAUSE {label(signal, v)}" if signal is sig.SHUTDOWN_CAUSE else signal.name
-            if v:
-                bad.setdefault(text, []).append((b, e, text, "bad"))
+        for span in record.series(signal).spans_within(BREAK_NS):
+            text = f"SHUTDOWN_CAUSE {label(signal, span.value)}" if signal is sig.SHUTDOWN_CAUSE else signal.name
+            if span.value:
+                bad.setdefault(text, []).append((span.begin_ns, span.end_ns, text, "bad"))
     for text, spans in bad.items():
         add(text, spans)
     silent = [
@@ -230,12 +230,6 @@ def lanes(record: Record) -> list[dict[str, Any]]:
     add("intruder", [(i.begin_ns, i.end_ns, Reason.INTRUDER.words, "bad") for i in record.second_senders])
     add("bus errors", [(int(t), int(t), "error frame", "bad") for t in record.error_ns[:LANE_SPANS]])
     return found
-
-
-def _spans(record: Record, signal: Signal) -> list[tuple[int, int, float]]:
-    """Values over time, with holes where the message was missing."""
-    spans = record.series(signal).spans_within(BREAK_NS)
-    return [(span.begin_ns, span.end_ns, span.value) for span in spans]
 
 
 # ---------------------------------------------------------------- the way driven

@@ -78,7 +78,7 @@ def _data(record: Record, story: Explanation, drawn: list[Plot]) -> str:
             for plot in drawn
         ],
         "lanes": lanes(record),
-        "marks": [[round(seconds(story, i.t_ns), 4), i.kind.words, i.bad] for i in story.incidents],
+        "marks": [[round(seconds(story, i.t_ns), 4), i.kind.words, not i.planned] for i in story.incidents],
     }
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
@@ -121,7 +121,7 @@ def _findings(verdict: Verdict) -> str:
         if finding.kind not in kinds:
             remedy = f" <b>What to do:</b> {escape(finding.remedy)}." if finding.remedy else ""
             text = escape(verdict.moment(finding) + finding.text)
-            shown += f"<li><b>{finding.severity.value}</b>: {text}.{remedy}</li>\n"
+            shown += f"<li><b>{finding.severity}</b>: {text}.{remedy}</li>\n"
     return _section("bus", "On the bus", f'<ul class="notes">\n{shown}</ul>') if shown else ""
 
 
@@ -137,7 +137,7 @@ def _incidents(story: Explanation) -> Iterator[str]:
     for incident in story.incidents:
         planned = " (as planned)" if incident.planned else ""
         when = _moment(seconds(story, incident.t_ns))
-        yield f'<article class="{"bad" if incident.bad else "calm"}">\n'
+        yield f'<article class="{"calm" if incident.planned else "bad"}">\n'
         yield f"<h3>{escape(incident.kind.words)}{planned} at {when}</h3>\n"
         first = incident.candidates[0]
         yield f"<p>{escape(incident.what)}</p>\n<p><b>Because {escape(first.cause.words)}.</b></p>\n"
@@ -223,8 +223,8 @@ def _figures(bus: BusStatistics) -> Iterator[str]:
             message.count,
             _number(message.expected_ms, 0),
             _number(message.mean_ms),
-            _number(message.interval.p99_ms),
-            _number(message.interval.max_ms),
+            _number(message.interval_ms.p99_ms),
+            _number(message.interval_ms.max_ms),
             message.gaps,
             _number(100.0 * message.load),
         )
@@ -236,7 +236,7 @@ def _figures(bus: BusStatistics) -> Iterator[str]:
 def _bus(bus: BusStatistics) -> Iterator[tuple[str, str]]:
     yield "bus load", f"{100 * bus.load:.1f} %, {100 * bus.peak_load:.1f} % at most over 100 ms"
     if bus.handshake is not None and bus.handshake.answered:
-        spread = bus.handshake.response
+        spread = bus.handshake.response_ms
         times = f"p50 {_number(spread.p50_ms)}, p99 {_number(spread.p99_ms)}, max {_number(spread.max_ms)} ms"
         unanswered = f", {bus.handshake.unanswered} unanswered" if bus.handshake.unanswered else ""
         yield "handshake response", f"{bus.handshake.answered} echoes{unanswered}: {times}"

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from enum import Enum
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -50,11 +50,6 @@ def as_json(value: Any, digits: int) -> Any:
     if isinstance(value, list | tuple):
         return [as_json(each, digits) for each in value]
     return as_json(asdict(value), digits) if is_dataclass(value) else value  # type: ignore[arg-type]
-
-
-def _renamed(statistics: Any, names: Mapping[str, str]) -> dict[str, Any]:
-    """The fields for JSON, some of them under other names."""
-    return {names.get(name, name): value for name, value in as_json(statistics, 6).items()}
 
 
 def keys_of(frames: Frames) -> Ints:
@@ -99,9 +94,9 @@ class MessageStatistics:
     remote: int
     sent: int
     expected_ms: float | None
-    interval: TimeSpread
+    interval_ms: TimeSpread
     mean_ms: float | None
-    jitter: TimeSpread
+    jitter_ms: TimeSpread
     gaps: int
     longest_gap_ms: float | None
     longest_gap_at_s: float | None
@@ -112,8 +107,8 @@ class MessageStatistics:
     load: float
 
     def as_dict(self) -> dict[str, Any]:
-        names = {"can_id": "id", "name": "message", "interval": "interval_ms", "jitter": "jitter_ms"}
-        return {"type": "message", **_renamed(self, names)}
+        names = {"can_id": "id", "name": "message"}
+        return {"type": "message", **{names.get(name, name): value for name, value in as_json(self, 6).items()}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +118,8 @@ class Handshake:
     answered: int
     unanswered: int  # toggles whose bit did not come back before the next one, or for 100 ms at the log's end
     stood_ms: float  # the longest time for which the VCU kept its bit
-    response: TimeSpread
-    above_patience: int  # answers that took 100 ms or longer
-
-    def as_dict(self) -> dict[str, Any]:
-        return _renamed(self, {"response": "response_ms", "above_patience": "above_100_ms"})
+    response_ms: TimeSpread
+    above_100_ms: int  # answers that took as long, or longer
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +129,6 @@ class BusStatistics:
     channel: str
     frames: int
     duration_s: float
-    timed: bool  # the log has times
     messages: tuple[MessageStatistics, ...]
     missing: tuple[MessageLayout, ...]  # described with a period, and not received
     error_frames: Mapping[str, int]
@@ -149,23 +140,17 @@ class BusStatistics:
     backwards: int  # frames with a time before that of their predecessor
 
     def as_dict(self) -> dict[str, Any]:
-        names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames")
+        names = ("channel", "frames", "duration_s", "load", "peak_load", "bitrate", "error_frames", "handshake")
         found = as_json({name: getattr(self, name) for name in names}, 6)
-        handshake = self.handshake.as_dict() if self.handshake else None
         missing = [layout.name for layout in self.missing]
-        return {"type": "bus", **found, "handshake": handshake, "missing": missing, "backwards": self.backwards}
-
-
-class Severity(Enum):
-    PROBLEM = "problem"
-    NOTE = "note"
+        return {"type": "bus", **found, "missing": missing, "backwards": self.backwards}
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Something that a person should know. A problem makes the verdict bad. `t_ns` None: it is about the whole log."""
 
-    severity: Severity
+    severity: Literal["problem", "note"]
     kind: str
     text: str
     t_ns: int | None = None
@@ -218,16 +203,15 @@ def _measure_channel(
             messages.append(_measure_message(frames, rows, bits, layouts.get(key), expected_ns, duration_ns, bitrate))
     received = set(distinct.tolist())
     described = {} if received.isdisjoint(layouts) else layouts
-    expected = [key for key, layout in described.items() if expected_period_ns(key, layout, revision) is not None]
+    silent = {key: layout for key, layout in described.items() if key not in received}
     return BusStatistics(
         channel=channel,
         frames=len(frames),
         duration_s=duration_ns / S,
-        timed=duration_ns > 0,
         messages=tuple(messages),
-        missing=tuple(layouts[key] for key in expected if key not in received),
+        missing=tuple(layout for key, layout in silent.items() if expected_period_ns(key, layout, revision)),
         error_frames=dict(words),
-        load=_share(int(bits.sum()), duration_ns, bitrate),
+        load=share(bits, duration_ns, bitrate),
         peak_load=_peak_load(frames.t_ns, bits, bitrate),
         bitrate=bitrate,
         handshake=handshake_of(frames, decoder),
@@ -263,7 +247,6 @@ def _measure_message(
         lengths, counts = np.unique(length[(length != layout.length) & ~remote], return_counts=True)
         wrong = dict(zip(lengths.tolist(), counts.tolist(), strict=True))
     longest = int(np.argmax(intervals)) if timed and len(intervals) else None
-    total_bits = int(bits[rows].sum())
     can_id = int(frames.can_id[rows[0]])
     return MessageStatistics(
         can_id=can_id,
@@ -277,17 +260,17 @@ def _measure_message(
         remote=int(remote.sum()),
         sent=int(((frames.flags[rows] & SENT) != 0).sum()),
         expected_ms=expected_ns / MS if expected_ns else None,
-        interval=TimeSpread.of(intervals if timed else intervals[:0]),
+        interval_ms=TimeSpread.of(intervals if timed else intervals[:0]),
         mean_ms=float(intervals.mean()) / MS if timed and len(intervals) else None,
-        jitter=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
+        jitter_ms=TimeSpread.of(np.abs(intervals - typical_ns) if timed else intervals[:0]),
         gaps=int((intervals > _MISSING_PERIODS * typical_ns).sum()) if timed else 0,
         longest_gap_ms=None if longest is None else int(intervals[longest]) / MS,
         longest_gap_at_s=None if longest is None else int(t_ns[longest]) / S,
         silent_ms=int(frames.t_ns[-1] - t_ns[-1]) / MS,
         frozen_ms=_longest_same(t_ns, word, length)[1] / MS,
         payloads=1 + int(np.count_nonzero(np.diff(np.sort(word)))),
-        bits=total_bits,
-        load=_share(total_bits, duration_ns, bitrate),
+        bits=int(bits[rows].sum()),
+        load=share(bits[rows], duration_ns, bitrate),
     )
 
 
@@ -306,8 +289,9 @@ def _longest_same(t_ns: Ints, *columns: Any) -> tuple[int, int]:
     return int(t_ns[begins[longest]]), int(lasted[longest])
 
 
-def _share(bits: int, duration_ns: int, bitrate: int) -> float:
-    return bits / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
+def share(bits: Ints, duration_ns: int, bitrate: int) -> float:
+    """Of that time on the wire."""
+    return int(bits.sum()) / (bitrate * duration_ns / S) if duration_ns > 0 else 0.0
 
 
 def _peak_load(t_ns: Ints, bits: Ints, bitrate: int) -> float:
@@ -376,21 +360,21 @@ def _frozen_counts(tables: Mapping[str, MessageTable]) -> Iterator[tuple[str, fl
 def judge(bus: BusStatistics) -> list[Finding]:
     """Everything that is not as it should be, the grave first."""
     found = [*_judge_bus(bus), *(finding for message in bus.messages for finding in _judge_message(message))]
-    found.sort(key=lambda finding: finding.severity is not Severity.PROBLEM)
+    found.sort(key=lambda finding: finding.severity != "problem")
     return [replace(finding, channel=bus.channel) for finding in found]
 
 
 def _finding(grave: bool, kind: str, text: str, can_id: int | None = None, t_s: float | None = None) -> Finding:
-    severity = Severity.PROBLEM if grave else Severity.NOTE
     t_ns = None if t_s is None else round(t_s * S)
-    return Finding(severity, kind, text, t_ns, can_ids=() if can_id is None else (can_id,))
+    ids = () if can_id is None else (can_id,)
+    return Finding("problem" if grave else "note", kind, text, t_ns, can_ids=ids)
 
 
 def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     if not bus.frames:
         yield _finding(True, "silent", f"nothing was received on {bus.channel}")
         return
-    if not bus.timed:
+    if not bus.duration_s:
         yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
         text = f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
@@ -421,12 +405,12 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
 
 
 def _judge_handshake(handshake: Handshake) -> Iterator[Finding]:
-    if handshake.above_patience or handshake.unanswered:
-        late = f"{handshake.above_patience} answered after {COMMS_LOST_NS // MS} ms or more"
+    if handshake.above_100_ms or handshake.unanswered:
+        late = f"{handshake.above_100_ms} answered after {COMMS_LOST_NS // MS} ms or more"
         text = f"{handshake.unanswered} handshakes without an answer and {late}: the VCU takes that for AI_COMMS_LOST"
         yield _finding(True, "handshake", text, 0x510)
-    elif handshake.response.p99_ms is not None and handshake.response.p99_ms * MS > PERIOD_NS:
-        text = f"handshake answered within {handshake.response.p99_ms:.1f} ms (p99): slow"
+    elif handshake.response_ms.p99_ms is not None and handshake.response_ms.p99_ms * MS > PERIOD_NS:
+        text = f"handshake answered within {handshake.response_ms.p99_ms:.1f} ms (p99): slow"
         yield _finding(False, "handshake", text, 0x510)
     if handshake.stood_ms * MS >= COMMS_LOST_NS:
         yield _finding(False, "handshake", f"the VCU kept its HANDSHAKE for {handshake.stood_ms:.0f} ms", 0x520)
@@ -445,7 +429,7 @@ def _judge_message(message: MessageStatistics) -> Iterator[Finding]:
     if not message.extended and message.sent and can_id in RESERVED_IDS:
         text = f"{name}: sent {message.sent} times by this computer, which must not"
         yield _finding(True, "reserved", text, can_id)
-    expected_ms, gap_ms, p50_ms = message.expected_ms, message.longest_gap_ms, message.interval.p50_ms
+    expected_ms, gap_ms, p50_ms = message.expected_ms, message.longest_gap_ms, message.interval_ms.p50_ms
     if expected_ms is None or gap_ms is None or p50_ms is None:
         return
     own = None if message.extended else BY_ID.get(can_id)

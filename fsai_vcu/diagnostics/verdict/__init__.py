@@ -1,6 +1,6 @@
 """One judgement of a log, shared by check, stats, explain and report: its findings, and the exit status they give.
 
-verdict = judge_log(record, buses)            # explain.record_for, statistics.measure
+verdict = judge_log(record, buses)            # explain.Record, statistics.measure
 verdict.explanation                           # explain.explained
 verdict.findings                              # the gravest first, each with its moment and what to do
 verdict.status, verdict.line()                # 0 only where everything is known and nothing is wrong
@@ -20,7 +20,7 @@ from fsai_vcu.diagnostics.explain.evidence import AT_ONCE_NS
 from fsai_vcu.diagnostics.explain.record import Record
 from fsai_vcu.diagnostics.explain.render import EPOCH_NS
 from fsai_vcu.diagnostics.explain.signals import AS_STATE, DRIVING, READY, STATUS
-from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, Severity, judge
+from fsai_vcu.diagnostics.statistics.measure import BusStatistics, Finding, judge
 from fsai_vcu.interface.reserved import AI_IDS, VCU_IDS
 from fsai_vcu.interface.specification import COMMS_LOST_NS
 from fsai_vcu.interface.units import MS, S
@@ -41,7 +41,7 @@ class Verdict:
 
     @property
     def problems(self) -> int:
-        return sum(finding.severity is Severity.PROBLEM for finding in self.findings)
+        return sum(finding.severity == "problem" for finding in self.findings)
 
     @property
     def ok(self) -> bool:
@@ -53,10 +53,20 @@ class Verdict:
         return 0 if self.ok else 1
 
     def between(self, from_s: float | None, to_s: float | None) -> Verdict:
-        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays."""
+        """The verdict on a part, in seconds since the log's first frame; what is about the whole log stays, and causes
+        keep their chains."""
         low, high = -math.inf if from_s is None else from_s, math.inf if to_s is None else to_s
-        inside = (f for f in self.findings if f.t_ns is None or low <= (f.t_ns - self.begin_ns) / S <= high)
-        return replace(self, findings=tuple(inside))
+
+        def inside(t_ns: int | None) -> bool:
+            return t_ns is None or low <= (t_ns - self.begin_ns) / S <= high
+
+        explanation = replace(
+            self.explanation,
+            events=tuple(event for event in self.explanation.events if inside(event.t_ns)),
+            incidents=tuple(incident for incident in self.explanation.incidents if inside(incident.t_ns)),
+        )
+        findings = tuple(finding for finding in self.findings if inside(finding.t_ns))
+        return replace(self, explanation=explanation, findings=findings)
 
     def line(self) -> str:
         """In one line, without findings."""
@@ -72,7 +82,7 @@ class Verdict:
         """Each finding as people read it, and what to do about it."""
         yield from (f"unknown: {why}" for why in self.unknown)
         for finding in self.findings:
-            yield f"{finding.severity.value}: {self.moment(finding)}{finding.text}"
+            yield f"{finding.severity}: {self.moment(finding)}{finding.text}"
             if finding.remedy:
                 yield f"    what to do: {finding.remedy}."
 
@@ -88,7 +98,7 @@ class Verdict:
         for finding in self.findings:
             yield {
                 "type": "finding",
-                "severity": finding.severity.value,
+                "severity": finding.severity,
                 "kind": finding.kind,
                 "text": finding.text,
                 "t_s": None if finding.t_ns is None else round((finding.t_ns - self.begin_ns) / S, 6),
@@ -116,11 +126,11 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
     remedy = "stop the other program (a second stack, canplayer, a script): only one may send 0x510 to 0x514"
     for one in record.second_senders:
         where = (one.begin_ns, remedy, one.can_ids, record.channel)
-        findings.append(Finding(Severity.PROBLEM, "intruder", one.sentence, *where))
+        findings.append(Finding("problem", "intruder", one.sentence, *where))
     shared = {can_id for other in record.second_senders for can_id in other.can_ids}
     absent = {STATUS} if not record.has(STATUS) else set() if record.ai_speaks else set(AI_IDS)
     for bus in buses:
-        stopped = _stopped(record, bus)
+        stopped = list(_stopped(record, bus))
         findings += stopped
         gone = {can_id for finding in stopped for can_id in finding.can_ids}
         findings += [
@@ -131,14 +141,14 @@ def judge_log(record: Record, buses: Sequence[BusStatistics]) -> Verdict:
             and not (finding.kind == "period" and shared.issuperset(finding.can_ids))
             and not (finding.kind == "missing" and finding.can_ids and absent.issuperset(finding.can_ids))
         ]
-    findings.sort(key=lambda finding: (finding.severity is not Severity.PROBLEM, finding.t_ns or 0))
+    findings.sort(key=lambda finding: (finding.severity != "problem", finding.t_ns or 0))
     return Verdict(record.begin_ns, explanation, tuple(findings), tuple(_unknown(record)))
 
 
 def _of_incident(incident: Incident) -> Finding:
     first = incident.candidates[0]
     return Finding(
-        Severity.PROBLEM,
+        "problem",
         incident.kind.slug,
         f"{incident.what}, because {first.cause.words}",
         incident.t_ns,
@@ -169,33 +179,30 @@ def _of_bus(bus: BusStatistics) -> Iterator[Finding]:
         together.append(finding)
     for pause in pauses:
         ids = tuple(sorted(finding.can_ids[0] for finding in pause))
-        severity = min((finding.severity for finding in pause), key=lambda s: s is not Severity.PROBLEM)
+        worst = min(pause, key=lambda finding: finding.severity != "problem")
         text = pause[0].text
         if len(pause) >= MANY:
             longest_ms = max(gaps[can_id] for can_id in ids)
             text = f"a pause of {longest_ms:.0f} ms of {_whose(ids, len(bus.messages))}"
-        yield replace(pause[0], severity=severity, text=text, can_ids=ids)
+        yield replace(pause[0], severity=worst.severity, text=text, can_ids=ids)
 
 
-def _stopped(record: Record, bus: BusStatistics) -> list[Finding]:
+def _stopped(record: Record, bus: BusStatistics) -> Iterator[Finding]:
     """All messages of the car, or of the AI computer, that end together before the log does: one finding.
 
     Where the car was not about to drive somebody switched it off, or ended the program: that is no problem.
     """
     state = record.series(AS_STATE)
     active = bool(len(state)) and state.values[-1] in (READY, DRIVING)
-    found = []
     for ids, who in ((AI_IDS, "the AI computer"), (VCU_IDS, "the car")):
         silent = {m.can_id: m for m in bus.messages if m.can_id in ids and not m.extended}
         lost = [m for m in silent.values() if m.silent_ms * MS >= COMMS_LOST_NS]
         if len(lost) > 1 and len(lost) == len(silent):
-            severity = Severity.PROBLEM if active else Severity.NOTE
             text = f"{who} is silent for the last {min(m.silent_ms for m in lost) / 1000:.1f} s of the log"
             last_s = max(m.last_s for m in lost)
             with_it = [m.can_id for m in bus.messages if abs(m.last_s - last_s) * S < WITH_IT_NS]  # its other devices
             gone = tuple(sorted({*silent, *with_it}))
-            found.append(Finding(severity, "stopped", text, round(last_s * S), "", gone, bus.channel))
-    return found
+            yield Finding("problem" if active else "note", "stopped", text, round(last_s * S), "", gone, bus.channel)
 
 
 def _whose(ids: tuple[int, ...], messages: int) -> str:
