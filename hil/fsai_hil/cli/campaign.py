@@ -9,11 +9,16 @@ import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from fsai_hil.evidence.campaign.cases import CampaignPlan
-    from fsai_hil.evidence.work import Progress
+from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS, CampaignPlan
+from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside, read
+from fsai_hil.evidence.campaign.runner import batches, drive_batch, header_of, on_cluster
+from fsai_hil.evidence.campaign.table import catalogue_lines, failures, markdown
+from fsai_hil.evidence.work import Progress, spread
+from fsai_hil.simulator.world import mission_named
+from fsai_vcu.cli.main import UserError, WrongUse
+from fsai_vcu.interface.revisions import revision
 
 EXAMPLE = "fsai-vcu campaign --runs 10000 --full 300 --seed 1 --out out/campaign"
 
@@ -43,12 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-
     try:
         if args.list:
-            from fsai_hil.evidence.campaign.table import catalogue_lines
-
             print("\n".join(catalogue_lines()))
             return 0
         if args.table:
@@ -62,9 +63,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _table(record: Path, output: Path | None) -> int:
-    from fsai_hil.evidence.campaign.record import read
-    from fsai_hil.evidence.campaign.table import failures, markdown
-
     header, runs = read(record)
     text = markdown(header, runs)
     if output is None:
@@ -77,12 +75,6 @@ def _table(record: Path, output: Path | None) -> int:
 
 
 def _campaign(args: argparse.Namespace) -> int:
-    from fsai_hil.evidence.campaign.record import NAME, Writer, of_other_sources, put_aside
-    from fsai_hil.evidence.campaign.runner import batches, drive_batch, header_of, on_cluster
-    from fsai_hil.evidence.campaign.table import failures
-    from fsai_hil.evidence.work import Progress, spread
-    from fsai_vcu.cli.main import WrongUse
-
     if args.renew and not args.resume:
         raise WrongUse("--renew goes with --resume: without it a campaign begins anew anyway")
     plan = _plan(args)
@@ -141,10 +133,6 @@ def _failure(line: Mapping[str, Any], number: int, progress: Progress) -> None:
 
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:
-    from fsai_hil.evidence.campaign.cases import WINDOW_MS, WORLD_SEEDS, CampaignPlan
-    from fsai_hil.simulator.world import mission_named
-    from fsai_vcu.interface.revisions import revision
-
     if args.runs < 0 or args.full < 0 or args.runs + args.full < 1:
         raise ValueError("--runs and --full must be 0 or more, and one of them at least 1")
     if args.world_seeds is not None and args.world_seeds < 1:

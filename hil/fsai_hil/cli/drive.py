@@ -6,15 +6,28 @@ import argparse
 import json
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from fsai_hil.simulator.world import World
-    from fsai_vcu.core.report import BridgeReport
+from fsai_hil.evidence.campaign.cases import case_from_spec
+from fsai_hil.evidence.campaign.explain import ScenarioNarrator
+from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
+from fsai_hil.evidence.campaign.table import catalogue_lines
+from fsai_hil.evidence.campaign.verdict import as_record
+from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.profiles import PROFILES
+from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
+from fsai_hil.simulator.world import World, mission_named
+from fsai_vcu.cli.main import UserError
+from fsai_vcu.core.control.settings import ControllerSettings
+from fsai_vcu.core.report import BridgeReport
+from fsai_vcu.interface.revisions import revision
+from fsai_vcu.runtime.limits_file import read_limits
+from fsai_vcu.runtime.recording import CandumpWriter
 
-    # whether it is well, the run to plot, what --json prints, and what is printed for people
-    Driven = tuple[bool, Any, dict[str, Any], list[str]]
+# whether it is well, the run to plot, what --json prints, and what is printed for people
+Driven = tuple[bool, Any, dict[str, Any], list[str]]
 
 EXAMPLE = (
     "fsai-vcu drive --mission trackdrive --laps 2 --seed 7 --plot run.png\n"
@@ -23,9 +36,6 @@ EXAMPLE = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    from fsai_hil.simulator.profiles import PROFILES
-    from fsai_hil.simulator.setup_arguments import add_setup_arguments
-
     add_setup_arguments(parser, "autocross")
     add = parser.add_argument
     add("--profile", default="specification", choices=list(PROFILES), help="how the VCU behaves (specification)")
@@ -47,12 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_vcu.cli.main import UserError
-
     try:
         if args.list_faults:
-            from fsai_hil.evidence.campaign.table import catalogue_lines
-
             print("\n".join(catalogue_lines()))
             return 0
         passed, driven, record, lines = _drive_with_fault(args) if args.fault else _drive(args)
@@ -71,14 +77,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _drive(args: argparse.Namespace) -> Driven:
-    from dataclasses import replace
-
-    from fsai_hil.simulator.lockstep import Lockstep
-    from fsai_hil.simulator.setup_arguments import setup_of
-    from fsai_vcu.core.control.settings import ControllerSettings
-    from fsai_vcu.runtime.limits_file import read_limits
-    from fsai_vcu.runtime.recording import CandumpWriter
-
     setup = setup_of(args, [args.mission or "autocross"], profile=args.profile, noise_level=args.noise)
     settings = ControllerSettings()
     if args.max_speed is not None:
@@ -104,14 +102,6 @@ def _drive(args: argparse.Namespace) -> Driven:
 
 def _drive_with_fault(args: argparse.Namespace) -> Driven:
     """One case of the fault campaign, explained. Not passed: worse than the safety rules allow."""
-    from fsai_hil.evidence.campaign.cases import case_from_spec
-    from fsai_hil.evidence.campaign.explain import ScenarioNarrator
-    from fsai_hil.evidence.campaign.scenario import Scenario, drive_to, power_up
-    from fsai_hil.evidence.campaign.verdict import as_record
-    from fsai_hil.simulator.world import mission_named
-    from fsai_vcu.interface.revisions import revision
-    from fsai_vcu.runtime.recording import CandumpWriter
-
     others = {"--track": args.track, "--laps": args.laps, "--limits": args.limits, "--max-speed": args.max_speed}
     for name, value in others.items():
         if value is not None:
