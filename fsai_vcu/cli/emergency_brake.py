@@ -2,10 +2,8 @@
 
 from functools import partial
 
-from fsai_vcu.cli.services import add_bridge_arguments as add_arguments
-from fsai_vcu.cli.services import call
-
-__all__ = ["EXAMPLE", "add_arguments", "run"]
+from fsai_vcu.cli.services import add_bridge_arguments, call
 
 EXAMPLE = "fsai-vcu emergency-brake"
+add_arguments = add_bridge_arguments
 run = partial(call, service="emergency_brake")

@@ -96,24 +96,18 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _run(arguments)
         finally:
             sys.stdout.flush()  # not at the end of the process, where nobody could say what went wrong
-    except BrokenPipeError:
-        # The reader (a pager, `head`) has gone: that is its good right.
-        _discard_output()
-        return 0
     except OSError as error:
-        if error.errno not in _UNWRITABLE:
+        if error.errno not in _OF_OUTPUT:
             raise
-        _discard_output()
+        # What is still waiting to be written has nowhere to go, at the end of the process either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if error.errno == errno.EPIPE:  # the reader (a pager, `head`) has gone: that is its good right
+            return 0
         print(f"fsai-vcu: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
 
 
-_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-
-
-def _discard_output() -> None:
-    """What is still waiting to be written has nowhere to go, at the end of the process either."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+_OF_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def _run(arguments: list[str]) -> int:

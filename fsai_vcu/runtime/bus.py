@@ -85,7 +85,7 @@ class CanBus:
         try:
             self._put(frame)
         except (can.CanError, OSError) as error:
-            if _errno_of(error) in _QUEUE_FULL:
+            if (error.error_code if isinstance(error, can.CanError) else error.errno) in _QUEUE_FULL:
                 return False
             raise BusLost(f"{self.spec}: {_words_of(error)}") from error
         return True
@@ -267,10 +267,6 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
     if kind == "socketcan":
         return SocketCanBus(bus, spec, may_send)
     return CanBus(bus, spec, may_send, wall_clock_stamps=kind in _STAMPED_BY_WALL_CLOCK)
-
-
-def _errno_of(error: can.CanError | OSError) -> int | None:
-    return error.error_code if isinstance(error, can.CanError) else error.errno
 
 
 def _words_of(error: can.CanError | OSError) -> str:

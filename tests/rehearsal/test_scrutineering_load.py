@@ -14,7 +14,6 @@ from fsai_hil.rehearsal.scrutineering.conditions import (
     SHORT,
     Condition,
     Load,
-    Stance,
     conditions_named,
 )
 from fsai_hil.rehearsal.scrutineering.load import (
@@ -33,6 +32,7 @@ from fsai_hil.rehearsal.scrutineering.machine import (
     versions,
 )
 from fsai_hil.rehearsal.stack import Stack, StackError, await_condition
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.errors import WrongUse
 
 
@@ -55,7 +55,7 @@ def test_the_cars_frames_and_the_filling_are_one_full_bus() -> None:
 
 def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> None:
     disk_file = tmp_path / "disk-load"
-    condition = Condition("driving-loaded", Stance.DRIVING, (Load.PROCESSORS, Load.DISK))
+    condition = Condition("driving-loaded", AsState.AS_DRIVING, (Load.PROCESSORS, Load.DISK))
     with Stack("vcan0", tmp_path) as stack:
         with loaded(stack, condition, disk_file, 0.0):
             processes = list(stack.processes.values())
@@ -77,7 +77,7 @@ def test_a_busy_machine_is_busy_only_while_it_is_measured(tmp_path: Path) -> Non
 def test_a_memory_hungry_neighbour_takes_a_bounded_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     most_bytes = MEMORY_MOST_BYTES // 8
     monkeypatch.setattr(load, "MEMORY_MOST_BYTES", most_bytes)
-    condition = Condition("driving-memory", Stance.DRIVING, (Load.MEMORY,))
+    condition = Condition("driving-memory", AsState.AS_DRIVING, (Load.MEMORY,))
 
     def resident_bytes(pid: int) -> int:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -99,7 +99,7 @@ def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path, 
     with (
         Stack("absent0", tmp_path) as stack,
         pytest.raises(StackError, match=f"driving-early ended {how}"),
-        loaded(stack, Condition("driving-early", Stance.DRIVING, (load,)), tmp_path / "absent" / "file", 0.0),
+        loaded(stack, Condition("driving-early", AsState.AS_DRIVING, (load,)), tmp_path / "absent" / "file", 0.0),
     ):
         (program,) = stack.processes.values()
         program.wait(20.0)
@@ -109,11 +109,11 @@ def test_a_load_that_ends_early_is_an_error_not_an_idle_machine(tmp_path: Path, 
 
 
 def test_between_conditions_the_car_only_has_to_be_switched_on() -> None:
-    order = list(Stance)
-    stances = [order.index(condition.stance) for condition in CONDITIONS]
-    assert stances == sorted(stances)
+    order = [AsState.AS_OFF, AsState.AS_READY, AsState.AS_DRIVING]
+    states = [order.index(condition.car) for condition in CONDITIONS]
+    assert states == sorted(states)
     assert len(BY_NAME) == len(CONDITIONS)
-    assert all(BY_NAME[name].stance is Stance.ALONE for name in SHORT)
+    assert all(BY_NAME[name].car is AsState.AS_OFF for name in SHORT)
 
 
 def test_named_conditions_are_measured_in_the_tables_order() -> None:

@@ -157,13 +157,9 @@ def _ready_not_selected(record: Record, t_ns: int) -> ChainLink | None:
     return _is(sig.MISSION_STATUS, lambda value: value == MissionStatus.SELECTED)(record, t_ns)
 
 
-def _torque(record: Record, t_ns: int) -> ChainLink | None:
-    return _is(sig.TORQUE_F, not_)(record, t_ns) or _is(sig.TORQUE_R, not_)(record, t_ns)
-
-
 TO_DRIVING: Final[tuple[StartCondition, ...]] = (
     StartCondition("go_too_early", _too_early),
-    StartCondition("torque_requested", _torque),
+    StartCondition("torque_requested", lambda *at: _is(sig.TORQUE_F, not_)(*at) or _is(sig.TORQUE_R, not_)(*at)),
     StartCondition("steering_requested", _is(sig.STEER, not_)),
     StartCondition("steering_turned", _is(sig.ANGLE, lambda value: abs(value) < READY_STEER_DEG)),
     StartCondition("direction_not_neutral", _is(sig.DIRECTION, lambda value: value == Direction.NEUTRAL)),

@@ -143,7 +143,8 @@ def definition_of(table: Table) -> str:
     for column in table.columns:
         kind = _field_kind(column)
         lines.append(f"# {_comment(column.name)}{', ' + _comment(column.unit) if column.unit else ''}")
-        name = _distinct(_field_name(column.name), used)
+        # ROS 2: lower case, no two underscores in a row and none at the end.
+        name = _distinct(re.sub(r"_+", "_", _identifier(column.name).lower()).strip("_") or "x", used)
         if kind != "float64":
             for value, word in column.choices.items():
                 constant = _distinct(f"{name}_{_identifier(word)}".upper().replace("__", "_").strip("_"), used)
@@ -163,11 +164,6 @@ def _distinct(name: str, used: set[str]) -> str:
 def _identifier(text: str) -> str:
     name = re.sub(r"[^A-Za-z0-9_]+", "_", text) or "_"
     return name if name[0].isalpha() else f"x{name}"
-
-
-def _field_name(text: str) -> str:
-    """ROS 2: lower case, no two underscores in a row and none at the end."""
-    return re.sub(r"_+", "_", _identifier(text).lower()).strip("_") or "x"
 
 
 def _type_name(text: str) -> str:

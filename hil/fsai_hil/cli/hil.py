@@ -11,13 +11,10 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from fsai_hil import CHECKOUT
+from fsai_hil import CHECKOUT, vcan
+from fsai_vcu.cli.main import UserError, WrongUse
 from fsai_vcu.runtime.transport import loopback_environment
-
-if TYPE_CHECKING:
-    from fsai_hil.vcan import VcanHost
 
 EXAMPLE = "fsai-vcu hil -k foreign_0x511"
 
@@ -75,9 +72,6 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Name
 
 
 def run(args: argparse.Namespace) -> int:
-    from fsai_hil.vcan import INTERFACE, VcanError
-    from fsai_vcu.cli.main import UserError, WrongUse
-
     timeout_s = args.timeout
     if timeout_s is None:
         timeout_s = _TIMEOUT_ALL_S if args.all else _TIMEOUT_S + _SOAKED * 60.0 * (args.soak or 0.0)
@@ -91,12 +85,12 @@ def run(args: argparse.Namespace) -> int:
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         place = prepared_place(args)
-        print(f"fsai-vcu hil: {place.name} {INTERFACE}: {place.why}", flush=True)
+        print(f"fsai-vcu hil: {place.name} {vcan.INTERFACE}: {place.why}", flush=True)
         usual = CHECKOUT / "out" / ("hil" if args.soak is None else "soak")
         results = args.results.resolve() if args.results else usual
         if args.results is None and usual.exists():  # another folder must be its owner's care
             shutil.rmtree(usual)
-        env = environment(os.environ, INTERFACE, place.name, results)
+        env = environment(os.environ, vcan.INTERFACE, place.name, results)
         if args.all or args.soak:
             env["FSAI_HIL_ALL"] = "1"
         if args.soak is not None:
@@ -112,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
             results_dir=results,
             **pace,
         )
-    except VcanError as error:
+    except vcan.VcanError as error:
         raise UserError(str(error)) from error
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -123,11 +117,9 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
-def prepared_place(args: argparse.Namespace) -> VcanHost:
+def prepared_place(args: argparse.Namespace) -> vcan.VcanHost:
     """Where the arguments want the vcan0, with everything compiled. Raises VcanError."""
-    from fsai_hil.vcan import choose_place
-
-    place = choose_place("native" if args.native else "uml" if args.uml else "auto")
+    place = vcan.choose_place("native" if args.native else "uml" if args.uml else "auto")
     for package in ("fsai_vcu", "hil", "nodes"):
         # Inside, Python cannot keep what it compiles, and would compile it for each process anew.
         compileall.compile_dir(CHECKOUT / package, quiet=2)

@@ -11,6 +11,11 @@ from pathlib import Path
 
 from fsai_hil import CHECKOUT
 from fsai_hil.cli.hil import add_place_arguments, environment, prepared_place
+from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME, SHORT, conditions_named
+from fsai_hil.rehearsal.scrutineering.machine import facts, machine
+from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
+from fsai_hil.vcan import INTERFACE, VcanError
+from fsai_hil.vcan.clock import SLOWEST_PACE
 from fsai_vcu.interface.errors import UserError, WrongUse
 
 EXAMPLE = "fsai-vcu scrutineering --seconds 60 -o out/scrutineering"
@@ -48,11 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0: in every condition answered in time, and sooner than the loop in C; 1: not, or not measured."""
-    from fsai_hil.rehearsal.scrutineering.conditions import BY_NAME, SHORT, conditions_named
-    from fsai_hil.rehearsal.scrutineering.machine import facts, machine
-    from fsai_hil.rehearsal.scrutineering.report import failures, markdown, not_measured, summary
-    from fsai_hil.vcan import INTERFACE, VcanError
-    from fsai_hil.vcan.clock import SLOWEST_PACE
 
     def say(text: str) -> None:
         print(text, file=sys.stderr if args.json else sys.stdout, flush=True)

@@ -235,11 +235,6 @@ def _with_line(track: Track, line: Pose) -> Track:
     return replace(track, start_line=line, finish_line=line)
 
 
-def _spacing_m(radius_m: float) -> float:
-    """Cones stand closer in tight corners; 5 m is the rules' most."""
-    return min(4.5, max(2.0, 0.35 * radius_m))
-
-
 def _resampled(line: Floats, step_m: float) -> Floats:
     """A closed line at even steps."""
     ring = np.vstack([line, line[:1]])
@@ -305,7 +300,8 @@ def _circuit_from(name: str, centreline: Floats, line_at_m: float, lane_m: float
         for i, point in enumerate(border):
             if due <= 0.0:
                 row.append((float(point[0]), float(point[1])))
-                due += _spacing_m(1.0 / max(float(smooth[i]), 1e-3))
+                # Cones stand closer in tight corners; 5 m is the rules' most.
+                due += min(4.5, max(2.0, 0.35 / max(float(smooth[i]), 1e-3)))
             due -= float(steps[i])
         if math.dist(row[0], row[-1]) < 1.2:
             row.pop()

@@ -559,9 +559,6 @@ class SimulatedVcu:
     def _speeds_image(self, t_ns: int) -> WheelSpeeds:
         return WheelSpeeds(*(round(limited(rpm, WHEEL_SPEED_MAX_RPM, 0.0)) for rpm in self._feedback.wheel_rpm), t_ns)
 
-    def _counts_image(self, t_ns: int) -> WheelCounts:
-        return WheelCounts(*(count & 0xFFFF for count in self._feedback.pulses), t_ns)
-
     def _system_image(self, t_ns: int) -> VcuSystemStatus:
         link = self._link
         # the AI computer's faults do not stop the car outside AS_DRIVING: there they are warnings
@@ -629,7 +626,7 @@ BUILDERS: Final[Mapping[str, Callable[[SimulatedVcu, int], Image]]] = MappingPro
         VcuSteer.dbc_name: SimulatedVcu._steer_image,
         VcuBrake.dbc_name: SimulatedVcu._brake_image,
         WheelSpeeds.dbc_name: SimulatedVcu._speeds_image,
-        WheelCounts.dbc_name: SimulatedVcu._counts_image,
+        WheelCounts.dbc_name: lambda vcu, t_ns: WheelCounts(*(each & 0xFFFF for each in vcu._feedback.pulses), t_ns),
         VcuSystemStatus.dbc_name: SimulatedVcu._system_image,
         LogDynamics1.dbc_name: SimulatedVcu._log_dynamics_image,
         LogStatus.dbc_name: SimulatedVcu._log_status_image,

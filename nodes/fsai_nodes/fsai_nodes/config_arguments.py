@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fsai_nodes.parameters import NodeError
-from fsai_vcu.runtime.configuration import Configuration, ConfigurationError, Plain, read_configuration
+from fsai_vcu.runtime.configuration import ConfigurationError, Plain, read_configuration
 
 
 class Configured:
@@ -48,7 +48,8 @@ class Configured:
         wanted = found if node == "composed" else {"": found.get(node, {})}
         # The journal keeps what a node says; files of ROS's own beside it would grow without bound.
         quiet = ["--ros-args", "--disable-external-lib-logs", "--"]
-        own = [*ros_arguments(wanted), *_enclave(configuration, node), *quiet]
+        enclave = ["--ros-args", "--enclave", f"/fsai/{node}", "--"] if configuration.text("ros", "keystore") else []
+        own = [*ros_arguments(wanted), *enclave, *quiet]
         self.arguments = [program, *others, *own, *given[split:]]
         self.lines = (f"configuration {ours.config}: revision {configuration.revision}, car {configuration.car}",)
 
@@ -62,7 +63,3 @@ def ros_arguments(parameters: Mapping[str, Mapping[str, Plain]]) -> list[str]:
                 # JSON is YAML, which is what ROS takes a value for: a text in quotes stays a text.
                 words += ["-p", f"{node}{':' if node else ''}{name}:={json.dumps(value)}"]
     return ["--ros-args", *words, "--"] if words else []
-
-
-def _enclave(configuration: Configuration, node: str) -> list[str]:
-    return ["--ros-args", "--enclave", f"/fsai/{node}", "--"] if configuration.text("ros", "keystore") else []

@@ -6,15 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from fsai_vcu.interface.enums import AsState
 from fsai_vcu.interface.errors import WrongUse
-
-
-class Stance(Enum):
-    """How far the car has come."""
-
-    ALONE = "AS_OFF"  # the bridge alone, without the nodes that drive
-    STANDING = "AS_READY"
-    DRIVING = "AS_DRIVING"
 
 
 class Load(Enum):
@@ -31,19 +24,19 @@ class Condition:
     """One row of the report."""
 
     name: str
-    stance: Stance
+    car: AsState  # how far it has come; in AS_OFF the bridge is alone, without the nodes that drive
     load: tuple[Load, ...] = ()
 
     @property
     def words(self) -> str:
         load = "all of it at once" if len(self.load) == len(Load) else ", ".join(each.value for each in self.load)
-        return _STANCES[self.stance] + (f"; {load}" if load else "")
+        return _CAR[self.car] + (f"; {load}" if load else "")
 
 
-_STANCES = {
-    Stance.ALONE: "the bridge alone, car in AS_OFF",
-    Stance.STANDING: "all nodes, car waiting for Go in AS_READY",
-    Stance.DRIVING: "all nodes, car driving laps",
+_CAR = {
+    AsState.AS_OFF: "the bridge alone, car in AS_OFF",
+    AsState.AS_READY: "all nodes, car waiting for Go in AS_READY",
+    AsState.AS_DRIVING: "all nodes, car driving laps",
 }
 _LOADS: dict[str, tuple[Load, ...]] = {
     "": (),
@@ -55,9 +48,9 @@ _LOADS: dict[str, tuple[Load, ...]] = {
 }
 
 CONDITIONS: tuple[Condition, ...] = (
-    *(Condition(f"idle{name}", Stance.ALONE, load) for name, load in _LOADS.items()),
-    Condition("standing", Stance.STANDING),
-    *(Condition(f"driving{name}", Stance.DRIVING, load) for name, load in _LOADS.items()),
+    *(Condition(f"idle{name}", AsState.AS_OFF, load) for name, load in _LOADS.items()),
+    Condition("standing", AsState.AS_READY),
+    *(Condition(f"driving{name}", AsState.AS_DRIVING, load) for name, load in _LOADS.items()),
 )
 BY_NAME = {condition.name: condition for condition in CONDITIONS}
 SHORT = ("idle", "idle-loaded")  # what needs no drive

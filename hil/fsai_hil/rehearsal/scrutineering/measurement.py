@@ -27,7 +27,7 @@ from typing import Any
 
 from fsai_hil.rehearsal.bus_watch import responses_in
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, Stance, conditions_named
+from fsai_hil.rehearsal.scrutineering.conditions import Condition, Load, conditions_named
 from fsai_hil.rehearsal.scrutineering.load import BUS_BITS_PER_S, FRAME_BITS, car_bits_per_s, loaded
 from fsai_hil.rehearsal.scrutineering.machine import machine, scheduling_of
 from fsai_hil.rehearsal.stack import NODES, RunningProcess, Stack, StackError, await_condition
@@ -110,10 +110,10 @@ class Measurement:
             raise StackError(f"{_PEER_SOURCE.name} cannot be compiled: {reason}") from error
         peer = self._stack.start(_PEER, [program, self._bus])
         car = self._switched_on()
-        await_condition(lambda: _state_of(car) == Stance.ALONE.value, POWER_UP_S, "AS_OFF with the C loop")
+        await_condition(lambda: _state_of(car) == AsState.AS_OFF.label, POWER_UP_S, "AS_OFF with the C loop")
         loads = list(dict.fromkeys(condition.load for condition in conditions))
         for number, load in enumerate(loads, start=1):
-            condition = Condition(_of_peer(load), Stance.ALONE, load)
+            condition = Condition(_of_peer(load), AsState.AS_OFF, load)
             _say(f"[{number}/{len(loads)}] {_PEER}: {', '.join(each.value for each in load) or 'nothing else'}")
             self._measure(condition, (_PEER,), lambda: (_state_of(car), ""))
         self._end_car()
@@ -125,18 +125,18 @@ class Measurement:
         _say("starting the bridge")
         self._stack.start_node("vcu_bridge", revision=self._revision, car=self._revision)
         operator = self._operator = RosOperator(self._stack, "scrutineer")
-        out_of_reach: dict[Stance, str] = {}
+        out_of_reach: dict[AsState, str] = {}
         not_measured: dict[str, str] = {}  # what has been measured is worth its report all the same
         try:
             operator.await_bridge(START_S)
             for number, condition in enumerate(conditions, start=1):
                 _say(f"[{number}/{len(conditions)}] {condition.name}: {condition.words}")
                 try:
-                    if condition.stance not in out_of_reach:
-                        self._reach(condition.stance)
+                    if condition.car not in out_of_reach:
+                        self._reach(condition.car)
                 except StackError as error:
-                    out_of_reach[condition.stance] = str(error).splitlines()[0]
-                if why := out_of_reach.get(condition.stance):
+                    out_of_reach[condition.car] = str(error).splitlines()[0]
+                if why := out_of_reach.get(condition.car):
                     not_measured[condition.name] = why
                     _say(f"    not measured: {why}")
                     continue
@@ -171,7 +171,7 @@ class Measurement:
 
     # ------------------------------------------------------------ how far the car has come
 
-    def _reach(self, stance: Stance) -> None:
+    def _reach(self, wanted: AsState) -> None:
         """Bring the car there; it is powered up anew where it has ended, or ends on the way."""
         operator = self._operator
         for _ in range(_ATTEMPTS):
@@ -180,17 +180,17 @@ class Measurement:
                 operator.state = None
                 self._switched_on()
                 operator.await_state(lambda state: state.as_state == AsState.AS_OFF, POWER_UP_S, "AS_OFF")
-            self._bring(stance)
+            self._bring(wanted)
             if not _over(operator):
                 return
             _say(f"    on the way the car went to {operator.state.as_state_label}; it is powered up anew")
-        raise StackError(f"the car does not come as far as {stance.value}: {operator.describe()}")
+        raise StackError(f"the car does not come as far as {wanted.label}: {operator.describe()}")
 
-    def _bring(self, stance: Stance) -> None:
+    def _bring(self, wanted: AsState) -> None:
         """Until it is there, or has ended on the way."""
         car, operator, stack = self._car, self._operator, self._stack
         assert car is not None
-        if operator.state.as_state_label == stance.value or stance is Stance.ALONE:
+        if operator.state.as_state_label == wanted.label or wanted is AsState.AS_OFF:
             return
         if set(NODES) - set(stack.processes):
             _say("starting the other nodes")
@@ -214,7 +214,7 @@ class Measurement:
             "ready for Go",
             *NODES,
         )
-        if stance is Stance.DRIVING and not _over(operator):
+        if wanted is AsState.AS_DRIVING and not _over(operator):
             car.type("go")
             operator.await_that(
                 lambda: operator.state.speed_mps > CRUISE_MPS or _over(operator), DRIVE_OFF_S, "the car drives", *NODES
@@ -267,11 +267,11 @@ class Measurement:
                 self._stack.check_alive(*watched, car.name)
                 shown, why = state()
                 stops = why or stops
-                if shown == AsState.AS_FINISHED.label and condition.stance is Stance.DRIVING:
+                if shown == AsState.AS_FINISHED.label and condition.car is AsState.AS_DRIVING:
                     # A stop is how it should end where the nodes get no time: the bridge goes on answering.
                     drove_s = (time.monotonic_ns() - began_ns) / 1e9
                     stood = stood or f"drove {drove_s:.0f} s, then stood" + (f": {stops}" if stops else "")
-                elif shown != condition.stance.value:
+                elif shown != condition.car.label:
                     ended = f"the car went to {shown}" + (f" ({stops})" if stops else "")
                     break
             after, took_s = self._traffic(), (time.monotonic_ns() - began_ns) / 1e9
