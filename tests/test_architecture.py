@@ -176,7 +176,7 @@ def test_every_verb_has_its_file_and_an_example() -> None:
 
 
 @cache
-def tests_of_files() -> dict[str, list[str]]:
+def named_tests() -> dict[str, list[str]]:
     """The names of the test functions of each test file, as often as they are defined."""
     tests = CHECKOUT / "tests"
     return {
@@ -190,11 +190,11 @@ def tests_of_files() -> dict[str, list[str]]:
 
 
 def test_test_names_have_at_most_60_characters() -> None:
-    assert {name for names in tests_of_files().values() for name in names if len(name) > 60} == set()
+    assert {name for names in named_tests().values() for name in names if len(name) > 60} == set()
 
 
 def test_no_test_name_is_defined_twice_in_a_file() -> None:
     twice = {
-        file: [name for name, times in Counter(names).items() if times > 1] for file, names in tests_of_files().items()
+        file: [name for name, times in Counter(names).items() if times > 1] for file, names in named_tests().items()
     }
     assert {file: names for file, names in twice.items() if names} == {}
