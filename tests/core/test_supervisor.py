@@ -266,8 +266,8 @@ def test_each_ami_change_in_as_off_or_as_ready_begins_a_run() -> None:
 
 @pytest.mark.parametrize("as_state", [DRIVING, EMERGENCY, FINISHED])
 def test_the_ami_is_latched_from_as_driving_on(as_state: AsState) -> None:
-    before = receive(launched(), as_state, NOW)
-    state = receive(before, as_state, NOW, ami=Ami.ACCELERATION)
+    before = receive(launched(), as_state, LAUNCH + 10 * MS)
+    state = receive(before, as_state, LAUNCH + 20 * MS, ami=Ami.ACCELERATION)
     assert (state.run_id, state.mission, state.sequence) == (before.run_id, Ami.TRACKDRIVE, before.sequence)
 
 
@@ -593,8 +593,9 @@ def test_a_lost_mode_returns_only_at_the_next_power_up(lost_by: str) -> None:
     else:
         state, _, _ = supervisor.set_mode(POWER_UP, state, "manual", T0)
     assert supervise(POWER_UP, state, Inputs(T0))[0].mode is Mode.MANUAL
-    state = replace(receive(state, OFF, T0 + 2 * S), speeds_ns=T0 + 2 * S)
-    assert supervise(POWER_UP, state, Inputs(T0 + 2 * S))[0].mode is Mode.AUTONOMOUS
+    for t_ns, mode in ((T0 + S - 1, Mode.MANUAL), (T0 + S, Mode.AUTONOMOUS)):  # a power cycle takes a second
+        later = replace(receive(state, OFF, t_ns), speeds_ns=t_ns)
+        assert supervise(POWER_UP, later, Inputs(t_ns))[0].mode is mode
 
 
 # ---------------------------------------------------------------- the emergency latch
