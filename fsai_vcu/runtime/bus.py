@@ -261,11 +261,11 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
         _check_interface(channel)
     try:
         bus = can.Bus(interface=kind, channel=channel, can_filters=filters)
+        if kind == "socketcan":
+            return SocketCanBus(bus, spec, may_send)
     except (can.CanError, OSError, ValueError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise BusError(f"cannot open CAN interface '{spec}': {reason}") from error
-    if kind == "socketcan":
-        return SocketCanBus(bus, spec, may_send)
     return CanBus(bus, spec, may_send, wall_clock_stamps=kind in _STAMPED_BY_WALL_CLOCK)
 
 

@@ -42,6 +42,18 @@ def test_a_lock_is_free_after_release_and_per_interface() -> None:
     other.release()
 
 
+def test_the_lock_dies_with_its_process() -> None:
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        InterfaceLock("test-child")
+        os.write(write_end, b"x")
+        os.kill(os.getpid(), 9)
+    os.read(read_end, 1)
+    os.waitpid(child, 0)
+    InterfaceLock("test-child").release()
+
+
 def test_systemd_gets_ready_and_half_the_watchdog_period_is_used(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))

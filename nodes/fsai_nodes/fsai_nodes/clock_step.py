@@ -49,8 +49,8 @@ def on_clock_step(call: Callable[[], object]) -> bool:
             try:
                 os.read(timer, 8)
             except OSError:  # ECANCELED, and the timer is armed as before
-                logger.warning("the wall clock was set; deadlines are by the monotonic clock and go on")
                 call()
+                logger.warning("the wall clock was set; deadlines are by the monotonic clock and go on")
                 # Who had read the clock just before, and began to wait just after, was not to be woken yet.
                 time.sleep(_AGAIN_S)
                 call()

@@ -121,15 +121,17 @@ class _StopSignals:
 
 class _RosHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        logger = rclpy.logging.get_logger(record.name)
-        text = self.format(record)
-        # One line for each severity: rclpy ties a severity to the line that logs.
-        if record.levelno >= logging.ERROR:
-            logger.error(text)
-        elif record.levelno >= logging.WARNING:
-            logger.warning(text)
-        else:
-            logger.info(text)
+        try:
+            logger, text = rclpy.logging.get_logger(record.name), self.format(record)
+            # One line for each severity: rclpy ties a severity to the line that logs.
+            if record.levelno >= logging.ERROR:
+                logger.error(text)
+            elif record.levelno >= logging.WARNING:
+                logger.warning(text)
+            else:
+                logger.info(text)
+        except Exception:  # a line that cannot be logged ends nobody's work
+            self.handleError(record)
 
 
 def _one_line(error: BaseException) -> str:
