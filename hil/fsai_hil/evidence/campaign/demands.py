@@ -93,11 +93,7 @@ class Demand:
     def demanded(self) -> str:
         """All of it in words; times are from the fault or the onset, what an observer may measure on top included."""
         named = ("torque 0", self.no_torque_ms), ("service brake", self.brake_ms), ("ESTOP_REQUEST", self.estop_ms)
-        times = [
-            f"{what} within {ms:g} ms" if ms else f"{what} at once"
-            for what, ms in (*named, ("safe", self.safe_ms))
-            if ms is not None
-        ]
+        times = [f"{what} within {ms:g} ms" for what, ms in (*named, ("safe", self.safe_ms)) if ms is not None]
         since = "" if self.onset is Onset.FAULT else f" of {self.onset.value}"
         limits = f" ({', '.join(times)}{since})" if times else ""
         return (f"{self.note}: " if self.note else "") + self.words + limits
