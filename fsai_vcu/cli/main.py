@@ -103,7 +103,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.EPIPE:  # the reader (a pager, `head`) has gone: that is its good right
             return 0
-        print(f"fsai-vcu: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
+        verb = " ".join(["fsai-vcu", *arguments[:1]])
+        print(f"{verb}: cannot write {error.filename or 'the output'}: {error.strerror}", file=sys.stderr)
         return 1
 
 

@@ -25,9 +25,10 @@ class Part:
         """Raises ValueError with one clear line."""
         for name, text in (("--from", begin), ("--to", end)):
             try:
-                _seconds(text, 0)
+                if (_seconds(text, 0) or 0.0) < 0.0:
+                    raise ValueError(text)
             except ValueError:
-                raise ValueError(f"{name} is {text}: neither seconds nor a time of day such as 14:03:30") from None
+                raise ValueError(f"{name} is {text}: neither seconds from 0 on nor a time such as 14:03:30") from None
         self._begin, self._end, self._ids = begin, end, ids
         self._bounds: tuple[float, float] | None = None
 

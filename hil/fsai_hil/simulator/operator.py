@@ -121,14 +121,15 @@ def drive_missions(power_up: PowerUp, missions: Sequence[Ami]) -> Script:
         script += (
             Await("waiting until the display offers the missions", lambda car: car.mission_selectable, REACTION_NS),
             ("ami", mission),
-            _asms_on_again,  # the mission before may have ended with it
+            # the mission before may have ended with it
+            lambda switches, _: () if switches.asms else _turn("asms", True),
             Await(
                 "waiting for yellow and blue: 5 s in AS_READY",
                 lambda car: car.assi in READY_FOR_GO,
                 REACTION_NS,
             ),
             Await("looking whether the car is still ready", _emergency, 0, patience_ns=0),
-            _go_unless_emergency,
+            lambda _, emergency: () if emergency else give_go(),
             Await("waiting for the end of the mission", lambda car: car.assi in ENDED, 0),
             Await("looking how it ended", _emergency, 0, patience_ns=0),
             partial(_let_it_end, power_up, last),
@@ -179,14 +180,6 @@ def _turn(switch: str, on: bool) -> Script:
 
 def _power_on_again(power_up: PowerUp, switches: Switches, seen: bool) -> Script:
     return () if switches.lvms else power_on(power_up)
-
-
-def _asms_on_again(switches: Switches, seen: bool) -> Script:
-    return () if switches.asms else _turn("asms", True)
-
-
-def _go_unless_emergency(switches: Switches, emergency: bool) -> Script:
-    return () if emergency else give_go()
 
 
 def _again_unless_started(switches: Switches, started: bool) -> Script:

@@ -46,6 +46,7 @@ _SHARED_MEMORY = Path("/dev/shm")
 _RESULTS_MIB = 1024  # far above what a suite leaves behind
 _BOOT_S = 60.0
 _LOOK_S = 0.2
+_RELAYED_S = 10.0
 _NICENESS = -20
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -68,6 +69,8 @@ def find_user_mode_linux() -> UserModeLinux:
     if kernel is None or missing:
         raise VcanError(f"this kernel has no vcan and {', '.join(missing)} is not installed; as root: {INSTALL}")
     version = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=False).stdout.strip()
+    if not (_MODULES / "modules" / version).is_dir():
+        raise VcanError(f"User-Mode Linux {version} is installed without its modules; as root: {INSTALL}")
     return UserModeLinux(Path(kernel), version)
 
 
@@ -275,7 +278,7 @@ def boot(
         finally:
             end_group(process)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                relay.wait(_LOOK_S)  # what the machine has still printed
+                relay.wait(_RELAYED_S)  # what the machine has still printed, for a reader who takes his time
             end_group(relay)
 
 
