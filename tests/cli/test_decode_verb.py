@@ -65,6 +65,12 @@ def test_a_long_log_is_decoded_like_many_short_ones(tmp_path: Path, capsys: pyte
         assert capsys.readouterr().out.splitlines() == shown[first : first + 499]
 
 
+def test_filters_choose_frames_as_for_dump(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
+    assert main(["decode", f"{log},523:7FF"]) == 0
+    assert capsys.readouterr().out == LINE
+
+
 def test_numbers_stand_for_words_where_they_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.log"
     path.write_text("(1.000000) can0 520#0000030000000000\n")

@@ -36,6 +36,27 @@ def test_tables_are_written_and_counted(log: Path, capsys: pytest.CaptureFixture
     assert columns(out / "VCU2AI_Steer.csv")[1] == ["1.000000", "10.0", "10.0", "10.0"]
 
 
+def test_filters_leave_frames_out_and_other_databases_are_used(log: Path, tmp_path: Path) -> None:
+    log.write_text(GOOD + "(1.100000) can0 520#0000030000000000\n")
+    other = tmp_path / "team.dbc"
+    other.write_text('VERSION ""\n\nBU_: AI\n\nBO_ 1315 Ours: 6 AI\n SG_ A : 0|8@1+ (1,0) [0|0] "" AI\n')
+    out = tmp_path / "tables"
+    own = Path(__file__).parents[2] / "dbc" / "ads_dv_2026.dbc"
+    databases = ["--dbc", str(other), "--dbc", str(own)]
+    assert main(["export", f"{log},523:7FF", "--to", "csv", "-o", str(out), *databases]) == 0
+    assert [path.name for path in out.iterdir()] == ["Ours.csv"]
+
+
+def test_a_broken_log_is_exported_up_to_the_break_and_fails(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_bytes(b"".join([GOOD.encode(), b"\xff\x00\xfe\n" * 7, GOOD.encode(), GOOD[:-3].encode()]))
+    out = log.with_name("tables")
+    assert main(["export", str(log), "--to", "csv", "-o", str(out)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == f"fsai-vcu export: {log}: line 2: not text: '\\xff\\x00\\xfe'"
+    assert lines[-1] == f"1 table, 2 rows of 2 frames in {out}"
+    assert len(columns(out / "VCU2AI_Steer.csv")) == 3
+
+
 def test_segments_of_a_recording_are_one_log(log: Path) -> None:
     second = log.with_name("second.log")
     second.write_text("(2.000000) can1 523#000000000000\n(3.000000) can0 523#C80064006400\n")

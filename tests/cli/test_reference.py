@@ -121,4 +121,5 @@ def test_a_full_disk_is_one_clear_line(argv: list[str]) -> None:
     with Path("/dev/full").open("w") as full:
         process = [sys.executable, "-m", "fsai_vcu.cli.main", *argv]
         done = subprocess.run(process, stdout=full, stderr=subprocess.PIPE, text=True, env=BUFFERED)
-    assert (done.returncode, done.stderr) == (1, "fsai-vcu: cannot write the output: No space left on device\n")
+    verb = " ".join(["fsai-vcu", *argv[:1]])
+    assert (done.returncode, done.stderr) == (1, f"{verb}: cannot write the output: No space left on device\n")

@@ -54,6 +54,11 @@ def test_the_cars_frames_are_sent_and_the_rest_is_reported(
     assert capsys.readouterr().err == f"{left_out}4 frames sent\n"
 
 
+def test_the_ais_own_frames_are_sent_where_that_is_asked_for(log: str, bus: CanBus) -> None:
+    assert main(["replay", log, "-i", BUS, "--with-ai-ids"]) == 0
+    assert received(bus, 5)[1] == "510#0000000000000000"
+
+
 def test_a_part_filtered_and_looped(log: str, bus: CanBus) -> None:
     argv = ["replay", f"{log},520:7FF", "-i", BUS, "--from", "0", "--to", "0.002", "--loop", "3", "--rate", "10"]
     assert main(argv) == 0
