@@ -165,6 +165,13 @@ def test_uml_that_does_not_come_up_says_so_and_where_its_log_is(tmp_path: Path) 
 
 
 @needs_uml
+def test_uml_without_its_modules_says_how_to_get_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uml, "_MODULES", tmp_path)
+    with pytest.raises(VcanError, match=r"is installed without its modules; as root: .*user-mode-linux"):
+        uml.find_user_mode_linux()
+
+
+@needs_uml
 def test_by_a_slower_clock_idle_time_takes_none(tmp_path: Path) -> None:
     status = run_in_uml(["sleep", "600"], cwd=CHECKOUT, env=ENVIRONMENT, timeout_s=60, results_dir=tmp_path, pace=3.0)
     assert status == 0, "ten minutes are over in less than one"
