@@ -86,7 +86,7 @@ def test_ctrl_c_ends_a_loop_cleanly(log: str, bus: CanBus) -> None:
         (["LOG", "-i", BUS, "--loop", "-1"], "--loop is -1, but must be 0 or more", 2),
         (["LOG", "-i", BUS, "--from", "2", "--to", "1"], "run.log is in that part", 1),
         (["LOG", "-i", BUS, "--from=-3"], "--from is -3: neither seconds from 0 on", 2),
-        (["LOG", "-i", BUS, "--from", "soon"], "--from is soon: neither seconds from 0 on nor a time such as 14:03:30", 2),
+        (["LOG", "-i", BUS, "--from", "soon"], "--from is soon: neither seconds from 0 on nor a time such", 2),
         (["LOG,510:7FF", "-i", BUS], "nothing is left to send", 1),
         (["vcan0", "-i", BUS], "vcan0 is an interface; replay reads logs", 2),
         (["gone.log", "-i", BUS], "gone.log: No such file or directory", 1),
