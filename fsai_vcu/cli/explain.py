@@ -1,4 +1,4 @@
-"""`fsai-vcu explain`: the story of a run, and why it braked or did not start."""
+"""`fsai-vcu explain`: what happened in a run, and why it braked or did not start."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     check_seconds(args)
-    decoding = Decoding("explain", args)  # before anything is read; the story itself says which revision it is, and why
+    decoding = Decoding("explain", args)  # before anything is read; the explanation names the revision, and why
     part = part_of(args, decoding)
     sources = Sources("explain", args.sources)
     frames = sources.everything(args.seconds)

@@ -11,7 +11,7 @@ from fsai_vcu.interface.errors import UserError
 
 EXAMPLE = "fsai-vcu report run.log -o report.html"
 ABOUT = """\
-One HTML file with the plots, the story of explain and the figures of stats; it
+One HTML file with the plots, what explain finds and the figures of stats; it
 opens offline and loads nothing from elsewhere. Exit status: 0 written, 1
 something could not be read, or the page not be written, 2 wrong use."""
 

@@ -33,7 +33,7 @@ _CAR_RESTART = "wait 15 s, ASMS off, then TSMS and LVMS off and on again"
 
 _MOVE_STEERING = "move the steering by hand and by command (static inspection A): column, motor, angle sensor"
 _TURN_WHEELS = "turn each wheel by hand and compare 0x525: sensor, connector, wheel mapping"
-_SEE_FAULT = "see the fault's own line in this story"
+_SEE_FAULT = "see the fault's own line above"
 
 # What to do about what the supervisor found
 _REMEDIES: Final = {
@@ -228,7 +228,7 @@ _CAUSES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     "link_lost": (
         "AI_COMMS_LOST: the AI computer's messages or echo are missing",
-        "see the handshake and gaps in this story; fsai-vcu check LOG measures them",
+        "see the handshake and gaps above; fsai-vcu check LOG measures them",
     ),
     "asms": ("ASMS is off (AS_SWITCH_STATUS 0)", "turn ASMS on"),
     "tsms": ("TSMS is off (TS_SWITCH_STATUS 0)", "turn TSMS on"),
