@@ -312,7 +312,7 @@ def test_several_buses_have_tables_of_their_own(tmp_path: Path, decoder: Decoder
 def test_mf4_has_a_group_per_message(
     tmp_path: Path, decoder: Decoder, frames: Frames, decoded: dict[str, list[Row]]
 ) -> None:
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'fsai-vcu[mf4]'")
     path = tmp_path / "run.mf4"
     export(frames, decoder, "mf4", path)
     with asammdf.MDF(path) as mdf:

@@ -29,6 +29,7 @@ def frame(can_id: int = 0x520, data: bytes = b"\x01\xa5", **other: Any) -> LogFr
     return LogFrame(other.pop("t_ns", T0_NS), other.pop("channel", "can0"), can_id, data, **other)
 
 
+NO_MF4 = "asammdf is not installed: pip install 'fsai-vcu[mf4]'"
 MIXED = [
     frame(0x520, bytes(range(8))),
     frame(0x514, b"\x0a\xff", t_ns=T0_NS + 1_000_000),
@@ -90,7 +91,7 @@ def test_binary_and_vector_formats_are_read_to_the_microsecond(tmp_path: Path, s
 
 
 def test_mf4_is_read_packed_too(tmp_path: Path) -> None:
-    pytest.importorskip("asammdf")
+    pytest.importorskip("asammdf", reason=NO_MF4)
     path, packed = tmp_path / "run.mf4", tmp_path / "run.mf4.gz"
     write_with_python_can(path, MIXED)
     packed.write_bytes(gzip.compress(path.read_bytes()))
@@ -98,7 +99,7 @@ def test_mf4_is_read_packed_too(tmp_path: Path) -> None:
 
 
 def test_mf4_is_read_with_frames_of_every_kind_in_time(tmp_path: Path) -> None:
-    pytest.importorskip("asammdf")
+    pytest.importorskip("asammdf", reason=NO_MF4)
     expected = [
         frame(0x510, bytes(range(12)), fd=True, brs=True, channel="can1", sent=True),
         frame(0x511, b"", remote=True, length=4, t_ns=T0_NS + 1_000_000, channel="can2", sent=False),
@@ -126,7 +127,7 @@ def test_mf4_is_read_with_frames_of_every_kind_in_time(tmp_path: Path) -> None:
 
 
 def test_an_mf4_of_signals_is_not_taken_for_an_empty_log(tmp_path: Path) -> None:
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = pytest.importorskip("asammdf", reason=NO_MF4)
     path = tmp_path / "run.mf4"
     with asammdf.MDF(version="4.10") as mdf:
         mdf.append(asammdf.Signal(np.arange(3), np.arange(3.0), name="ANGLE"))
