@@ -6,6 +6,7 @@ y left); *odometry frame* is the vehicle frame where the run began.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -79,7 +80,9 @@ class Plan(Immutable):
 
     path_m: (M, 2) vehicle frame of the instant `t_sensor_ns`, ordered forward, first point near the car.
     `laps` completed so far; `stop_distance_m` is the length of path left until the car must stand (None: no stop known
-    yet); `finished` says the mission's last line has been crossed.
+    yet); `finished` says the mission's last line has been crossed. `supported_m` is the length of path from the car on
+    that cones or a map bear out, `confidence` (0…1) how sure the planner is of it; `mapped` says that the path follows
+    a map closed over a whole lap; `note` says in words why there is no path, or why it is doubted.
     """
 
     t_sensor_ns: int
@@ -91,3 +94,7 @@ class Plan(Immutable):
     stop_distance_m: float | None = None
     cones_count_actual: int = 0
     cones_count_all: int = 0
+    supported_m: float = math.inf
+    confidence: float = 1.0
+    mapped: bool = False
+    note: str = ""

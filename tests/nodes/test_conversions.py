@@ -80,13 +80,15 @@ def test_cones_without_place_are_left_out_odd_colours_unknown() -> None:
 @pytest.mark.parametrize("stop_distance_m", [None, 0.0, 12.5])
 def test_a_plan_comes_back_as_it_was(stop_distance_m: float | None) -> None:
     path_m = np.array([[0.5, 0.0], [1.0, 0.1], [1.5, 0.3]])
-    plan = Plan(7, 3, Ami.TRACKDRIVE, path_m, 4, True, stop_distance_m, 12, 345)
+    plan = Plan(7, 3, Ami.TRACKDRIVE, path_m, 4, True, stop_distance_m, 12, 345, 9.5, 0.5, True, "a gap")
     status, path = to.plan_to_msgs(plan, STAMP)
     assert status.header.stamp == path.header.stamp == STAMP
     back = to.plan_from_msgs(status, path, 7)
     assert back is not None
     np.testing.assert_array_equal(back.path_m, path_m)
     for name in ("t_sensor_ns", "run_id", "mission", "laps", "finished", "stop_distance_m", "cones_count_all"):
+        assert getattr(back, name) == getattr(plan, name), name
+    for name in ("supported_m", "confidence", "mapped", "note"):
         assert getattr(back, name) == getattr(plan, name), name
 
 

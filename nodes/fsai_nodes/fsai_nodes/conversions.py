@@ -103,6 +103,10 @@ def plan_to_msgs(plan: Plan, stamp: Time) -> tuple[PlannerStatus, Path]:
         stop_distance_m=NEVER if plan.stop_distance_m is None else float(plan.stop_distance_m),
         cones_count_actual=_count(plan.cones_count_actual),
         cones_count_all=_count(plan.cones_count_all),
+        supported_m=float(plan.supported_m) if math.isfinite(plan.supported_m) else 0.0,
+        confidence=float(plan.confidence),
+        mapped=bool(plan.mapped),
+        note=plan.note,
     )
     status.header.stamp = stamp
     status.header.frame_id = BASE_FRAME
@@ -129,6 +133,10 @@ def plan_from_msgs(status: PlannerStatus, path: Path, t_sensor_ns: int) -> Plan 
         stop_distance_m=status.stop_distance_m if math.isfinite(status.stop_distance_m) else None,
         cones_count_actual=status.cones_count_actual,
         cones_count_all=status.cones_count_all,
+        supported_m=status.supported_m if status.supported_m > 0.0 else math.inf,
+        confidence=status.confidence if math.isfinite(status.confidence) else 0.0,
+        mapped=status.mapped,
+        note=status.note,
     )
 
 

@@ -1,0 +1,43 @@
+"""What a strategy hands to the planner: the way on, as one family of missions finds it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import Motion
+from fsai_vcu.core.planning.cone_memory import ConeMemory
+from fsai_vcu.interface.immutable import Immutable
+
+BRAKING_DELAY_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Course(Immutable):
+    """The way on from the car. Fields as in `Plan`, which carries them to the controller."""
+
+    path_m: Floats  # (M, 2) vehicle frame
+    laps: int = 0
+    finished: bool = False
+    stop_distance_m: float | None = None
+    supported_m: float = math.inf
+    confidence: float = 1.0
+    mapped: bool = False
+    note: str = ""
+
+
+class Strategy(Protocol):
+    """How a family of missions finds its way."""
+
+    def anchor(self, motion: Motion) -> None:
+        """The car stands at its staging place, at `motion`."""
+
+    def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        """The way on, after `memory` has taken in the cones seen (vehicle frame) from `motion`."""
+
+
+def braking_m(speed_mps: float, deceleration_mps2: float) -> float:
+    """Way in which the car comes to rest."""
+    return speed_mps * BRAKING_DELAY_S + speed_mps**2 / (2.0 * deceleration_mps2)

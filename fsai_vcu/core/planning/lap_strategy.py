@@ -1,0 +1,120 @@
+"""Autocross and trackdrive: a lane found in the cones around the car, and laps counted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import ConeColor, Motion
+from fsai_vcu.core.missions.laps import advance_laps, gate_seen, staged
+from fsai_vcu.core.missions.settings import MissionSettings
+from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
+from fsai_vcu.core.planning.course import Course, braking_m
+from fsai_vcu.core.planning.lane import find_lane
+from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
+from fsai_vcu.core.planning.settings import PlannerSettings
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
+
+GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
+LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
+
+
+class LapStrategy:
+    """Follow the lane and count laps."""
+
+    def __init__(self, car: VehicleParameters, settings: PlannerSettings, missions: MissionSettings, laps: int) -> None:
+        self._settings = settings
+        self._missions = missions
+        self._laps = laps
+        self._nose_m = car.nose_ahead_of_rear_axle_m
+        self._line_ahead_m = self._nose_m + missions.lap_staging_m
+        self.anchor(Motion())
+
+    def anchor(self, motion: Motion) -> None:
+        self._state = staged(motion, self._line_ahead_m)
+        self._half_width_m = self._settings.lane_half_width_min_m
+        self._kept: Floats = NO_PATH  # the last path, in the odometry frame
+        self._kept_t_ns = 0
+        self._finished_at_m: float | None = None
+        self._stop_m = self._missions.lap_stop_m
+
+    def plan(self, memory: ConeMemory, seen_xy_m: Floats, motion: Motion) -> Course:
+        cones = memory.around(motion)
+        curvature = motion.yaw_rate_radps / max(motion.speed_mps, 1.0)
+        lane = find_lane(cones, curvature, self._half_width_m, self._nose_m, self._settings)
+        path = lane.path_m
+        if len(path):
+            self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
+            memory.vote(cones.index, lane.side)
+            self._kept, self._kept_t_ns = to_odometry(motion, path), motion.t_ns
+        else:
+            path = self._kept_path(motion)
+        self._count(cones, path, motion)
+        if self._finished_at_m is None:
+            return Course(path, self._state.laps)
+        left = self._finished_at_m + self._stop_m - motion.distance_m
+        return Course(path, self._state.laps, finished=True, stop_distance_m=max(0.0, left))
+
+    def _kept_path(self, motion: Motion) -> Floats:
+        """What is left of the last path, if it is not too old."""
+        if not len(self._kept) or motion.t_ns - self._kept_t_ns > self._settings.keep_path_ns:
+            return NO_PATH
+        path = to_vehicle(motion, self._kept)
+        ahead = path[int(np.hypot(path[:, 0], path[:, 1]).argmin()) :]
+        return ahead if len(ahead) >= 5 else NO_PATH
+
+    def _count(self, cones: Cones, path: Floats, motion: Motion) -> None:
+        gate = cones.xy_m[cones.color == ConeColor.BIG_ORANGE]
+        if len(gate) >= 2 and len(path) >= 3:
+            middle = _gate_middle(gate, path, self._half_width_m)
+            if middle is not None:
+                at = to_odometry(motion, middle[0][None, :])[0]
+                self._state = gate_seen(
+                    self._state,
+                    float(at[0]),
+                    float(at[1]),
+                    motion.yaw_rad + middle[1],
+                    motion,
+                    self._missions.lap_min_m,
+                )
+        self._state = advance_laps(self._state, motion, self._missions.lap_min_m)
+        if self._finished_at_m is None and self._state.laps >= self._laps:
+            self._finished_at_m = motion.distance_m
+            # Comfortable from any speed, within what the rules allow.
+            needed = braking_m(motion.speed_mps, LAP_BRAKING_MPS2)
+            self._stop_m = min(max(self._missions.lap_stop_m, needed), self._missions.lap_stop_max_m)
+
+
+def _gate_middle(gate_xy_m: Floats, path_m: Floats, half_width_m: float) -> tuple[Floats, float] | None:
+    """Middle (vehicle frame) and direction of the nearest gate across the path, or None.
+
+    Cones further off than the lane's border are not of this lane: another one may pass on the border's far side.
+    """
+    cos, sin = headings_along(path_m)
+    along = lengths_along(path_m)
+    dx, dy = gate_xy_m[:, None, 0] - path_m[None, :, 0], gate_xy_m[:, None, 1] - path_m[None, :, 1]
+    nearest = (dx * dx + dy * dy).argmin(axis=1)
+    rows = np.arange(len(nearest))
+    dx, dy = dx[rows, nearest], dy[rows, nearest]
+    ahead = dx * cos[nearest] + dy * sin[nearest]
+    lateral = dy * cos[nearest] - dx * sin[nearest]
+    station = along[nearest] + ahead
+    of_lane = (np.abs(lateral) < half_width_m + GATE_WIDER_M) & (np.abs(lateral) > 0.6)
+    good = of_lane & (np.abs(ahead) < 3.0) & (along[nearest] < 15.0)
+    if not good.any():
+        return None
+    first = float(station[good].min())
+    good &= station < first + 5.0
+    left, right = good & (lateral > 0), good & (lateral < 0)
+    if left.any() and right.any():
+        middle = 0.5 * (gate_xy_m[left].mean(axis=0) + gate_xy_m[right].mean(axis=0))
+        index = int(nearest[good][0])
+    elif good.sum() < 2:
+        return None
+    else:
+        # One side only: its cones' place along the path says where the line is.
+        index = int(np.abs(along - station[good].mean()).argmin())
+        middle = path_m[index]
+    return middle, math.atan2(float(sin[index]), float(cos[index]))
