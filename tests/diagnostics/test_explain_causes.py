@@ -68,10 +68,16 @@ def car_drops(*ids: int) -> Act:
 
 
 def car_is_silent_for_300_ms(run: Run) -> None:
-    wire, silence = run.lockstep.world.vcu.outgoing, Drop(frozenset({0x520}))
+    wire, silence = run.lockstep.world.vcu.outgoing, Drop(frozenset({0x520, 0x181}))
     wire.faults.append(silence)
     run.go_on(0.3)
     wire.faults.remove(silence)
+
+
+def remote_falls_silent(run: Run) -> None:
+    car_drops(0x181)(run)
+    run.go_on(0.3)
+    run.switch(remote_radio_ok=False)
 
 
 def vcu_misses(*ids: int) -> Act:
@@ -195,10 +201,11 @@ brake_alone = both(say(0x512, torque_nm=0.0), say(0x511, torque_nm=0.0), say(0x5
 ENDS = [
     # ---- what people do
     End("an E-stop button on the car", driving, switch(car_estop=True), "sdc_open"),
-    End("the remote's E-stop", driving, switch(remote_estop=True), "sdc_open"),
+    End("the remote's E-stop", driving, switch(remote_estop=True), "remote_estop"),
     End("the dongle is pulled", driving, switch(dongle=False), "sdc_open"),
     End("the crash sensor", driving, switch(crash=True), "sdc_open"),
-    End("the remote's radio is lost", driving, switch(remote_radio_ok=False), "go_off", also="radio_lost"),
+    End("the remote's radio is lost", driving, switch(remote_radio_ok=False), "radio_lost"),
+    End("the remote's receiver falls silent", driving, remote_falls_silent, "radio_lost"),
     End("Go off", driving, switch(go=False), "go_off"),
     End("ASMS off", driving, switch(asms=False), "asms_off"),
     End("TSMS off", driving, switch(tsms=False), "tsms_off"),

@@ -47,9 +47,28 @@ def test_every_car_message_has_the_period_of_the_bus_table(name: str) -> None:
     expected = {
         message.can_id: 10 * S // message.period_ns[name]
         for message in BY_ID.values()
-        if message.flow in (Flow.FROM_VCU, Flow.FROM_SENSOR) and name in message.period_ns
+        if (message.flow in (Flow.FROM_VCU, Flow.FROM_SENSOR) or message.name == "RES_TPDO")
+        and name in message.period_ns
     }
     assert counted == expected
+
+
+@pytest.mark.parametrize(
+    ("switches", "data"),
+    [
+        ({}, "0000000000006400"),
+        ({"go": True}, "0200000000006400"),
+        ({"go": True, "remote_estop": True}, "0300000000006400"),
+        ({"go": True, "remote_radio_ok": False}, "0000000000000000"),
+    ],
+)
+def test_the_remotes_receiver_sends_its_switches_and_signal(switches: dict[str, bool], data: str) -> None:
+    bench = Bench("2026").power_up()
+    for switch, on in switches.items():
+        setattr(bench.switches, switch, on)
+    sent = [frame.data for frame in bench.run(20 * MS) if frame.can_id == 0x181]
+    assert sent[-1] == bytes.fromhex(data)
+    assert not [frame for frame in Bench("2021").power_up().run(20 * MS) if frame.can_id == 0x181]
 
 
 def test_the_vcu_sends_its_own_frames_together_0x520_first() -> None:

@@ -38,6 +38,7 @@ AROUND_NS: Final = 300 * MS  # a fault bit that rises so close to the change of 
 JUST_BEFORE_NS: Final = 150 * MS  # what the VCU acted on is not older than this, but for time-outs
 BEHIND_NS: Final = 3 * S  # how far back a chain is followed
 SILENT_NS: Final = 200 * MS  # a VCU that starts says nothing for a while
+REMOTE_LATE_NS: Final = 20 * MS  # its receiver sends every 10 ms, perhaps after the car's own change of state
 REBOOT_NS: Final = 3 * S  # a VCU that is back by then restarted by itself; after that it was switched off
 HUNG_NS: Final = 50 * MS
 BACK_NS: Final = 2 * S
@@ -75,9 +76,11 @@ def _emergency(record: Record, span: Span) -> Incident:
     driven = span.before == sig.DRIVING
     if driven:
         candidates += switched(record, "asms_off", sig.AS_SWITCH, t_ns, "AS_SWITCH_STATUS 1 → 0: ASMS goes off")
-    if driven and not record.like_official_simulator:
+    radio = list(_radio(record, t_ns))
+    with_radio = any(one.slug == "radio_lost" and one.sureness is Sureness.SHOWN for one in radio)
+    if driven and not with_radio and not record.like_official_simulator:
         candidates += switched(record, "go_off", sig.GO, t_ns, "GO_SIGNAL 1 → 0")
-    candidates += _radio(record, t_ns)
+    candidates += radio
     if not reported:
         candidates += _unreported(record, t_ns) if driven else []
         losses = link_losses(record, t_ns, Sureness.SHOWN) if record.ai_speaks else []
@@ -248,16 +251,16 @@ def switched(
 def _radio(record: Record, t_ns: int) -> Iterator[Candidate]:
     """The remote's own words (0x181), and what a Go that vanishes may mean."""
     # Which of its two values means pressed is not in the interface: what held before the edge was released.
-    for edge in record.changes(sig.REMOTE_ESTOP, t_ns - 2 * S, t_ns)[:1]:
+    for edge in record.changes(sig.REMOTE_ESTOP, t_ns - 2 * S, t_ns + REMOTE_LATE_NS)[:1]:
         step = sig.REMOTE_ESTOP.step(edge.begin_ns, f"the remote's ESTOP_STATUS {edge.before:g} → {edge.value:g}")
         yield shown("remote_estop", step)
     silent = gap_at(record, sig.REMOTE_ESTOP.can_id, t_ns, SILENT_NS)
-    if silent is not None:
+    if silent is not None and gap_at(record, sig.STATUS, t_ns, SILENT_NS) is None:  # not the whole car's silence
         step = ChainLink(silent.begin_ns, "the last 0x181 (RES_TPDO) before it is missing", sig.REMOTE_ESTOP.can_id)
         yield shown("radio_lost", step)
-    weak = switched(record, "radio_lost", sig.RADIO_STRENGTH, t_ns, "RADIO_STRENGTH falls to 0 %", within_ns=2 * S)
+    weak = record.changes(sig.RADIO_STRENGTH, t_ns - 2 * S, t_ns + REMOTE_LATE_NS, to=0)
     if weak:
-        yield weak[-1]
+        yield shown("radio_lost", sig.RADIO_STRENGTH.step(weak[-1].begin_ns, "RADIO_STRENGTH falls to 0 %"))
     elif record.changes(sig.GO, t_ns - JUST_BEFORE_NS, t_ns, to=0):
         step = sig.GO.step(t_ns, "Go vanishes with the remote's radio, too")
         yield candidate("radio_lost", Sureness.POSSIBLE, step)

@@ -76,8 +76,9 @@ from fsai_vcu.interface.revisions import Revision
 from fsai_vcu.interface.specification import AXLE_TORQUE_MAX_NM, WHEEL_SPEED_MAX_RPM
 from fsai_vcu.interface.units import KMH_PER_MPS, MS
 
+REMOTE: Final = BY_NAME["RES_TPDO"]  # of the remote E-stop's receiver on the car
 # Each device hands its frames to the bus at once, and the bus puts them one behind the other.
-GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames
+GPS_PHASE_NS: Final = 2_500_000  # after the VCU's own frames; the remote's receiver too
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +98,8 @@ class SimulatedVcu:
     """A VCU on a car's bus.
 
     Set `switches`, hand it the AI computer's frames, call `step` at least once a millisecond (or at `next_due_ns()`)
-    with what the car's sensors read; do what `actuation` orders. Faults of the wire go into `outgoing` (what the VCU
-    and the PCAN-GPS say) and `incoming` (what it receives).
+    with what the car's sensors read; do what `actuation` orders. Faults of the wire go into `outgoing` (what the VCU,
+    the PCAN-GPS and the remote's receiver say) and `incoming` (what it receives).
 
     `gps_decimation` and `log_decimation` stretch the periods of the PCAN-GPS's and the logging frames on machines that
     cannot carry them all. Raises ValueError for an interface revision whose power-up is not known.
@@ -471,15 +472,27 @@ class SimulatedVcu:
         revision = self.revision.name
         return tuple(
             (name, BY_NAME[name].period_ns[revision] * decimation.get(name, 1))
-            for name in (*BUILDERS, *(GPS_NAMES if gps else ()))
+            for name in (*BUILDERS, *(GPS_NAMES if gps else ()), REMOTE.name)
             if revision in BY_NAME[name].period_ns
         )
 
     def _frame(self, name: str, t_ns: int) -> Frame:
+        if name == REMOTE.name:
+            return self._remote_frame(t_ns)
         build = BUILDERS.get(name)
         if build is None:
             return self._device.frame(name, t_ns, self._feedback)
         return self.codec.encode(build(self, t_ns))
+
+    def _remote_frame(self, t_ns: int) -> Frame:
+        """0x181 of the remote's receiver on the car, which sends on when it no longer receives the remote.
+
+        The signal database calls ESTOP_STATUS 1 ON and does not say whether that is pressed: here it is.
+        """
+        switches = self.switches
+        strength_pct = 100 if switches.remote_radio_ok else 0
+        pressed = switches.remote_estop | self.go_signal << 1
+        return Frame(REMOTE.can_id, bytes((pressed, 0, 0, 0, 0, 0, strength_pct, 0)), t_ns)
 
     def _status_image(self, t_ns: int) -> VcuStatus:
         s, profile = self.switches, self.profile

@@ -43,13 +43,12 @@ def frame_bits(length: int) -> int:
 
 
 def car_bits_per_s(revision: str, gps_decimation: int = 1, log_decimation: int = 1) -> float:
-    """What bridge, simulated VCU and PCAN-GPS put on the bus."""
+    """What bridge, simulated VCU, PCAN-GPS and the remote's receiver put on the bus."""
     bits = 0.0
     for row in BUS_TABLE:
-        if row.flow in _SIMULATED and revision in row.period_ns:
-            thinned = (
-                gps_decimation if row.flow is Flow.FROM_SENSOR else log_decimation if row.timeout_ns is None else 1
-            )
+        if (row.flow in _SIMULATED or row.name == "RES_TPDO") and revision in row.period_ns:
+            logged = row.flow is Flow.FROM_VCU and row.timeout_ns is None
+            thinned = gps_decimation if row.flow is Flow.FROM_SENSOR else log_decimation if logged else 1
             bits += frame_bits(row.dlc) * 1e9 / (row.period_ns[revision] * thinned)
     return bits
 
