@@ -11,6 +11,7 @@ find causes by rules, with `causes.py` as the table of their words; nothing here
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def explained(record: Record) -> Explanation:
             "begin_ns": record.begin_ns,
             "seconds": round((record.end_ns - record.begin_ns) / 1e9, 6),
         },
-        events=tuple(timeline(record)),
+        timeline=partial(timeline, record),
         incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
         closing=_closing(record),
         problems=tuple(_missing(record)),

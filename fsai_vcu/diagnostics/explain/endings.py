@@ -119,7 +119,7 @@ def _reported(record: Record, span: Span) -> dict[str, Sureness]:
     for signal in sig.FAULTS:
         series = record.series(signal)
         if series.at(until_ns):
-            rose = any(s.value and abs(s.begin_ns - t_ns) <= AROUND_NS for s in series.spans)
+            rose = any(s.value for s in series.begun(t_ns - AROUND_NS, t_ns + AROUND_NS))
             sureness = Sureness.SAID if rose or span.before is None else Sureness.FITS
             reported.setdefault(FAULT_BITS[signal.name], sureness)
     return reported

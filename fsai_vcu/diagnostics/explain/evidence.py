@@ -6,6 +6,7 @@ own checks are run over the log.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Final
@@ -47,10 +48,11 @@ SLACK_NS: Final = 25 * MS
 
 def gap_at(record: Record, can_id: int, t_ns: int, least_ns: int) -> Gap | None:
     """The gap of that message which had lasted `least_ns` (or nearly) at `t_ns`, or had ended shortly before."""
-    for gap in record.gaps(can_id, least_ns - EARLY_NS):
-        if gap.begin_ns + least_ns - EARLY_NS <= t_ns and gap.over_ns >= t_ns - AT_ONCE_NS:
-            return None if record.silence_in(gap) else gap
-    return None
+    gaps = record.gaps(can_id, least_ns - EARLY_NS)
+    place = bisect_left(gaps, t_ns - AT_ONCE_NS, key=lambda gap: gap.over_ns)
+    if place == len(gaps) or gaps[place].begin_ns + least_ns - EARLY_NS > t_ns or record.silence_in(gaps[place]):
+        return None
+    return gaps[place]
 
 
 def silence_words(begin_ns: int, end_ns: int) -> str:

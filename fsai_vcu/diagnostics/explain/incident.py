@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from functools import cached_property
 from typing import Any
 
 from fsai_vcu.diagnostics.explain.causes import CAUSES, Cause
@@ -131,16 +132,21 @@ def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
     return tuple(found.values())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Explanation:
-    """The whole of it."""
+    """The whole of it. `timeline` makes the events when they are asked for: a verdict needs none."""
 
     heading: dict[str, Any]
-    events: tuple[TimelineEntry, ...]
+    timeline: Callable[[], Iterable[TimelineEntry]]
     incidents: tuple[Incident, ...]
     closing: str
     problems: tuple[str, ...] = field(default=())
     recorded: frozenset[int] = frozenset()  # identifiers in the log
+
+    @cached_property
+    def events(self) -> tuple[TimelineEntry, ...]:
+        """Everything that happened, in the order of time."""
+        return tuple(self.timeline())
 
     def to_record(self, cause: Cause) -> str:
         """What to record next time for that cause; empty where this log has it already."""

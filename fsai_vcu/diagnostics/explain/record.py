@@ -6,10 +6,12 @@ monotonic: where that clock was set back, what follows is moved forward by as mu
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -57,6 +59,9 @@ class Span:
     after: float | None
 
 
+BEGIN: Final = attrgetter("begin_ns")
+
+
 @dataclass(frozen=True)
 class Series:
     """One signal over time, a value for each frame that carried it."""
@@ -92,7 +97,14 @@ class Series:
 
     def span_at(self, t_ns: int) -> Span | None:
         """The span in force at `t_ns`."""
-        return next((span for span in reversed(self.spans) if span.begin_ns <= t_ns), None)
+        place = bisect_right(self.spans, t_ns, key=BEGIN) - 1
+        return self.spans[place] if place >= 0 else None
+
+    def begun(self, begin_ns: int, end_ns: int) -> Sequence[Span]:
+        """Spans that begin from `begin_ns` up to and including `end_ns`."""
+        low = bisect_left(self.spans, begin_ns, key=BEGIN)
+        high = bisect_right(self.spans, end_ns, low, key=BEGIN)
+        return self.spans[low:high]
 
     def between(self, begin_ns: int, end_ns: int) -> Series:
         """The part from `begin_ns` up to and including `end_ns`."""
@@ -171,6 +183,7 @@ class Record:
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
         self._tables: dict[str, MessageTable] = {}
         self._series: dict[Signal, Series] = {}
+        self._gaps: dict[tuple[int, int], list[Gap]] = {}
         for layout, rows in self.decoder.by_message(self.frames):
             if layout is None:
                 self.unknown_ids.update(self.frames.can_id[rows].tolist())
@@ -241,8 +254,8 @@ class Record:
 
     def changes(self, signal: Signal, begin_ns: int, end_ns: int, to: float | None = None) -> list[Span]:
         """Spans that begin with a change (to a value, if one is named) from `begin_ns` up to and including `end_ns`."""
-        changes = [s for s in self.series(signal).spans if s.before is not None and begin_ns <= s.begin_ns <= end_ns]
-        return [s for s in changes if to is None or s.value == to]
+        changes = [span for span in self.series(signal).begun(begin_ns, end_ns) if span.before is not None]
+        return [span for span in changes if to is None or span.value == to]
 
     def errors_before(self, t_ns: int, length_ns: int) -> list[int]:
         """The times of error frames in the `length_ns` up to `t_ns`."""
@@ -271,6 +284,11 @@ class Record:
 
     def gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
         """Where that message was missing for more than `longest_ns`, within the log and at its end."""
+        if (can_id, longest_ns) not in self._gaps:
+            self._gaps[can_id, longest_ns] = self._find_gaps(can_id, longest_ns)
+        return self._gaps[can_id, longest_ns]
+
+    def _find_gaps(self, can_id: int, longest_ns: int) -> list[Gap]:
         times = self.times(can_id)
         waits = np.diff(np.append(times, self.end_ns))
         found = np.flatnonzero(waits > longest_ns).tolist() if len(times) else []

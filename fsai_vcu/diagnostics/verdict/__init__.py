@@ -62,7 +62,7 @@ class Verdict:
 
         explanation = replace(
             self.explanation,
-            events=tuple(event for event in self.explanation.events if inside(event.t_ns)),
+            timeline=lambda: (event for event in self.explanation.events if inside(event.t_ns)),
             incidents=tuple(incident for incident in self.explanation.incidents if inside(incident.t_ns)),
         )
         findings = tuple(finding for finding in self.findings if inside(finding.t_ns))
