@@ -297,14 +297,16 @@ class Sources:
         with closing(source):
             if announced and seconds is None:
                 self._say(f"listening to {self.name} until Ctrl-C")
-            for frames in source.chunks(seconds):
-                if self._decoding is not None:
-                    self._decoding.hear(frames)
-                shown = filtered(frames, rules)
-                yield shown if self._part is None else self._part.of(shown)
-            if source.lost is not None:
-                self._say(source.lost)
-                self.status = 1
+            try:
+                for frames in source.chunks(seconds):
+                    if self._decoding is not None:
+                        self._decoding.hear(frames)
+                    shown = filtered(frames, rules)
+                    yield shown if self._part is None else self._part.of(shown)
+            finally:
+                for text in source.missing():
+                    self._say(text)
+                    self.status = 1
 
     def _say(self, text: str) -> None:
         print(f"fsai-vcu {self.verb}: {text}", file=sys.stderr)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
 import pytest
+from talking_bus import talking
 
 from fsai_vcu.cli.main import main
+from fsai_vcu.interface.frames import Frame
 
 LOG = """\
 (1436509053.850870) can0 523#640064006400
@@ -165,3 +168,16 @@ def test_a_part_of_a_log_is_by_seconds_clock_and_message(tmp_path: Path, capsys:
         assert len(capsys.readouterr().out.splitlines()) == 4
     assert main(["dump", str(log), "--from", "noon"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_frames_lost_to_a_slow_reader_are_reported(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsai_vcu.diagnostics.log.live._MOST_WAITING", 1)
+    name = f"loopback:slow-{os.getpid()}"
+    with talking(name, Frame(0x520, bytes(8)), Frame(0x521, bytes(8))):
+        assert main(["dump", name, "-n", "3"]) == 1
+    lost = capsys.readouterr().err
+    assert re.fullmatch(
+        r"fsai-vcu dump: \d+ frames were lost: whoever reads the output is too slow for the bus\n", lost
+    )

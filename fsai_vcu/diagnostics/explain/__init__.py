@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import islice
+from typing import Final
 
 import numpy as np
 
@@ -28,9 +30,16 @@ from fsai_vcu.interface.reserved import AI_IDS
 __all__ = ["Explanation", "Incident", "IncidentKind", "Record", "TimelineEntry", "explained"]
 
 
+MOST_INCIDENTS: Final = 300  # of a kind: a log with more is none of a car
+_TOO_MANY: Final = (
+    f"more than {MOST_INCIDENTS} incidents of a kind: only the first ones are explained; is this the car's bus?"
+)
+
+
 def explained(record: Record) -> Explanation:
     """What happened in a log, and why."""
-    incidents = [*emergencies(record), *refusals(record), *early_stops(record), *mismatches(record)]
+    kinds = (emergencies(record), refusals(record), early_stops(record), mismatches(record))
+    incidents = [incident for kind in kinds for incident in islice(kind, MOST_INCIDENTS)]
     return Explanation(
         heading={
             "revision": record.revision.name,
@@ -43,7 +52,7 @@ def explained(record: Record) -> Explanation:
         timeline=partial(timeline, record),
         incidents=tuple(sorted(incidents, key=lambda incident: incident.t_ns)),
         closing=_closing(record),
-        problems=tuple(_missing(record)),
+        problems=(*_missing(record), *([_TOO_MANY] if len(incidents) >= MOST_INCIDENTS else [])),
         recorded=frozenset(np.unique(record.frames.can_id).tolist()),
     )
 

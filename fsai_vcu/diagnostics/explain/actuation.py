@@ -52,7 +52,8 @@ def mismatches(record: Record) -> Iterator[Incident]:
     """Where the car did not do what it was asked, in each stay in AS_DRIVING."""
     for span in record.series(sig.AS_STATE).spans:
         times = record.times(0x513)
-        times = times[(times >= span.begin_ns) & (times <= span.end_ns)]
+        low, high = np.searchsorted(times, (span.begin_ns, span.end_ns + 1))
+        times = times[low:high]
         if span.value != sig.DRIVING or len(times) <= STEER_TIME_NS // PERIOD_NS:
             continue
         seen: dict[str, Incident] = {}  # an axle that does not do it is enough

@@ -183,6 +183,7 @@ class Record:
         self._rows: dict[int, Ints] = {}  # by key, as in MessageLayout
         self._tables: dict[str, MessageTable] = {}
         self._series: dict[Signal, Series] = {}
+        self._times: dict[int, Ints] = {}
         self._gaps: dict[tuple[int, int], list[Gap]] = {}
         for layout, rows in self.decoder.by_message(self.frames):
             if layout is None:
@@ -208,8 +209,10 @@ class Record:
 
     def times(self, can_id: int) -> Ints:
         """When that message came."""
-        rows = self._rows.get(can_id)
-        return NOTHING.t_ns if rows is None else self.frames.t_ns[rows]
+        if can_id not in self._times:
+            rows = self._rows.get(can_id)
+            self._times[can_id] = NOTHING.t_ns if rows is None else self.frames.t_ns[rows]
+        return self._times[can_id]
 
     def newest_ns(self, can_id: int, at_ns: Ints | int) -> Ints:
         """When that message came last, before or at each of these times; -1 s: never."""

@@ -101,7 +101,7 @@ class Listener:
 class LiveSource:
     """Receives from buses. Times are their own stamps of the wall clock.
 
-    `lost` is the one clear line of what ended it, None while all is well.
+    `lost` is the one clear line of what ended it, None while all is well; `missing` says what was not received.
     """
 
     def __init__(self, interfaces: Sequence[str]) -> None:
@@ -130,6 +130,13 @@ class LiveSource:
                 raise
             self.lost = next((listener.lost for listener in self._listeners if listener.lost), None)
             yield self._fetched()
+
+    def missing(self) -> Iterator[str]:
+        """What was not received, and why, in one line each."""
+        if self.lost is not None:
+            yield self.lost
+        if overrun := sum(listener.overrun for listener in self._listeners):
+            yield f"{overrun} frames were lost: whoever reads the output is too slow for the bus"
 
     def _fetched(self) -> Frames:
         received = [log_frame(each, listener.name) for listener in self._listeners for each in listener.fetch()]
