@@ -20,6 +20,7 @@ from fsai_vcu.diagnostics.decode.lines import LineWriter
 from fsai_vcu.diagnostics.decode.revision import told_revision
 from fsai_vcu.diagnostics.log.filters import FrameFilter, filtered, split_source
 from fsai_vcu.diagnostics.log.frames import Frames, joined
+from fsai_vcu.diagnostics.log.gvret import HEAD
 from fsai_vcu.diagnostics.log.part import Part
 from fsai_vcu.diagnostics.log.reader import LogError, Problems, open_log
 from fsai_vcu.interface.errors import UserError, WrongUse
@@ -360,11 +361,19 @@ def _unfolded(name: str) -> list[str]:
     folder, _, filters = name.partition(",")
     if folder == "-" or not Path(folder).is_dir():
         return [name]
-    logs = [path for path in Path(folder).iterdir() if path.is_file() and set(path.suffixes) & LOG_SUFFIXES]
+    logs = [path for path in Path(folder).iterdir() if path.is_file() and _log_like(path)]
     logs.sort(key=_first_stamp)
     if not logs:
         raise UserError(f"{folder}: no log in this folder")
     return [f"{path},{filters}" if filters else str(path) for path in logs]
+
+
+def _log_like(path: Path) -> bool:
+    """By its name; of CSV files those of SavvyCAN, not every table."""
+    if path.suffix == ".csv":
+        with path.open("rb") as file:
+            return file.read(len(HEAD)).lower() == HEAD.encode()
+    return bool(set(path.suffixes) & LOG_SUFFIXES)
 
 
 def _is_log(name: str) -> bool:

@@ -249,6 +249,8 @@ def open_bus(spec: str, *, receive: Iterable[int] | None = None, may_send: Itera
     """
     may_send = _allowed(may_send)
     kind, channel = split_spec(spec)
+    if not channel:
+        raise BusError(f"'{spec}' names no bus: {spec or 'vcan'}NAME is meant")
     if kind in _ECHOES_OWN and may_send is not None:
         raise BusError(
             f"'{kind}' brings a sender its own frames back, which nobody can tell from an intruder's; "

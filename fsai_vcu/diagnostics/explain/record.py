@@ -311,13 +311,13 @@ class Record:
 
     @cached_property
     def answers(self) -> Sequence[HandshakeToggle]:
-        """Every toggle of the VCU's handshake while the AI computer speaks, and its echo."""
+        """Every toggle of the VCU's handshake while the AI computer speaks (the first bit counts), and its echo."""
         asked = self.series(sig.HANDSHAKE)
         echo = self.series(sig.ECHO)
         times = {bit: echo.t_ns[echo.values == bit] for bit in (0, 1)}
         found = []
         for span in asked.spans if len(echo) else ():
-            if span.before is not None and span.begin_ns >= echo.t_ns[0]:
+            if span.begin_ns >= echo.t_ns[0]:
                 bit = int(span.value)
                 first = int(np.searchsorted(times[bit], span.begin_ns))
                 echo_ns = int(times[bit][first]) if first < len(times[bit]) else None

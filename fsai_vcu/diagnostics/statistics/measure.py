@@ -377,7 +377,7 @@ def _judge_bus(bus: BusStatistics) -> Iterator[Finding]:
     if not bus.duration_s:
         yield _finding(False, "no-times", "no times to measure: the log has none, or is a single instant")
     if bus.backwards:
-        text = f"times go backwards at {bus.backwards} frames: a clock was set, or logs were joined"
+        text = f"times go backwards {bus.backwards} times: a clock was set, or logs were joined"
         yield _finding(False, "clock", text)
     for words, count in bus.error_frames.items():
         yield _finding(True, "error-frames", f"{count} error frames: {words}")
