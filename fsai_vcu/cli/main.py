@@ -149,6 +149,7 @@ def _print_help() -> None:
     for verb, (_, summary) in all_verbs().items():
         print(f"  {verb:<{width}}  {summary}")
     print("\n`fsai-vcu VERB --help` shows the options and an example:\n  fsai-vcu drive --mission trackdrive --laps 2")
+    print("\nThe field's words (AS state, AMI, ASMS, RES, EBS, Go) are in docs/glossary.md.")
 
 
 if __name__ == "__main__":
