@@ -9,7 +9,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
-    page for place in (".", "docs", "docs/evidence", "nodes", "examples") for page in sorted((ROOT / place).glob("*.md"))
+    page
+    for place in (".", "docs", "docs/evidence", "nodes", "examples")
+    for page in sorted((ROOT / place).glob("*.md"))
 ]
 
 
