@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import math
+import sys
+from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsai_hil.simulator.car import Pose
+from fsai_hil.simulator.lockstep import Lockstep
 from fsai_hil.simulator.tracks import (
     BUILT_IN,
+    STYLES,
     Track,
     TrackError,
     TrackKind,
     acceleration_track,
+    as_csv,
+    generated_circuit,
     load_track,
     parse_track,
     random_circuit,
     skidpad_track,
     small_oval,
 )
+from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.vehicle.parameters import ADS_DV_2026
 from fsai_vcu.interface.enums import Ami
 
+NOSE_M = ADS_DV_2026.nose_ahead_of_rear_axle_m
 CIRCUITS = ("autocross", "trackdrive", "small_oval", "random-1", "random-2", "random-77")
 
 
@@ -41,13 +51,14 @@ def gaps(line: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(*(np.roll(line, -1, axis=0) - line).T))
 
 
-def as_csv(track: Track, pose: Pose) -> str:
-    """The track as a file has it: cones in no useful order, and where the car starts."""
-    names = {1: "blue", 2: "yellow", 3: "orange", 4: "big_orange"}
-    rows = [f"{names[int(c)]},{x:.4f},{y:.4f}" for (x, y), c in zip(track.cones_xy_m, track.cone_colors, strict=True)]
-    order = np.random.default_rng(3).permutation(len(rows))
-    start = f"car_start,{pose.x_m},{pose.y_m},{pose.yaw_rad}"
-    return "\n".join(["tag,x,y,direction", start, *(rows[i] for i in order)]) + "\n"
+def shuffled(track: Track, pose: Pose) -> list[str]:
+    """The lines of the track's file, its cones in no useful order."""
+    header, *rows = as_csv(track, pose).splitlines()
+    return [header, *np.random.default_rng(3).permutation(rows).tolist()]
+
+
+def without_gate(track: Track, pose: Pose) -> str:
+    return "\n".join(line for line in shuffled(track, pose) if "orange" not in line)
 
 
 # ------------------------------------------------------------ the rules' geometry
@@ -135,6 +146,37 @@ def test_a_seed_gives_one_circuit_and_another_seed_another() -> None:
     assert not np.array_equal(random_circuit(5).centreline_m, random_circuit(6).centreline_m)
 
 
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("style", STYLES)
+def test_a_generated_circuit_keeps_the_rules(style: str, seed: int) -> None:
+    track = generated_circuit(seed, style)
+    assert track.closed and 200.0 <= track.length_m <= 500.0
+    line = middle(track)
+    assert track.left_border_m is not None and track.right_border_m is not None
+    lane_m = np.hypot(*(track.left_border_m - track.right_border_m).T)
+    assert lane_m.min() >= 3.0 - 1e-6 and lane_m.max() <= 5.0 + 1e-6
+    ahead, behind = np.roll(line, -4, axis=0) - line, line - np.roll(line, 4, axis=0)
+    bend = np.arctan2(ahead[:, 1], ahead[:, 0]) - np.arctan2(behind[:, 1], behind[:, 0])
+    turn = np.abs(np.remainder(bend + math.pi, 2.0 * math.pi) - math.pi)
+    assert 2.0 / turn.max() + lane_m.max() >= 9.0 - 0.1, "the outside diameter of the tightest hairpin"
+    bent = np.flatnonzero(turn > 0.01)
+    assert np.diff([*bent, bent[0] + len(line)]).max() * 0.25 <= 80.0 + 1.5, "the longest straight"
+    gate = np.array(cones(track, ConeColor.BIG_ORANGE))
+    assert len(gate) == 4
+    for color, side in ((ConeColor.BLUE, 1.0), (ConeColor.YELLOW, -1.0)):
+        posts = gate[gate[:, 1] * side > 0.0]
+        row = np.vstack([posts[posts[:, 0] > 0.0], cones(track, color), posts[posts[:, 0] < 0.0]])
+        assert gaps(row)[:-1].max() <= 5.0
+        apart = np.hypot(row[:, None, 0] - line[None, :, 0], row[:, None, 1] - line[None, :, 1])
+        assert apart.min() > lane_m.min() / 2.0 - 0.1, "no cone of another part of the lane in this one"
+
+
+def test_a_seed_and_a_style_always_give_the_same_circuit() -> None:
+    again = load_track(load_track("generated-5-tight").source)
+    assert np.array_equal(generated_circuit(5, "tight").cones_xy_m, again.cones_xy_m)
+    assert not np.array_equal(generated_circuit(5).cones_xy_m[:9], again.cones_xy_m[:9])
+
+
 @pytest.mark.parametrize("name", ["acceleration", "skidpad", "autocross", "small_oval"])
 def test_the_centreline_is_on_the_lane_and_points_beside_are_not(name: str) -> None:
     track = load_track(name)
@@ -149,15 +191,15 @@ def test_the_centreline_is_on_the_lane_and_points_beside_are_not(name: str) -> N
 # ------------------------------------------------------------ files
 
 
-@pytest.mark.parametrize("name", ["autocross", "small_oval", "random-3"])
+@pytest.mark.parametrize("name", ["autocross", "small_oval", "random-3", "generated-2-tight"])
 def test_the_borders_of_a_circuit_from_a_file_are_found(name: str) -> None:
     made = load_track(name)
     pose = made.staging(Ami.AUTOCROSS, 2.17)
-    found = parse_track(as_csv(made, pose), "some/where/loop.csv")
+    found = parse_track("\n".join(shuffled(made, pose)), "some/where/loop.csv")
     assert found.kind is TrackKind.CIRCUIT
     assert found.closed
     assert found.name == "loop"
-    assert found.staging(Ami.AUTOCROSS, 2.17) == pose
+    assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx(astuple(pose), abs=1e-4)
     assert found.length_m == pytest.approx(made.length_m, rel=0.02)
     line, truth = middle(found), middle(made)
     apart = np.hypot(line[:, None, 0] - truth[None, :, 0], line[:, None, 1] - truth[None, :, 1]).min(axis=1)
@@ -178,8 +220,8 @@ def test_acceleration_and_skidpad_from_a_file_are_recognised() -> None:
 
 
 def test_extra_columns_blank_lines_and_a_bom_are_ignored(tmp_path: Path) -> None:
-    header, *rows = as_csv(small_oval(), Pose(-8.0, 0.0, 0.0)).splitlines()
-    text = "\n".join([header + ",x_variance,y_variance,xy_covariance", "", *rows, ""])
+    header, *rows = shuffled(small_oval(), Pose(-8.0, 0.0, 0.0))
+    text = "\n".join([header + ",more", "", *rows, ""])
     path = tmp_path / "oval.csv"
     path.write_text(text, encoding="utf-8-sig")
     track = load_track(path)
@@ -195,7 +237,6 @@ def test_extra_columns_blank_lines_and_a_bom_are_ignored(tmp_path: Path) -> None
         ("tag,x,y\nblue,1\n", ["line 2", "2 columns"]),
         ("tag,x,y\nblue,1,2\nblue,one,2\n", ["line 3", "x is 'one'"]),
         ("tag,x,y\nblue,1,nan\n", ["line 2", "y is nan", "finite"]),
-        ("tag,x,y\nblue,1,2\npurple,1,2\n", ["line 3", "'purple'", "big_orange"]),
         ("tag,x,y,direction\ncar_start,0,0,north\n", ["line 2", "direction", "'north'"]),
         ("tag,x,y,direction\ncar_start,0,0,0\ncar_start,1,0,0\n", ["line 3", "second car_start"]),
         ("tag,x,y\nblue,1,2\n", ["no car_start"]),
@@ -227,6 +268,118 @@ def test_cones_that_form_no_lane_have_no_borders() -> None:
     track = parse_track("tag,x,y,direction\ncar_start,0,0,0\norange,5,1,0\norange,5,-1,0\n", "few.csv")
     assert track.centreline_m is None
     assert track.on_lane(1000.0, 1000.0)
+
+
+def test_a_tag_that_means_nothing_is_skipped_with_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = as_csv(small_oval(), Pose(-8.0, 0.0, 0.0))
+    track = parse_track(rows + "purple,1,2\npurple,3,2\nunknown,50,50\ntimekeeping,0,4\n", "loop.csv")
+    assert capsys.readouterr().err == "loop.csv: skipped 2 rows with tag 'purple'\n"
+    assert cones(track, ConeColor.UNKNOWN) == [(50.0, 50.0)]
+    assert len(track.cones_xy_m) == len(small_oval().cones_xy_m) + 1
+
+
+def test_a_file_without_a_header_is_read() -> None:
+    rows = as_csv(small_oval(), Pose(-8.0, 0.0, 0.0)).splitlines()[1:]
+    assert len(parse_track("\n".join(rows), "loop.csv").cones_xy_m) == len(small_oval().cones_xy_m)
+
+
+def pacsim(track: Track) -> dict[str, object]:
+    """The small oval as PacSim has it: the gate's cones are of the rows, and a pose of what is driven."""
+    classes = {ConeColor.BLUE: "blue", ConeColor.YELLOW: "yellow", ConeColor.BIG_ORANGE: "big-orange"}
+    rows = [
+        {"position": [*xy.tolist(), 0.0], "class": classes[ConeColor(color)]}
+        for xy, color in zip(track.cones_xy_m, track.cone_colors, strict=True)
+    ]
+    post = {"position": [0.0, 3.0, 0.0], "class": "timekeeping"}
+    start = {"position": [-8.0, 0.1, 0.0], "orientation": [0.0, 0.0, 0.02]}
+    return {"track": {"start": start, "left": rows[::2], "right": rows[1::2], "time_keeping": [post], "unknown": []}}
+
+
+def fssim(track: Track) -> dict[str, object]:
+    colors = {"cones_left": ConeColor.BLUE, "cones_right": ConeColor.YELLOW, "cones_orange_big": ConeColor.BIG_ORANGE}
+    lists: dict[str, object] = {name: cones(track, color) for name, color in colors.items()}
+    nose = Pose(-8.0, 0.1, 0.02).ahead(ADS_DV_2026.nose_ahead_of_rear_axle_m)
+    return lists | {"cones_orange": [], "starting_pose_front_wing": [*nose, 0.02], "tk_device": [[0.0, 3.0]]}
+
+
+@pytest.mark.parametrize("layout", [pacsim, fssim])
+def test_a_track_of_pacsim_and_of_fssim_is_read(layout: Callable[[Track], object], tmp_path: Path) -> None:
+    pytest.importorskip("yaml", reason="PyYAML comes with ROS; else: pip install pyyaml")
+    path = tmp_path / "loop.yaml"
+    path.write_text(json.dumps(layout(small_oval())))  # JSON is YAML
+    found = load_track(path)
+    assert sorted(found.cone_colors.tolist()) == sorted(small_oval().cone_colors.tolist())
+    assert found.closed and found.length_m == pytest.approx(small_oval().length_m, rel=0.02)
+    assert astuple(found.staging(Ami.AUTOCROSS, 2.17)) == pytest.approx((-8.0, 0.1, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: [", "not valid YAML"),
+        ("- 1", "neither a track of PacSim"),
+        ("", "not laid out as PacSim or fssim have it"),
+        ("track: {left: [{class: blue}]}", "not laid out as PacSim or fssim have it: KeyError('position')"),
+        ("cones_left: [[1]]", "not laid out as PacSim or fssim have it"),
+        ("cones_left: [[1, up]]", "cones_left 1: y is 'up', not a number"),
+    ],
+)
+def test_malformed_yaml_is_one_line(text: str, words: str) -> None:
+    pytest.importorskip("yaml", reason="PyYAML comes with ROS; else: pip install pyyaml")
+    with pytest.raises(TrackError) as caught:
+        parse_track(text, "bad.yaml")
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_yaml_without_pyyaml_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    with pytest.raises(TrackError, match="pip install pyyaml"):
+        parse_track("track: {}", "loop.yaml")
+
+
+@pytest.mark.parametrize(("kept", "where"), [("", "gate"), ("orange", "first pair of cones")])
+def test_without_car_start_the_car_is_staged_before_the_lane(
+    kept: str, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = load_track("autocross")
+    rows = [row for row in as_csv(made, Pose()).splitlines() if "car_start" not in row and not (kept and kept in row)]
+    found = parse_track("\n".join(rows), "loop.csv")
+    assert capsys.readouterr().err == f"loop.csv: no car_start: the car is staged before the {where}\n"
+    pose = found.staging(Ami.AUTOCROSS, NOSE_M)
+    assert found.start_line is not None
+    assert found.start_line.seen(*pose.ahead(NOSE_M))[0] == pytest.approx(-6.0, abs=0.3)
+    near = int(np.argmin(np.hypot(*(middle(made) - (pose.x_m, pose.y_m)).T)))
+    along = middle(made)[near + 1] - middle(made)[near]
+    assert np.hypot(*(middle(made)[near] - (pose.x_m, pose.y_m))) < 0.3
+    assert math.cos(math.atan2(along[1], along[0]) - pose.yaw_rad) > 0.99
+
+
+# ------------------------------------------------------------ the line
+
+
+@pytest.mark.parametrize("name", ["small_oval", "generated-4"])
+def test_without_a_gate_the_line_is_where_the_planner_has_it(name: str) -> None:
+    made = load_track(name)
+    pose = made.staging(Ami.AUTOCROSS, NOSE_M)
+    back = Pose(*pose.ahead(-2.0), pose.yaw_rad)
+    line = parse_track(without_gate(made, back), "loop.csv").start_line
+    assert line is not None
+    assert (line.x_m, line.y_m, line.yaw_rad) == pytest.approx((-2.0, 0.0, 0.0), abs=0.2)
+
+
+def test_the_line_of_an_askew_gate_is_across_the_lane() -> None:
+    gate = ["big_orange,1,1.75", "big_orange,1.8,1.75", "big_orange,2.6,1.75", "big_orange,-2,-1.75"]
+    text = "\n".join([without_gate(small_oval(), Pose(-8.0, 0.2, -0.1)), *gate])
+    line = parse_track(text, "loop.csv").start_line
+    assert line is not None
+    assert (line.x_m, line.y_m, line.yaw_rad) == pytest.approx((-0.1, 0.0, 0.0), abs=0.2)
+
+
+def test_a_lap_without_a_gate_is_counted_by_the_judge() -> None:
+    made = small_oval()
+    track = parse_track(without_gate(made, made.staging(Ami.AUTOCROSS, NOSE_M)), "loop.csv")
+    verdict = Lockstep(WorldSetup(missions=[Ami.AUTOCROSS], track=track)).run().verdict
+    assert (verdict.result, verdict.laps) == ("pass", 1), verdict.reasons
 
 
 def test_every_built_in_track_can_be_loaded_again_by_its_source() -> None:

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsai_hil.simulator.car import CarTruth, Pose
-from fsai_hil.simulator.tracks import (
+from fsai_hil.simulator.tracks.layout import (
     ACCELERATION_STOP_M,
     CIRCUIT_STOP_M,
     CONE_RADIUS_M,

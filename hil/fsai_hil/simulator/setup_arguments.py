@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from fsai_hil.simulator.tracks import BUILT_IN, load_track
+from fsai_hil.simulator.tracks import NAMES, load_track
 from fsai_hil.simulator.world import WorldSetup, mission_named
 from fsai_vcu.interface.enums import Ami
 
@@ -16,8 +16,8 @@ def add_setup_arguments(parser: argparse.ArgumentParser, default: str, missions:
     known = ", ".join(ami.name.lower() for ami in Ami if ami is not Ami.NOT_SELECTED)
     add = parser.add_argument
     add("--mission", metavar=missions, help=f"{known} ({default})")
-    tracks = f"a CSV file, {', '.join(BUILT_IN)} or random-SEED (the mission's own)"
-    add("--track", metavar="FILE.csv|NAME", help=tracks)
+    tracks = f"a CSV or YAML file, or {', '.join(NAMES)} (the mission's own)"
+    add("--track", metavar="FILE|NAME", help=tracks)
     add("--laps", type=int, metavar="N", help="laps of a trackdrive (10)")
     add("--revision", default="2026", help="interface revision of the car (2026)")
     add("--seed", type=int, default=0, metavar="N", help="seed of everything random (0)")

@@ -1,0 +1,110 @@
+"""`fsai-vcu track`: make a circuit by the rules from a seed, or say what a track is."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fsai_hil.simulator.tracks import NAMES, STYLES, Track, TrackKind, as_csv, load_track
+from fsai_hil.simulator.tracks.layout import NOSE_M, resampled
+from fsai_vcu.cli.main import UserError, WrongUse
+from fsai_vcu.core.driving import ConeColor
+from fsai_vcu.interface.enums import Ami
+
+STEP_M: Final = 0.25
+SHADES: Final = {
+    ConeColor.BLUE: "blue",
+    ConeColor.YELLOW: "gold",
+    ConeColor.ORANGE: "orange",
+    ConeColor.BIG_ORANGE: "orangered",
+    ConeColor.UNKNOWN: "gray",
+}
+OVER: Final = 8  # steps to either side, of which a bend is made: cones of a file do not stand on a smooth curve
+EXAMPLE = "fsai-vcu track --seed 7 -o seven.csv --plot seven.png\n  fsai-vcu track small_oval"
+ABOUT = """\
+The rules: a lane of 3 m or more, straights of 80 m or less, turns of 50 m outside
+diameter or less, hairpins of 9 m or more, cones at most 5 m apart, a lap of 200 to
+500 m. Styles: mixed, open (wide turns), tight (hairpins from 9 m: tighter than a
+car with 21 deg of steering can turn). drive --track takes what is named here.
+Files: CSV of EUFS and FSDS, YAML of PacSim and fssim (needs PyYAML)."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("track", nargs="?", metavar="FILE|NAME", help=f"a CSV or YAML file, {', '.join(NAMES)}")
+    add("--seed", type=int, metavar="N", help="instead: make a circuit, for a seed always the same")
+    add("--style", choices=list(STYLES), help="with --seed: what it is made of (mixed)")
+    add("-o", "--output", type=Path, metavar="FILE.csv", help="save the track")
+    add("--plot", type=Path, metavar="FILE.png", help="save a picture of the track")
+
+
+def run(args: argparse.Namespace) -> int:
+    if (args.track is None) == (args.seed is None) or (args.style and args.seed is None):
+        raise WrongUse("track takes either a file or a name, or --seed N and perhaps --style")
+    name = args.track or f"generated-{args.seed}{f'-{args.style}' if args.style else ''}"
+    try:
+        track = load_track(name)
+        print("\n".join(_facts(track)))
+        if args.output:
+            args.output.write_text(as_csv(track, track.staging(_mission(track), NOSE_M)), encoding="utf-8")
+            print(f"saved {args.output}")
+        if args.plot:
+            _draw(track, args.plot)
+            print(f"saved {args.plot}")
+    except OSError as error:
+        raise UserError(f"{error.filename}: {error.strerror}") from error
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    return 0
+
+
+def _mission(track: Track) -> Ami:
+    """The mission for which the kind of track is made."""
+    kinds = {TrackKind.ACCELERATION: Ami.ACCELERATION, TrackKind.SKIDPAD: Ami.SKIDPAD}
+    return kinds.get(track.kind, Ami.AUTOCROSS)
+
+
+def _facts(track: Track) -> Iterator[str]:
+    colors = Counter(ConeColor(color).name.lower() for color in track.cone_colors)
+    yield f"{track.name}: {track.kind.value}" + (f", {track.length_m:.0f} m" if track.length_m else "")
+    yield f"cones: {', '.join(f'{count} {color}' for color, count in colors.most_common()) or 'none'}"
+    if line := track.start_line:
+        yield f"start line: {line.x_m:.2f}, {line.y_m:.2f} m, crossed towards {math.degrees(line.yaw_rad):.0f} deg"
+    if not track.closed or track.centreline_m is None:
+        return
+    middle = resampled(track.centreline_m, STEP_M)
+    ahead, behind = (np.roll(middle, shift, axis=0) - middle for shift in (-OVER, OVER))
+    turn = np.arctan2(ahead[:, 1], ahead[:, 0]) - np.arctan2(-behind[:, 1], -behind[:, 0])
+    bend = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi)
+    yield f"tightest radius of the middle of the lane: {OVER * STEP_M / bend.max():.1f} m"
+    sides = [resampled(border, STEP_M) for border in (track.left_border_m, track.right_border_m) if border is not None]
+    width = sum(np.hypot(*(middle[:, None] - side[None]).T).min(axis=0) for side in sides)
+    yield f"lane: {np.min(width):.1f} to {np.max(width):.1f} m wide"
+
+
+def _draw(track: Track, path: Path) -> None:
+    try:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        from matplotlib import pyplot
+    except ImportError:
+        raise UserError("matplotlib is not installed; install it with: pip install 'fsai-vcu[plot]'") from None
+    figure, plan = pyplot.subplots(figsize=(9.0, 9.0), layout="constrained")
+    for border in (track.left_border_m, track.right_border_m):
+        if border is not None:
+            plan.plot(*(np.vstack([border, border[:1]]) if track.closed else border).T, color="#cccccc", linewidth=0.8)
+    for color, shade in SHADES.items():
+        x, y = track.cones_xy_m[track.cone_colors == color].T
+        plan.scatter(x, y, s=10.0 if color is not ConeColor.BIG_ORANGE else 30.0, color=shade)
+    plan.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=next(_facts(track)))
+    try:
+        figure.savefig(path)
+    finally:
+        pyplot.close(figure)

@@ -1,0 +1,54 @@
+"""`fsai-vcu track`: what is saved is what is named, and what is said of a track is so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fsai_hil.simulator.tracks import load_track
+from fsai_vcu.cli.main import main
+from fsai_vcu.interface.enums import Ami
+
+
+def test_a_seed_is_saved_as_a_track_that_can_be_driven(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, picture = tmp_path / "tight.csv", tmp_path / "tight.png"
+    argv = ["track", "--seed", "3", "--style", "tight", "-o", str(file), "--plot", str(picture)]
+    assert main(argv) == 0
+    said = capsys.readouterr().out
+    assert f"saved {file}\nsaved {picture}\n" in said and picture.stat().st_size > 1000
+    made, read = load_track("generated-3-tight"), load_track(file)
+    assert read.closed and len(read.cones_xy_m) == len(made.cones_xy_m)
+    assert read.start_line is not None
+    assert read.start_line.seen(*read.staging(Ami.AUTOCROSS, 2.17).ahead(2.17))[0] == pytest.approx(-6.0, abs=0.3)
+
+
+def test_a_track_is_described_in_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["track", "small_oval"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "small_oval: circuit, 103 m",
+        "cones: 29 yellow, 22 blue, 4 big_orange",
+        "start line: 0.00, 0.00 m, crossed towards 0 deg",
+        "tightest radius of the middle of the lane: 10.0 m",
+        "lane: 3.5 to 3.5 m wide",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "words"),
+    [
+        ([], 2, "either a file or a name, or --seed N"),
+        (["autocross", "--seed", "1"], 2, "either a file or a name, or --seed N"),
+        (["autocross", "--style", "tight"], 2, "either a file or a name, or --seed N"),
+        (["--seed", "-1"], 1, "generated--1: no such track"),
+        (["gone.csv"], 1, "gone.csv: cannot be read"),
+        (["--seed", "1", "-o", "/no/such/folder.csv"], 1, "/no/such/folder.csv: No such file"),
+        (["--seed", "1", "--plot", "/no/such/folder.png"], 1, "/no/such/folder.png: No such file"),
+    ],
+)
+def test_wrong_use_of_track_is_one_line(
+    argv: list[str], status: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["track", *argv]) == status
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
