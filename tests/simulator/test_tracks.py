@@ -217,6 +217,9 @@ def test_acceleration_and_skidpad_from_a_file_are_recognised() -> None:
     assert eight.kind is TrackKind.SKIDPAD
     assert eight.start_line is not None
     assert eight.start_line.yaw_rad == pytest.approx(0.0, abs=1e-6)
+    blind = parse_track("\n".join(as_csv(skidpad_track(), Pose()).splitlines()[:-1]), "eight.csv")
+    assert blind.kind is TrackKind.SKIDPAD
+    assert blind.staging(Ami.SKIDPAD, NOSE_M).x_m == pytest.approx(-15.0 - NOSE_M)
 
 
 def test_extra_columns_blank_lines_and_a_bom_are_ignored(tmp_path: Path) -> None:

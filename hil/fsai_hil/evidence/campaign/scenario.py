@@ -12,6 +12,7 @@ from fsai_hil.evidence.campaign.injections import Ongoing
 from fsai_hil.evidence.campaign.observation import Observer
 from fsai_hil.evidence.campaign.verdict import SUPERVISED_MS, CaseVerdict, as_record, judge
 from fsai_hil.simulator.lockstep import Lockstep
+from fsai_hil.simulator.tracks import load_track
 from fsai_hil.simulator.world import WorldSetup
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.frames import Frame
@@ -26,13 +27,16 @@ LONGEST_TRACKDRIVE_MS: Final = 600_000  # ten laps
 ENDED: Final = frozenset({AsState.AS_FINISHED, AsState.EMERGENCY_BRAKE})
 SNAPSHOTS_KEPT: Final = 200
 
+CIRCUITS: Final = frozenset({Ami.AUTOCROSS, Ami.TRACKDRIVE})
 World = tuple[Ami, str, int, bool]  # `Case.world`
 
 
 def power_up(world: World, on_frame: Callable[[Frame], None] | None = None) -> Lockstep:
     """A run before anything has happened."""
     mission, revision, seed, gps = world
-    setup = WorldSetup(missions=[mission], revision=revision, seed=seed, gps=gps, start_timeout_s=40.0)
+    # every second world of a mission in circuits has one of its own
+    track = load_track(f"generated-{seed}") if mission in CIRCUITS and seed % 2 else None
+    setup = WorldSetup(missions=[mission], track=track, revision=revision, seed=seed, gps=gps, start_timeout_s=40.0)
     rig = Lockstep(setup, on_frame=on_frame)
     rig.computer.confine_failures = True
     return rig

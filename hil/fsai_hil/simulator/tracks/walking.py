@@ -45,8 +45,8 @@ def measured(track: Track, start: Pose, line: Pose | None = None) -> Track:
     gates = _gates(track, start)
     if line is None:
         line = _across(gates[0], start) if gates else _staged_line(start)
-    if gates and _skidpad_like(track, line):
-        return _with_skidpad(track, line, gates[0])
+    if gates and _skidpad_like(track, squared := _squared(gates[0], line)):
+        return _with_skidpad(track, squared)
     if (walked := _walk(track, start)) is not None:
         left, right, middle = walked
         middle = smoothed(resampled(middle, 0.25), 2.0)
@@ -135,16 +135,18 @@ def _skidpad_like(track: Track, gate: Pose) -> bool:
     return True
 
 
-def _with_skidpad(track: Track, line: Pose, gate: Floats) -> Track:
+def _squared(gate: Floats, line: Pose) -> Pose:
+    """The line square to the gate: from its right to its left cones is across, so that a start askew does no harm."""
+    left = line.seen(*gate.T)[1] > 0.0
+    if left.all() or not left.any():
+        return line
+    x, y = gate[left].mean(axis=0) - gate[~left].mean(axis=0)
+    return Pose(line.x_m, line.y_m, math.atan2(y, x) - math.pi / 2.0)
+
+
+def _with_skidpad(track: Track, origin: Pose) -> Track:
     """The rules' skidpad, laid over the cones of a file."""
     ideal = skidpad_track()
-    # the gate's own direction: across is from its rightmost to its leftmost cone, so that a start askew does no harm
-    on_left = line.seen(*gate.T)[1] > 0.0
-    heading = line.yaw_rad
-    if on_left.any() and not on_left.all():
-        x, y = gate[on_left].mean(axis=0) - gate[~on_left].mean(axis=0)
-        heading = math.atan2(y, x) - math.pi / 2.0
-    origin = Pose(line.x_m, line.y_m, heading)
     assert ideal.centreline_m is not None  # skidpad_track always has one
     route = as_array([origin.ahead(float(x), float(y)) for x, y in ideal.centreline_m])
     lane = tuple(tuple(tuple(origin.ahead(x, y) for x, y in ring) for ring in rings) for rings in ideal.lane)
