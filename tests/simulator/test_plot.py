@@ -40,7 +40,7 @@ def test_the_picture_marks_hits_departures_laps_and_states(run: Run) -> None:
     plan, speed, steering, pedals, *_ = figure.axes
     marks = {str(each.get_label()): len(each.get_offsets()) for each in plan.collections if hasattr(each, "get_sizes")}
     hit = len(run.judge.hit_cones)
-    assert marks[f"{hit} cones hit"] == hit and marks["1 times off course"] == 1
+    assert marks[f"cones hit: {hit}"] == hit and marks["off course: 1"] == 1
     lines = {str(line.get_label()) for axes in (plan, speed, steering, pedals) for line in axes.lines}
     assert lines >= {"start line", "finish line", "speed", "speed limit asked", "steering asked", "steering given"}
     assert lines >= {"throttle", "brake"}

@@ -147,10 +147,10 @@ def _draw_path(plan: Axes, run: Run) -> None:
     judge = run.judge
     hit, left = run.track.cones_xy_m[judge.hit_cones], np.array(judge.left_course_m).reshape(-1, 2)
     if len(hit):
-        plan.scatter(*hit.T, s=110, marker="x", color="#d40000", linewidths=2, zorder=5, label=f"{len(hit)} cones hit")
+        plan.scatter(*hit.T, s=110, marker="x", color="#d40000", linewidths=2, zorder=5, label=f"cones hit: {len(hit)}")
     if len(left):
         ring = {"facecolors": "none", "edgecolors": "#c000c0", "linewidths": 2}
-        plan.scatter(*left.T, s=160, zorder=5, label=f"{len(left)} times off course", **ring)
+        plan.scatter(*left.T, s=160, zorder=5, label=f"off course: {len(left)}", **ring)
 
 
 def _draw_over_time(speed: Axes, steering: Axes, pedals: Axes, run: Run) -> None:
