@@ -5,7 +5,15 @@ from pathlib import Path
 from setuptools import setup
 
 NAME = "fsai_nodes"
-NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge", "composed")
+NODES = (
+    "sensor_simulator",
+    "cone_detector",
+    "path_planner",
+    "vehicle_controller",
+    "vcu_bridge",
+    "visualization",
+    "composed",
+)
 
 
 def files(folder: str) -> list[str]:
@@ -19,11 +27,14 @@ setup(
     license="MIT",
     python_requires=">=3.11",
     packages=[NAME],
+    package_data={NAME: ["*.urdf"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", files("launch")),
         (f"share/{NAME}/config", files("config")),
+        (f"share/{NAME}/rviz", files("rviz")),
+        (f"share/{NAME}/urdf", [f"{NAME}/fsai.urdf"]),
     ],
     zip_safe=False,
     entry_points={"console_scripts": [f"{node} = {NAME}.{node}:main" for node in NODES]},

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from ros_rig import RosRig
 
-from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller
+from fsai_nodes import cone_detector, path_planner, qos, sensor_simulator, vcu_bridge, vehicle_controller, visualization
 from fsai_nodes.composed import CLASSES
 from fsai_nodes.parameters import NodeError, Scattered, misspelt
 from fsai_vcu.core.limits import UNLIMITED, OperationalLimits
@@ -28,6 +28,7 @@ MODULES = {
     "path_planner": (path_planner, path_planner.PathPlanner),
     "vehicle_controller": (vehicle_controller, vehicle_controller.VehicleController),
     "vcu_bridge": (vcu_bridge, vcu_bridge.VcuBridge),
+    "visualization": (visualization, visualization.Visualization),
 }
 TYPES = {
     "/raw_cones": "fsai_msgs/msg/ConeArray",
@@ -42,6 +43,10 @@ TYPES = {
     "/imu": "sensor_msgs/msg/Imu",
     "/gps/fix": "sensor_msgs/msg/NavSatFix",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/markers": "visualization_msgs/msg/MarkerArray",
+    "/robot_description": "std_msgs/msg/String",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
 }
 SERVICES = {
     "/set_mode": "fsai_msgs/srv/SetMode",
@@ -55,7 +60,8 @@ PUBLISHERS = {
     "cone_detector": {"/detected_cones"},
     "path_planner": {"/path", "/planner_status", "/reset_confirmation"},
     "vehicle_controller": {"/vehicle_cmd", "/reset_confirmation"},
-    "vcu_bridge": {"/vehicle_state", "/run_state", "/odometry", "/imu", "/gps/fix", "/diagnostics"},
+    "vcu_bridge": {"/vehicle_state", "/run_state", "/odometry", "/imu", "/gps/fix", "/diagnostics", "/tf"},
+    "visualization": {"/markers", "/robot_description", "/tf_static"},
 }
 
 
@@ -65,6 +71,7 @@ def all_nodes(rig: RosRig) -> None:
     rig.start(cone_detector.ConeDetector)
     rig.start(path_planner.PathPlanner)
     rig.start(vehicle_controller.VehicleController)
+    rig.start(visualization.Visualization)
 
 
 def promise(profile: QoSProfile, policy: str) -> object:
@@ -76,7 +83,7 @@ def promise(profile: QoSProfile, policy: str) -> object:
 def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) -> None:
     all_nodes(rig)
     see = rig.tester
-    rig.spin_until(lambda: set(MODULES) <= set(see.get_node_names()), "the five nodes")
+    rig.spin_until(lambda: set(MODULES) <= set(see.get_node_names()), "all nodes")
     topics = dict(see.get_topic_names_and_types())
     assert {name: topics.get(name) for name in TYPES} == {name: [kind] for name, kind in TYPES.items()}
     services = dict(see.get_service_names_and_types())
@@ -85,8 +92,8 @@ def test_nodes_topics_services_and_types_are_named_as_documented(rig: RosRig) ->
     for node, wanted in PUBLISHERS.items():
         published = {name for name, _ in see.get_publisher_names_and_types_by_node(node, "/")}
         assert wanted <= published, node
-    for topic, wanted_qos in qos.TOPICS.items():
-        endpoints = see.get_publishers_info_by_topic(f"/{topic}") + see.get_subscriptions_info_by_topic(f"/{topic}")
+    for topic, wanted_qos in {**{f"/{name}": each for name, each in qos.TOPICS.items()}, **qos.FRAMES}.items():
+        endpoints = see.get_publishers_info_by_topic(topic) + see.get_subscriptions_info_by_topic(topic)
         assert endpoints, topic
         for endpoint in endpoints:
             policies = ["reliability", "durability", "deadline"]
@@ -113,6 +120,7 @@ def described(profile: QoSProfile) -> str:
 def test_each_topics_quality_of_service_is_the_readmes() -> None:
     rows = dict(re.findall(r"^\| `(/[\w/]+)` \|.*\| ([^|]+) \|$", README, re.MULTILINE))
     assert {f"/{topic}": described(profile) for topic, profile in qos.TOPICS.items()}.items() <= rows.items()
+    assert {topic: described(profile) for topic, profile in qos.FRAMES.items()}.items() <= rows.items()
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -12,6 +12,7 @@ from fsai_nodes.path_planner import PathPlanner
 from fsai_nodes.recorder import TopicRecorder
 from fsai_nodes.vcu_bridge import VcuBridge
 from fsai_nodes.vehicle_controller import VehicleController
+from fsai_nodes.visualization import Visualization
 from fsai_vcu.interface.enums import Ami, AsState
 from fsai_vcu.interface.messages import VcuStatus
 
@@ -28,6 +29,7 @@ def test_bridge_and_controller_work_together_in_a_namespace(rig: RosRig, bus: st
         bridge = start(rig, VcuBridge, can_interface=bus, real_time=False)
         start(rig, VehicleController)
         start(rig, PathPlanner)
+        start(rig, Visualization)
         rig.spin_until(
             lambda: set(bridge._loop.report().confirmed) == {"planner", "controller"}, "both confirm their reset"
         )

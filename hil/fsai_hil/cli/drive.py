@@ -8,7 +8,7 @@ import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fsai_hil.evidence.campaign.cases import case_from_spec
 from fsai_hil.evidence.campaign.explain import ScenarioNarrator
@@ -25,6 +25,9 @@ from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.interface.revisions import revision
 from fsai_vcu.runtime.limits_file import read_limits
 from fsai_vcu.runtime.recording import CandumpWriter
+
+if TYPE_CHECKING:
+    from fsai_hil.simulator.animation import Views
 
 # whether it is well, the run to plot, what --json prints, and what is printed for people
 Driven = tuple[bool, Any, dict[str, Any], list[str]]
@@ -52,6 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--list-faults", action="store_true", help="list the kinds of fault and their parameters")
     add("--realtime", action="store_true", help="as fast as the clock, not as the computer")
     add("--plot", type=Path, metavar="FILE.png", help="save a plot of track, path driven and speed")
+    add("--animate", type=Path, metavar="FILE.gif|.mp4", help="save a film of the drive, seen from above")
+    add("--animate-speed", type=float, default=2.0, metavar="X", help="how many times as fast as it was driven (2)")
     add("--log", type=Path, metavar="FILE", help="save the bus as a candump log")
     add("--json", action="store_true", help="print one JSON object as the last line")
 
@@ -61,12 +66,17 @@ def run(args: argparse.Namespace) -> int:
         if args.list_faults:
             print("\n".join(catalogue_lines()))
             return 0
-        passed, driven, record, lines = _drive_with_fault(args) if args.fault else _drive(args)
+        views = _views(args)
+        passed, driven, record, lines = (_drive_with_fault if args.fault else _drive)(args, views)
         if args.plot:
             from fsai_hil.simulator.plot import plotted
 
             passed &= plotted("fsai-vcu drive", args.plot, driven)
-        saved = [f"saved {path}" for path in (args.plot, args.log) if path and path.exists()]
+        if views is not None:
+            from fsai_hil.simulator.animation import animate
+
+            animate("fsai-vcu drive", args.animate, driven, views.views, args.animate_speed)
+        saved = [f"saved {path}" for path in (args.plot, args.animate, args.log) if path and path.exists()]
         print(json.dumps(record) if args.json else "\n".join([*lines, *saved]))
         return 0 if passed else 1
     except (ValueError, OSError) as error:
@@ -76,7 +86,20 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(text) from error
 
 
-def _drive(args: argparse.Namespace) -> Driven:
+def _views(args: argparse.Namespace) -> Views | None:
+    """What keeps the views of --animate; what is wrong with it is said before a long drive."""
+    if args.animate is None:
+        return None
+    from fsai_hil.simulator.animation import Views, why_not
+
+    if problem := why_not(args.animate):
+        raise ValueError(problem)
+    if not 0.1 <= args.animate_speed <= 100.0:
+        raise ValueError(f"--animate-speed is {args.animate_speed:g}, but must be 0.1 to 100")
+    return Views()
+
+
+def _drive(args: argparse.Namespace, views: Views | None) -> Driven:
     setup = setup_of(args, [args.mission or "autocross"], profile=args.profile, noise_level=args.noise)
     settings = ControllerSettings()
     if args.max_speed is not None:
@@ -87,6 +110,8 @@ def _drive(args: argparse.Namespace) -> Driven:
     with ExitStack() as stack:
         writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
         lockstep = Lockstep(setup, limits=limits, controller=settings, on_frame=writer.write if writer else None)
+        if views is not None:
+            views.watch(lockstep)
         for mission in setup.missions:
             if line := lockstep.computer.controller.too_slow(mission):
                 print(line, file=sys.stderr)
@@ -100,7 +125,7 @@ def _drive(args: argparse.Namespace) -> Driven:
     return result.passed, lockstep.world.runs[-1], result.as_dict(), lines
 
 
-def _drive_with_fault(args: argparse.Namespace) -> Driven:
+def _drive_with_fault(args: argparse.Namespace, views: Views | None) -> Driven:
     """One case of the fault campaign, explained. Not passed: worse than the safety rules allow."""
     others = {"--track": args.track, "--laps": args.laps, "--limits": args.limits, "--max-speed": args.max_speed}
     for name, value in others.items():
@@ -117,6 +142,8 @@ def _drive_with_fault(args: argparse.Namespace) -> Driven:
     with ExitStack() as stack:
         writer = stack.enter_context(CandumpWriter(args.log, "vcan0")) if args.log else None
         rig = power_up(case.world, writer.write if writer else None)
+        if views is not None:
+            views.watch(rig)
         if case.leg_ms is not None:
             drive_to(rig, case.leg_ms)
         scenario = Scenario(case, rig)

@@ -166,7 +166,7 @@ class _Surroundings:
         self._track = track
         self._car = car
         self.hit: set[int] = set()
-        self.off_course = 0
+        self.left_m: list[tuple[float, float]] = []  # where the car left the lane
         self._off = False
 
     def look(self, pose: Pose, lateral_m: float | None) -> None:
@@ -180,7 +180,8 @@ class _Surroundings:
         wheels = ((along, across) for along in (0.0, car.wheelbase_m) for across in (half, -half))
         near = lateral_m is not None and abs(lateral_m) < 1.2  # no lane is narrower than 3 m; spares the exact look
         off = not near and not any(track.on_lane(*pose.ahead(*wheel)) for wheel in wheels)
-        self.off_course += off and not self._off
+        if off and not self._off:
+            self.left_m.append((middle.x_m, middle.y_m))
         self._off = off
 
 
@@ -193,6 +194,7 @@ class _Referee:
     def __init__(self, track: Track, car: VehicleParameters, laps: int) -> None:
         self.track, self.car, self.wanted = track, car, laps
         self.lap_times_s: list[float] = []
+        self.crossings_ns: list[float] = []  # of the lines that begin and end a lap
         self.stop_distance_m: float | None = None  # beyond the finish line, once it has been crossed
 
     @property
@@ -224,6 +226,7 @@ class _TimedReferee(_Referee):
         if self._crossed_ns is not None:
             self.lap_times_s.append((crossed_ns - self._crossed_ns) / S)
         self._crossed_ns, self._crossed_at_m = crossed_ns, at_m
+        self.crossings_ns.append(crossed_ns)
 
     def complaints(self) -> list[str]:
         if self._crossed_ns is None:
@@ -245,10 +248,10 @@ class _AccelerationReferee(_TimedReferee):
 
     def watch(self, truth: CarTruth, nose: tuple[float, float], route: _Route | None) -> None:
         started, finished = self._start.watch(truth.t_ns, *nose), self._finish.watch(truth.t_ns, *nose)
-        if self._crossed_ns is None:
-            self._crossed_ns = started
+        if started is not None and self._crossed_ns is None:
+            self._cross(started, truth.distance_m)
         if finished is not None and self._crossed_ns is not None and not self.laps:
-            self.lap_times_s.append((finished - self._crossed_ns) / S)
+            self._cross(finished, truth.distance_m)
         if self.laps:
             self.stop_distance_m = self._finish.line.seen(*nose)[0]
 
@@ -602,6 +605,21 @@ class Judge:
         """The car has not been in AS_DRIVING yet."""
         return self._driving_ns is None and not self.done
 
+    @property
+    def hit_cones(self) -> list[int]:
+        """The cones that the car has hit, by their index on the track."""
+        return sorted(self._surroundings.hit)
+
+    @property
+    def left_course_m(self) -> list[tuple[float, float]]:
+        """Where the car left the track, in the world."""
+        return self._surroundings.left_m
+
+    @property
+    def crossings_s(self) -> list[float]:
+        """When the car crossed a line that begins or ends a lap, as the verdict counts time."""
+        return [(t_ns - self._epoch_ns) / S for t_ns in self._referee.crossings_ns]
+
     def _reasons_now(self) -> list[str]:
         found = list(self._reasons)
         if self._driving_ns is None:
@@ -615,8 +633,7 @@ class Judge:
             by = "an open shutdown circuit" if self._cause is None else self._cause.label
             found.append(f"the emergency brake came by {by}, not by the AI computer's request")
         found += self._referee.complaints()
-        if self._surroundings.off_course:
-            times = self._surroundings.off_course
+        if times := len(self._surroundings.left_m):
             found.append(f"off course {'once' if times == 1 else f'{times} times'}")
         return found
 
@@ -636,7 +653,7 @@ class Judge:
             lap_times_s=tuple(round(t, 3) for t in self._referee.lap_times_s),
             cones_hit=hit,
             penalty_s=CONE_PENALTY_S * hit,
-            off_course=self._surroundings.off_course,
+            off_course=len(self.left_course_m),
             max_lateral_error_m=round(self._worst_m, 3),
             mean_speed_mps=round(self._distance_m / moving_s, 3) if moving_s > 0.0 else 0.0,
             top_speed_mps=round(self._top_mps, 3),

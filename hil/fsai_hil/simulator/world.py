@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from fsai_hil.rules.response import ResponseTimes
-from fsai_hil.simulator.car import Car
+from fsai_hil.simulator.car import Car, CarTruth
 from fsai_hil.simulator.car_signals import Actuation, CarFeedback
 from fsai_hil.simulator.ground_truth import Truth
 from fsai_hil.simulator.judge import Judge, JudgeVerdict, check_track
@@ -59,13 +59,19 @@ class WorldSetup:
 
 @dataclass(frozen=True, slots=True)
 class PathSample(Immutable):
-    """One point of the driven path."""
+    """One point of the driven path: the car, and what the VCU orders of its actuators."""
 
     t_s: float
     x_m: float
     y_m: float
+    yaw_rad: float
     speed_mps: float
+    wheels_mps: float  # as the fastest wheel turns
+    speed_limit_mps: float  # at which the motors take their torque back
     steer_deg: float
+    steer_order_deg: float
+    throttle: float  # 0…1 of an axle's full torque, as ordered
+    brake: float  # 0…1 of full pressure, as ordered
     as_state: int
 
 
@@ -161,13 +167,31 @@ class World:
         run, state, car = self.run, self.vcu.state, self.car.truth()
         if now >= self._next_sample_ns or (run.samples and run.samples[-1].as_state != state):
             self._next_sample_ns = now + SAMPLE_NS
-            t_s, pose = (now - self.setup.start_ns) / 1e9, car.pose
-            run.samples.append(PathSample(t_s, pose.x_m, pose.y_m, car.speed_mps, car.steer_deg, int(state)))
+            run.samples.append(self._sample(now, car, state))
         if not run.judge.done:
             run.judge.observe(car, state, self.vcu.shutdown_cause)
             if run.judge.done:
                 self.verdicts.append(run.judge.verdict())
         self._follow_display(state)
+
+    def _sample(self, now: int, car: CarTruth, state: AsState) -> PathSample:
+        pose, facts, order = car.pose, self.car.facts, self.vcu.actuation
+        motor_rpm = max(order.front_motor_speed_max_rpm, order.rear_motor_speed_max_rpm)
+        brake_pct = max(order.front_brake_pct, order.rear_brake_pct)
+        return PathSample(
+            t_s=(now - self.setup.start_ns) / 1e9,
+            x_m=pose.x_m,
+            y_m=pose.y_m,
+            yaw_rad=pose.yaw_rad,
+            speed_mps=car.speed_mps,
+            wheels_mps=facts.speed_of_wheel_rpm(max(car.wheel_rpm)),
+            speed_limit_mps=facts.speed_of_wheel_rpm(motor_rpm / facts.gear_ratio),
+            steer_deg=car.steer_deg,
+            steer_order_deg=order.steer_deg,
+            throttle=max(order.front_torque_nm, order.rear_torque_nm) / facts.axle_torque_max_nm,
+            brake=1.0 if order.ebs_engaged else brake_pct / 100.0,
+            as_state=int(state),
+        )
 
     def _follow_display(self, state: AsState) -> None:
         """People bring the car to its start when it is off: for a mission newly chosen on the display, and after a run

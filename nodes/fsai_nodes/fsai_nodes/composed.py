@@ -24,6 +24,7 @@ CLASSES = {
     "cone_detector": "ConeDetector",
     "path_planner": "PathPlanner",
     "vehicle_controller": "VehicleController",
+    "visualization": "Visualization",
 }
 DEFAULT = ("cone_detector", "path_planner", "vehicle_controller")
 

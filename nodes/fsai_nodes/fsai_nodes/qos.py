@@ -36,6 +36,7 @@ SENSOR = profile(1, reliable=False)
 MOTION = profile(10)  # reliable, because RViz and others ask for that; a reader that asks for less gets it too
 STATE = profile(1, kept=True)
 CONFIRMATION = profile(10, kept=True)  # several nodes write it and none of their words may push out another's
+VIEW = profile(1)  # reliable, as RViz asks for it; the next one replaces it
 DIAGNOSTICS = profile(10)  # what the ecosystem's diagnostic tools expect
 
 # By relative names, so that a namespace holds for all of them.
@@ -53,15 +54,19 @@ TOPICS: Mapping[str, QoSProfile] = MappingProxyType(
         "imu": MOTION,
         "gps/fix": MOTION,
         "diagnostics": DIAGNOSTICS,
+        "markers": VIEW,
+        "robot_description": STATE,
     }
 )
+# As tf2 has them: outside of any namespace.
+FRAMES: Mapping[str, QoSProfile] = MappingProxyType({"/tf": profile(100), "/tf_static": profile(10, kept=True)})
 
 
 def publisher(node: Node, message_type: type[Any], topic: str) -> Publisher:
-    """A publisher with the table's quality of service.
+    """A publisher with the tables' quality of service.
 
     Without rclpy's default event handlers: each is one more thing to wait for, every time that a node waits. The
     subscriptions keep theirs, so a mismatch is still reported, on the side where something is missing.
     """
     events = PublisherEventCallbacks(use_default_callbacks=False)
-    return node.create_publisher(message_type, topic, TOPICS[topic], event_callbacks=events)
+    return node.create_publisher(message_type, topic, {**TOPICS, **FRAMES}[topic], event_callbacks=events)

@@ -112,7 +112,7 @@ SETTINGS = (
     ),
     NodeParameter("imu_frame_id", "imu_link", "frame_id of /imu: the axes of the PCAN-GPS as it is mounted."),
     NodeParameter("gps_frame_id", "gps_link", "frame_id of /gps/fix."),
-    NodeParameter("publish_tf", True, "Broadcast odom -> base_link, where tf2_ros is installed.", live=True),
+    NodeParameter("publish_tf", True, "Broadcast odom -> base_link, where tf2_msgs is installed.", live=True),
     NodeParameter("autostart", True, "Configure and activate without being asked."),
 )
 
@@ -556,19 +556,19 @@ def _feedback(report: BridgeReport) -> RunMission.Feedback:
 
 
 class _TransformSender:
-    """odom -> base_link on /tf, where tf2_ros is installed; it is not on the package index, so it may be missing."""
+    """odom -> base_link on /tf, where tf2_msgs is installed; a bridge without it works."""
 
     def __init__(self, node: LifecycleNode) -> None:
         try:
-            from tf2_ros import TransformBroadcaster
+            from tf2_msgs.msg import TFMessage
         except ImportError:
-            self._broadcaster = None
-            node.get_logger().info("tf2_ros is not installed: no transform odom -> base_link; /odometry has the pose")
+            self._publisher = None
+            node.get_logger().info("tf2_msgs is not installed: no transform odom -> base_link; /odometry has the pose")
         else:
-            self._broadcaster = TransformBroadcaster(node)
+            self._publisher, self._message = publisher(node, TFMessage, "/tf"), TFMessage
 
     def send(self, report: BridgeReport, stamp: Time) -> None:
-        if self._broadcaster is None:
+        if self._publisher is None or not self._publisher.get_subscription_count():
             return
         from geometry_msgs.msg import TransformStamped
 
@@ -580,7 +580,7 @@ class _TransformSender:
         message.transform.translation.x, message.transform.translation.y = float(motion.x_m), float(motion.y_m)
         message.transform.rotation.z = math.sin(motion.yaw_rad / 2)
         message.transform.rotation.w = math.cos(motion.yaw_rad / 2)
-        self._broadcaster.sendTransform(message)
+        self._publisher.publish(self._message(transforms=[message]))
 
 
 def limits_of(text: str) -> OperationalLimits | None:

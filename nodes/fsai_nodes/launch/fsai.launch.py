@@ -3,6 +3,7 @@
 Arguments left empty leave the parameter file's value in force.
 """
 
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -28,7 +29,13 @@ ARGUMENTS = {
     "skidpad_max_speed": (("vehicle_controller",), float, "highest speed in the skidpad, in m/s"),
     "acceleration_max_speed": (("vehicle_controller",), float, "highest speed in the acceleration, in m/s"),
 }
-NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge")
+NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge", "visualization")
+SWITCHES = {
+    "simulated": ("true", "start the sensor simulator"),
+    "composed": ("false", "all nodes but the bridge in one process"),
+    "markers": ("false", "start visualization: /markers, the car's model and frames for RViz and Foxglove"),
+    "rviz": ("false", "open RViz with what visualization publishes; starts it, too"),
+}
 
 
 def typed(text, kind):
@@ -40,10 +47,20 @@ def typed(text, kind):
     return kind(text)
 
 
+def rviz():
+    """RViz with the package's own view."""
+    try:
+        get_package_prefix("rviz2")
+    except PackageNotFoundError:
+        raise RuntimeError("rviz:=true, but rviz2 is not installed: apt install ros-jazzy-rviz2") from None
+    view = PathJoinSubstitution([FindPackageShare("fsai_nodes"), "rviz", "fsai.rviz"])
+    return Node(package="rviz2", executable="rviz2", name="rviz2", arguments=["-d", view])
+
+
 def start(context):
     """The nodes, with the parameter file first and the arguments given on top."""
     # ROS ignores an argument that nobody declares; those of a launch file that includes this one are seen here, too.
-    wrong = misspelt(context.launch_configurations, [*ARGUMENTS, "params_file", "simulated", "composed"])
+    wrong = misspelt(context.launch_configurations, [*ARGUMENTS, *SWITCHES, "params_file"])
     if wrong:
         raise ValueError(wrong)
     parameters = {name: {} for name in NODES}
@@ -53,11 +70,11 @@ def start(context):
             for node in nodes:
                 parameters[node][argument] = typed(text, kind)
     file = LaunchConfiguration("params_file").perform(context)
-    simulated = typed(LaunchConfiguration("simulated").perform(context), bool)
-    composed = typed(LaunchConfiguration("composed").perform(context), bool)
-    separate = [name for name in NODES if simulated or name != "sensor_simulator"]
-    actions = []
-    if composed:
+    on = {name: typed(LaunchConfiguration(name).perform(context), bool) for name in SWITCHES}
+    optional = {"sensor_simulator": on["simulated"], "visualization": on["markers"] or on["rviz"]}
+    separate = [name for name in NODES if optional.get(name, True)]
+    actions = [rviz()] if on["rviz"] else []
+    if on["composed"]:
         together = [name for name in separate if name != "vcu_bridge"]
         separate = ["vcu_bridge"]
         # One process, several nodes: arguments go by node name, as in a parameter file.
@@ -96,9 +113,9 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument("params_file", default_value=own_file, description="YAML file of parameters"),
-            DeclareLaunchArgument("simulated", default_value="true", description="start the sensor simulator"),
-            DeclareLaunchArgument(
-                "composed", default_value="false", description="all nodes but the bridge in one process"
+            *(
+                DeclareLaunchArgument(name, default_value=value, description=words)
+                for name, (value, words) in SWITCHES.items()
             ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=words)

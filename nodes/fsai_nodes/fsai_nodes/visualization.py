@@ -1,0 +1,202 @@
+"""visualization: /markers of cones, path and car, the car's model and its frames, for RViz and Foxglove.
+
+It only listens: no other node waits for it or reads what it publishes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from importlib.resources import files
+from xml.etree import ElementTree
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from fsai_msgs.msg import ConeArray, PlannerStatus, VehicleState
+from geometry_msgs.msg import Point, TransformStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node
+from std_msgs.msg import ColorRGBA, Header, String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
+
+from fsai_nodes.clocks import Clocks
+from fsai_nodes.conversions import BASE_FRAME, ODOM_FRAME, cones_from_msg, motion_from_state
+from fsai_nodes.parameters import NodeParameter, Settings
+from fsai_nodes.process import run
+from fsai_nodes.qos import TOPICS, publisher
+from fsai_vcu.core.driving import ConeColor, ConeObservation, Motion
+from fsai_vcu.core.planning.pose import lengths_along, to_odometry
+from fsai_vcu.core.vehicle.odometry import MotionHistory
+from fsai_vcu.core.vehicle.parameters import ADS_DV_2026 as CAR
+
+SETTINGS = (
+    NodeParameter("rate_hz", 10.0, "How often markers are published while somebody looks, in Hz.", low=1.0, high=30.0),
+)
+SAME_CONE_M = 1.0  # two sightings nearer than that are of one cone
+MOST_CONES = 1000  # remembered
+SHOWN_S = 0.5  # cones and path without news disappear
+
+RGB = {
+    ConeColor.UNKNOWN: (0.6, 0.6, 0.6),
+    ConeColor.BLUE: (0.1, 0.35, 0.9),
+    ConeColor.YELLOW: (0.95, 0.8, 0.0),
+    ConeColor.ORANGE: (1.0, 0.55, 0.1),
+    ConeColor.BIG_ORANGE: (0.9, 0.3, 0.0),
+}
+
+
+class Visualization(Node):
+    """Remembers the newest of each topic, and the cones of the run; forgets them with a new run."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("visualization", **options)
+        self._settings = Settings(self, SETTINGS, lambda _name: None)
+        self._clocks = Clocks(self)
+        self._markers = publisher(self, MarkerArray, "markers")
+        self._frames = publisher(self, TFMessage, "/tf_static")
+        self._model = publisher(self, String, "robot_description")
+        self.create_subscription(VehicleState, "vehicle_state", self._on_state, TOPICS["vehicle_state"])
+        self.create_subscription(ConeArray, "detected_cones", self._on_cones, TOPICS["detected_cones"])
+        self.create_subscription(PlannerStatus, "planner_status", self._on_status, TOPICS["planner_status"])
+        self.create_subscription(Path, "path", self._on_path, TOPICS["path"])
+        model = files("fsai_nodes").joinpath("fsai.urdf").read_text(encoding="utf-8")
+        self._model.publish(String(data=model))
+        stamp = self._clocks.stamp_of(self._clocks.now_ns())
+        self._frames.publish(TFMessage(transforms=static_frames(model, stamp)))
+        self._forget(VehicleState())
+        self._clocks.every(1.0 / self._settings.number("rate_hz"), self._publish)
+
+    def _forget(self, state: VehicleState) -> None:
+        self._state = state
+        self._history = MotionHistory()
+        self._seen: list[Marker] = []
+        self._planned: list[Marker] = []
+        self._status = PlannerStatus(stop_distance_m=math.nan)
+        self._remembered = np.empty((0, 3))  # x, y in the odometry frame; colour
+
+    def _on_state(self, message: VehicleState) -> None:
+        if message.run_id != self._state.run_id:
+            self._forget(message)
+        self._state = message
+        t_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
+        self._history.add(motion_from_state(message, t_ns))
+
+    def _on_cones(self, message: ConeArray) -> None:
+        seen_ns = self._clocks.steady_of(message.header.stamp, self._clocks.now_ns())
+        cones = cones_from_msg(message, seen_ns)
+        self._seen = [cone_marker("cones", message.header, cones.xy_m, cones.color)]
+        there = self._history.at(seen_ns)
+        if there is not None:
+            self._remembered = remembered(self._remembered, there, cones)
+
+    def _on_status(self, message: PlannerStatus) -> None:
+        self._status = message
+
+    def _on_path(self, message: Path) -> None:
+        self._planned = path_markers(message, self._status)
+
+    def _publish(self) -> None:
+        if not self._markers.get_subscription_count():
+            return
+        header = Header(frame_id=ODOM_FRAME)  # without a stamp: as of now, whatever now is
+        before = cone_marker("remembered cones", header, self._remembered[:, :2], self._remembered[:, 2], alpha=0.35)
+        self._markers.publish(MarkerArray(markers=[before, *self._seen, *self._planned, *self._car()]))
+
+    def _car(self) -> list[Marker]:
+        """Its outline, and over it what it is doing."""
+        state, status = self._state, self._status
+        header = Header(frame_id=BASE_FRAME)
+        outline = _marker("car", header, Marker.LINE_STRIP, (0.06, 0.0, 0.0), (1.0, 1.0, 1.0))
+        nose, half = CAR.nose_ahead_of_rear_axle_m, CAR.width_m / 2
+        tail = nose - CAR.length_m
+        outline.points = _points([(nose, half), (nose, -half), (tail, -half), (tail, half), (nose, half)], 0.1)
+        words = _marker("words", header, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.5), (1.0, 1.0, 1.0))
+        words.pose.position.z = 1.8
+        words.text = f"{state.as_state_label} {state.mission_label}\n{state.speed_mps:.1f} m/s, lap {status.laps}"
+        words.text += f"\n{status.note or status.late}" if status.note or status.late else ""
+        return [outline, words]
+
+
+# ---------------------------------------------------------------- what is drawn
+
+
+def remembered(cones: np.ndarray, there: Motion, seen: ConeObservation) -> np.ndarray:
+    """(N, 3) x, y, colour in the odometry frame: those known, and where they have been seen anew, as seen now."""
+    new = np.column_stack([to_odometry(there, seen.xy_m), seen.color])
+    apart = np.hypot(cones[:, None, 0] - new[None, :, 0], cones[:, None, 1] - new[None, :, 1])
+    return np.vstack([cones[(apart > SAME_CONE_M).all(axis=1)], new])[-MOST_CONES:]
+
+
+def cone_marker(name: str, header: Header, xy_m: np.ndarray, colors: np.ndarray, alpha: float = 1.0) -> Marker:
+    """All cones as one marker, each in its colour; those seen disappear with the sensor's silence."""
+    marker = _marker(name, header, Marker.SPHERE_LIST, (0.3, 0.3, 0.3), (1.0, 1.0, 1.0))
+    marker.points = _points(xy_m.tolist(), 0.15)
+    marker.colors = [_rgba(RGB[ConeColor(int(color))], alpha) for color in colors]
+    if not len(xy_m):
+        marker.action = Marker.DELETE
+    return marker
+
+
+def path_markers(path: Path, status: PlannerStatus) -> list[Marker]:
+    """The path from green (sure) to red, pale where no cones bear it out; and the place to stop at, if one is known."""
+    xy_m = np.array([(pose.pose.position.x, pose.pose.position.y) for pose in path.poses]).reshape(-1, 2)
+    line = _marker("path", path.header, Marker.LINE_STRIP, (0.12, 0.0, 0.0), (1.0, 1.0, 1.0))
+    stop = _marker("stop", path.header, Marker.CUBE, (0.15, 3.0, 0.05), (0.9, 0.0, 0.0))
+    stop.action = Marker.DELETE
+    if len(xy_m) < 2:
+        line.action = Marker.DELETE
+        return [line, stop]
+    along = lengths_along(xy_m)
+    supported_m = status.supported_m or math.inf
+    sure = min(max(status.confidence, 0.0), 1.0)
+    color = (1.0 - sure, 0.8 * sure, 0.1)
+    line.points = _points(xy_m.tolist(), 0.05)
+    line.colors = [_rgba(color, 1.0 if at <= supported_m else 0.3) for at in along.tolist()]
+    if math.isfinite(status.stop_distance_m) and status.stop_distance_m <= along[-1]:
+        stop.action = Marker.ADD
+        stop.pose = path.poses[int(np.searchsorted(along, status.stop_distance_m))].pose
+    return [line, stop]
+
+
+def _marker(
+    name: str, header: Header, kind: int, scale: tuple[float, float, float], rgb: tuple[float, float, float]
+) -> Marker:
+    marker = Marker(header=header, ns=name, type=kind, color=_rgba(rgb))
+    marker.pose.orientation.w = 1.0
+    marker.scale.x, marker.scale.y, marker.scale.z = scale
+    marker.lifetime = Duration(nanosec=round(SHOWN_S * 1e9))
+    return marker
+
+
+def _points(xy_m: Sequence[Sequence[float]], z_m: float) -> list[Point]:
+    return [Point(x=float(x), y=float(y), z=z_m) for x, y in xy_m]
+
+
+def _rgba(rgb: tuple[float, float, float], alpha: float = 1.0) -> ColorRGBA:
+    return ColorRGBA(r=rgb[0], g=rgb[1], b=rgb[2], a=alpha)
+
+
+def static_frames(model: str, stamp: Time) -> list[TransformStamped]:
+    """The fixed joints of a URDF. The wheels are fixed, too: nothing measured moves them."""
+    frames = []
+    for joint in ElementTree.fromstring(model).iter("joint"):
+        if joint.get("type") != "fixed":
+            continue
+        origin, frame = joint.find("origin"), TransformStamped()
+        parent, child = joint.find("parent"), joint.find("child")
+        assert origin is not None and parent is not None and child is not None, "as the package's own model has it"
+        frame.header.stamp, frame.header.frame_id = stamp, parent.get("link", "")
+        frame.child_frame_id = child.get("link", "")
+        x, y, z = (float(word) for word in origin.get("xyz", "0 0 0").split())
+        frame.transform.translation.x, frame.transform.translation.y, frame.transform.translation.z = x, y, z
+        frames.append(frame)
+    return frames
+
+
+main = partial(run, [Visualization], "visualization")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
