@@ -104,9 +104,9 @@ def _show(source: Source, server: Server, *, loop: bool) -> None:
         trace.update(view.memory, picture)
         if shown_s >= story_s:
             story_s = shown_s + STORY_S
-            points = [round(10 * each) for point in trace.points for each in point]
-            server.publish("story", {"way_dm": points, "events": events_of(view.events(), picture.t_ns, source.clock)})
-        clock = words if source.playing else f"{words}, its end"
+            points = [round(100 * each) for point in trace.points for each in point]
+            server.publish("story", {"way_cm": points, "events": events_of(view.events(), picture.t_ns, source.clock)})
+        clock = words if source.playing else f"{words}: its end"
         server.publish("state", {**state_of(picture), "clock": clock, "pose": [round(each, 3) for each in trace.pose]})
         if source.ended and not isinstance(source, Log):
             return

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final
 
-from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS
+from fsai_vcu.diagnostics.explain.causes import CAUSES, FAULT_BITS, SHUTDOWN
 from fsai_vcu.diagnostics.explain.incident import TimelineEntry, Weight
 from fsai_vcu.diagnostics.monitor.snapshot import LIGHTS, Freshness, MessagePicture, Picture, age
 
 EVENTS: Final = 30
-_UNEXPLAINED: Final = ("", "")
+_CAUSES: Final = {**{f"SHUTDOWN_CAUSE {one.label}": slug for one, slug in SHUTDOWN.items()}, **FAULT_BITS}
 
 
 def state_of(picture: Picture) -> dict[str, Any]:
@@ -22,21 +22,29 @@ def state_of(picture: Picture) -> dict[str, Any]:
         "light": {"colour": colour if picture.as_state else "unknown", "flashes": flashes},
         "silent_s": min(ages, default=None),  # since the newest frame of anybody
         "why_not_driving": [{"text": one.sentence, "remedy": one.remedy} for one in picture.why_not_driving],
-        "faults": [_fault(name) for name in picture.all_faults],
-        "messages": [_missing(one) for one in picture.messages if one.freshness is not Freshness.FRESH],
+        "faults": _faults(picture.all_faults),
+        "messages": [],
+        "missing": list(_missing(picture.messages)),
         "received": sum(one.freshness is Freshness.FRESH for one in picture.messages),
     }
 
 
-def _fault(name: str) -> dict[str, str]:
-    slug = FAULT_BITS.get(name.removeprefix("SHUTDOWN_CAUSE "))
-    words, remedy = (CAUSES[slug].words, CAUSES[slug].remedy) if slug else _UNEXPLAINED
-    return {"name": name, "text": words, "remedy": remedy}
+def _faults(names: Iterable[str]) -> list[dict[str, Any]]:
+    """Those of one cause together."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(_CAUSES.get(name, name), []).append(name)
+    causes = ((named, CAUSES.get(slug)) for slug, named in found.items())
+    return [{"names": n, "text": c.words if c else "", "remedy": c.remedy if c else ""} for n, c in causes]
 
 
-def _missing(message: MessagePicture) -> dict[str, str]:
-    since = "" if message.age_s is None else f", {age(message.age_s)}"
-    return {"name": f"0x{message.number} {message.name or ''}".rstrip(), "text": f"{message.freshness.value}{since}"}
+def _missing(messages: Sequence[MessagePicture]) -> Iterator[str]:
+    """What does not come as it should, in lines."""
+    for one in messages:
+        if one.age_s is not None and one.freshness is not Freshness.FRESH:
+            yield f"0x{one.number} {one.name or ''} {one.freshness.value}: {age(one.age_s)} old"
+    if never := [f"0x{one.number}" for one in messages if one.age_s is None]:
+        yield f"never received: {', '.join(never)}"
 
 
 def events_of(events: Iterable[TimelineEntry], until_ns: int, clock: Callable[[int], str]) -> list[dict[str, str]]:

@@ -2,11 +2,10 @@
 // What the server sends becomes text, attributes and sizes, never markup.
 const SILENT_MS = 1500; // without an event the values are old
 const RETRY_MS = 4000; // without an event a new connection is tried
-const LATE_MS = 2000; // behind the quickest event of this connection: the network holds them back
 const by = (id) => document.getElementById(id);
 const number = (value, digits = 1) => (value == null ? "–" : value.toFixed(digits));
 const span = (s) => (s < 60 ? `${s.toFixed(s < 10 ? 1 : 0)} s` : `${Math.floor(s / 60)} min ${Math.floor(s % 60)} s`);
-let source, triedMs, heardMs = null, quickestMs, lateMs = 0, silentS = null, channel = "", way = [];
+let source, triedMs, heardMs = null, quickestMs, silentS = null, channel = "", way = [];
 
 function say(target, text) {
   if (target.textContent !== text) target.textContent = text;
@@ -34,8 +33,7 @@ function connect() {
     source.addEventListener(name, (event) => {
       const data = JSON.parse(event.data), behindMs = performance.now() - 1000 * data.sent_s;
       quickestMs = Math.min(quickestMs, behindMs);
-      lateMs = behindMs - quickestMs;
-      heardMs = performance.now() - lateMs;
+      heardMs = performance.now() - (behindMs - quickestMs); // less what the network held it back
       show(data);
       look();
     });
@@ -44,11 +42,11 @@ function connect() {
 
 function look() { // is what is shown of now?
   const now = performance.now(), age = heardMs === null ? null : now - heardMs;
-  const lost = age === null || age > (lateMs > LATE_MS ? LATE_MS : SILENT_MS);
-  if ((age === null || age > SILENT_MS) && now - triedMs > RETRY_MS) connect();
+  const lost = age === null || age > SILENT_MS;
+  if (lost && now - triedMs > RETRY_MS) connect();
   let text = "";
   if (age === null) text = now > SILENT_MS ? "no connection to the server yet" : "connecting …";
-  else if (lost) text = `connection lost since ${span(age / 1000)}: nothing here is of now`;
+  else if (lost) text = `connection lost since ${span(age / 1000)}: these values are old`;
   else if (silentS === null) text = `nothing is received on ${channel}`;
   else if (silentS > 1) text = `${channel} is silent since ${span(silentS)}`;
   document.body.classList.toggle("stale", lost);
@@ -63,14 +61,14 @@ function showState(s) {
   silentS = s.silent_s;
   document.title = `${state} · ${channel}`;
   say(by("channel"), channel);
-  say(by("mission"), s.mission || "no mission");
+  say(by("mission"), `mission ${s.mission ?? "unknown"}`);
   say(by("clock"), s.clock);
   say(by("state"), state);
   by("state-tile").dataset.light = s.light.colour;
   by("state-tile").classList.toggle("flashes", s.light.flashes);
   const lit = s.light.colour === "unknown" ? "lights unknown" : `lights ${s.light.colour}${s.light.flashes ? ", flashing" : ""}`;
-  say(by("light"), lit);
-  say(by("held"), s.as_state ? `for ${span(s.as_state_s)}` : s.as_state_heard ? `${s.as_state_heard} was the last` : "");
+  const held = s.as_state ? `for ${span(s.as_state_s)} · ` : s.as_state_heard ? `${s.as_state_heard} was the last · ` : "";
+  say(by("held"), held + lit);
   const onOff = (name, on) => [`${name} ${on == null ? "–" : on ? "on" : "off"}`, on == null ? "" : on ? "good" : "warning"];
   list("chips", [
     onOff("ASMS", s.as_switch), onOff("TSMS", s.ts_switch), onOff("Go", s.go),
@@ -80,12 +78,11 @@ function showState(s) {
   ]);
   say(by("speed").firstElementChild, number(s.speed_mps));
   say(by("counts"), `lap ${s.lap ?? "–"} · ${s.cones ?? "–"} cones seen · ${s.speed_mps == null ? "–" : (3.6 * s.speed_mps).toFixed(0)} km/h`);
-  say(by("why-head"), s.driving ? "driving" : "why not driving");
-  by("why-tile").classList.toggle("driving", s.driving);
+  document.body.classList.toggle("driving", s.driving);
   list("why", s.why_not_driving.map((one) => [one.text, "", one.remedy]));
   showActuators(s.actuators);
   list("faults", [
-    ...s.faults.map((one) => [`fault: ${one.name}`, "fault", [one.text, one.remedy].filter(Boolean).join(": ")]),
+    ...s.faults.map((one) => [`fault: ${one.names.join(", ")}`, "fault", [one.text, one.remedy].filter(Boolean).join(": ")]),
     ...s.warnings.map((name) => [`warning: ${name}`, "warning"]),
     ...(s.faults.length + s.warnings.length ? [] : [s.as_state ? ["none", "good"] : ["unknown"]]),
   ]);
@@ -94,7 +91,7 @@ function showState(s) {
     ...s.link.map((text) => [text, "fault"]),
     [`load ${s.load == null ? "–" : `${(100 * s.load).toFixed(0)} %`} · ${s.received} messages come`],
     [echo?.max_ms == null ? "handshake: no answers" : `handshake answered in ${number(echo.p50_ms)} ms, at most ${number(echo.max_ms)} ms`, echo?.max_ms == null ? "warning" : ""],
-    ...s.messages.map((one) => [`${one.name}: ${one.text}`, "warning"]),
+    ...s.missing.map((text) => [text, "warning"]),
   ]);
   showWay(s.pose);
 }
@@ -115,23 +112,23 @@ function showActuators(actuators) {
     given.style.width = `${Math.abs(end - zero)}%`;
     asked.hidden = one.asked == null;
     asked.style.left = `${place(one.asked ?? 0)}%`;
-    say(row.cells[2], `${number(one.asked)} asked`);
+    say(row.cells[2], `${number(one.asked)}`);
     say(row.cells[3], `${number(one.given)} ${one.unit}`);
   }
 }
 
 function showStory(story) {
   way = [];
-  for (let at = 0; at < story.way_dm.length; at += 2) way.push([story.way_dm[at] / 10, -story.way_dm[at + 1] / 10]);
+  for (let at = 0; at < story.way_cm.length; at += 2) way.push([story.way_cm[at] / 100, -story.way_cm[at + 1] / 100]);
   list("events", story.events.map((one) => [`${one.at}  ${one.text}`, one.kind]));
 }
 
 function showWay([x, y, heading]) {
   const points = [...way, [x, -y]], svg = by("way"), [line, car] = svg.children;
   const xs = points.map((point) => point[0]), ys = points.map((point) => point[1]);
-  const left = Math.min(...xs), top = Math.min(...ys);
-  const size = Math.max(Math.max(...xs) - left, Math.max(...ys) - top, 20), edge = size / 15;
-  svg.setAttribute("viewBox", `${left - edge} ${top - edge} ${Math.max(...xs) - left + 2 * edge} ${Math.max(...ys) - top + 2 * edge}`);
+  const left = Math.min(...xs), top = Math.min(...ys), width = Math.max(...xs) - left, height = Math.max(...ys) - top;
+  const size = Math.max(width, height, 20), [dx, dy] = [width, height].map((side) => Math.max(size / 15, (size - side) / 4));
+  svg.setAttribute("viewBox", `${left - dx} ${top - dy} ${width + 2 * dx} ${height + 2 * dy}`);
   line.setAttribute("points", points.map((point) => point.join()).join(" "));
   car.setAttribute("transform", `translate(${x} ${-y}) rotate(${(-180 * heading) / Math.PI}) scale(${size / 110})`);
 }

@@ -49,11 +49,12 @@ class Server(ThreadingHTTPServer):
         self.changed = threading.Condition()
         self._published: dict[str, tuple[int, bytes]] = {}
         self._number = 0
+        self.ended = False
         self._free = threading.Semaphore(MOST_CONNECTIONS)
         super().__init__((host, port), _Handler)
 
     def server_bind(self) -> None:
-        socket.socket.setsockopt(self.socket, socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         super().server_bind()
 
     def __enter__(self) -> Server:
@@ -62,6 +63,9 @@ class Server(ThreadingHTTPServer):
 
     def __exit__(self, *_: object) -> None:
         self.shutdown()
+        with self.changed:
+            self.ended = True
+            self.changed.notify_all()
         self.server_close()
 
     def publish(self, event: str, data: dict[str, Any]) -> None:
@@ -75,7 +79,7 @@ class Server(ThreadingHTTPServer):
     def newer(self, than: int) -> tuple[int, bytes]:
         """What was published after that number, waited for; and the number to ask with the next time."""
         with self.changed:
-            self.changed.wait_for(lambda: self._number > than)
+            self.changed.wait_for(lambda: self._number > than or self.ended)
             return self._number, b"".join(block for number, block in self._published.values() if number > than)
 
     def count(self, change: int) -> None:
@@ -123,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self.wfile.write(b"retry: 1000\n\n")
             number = 0
-            while True:
+            while not self.server.ended:
                 number, block = self.server.newer(number)
                 self.wfile.write(block)
         finally:

@@ -24,21 +24,24 @@ class Trace:
     """`points` x, y (m) in a frame with its origin and x axis where the car began; pose: x, y (m), heading (rad)."""
 
     def __init__(self) -> None:
+        self._t_ns: int | None = None
+        self._state: str | None = None
+        self._begin()
+
+    def _begin(self) -> None:
         self.points: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=POINTS)
         self.pose = (0.0, 0.0, 0.0)
-        self._t_ns: int | None = None
         self._last: Frames = frames_of(())  # the newest of each message
-        self._state: str | None = None
 
     def update(self, memory: Memory, picture: Picture) -> None:
-        """Go on to the time of the picture; anew where AS_DRIVING begins, and where time went back."""
-        begins = picture.as_state_heard == "AS_DRIVING" and self._state not in (None, "AS_DRIVING")
-        if begins or (self._t_ns is not None and picture.t_ns < self._t_ns):
-            self.__init__()  # type: ignore[misc]
-        self._state = picture.as_state_heard
-        length_ns = LONG_NS if self._t_ns is None else picture.t_ns - self._t_ns
-        frames = memory.window(picture.t_ns, min(length_ns, LONG_NS))
-        self._t_ns = picture.t_ns
+        """Go on to the newest frame; anew where AS_DRIVING begins, and where time went back."""
+        before_ns, self._t_ns = self._t_ns, memory.newest_ns or 0
+        before, self._state = self._state, picture.as_state_heard
+        begins = self._state == "AS_DRIVING" and before not in (None, "AS_DRIVING")
+        if before_ns is None or begins or self._t_ns < before_ns:
+            self._begin()
+            return
+        frames = memory.window(self._t_ns, min(self._t_ns - before_ns, LONG_NS))
         part = joined([self._last, frames.only(np.isin(frames.can_id, _IDS))])
         if len(part):
             newest = [np.flatnonzero(part.can_id == can_id)[-1:] for can_id in _IDS]
