@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from fsai_vcu.diagnostics.explain import Record
+from fsai_vcu.diagnostics.log import live
 from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
 from fsai_vcu.diagnostics.log.reader import read_log
 from fsai_vcu.diagnostics.monitor.snapshot import Picture
@@ -21,7 +22,9 @@ from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
 from fsai_vcu.diagnostics.pitwall.server import MOST_CONNECTIONS, Server
 from fsai_vcu.diagnostics.pitwall.trace import POINTS, Trace
 from fsai_vcu.diagnostics.report.curves import way_of
+from fsai_vcu.interface.frames import Frame
 from fsai_vcu.interface.units import MS, S
+from fsai_vcu.runtime.bus import BusLost
 
 DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
 
@@ -139,6 +142,36 @@ def test_the_way_begins_anew_with_a_run_and_with_a_log(run: Frames) -> None:
     ):
         trace.update(view.memory, picture)
         assert ((len(trace.points), trace.pose) == (1, (0.0, 0.0, 0.0))) is begins
+
+
+# ---------------------------------------------------------------- a bus that goes away
+
+
+def test_a_bus_that_goes_away_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Bus:
+        """One frame, and then it is lost, or silent."""
+
+        def __init__(self, can_id: int, *, lost: bool) -> None:
+            self.frames, self.lost = [(Frame(can_id, b""), can_id)], lost
+
+        def recv_stamped(self, timeout_s: float, *, bus_off_is_lost: bool) -> tuple[Frame, int] | None:
+            if self.lost and not self.frames:
+                raise BusLost("can0 is gone")
+            return self.frames.pop() if self.frames else None
+
+        def close(self) -> None: ...
+
+    buses = iter([Bus(1, lost=True), Bus(2, lost=False)])
+    monkeypatch.setattr(live, "_open", lambda spec: next(buses))
+    seen: list[int] = []
+    with closing(live.LiveSource(["can0"], waits=True)) as source:
+        for frames in source.chunks():
+            seen += frames.can_id.tolist()
+            if 2 in seen:
+                break
+        gone, back = source.news()
+    assert seen == [1, 2] and source.lost is None
+    assert gone == "can0 is gone; waiting for it to come back" and back.startswith("can0 is back after")
 
 
 # ---------------------------------------------------------------- the server
