@@ -77,16 +77,16 @@ def run(args: argparse.Namespace) -> int:
             server.server_close()
             return sources.status
     host = f"[{args.host}]" if ":" in args.host else args.host
-    with server:
-        print(f"http://{host}:{server.server_address[1]} shows {sources.name} until Ctrl-C", flush=True)
-        if not server.names:
-            print(f"everybody who reaches {args.host} of this machine over a network can watch", flush=True)
-        try:
+    try:
+        with server:
+            print(f"http://{host}:{server.server_address[1]} shows {sources.name} until Ctrl-C", flush=True)
+            if not server.names:
+                print(f"everybody who reaches {args.host} of this machine over a network can watch", flush=True)
             _show(source, server, loop=args.loop)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            source.close()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        source.close()
     return sources.status
 
 
