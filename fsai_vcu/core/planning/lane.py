@@ -39,6 +39,11 @@ COST_CURVATURE = 0.25
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
 
 BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
+ONE_BORDER = 0.6  # confidence where only one border is seen
+MARGIN = 1.0  # by so much (about the reward of a cone) another way has to be worse for two thirds of confidence
+ELSEWHERE_M = 1.5  # ways so far apart after a few arcs are different ones
+ARCS_AHEAD = 4
+
 BACKWARD_M = 4.0  # how far behind the car the borders are used
 
 
@@ -46,11 +51,15 @@ BACKWARD_M = 4.0  # how far behind the car the borders are used
 class Lane:
     """The lane ahead. path_m: (M, 2) vehicle frame, from beside the car forward, empty when no lane was found;
     side: (N,) for each cone given, +1 surely on its left … -1 surely on its right, 0 neither;
-    half_width_m: estimate."""
+    half_width_m: estimate; supported_m: how far from the car on the borders bear the path out; confidence: 0…1;
+    note: why there is no path, or why it is doubted."""
 
     path_m: Floats
     side: Floats
     half_width_m: float
+    supported_m: float
+    confidence: float
+    note: str
 
 
 def find_lane(
@@ -60,13 +69,15 @@ def find_lane(
 
     `nose_m`: from the car's rear axle, which follows the path, to its nose.
     """
-    none = Lane(NO_PATH, np.zeros(len(cones.xy_m)), half_width_m)
-    if len(cones.xy_m) < 2:
-        return none
+    count = len(cones.xy_m)
+    none = Lane(
+        NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, f"no lane among {count} cones" if count else "no cones"
+    )
     ahead = cones.xy_m[:, 0] > -BEHIND_M
     if ahead.sum() < 2:
         return none
-    line = _with_backward(_search(cones.xy_m[ahead], cones.side[ahead], settings), curvature_1pm, settings)
+    line, margin = _search(cones.xy_m[ahead], cones.side[ahead], settings)
+    line = _with_backward(line, curvature_1pm, settings)
     half_width = half_width_m
     for _ in range(2):
         line, sides, along, half_width, end_m = _centred(line, cones, half_width, settings)
@@ -75,15 +86,31 @@ def find_lane(
     line = _swept(line, nose_m, settings)
     stations = lengths_along(line)
     start = int(np.argmin(np.hypot(line[:, 0], line[:, 1])))
-    ahead = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
-    if len(ahead) < 3:
+    way = line[(np.arange(len(line)) >= start) & (stations <= end_m + BACKWARD_M)]
+    if len(way) < 3:
         return none
+    path = resampled(way, settings.path_step_m)
     vote = np.where((along > -2.0) & (along < VOTE_M), sides * np.clip(1.2 - along / VOTE_M, 0.2, 1.0), 0.0)
-    return Lane(
-        resampled(ahead, settings.path_step_m),
-        vote,
-        half_width,
-    )
+    supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
+    beside = (along > 0.0) & (along <= end_m)
+    confidence, note = _doubts(sides[beside], cones.side[beside], margin)
+    return Lane(path, vote, half_width, supported_m, confidence, note)
+
+
+def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
+    """Confidence (0…1) and a note about a lane with cones that stand beside it so, but should by what is known."""
+    left, right = int((stands > 0).sum()), int((stands < 0).sum())
+    contrary = int((stands * side < -0.3).sum())
+    sure = 1.0 - math.exp(-margin / MARGIN)
+    confidence = sure * (1.0 - contrary / max(1, left + right)) * (1.0 if left and right else ONE_BORDER)
+    notes = []
+    if not (left and right):
+        notes.append(f"only the {'left' if left else 'right'} border is seen")
+    if contrary > 1:
+        notes.append(f"{contrary} of {left + right} cones have the colour of the other side")
+    if sure < 0.3:
+        notes.append("another way through the cones is nearly as good")
+    return confidence, "; ".join(notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +149,9 @@ def _fan(settings: PlannerSettings) -> _Fan:
     )
 
 
-def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
-    """The best chain of arcs from the origin along x, as (M, 2) points every quarter of a step.
+def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats, float]:
+    """The best chain of arcs from the origin along x, as (M, 2) points every quarter of a step; and by how much the
+    best chain that leads elsewhere costs more.
 
     Half of a simulation's time went into this. The arrays are small (a dozen cones, 14 poses, 9 arcs each), so the
     number of numpy's calls and of its inner loops counts, not the sum of the elements: x and y are treated in one call,
@@ -209,7 +237,19 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> Floats:
     along = fan.quarters_m
     turn = heading + 0.5 * along * curvature
     points = np.stack((x + along * np.cos(turn), y + along * np.sin(turn)), axis=-1)
-    return np.concatenate((points.reshape(-1, 2), last[None, :]))
+    return np.concatenate((points.reshape(-1, 2), last[None, :])), _margin(history, poses)
+
+
+def _margin(history: list[tuple[Floats, Ints, Ints]], poses: Floats) -> float:
+    """How much more than the best chain the best one costs that is elsewhere after `ARCS_AHEAD` arcs."""
+    passed = np.arange(poses.shape[1])
+    for _, parent, _ in reversed(history[ARCS_AHEAD:]):
+        passed = parent.take(passed)
+    there = history[ARCS_AHEAD][0] if len(history) > ARCS_AHEAD else poses
+    at = there[: Y + 1].take(passed, axis=1)
+    best = int(poses[COST].argmin())
+    others = np.hypot(*(at - at[:, best, None])) > ELSEWHERE_M
+    return float(poses[COST].min(where=others, initial=np.inf) - poses[COST, best])
 
 
 def _seen_from(poses: Floats, cones: Floats) -> tuple[Floats, Floats]:
