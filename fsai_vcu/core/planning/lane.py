@@ -33,8 +33,10 @@ INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 REWARD_KNOWN, REWARD_UNKNOWN, REWARD_CONTRARY = 1.0, 0.8, 0.5
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
-COST_BENDING = 0.8  # of a change from straight to the tightest arc
-COST_CURVATURE = 0.25
+COST_BENDING = 1.42  # of a change from straight to the tightest arc
+COST_CURVATURE = 0.44
+TURN_MAX_RAD = 4.5  # a hairpin with its neck turns by 260 degrees; a chain that turns further comes back to its start
+COST_TURNED = 5.0
 
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
 
@@ -70,8 +72,9 @@ def find_lane(
     `nose_m`: from the car's rear axle, which follows the path, to its nose.
     """
     count = len(cones.xy_m)
-    why = f"no lane among {count} cone{'s' * (count != 1)}" if count else "no cones"
-    none = Lane(NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, why)
+    none = Lane(
+        NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, f"no lane among {count} cones" if count else "no cones"
+    )
     ahead = cones.xy_m[:, 0] > -BEHIND_M
     if ahead.sum() < 2:
         return none
@@ -124,7 +127,7 @@ class _Fan:
     quarters_m: Floats  # (4,) way along an arc to each of its points
 
 
-STRAIGHT_ON = 4  # the bend with which a chain begins
+STRAIGHT_ON = 5  # the bend with which a chain begins
 X, Y, HEADING, COS, SIN, COST = range(6)  # rows of an array of poses
 CELLS = np.array([[0.7], [0.7], [0.3]])  # m, m, rad: poses as near as that are about the same
 CELL_NUMBER = np.array([1_000_003.0, 1009.0, 1.0])
@@ -136,7 +139,7 @@ RAMP_SPAN_M = np.array([BORDER_NEAR_M - INSIDE_M, OUTSIDE_M - BORDER_FAR_M])[:, 
 @cache
 def _fan(settings: PlannerSettings) -> _Fan:
     step, tightest = settings.step_m, settings.curvature_max_1pm
-    bends = np.array([-1.0, -0.62, -0.34, -0.14, 0.0, 0.14, 0.34, 0.62, 1.0]) * tightest
+    bends = np.array([-1.0, -0.75, -0.47, -0.26, -0.11, 0.0, 0.11, 0.26, 0.47, 0.75, 1.0]) * tightest
     jerk = np.abs(bends[None, :] - bends[:, None]) / tightest
     return _Fan(
         bends,
@@ -209,6 +212,8 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats
         )
         cost = poses[COST].repeat(n_bends) + np.bincount(arc, charge, n_arcs)
         ends[COST] = (cost.reshape(n_poses, n_bends) + fan.bending_cost.take(bend, axis=0) + fan.curvature_cost).ravel()
+
+        ends[COST, np.abs(ends[HEADING]) > TURN_MAX_RAD] += COST_TURNED
 
         # Keep the best; of chains that end at about the same pose only the best one.
         order = ends[COST].argsort(kind="stable")
