@@ -31,6 +31,7 @@ INSIDE_M, BORDER_NEAR_M, BORDER_FAR_M, OUTSIDE_M = 0.8, 1.2, 2.8, 4.0
 # A detector swaps the colours of one cone in twenty, and of the same one in every look: a cone on the other side than
 # its colour says costs less than two of a border are worth.
 REWARD_KNOWN, REWARD_UNKNOWN, REWARD_CONTRARY = 1.0, 0.8, 0.5
+REWARD_UNSEEN = 0.5  # of an arc beyond all cones: else a way back through those seen is better than the way on
 COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
@@ -162,8 +163,8 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats
     """
     fan = _fan(settings)
     step = settings.step_m
-    furthest_m = min(settings.horizon_m, float(np.hypot(xy[:, 0], xy[:, 1]).max()) + step)
-    levels = max(2, math.ceil(furthest_m / step))
+    reach_m = float(np.hypot(xy[:, 0], xy[:, 1]).max())
+    levels = max(2, math.ceil(min(settings.horizon_m, reach_m + step) / step))
     n_bends, n_cones = len(fan.bends), len(xy)
     cones = np.ascontiguousarray(xy.T)[:, :, None]
 
@@ -214,6 +215,7 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats
         ends[COST] = (cost.reshape(n_poses, n_bends) + fan.bending_cost.take(bend, axis=0) + fan.curvature_cost).ravel()
 
         ends[COST, np.abs(ends[HEADING]) > TURN_MAX_RAD] += COST_TURNED
+        ends[COST, np.hypot(ends[X], ends[Y]) > reach_m] -= REWARD_UNSEEN
 
         # Keep the best; of chains that end at about the same pose only the best one.
         order = ends[COST].argsort(kind="stable")
