@@ -97,7 +97,7 @@ def find_lane(
     supported_m = min(end_m, settings.path_step_m * (len(path) - 1))
     beside = (along > 0.0) & (along <= end_m)
     confidence, note = _doubts(sides[beside], cones.side[beside], margin)
-    return Lane(path, vote, half_width, supported_m, confidence, note)
+    return Lane(path, vote * confidence, half_width, supported_m, confidence, note)
 
 
 def _doubts(stands: Floats, side: Floats, margin: float) -> tuple[float, str]:
