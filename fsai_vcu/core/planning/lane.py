@@ -73,9 +73,8 @@ def find_lane(
     `nose_m`: from the car's rear axle, which follows the path, to its nose.
     """
     count = len(cones.xy_m)
-    none = Lane(
-        NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, f"no lane among {count} cones" if count else "no cones"
-    )
+    why = f"no lane among {count} cone{'s' * (count != 1)}" if count else "no cones"
+    none = Lane(NO_PATH, np.zeros(count), half_width_m, 0.0, 0.0, why)
     ahead = cones.xy_m[:, 0] > -BEHIND_M
     if ahead.sum() < 2:
         return none
