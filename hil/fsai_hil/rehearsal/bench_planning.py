@@ -129,7 +129,7 @@ class Row:
     failed_at_m: tuple[float, ...]  # along the middle
     error_m: float  # mean of all looks
     error_max_m: float
-    took_ms: tuple[float, ...]  # each call of the planner
+    took_ms: tuple[float, ...]  # processor time of each call of the planner
 
 
 def middle_of(track: Track, name: str) -> Floats:
@@ -182,7 +182,7 @@ def judged(track: Track, line: Floats, condition: Condition, name: str) -> Row:
         xy, color = condition.seen(here[seen], colors[seen], draw)
         began_s = time.thread_time()
         plan = planner.on_cones(ConeObservation(motion.t_ns, xy, color, np.ones(len(xy))), motion)
-        took_ms.append(1e3 * (time.thread_time() - began_s))
+        took_ms.append(round(1e3 * (time.thread_time() - began_s), 3))
         if index < SEEN_BEFORE or index % 2:
             continue
         looks += 1
@@ -230,7 +230,10 @@ def hairpins(lane_m: float, gap_m: float) -> Track:
     turn_m, neck_m = 0.5 * (HAIRPIN_OUTSIDE_M - lane_m), 8.0  # radii of the middle
     spread = math.acos(min(1.0, (0.5 * (lane_m + gap_m) + neck_m) / (turn_m + neck_m)))
     neck, turn = (neck_m * spread, -spread), (turn_m * (math.pi + 2.0 * spread), math.pi + 2.0 * spread)
-    middle, yaws, stations, at, yaw, due_m = [], [], [], np.zeros(2), 0.0, 0.0
+    at, yaw, due_m = np.zeros(2), 0.0, 0.0
+    middle: list[Floats] = []
+    yaws: list[float] = []
+    stations: list[int] = []
     for length_m, angle in (((25.0, 0.0), neck, turn, neck)) * 2:
         count = round(length_m / 0.05)
         for _ in range(count):
@@ -264,13 +267,18 @@ def hairpins(lane_m: float, gap_m: float) -> Track:
 
 
 def label(name: str) -> str:
+    """A track's name in the table."""
     return Path(name).stem if name.endswith(".csv") else name
 
 
 def track_named(name: str) -> Track:
+    """As the command line has it; raises TrackError."""
     if not name.startswith("hairpin-"):
         return load_track(name)
-    lane_m, gap_m = map(float, name.split("-")[1:])
+    try:
+        lane_m, gap_m = map(float, name.split("-")[1:])
+    except ValueError:
+        raise TrackError(f"{name}: not hairpin-LANE-GAP, in metres") from None
     return hairpins(lane_m, gap_m)
 
 
@@ -321,7 +329,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             first = ", ".join(f"{at:.0f}" for at in row.failed_at_m[:8])
             print(f"  {row.track}, {row.condition}: {len(row.failed_at_m)} of {row.looks} failed, at {first} m")
     if args.json:
-        args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+        args.json.write_text(json.dumps([asdict(row) for row in rows]))
     return 0
 
 
