@@ -36,9 +36,6 @@ COST_IN_THE_WAY = 2.5
 COST_WRONG_SIDE = 0.4
 COST_BENDING = 1.42  # of a change from straight to the tightest arc
 COST_CURVATURE = 0.44
-TURN_MAX_RAD = 4.5  # a hairpin with its neck turns by 260 degrees; a chain that turns further comes back to its start
-COST_TURNED = 5.0
-
 VOTE_M = 12.0  # how far ahead cones are marked left or right, for the next time; the nearer the surer
 
 BEHIND_M = 3.0  # cones further behind the car are not looked at by the search
@@ -213,7 +210,6 @@ def _search(xy: Floats, side: Floats, settings: PlannerSettings) -> tuple[Floats
         cost = poses[COST].repeat(n_bends) + np.bincount(arc, charge, n_arcs)
         ends[COST] = (cost.reshape(n_poses, n_bends) + fan.bending_cost.take(bend, axis=0) + fan.curvature_cost).ravel()
 
-        ends[COST, np.abs(ends[HEADING]) > TURN_MAX_RAD] += COST_TURNED
         ends[COST, np.hypot(ends[X], ends[Y]) > reach_m] -= REWARD_UNSEEN
 
         # Keep the best; of chains that end at about the same pose only the best one.
