@@ -1,11 +1,11 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo test evidence verify mutation fuzz campaign explanations soak scrutineering bench rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo test evidence verify mutation fuzz campaign explanations soak scrutineering bench bench-planning rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
-	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-13s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-14s %s\n", $$1, $$2}'
 
 setup:  ## create .venv with everything in it; installs system packages when root, else says which
 	@scripts/setup
@@ -49,6 +49,9 @@ scrutineering: setup  ## the handshake's response time on a real vcan0, idle and
 
 bench: setup  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks
 	$(BIN)/python -m fsai_hil.rehearsal.bench
+
+bench-planning: setup  ## how well and how fast the lane is found, with cones missing, swapped, invented or without colours
+	$(BIN)/python -m fsai_hil.rehearsal.bench_planning
 
 rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
 	$(BIN)/python -m fsai_hil.rehearsal.carpc

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from fsai_vcu.core.planning.lane import find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
+from fsai_vcu.interface.units import S
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
@@ -37,6 +39,7 @@ class LapStrategy:
         self._half_width_m = self._settings.lane_half_width_min_m
         self._kept: Floats = NO_PATH  # the last path, in the odometry frame
         self._kept_t_ns = 0
+        self._kept_confidence = 0.0
         self._finished_at_m: float | None = None
         self._stop_m = self._missions.lap_stop_m
 
@@ -48,14 +51,21 @@ class LapStrategy:
         if len(path):
             self._half_width_m += 0.2 * (lane.half_width_m - self._half_width_m)
             memory.vote(cones.index, lane.side)
-            self._kept, self._kept_t_ns = to_odometry(motion, path), motion.t_ns
+            self._kept, self._kept_t_ns, self._kept_confidence = to_odometry(motion, path), motion.t_ns, lane.confidence
+            supported_m, confidence, note = lane.supported_m, lane.confidence, lane.note
         else:
             path = self._kept_path(motion)
+            age_ns = motion.t_ns - self._kept_t_ns
+            kept = len(path) > 0
+            supported_m = float(lengths_along(path)[-1]) if kept else 0.0
+            confidence = self._kept_confidence * (1.0 - age_ns / (self._settings.keep_path_ns + 1)) if kept else 0.0
+            note = f"path kept from {age_ns / S:.1f} s ago" if kept else lane.note
         self._count(cones, path, motion)
+        course = Course(path, self._state.laps, supported_m=supported_m, confidence=confidence, note=note)
         if self._finished_at_m is None:
-            return Course(path, self._state.laps)
+            return course
         left = self._finished_at_m + self._stop_m - motion.distance_m
-        return Course(path, self._state.laps, finished=True, stop_distance_m=max(0.0, left))
+        return replace(course, finished=True, stop_distance_m=max(0.0, left))
 
     def _kept_path(self, motion: Motion) -> Floats:
         """What is left of the last path, if it is not too old."""
