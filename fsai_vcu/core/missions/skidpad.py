@@ -21,17 +21,17 @@ from fsai_vcu.interface.immutable import Immutable
 # Where the car may be on the way in when the circles are searched for; y and yaw from where it should be.
 SEARCH_X_M = np.arange(-30.0, -1.9, 0.8)
 SEARCH_ASIDE = np.array(
-    [(y, yaw) for y in np.arange(-1.5, 1.6, 0.75) for yaw in np.radians(np.arange(-15.0, 16.0, 5.0))]
+    [(y, yaw) for y in np.arange(-3.0, 3.1, 1.0) for yaw in np.radians(np.arange(-15.0, 16.0, 5.0))]
 )
 SEARCH_SIGMA = np.array([1.0, 1.0, 0.1])
 NEARER = np.array([0.0, 1.0, 100.0])  # misfit per m2 and rad2 from where it should be: of places that fit alike
+LANE_CONES_MIN = 6  # fewer fit anywhere: straight on by odometry
 CONES_MIN = 8  # seen, before the circles count as found
 MISFIT_MAX = 6.0  # of a cone in the mean: a sixth of them may stand on no border
 ELSEWHERE_M = 1.5  # places nearer to each other than this are one
 LEAD_MIN = 40.0  # misfit by which the best place must lead: more than a cone on no border
-SLIPS_M = np.arange(
-    -1.8, 1.9, 0.6
-)  # along the path: a circle alone does not say where on it the car is, a crossing does
+# Along the path, tried when tracking: a circle alone does not say where on it the car is, but a crossing does.
+SLIPS_M = np.arange(-1.8, 1.9, 0.6)
 JUMP_M = 2.0  # progress is corrected by no more
 
 
@@ -108,7 +108,7 @@ def search_skidpad(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> 
 
     The lane alone does not say where along it the car is: it is only followed then.
     """
-    if not len(xy_m):
+    if len(xy_m) < LANE_CONES_MIN:
         return state
     cells = np.empty((len(SEARCH_X_M), len(SEARCH_ASIDE), 3))
     cells[..., 0], cells[..., 1:] = SEARCH_X_M[:, None], state.pose[1:] + SEARCH_ASIDE

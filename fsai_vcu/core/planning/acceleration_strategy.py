@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import ConeColor, Motion
-from fsai_vcu.core.missions.acceleration import closed_at, finish_seen
+from fsai_vcu.core.missions.acceleration import closed_at, finish_seen, follow_lane, staged
 from fsai_vcu.core.missions.registration import on_course
 from fsai_vcu.core.missions.settings import MissionSettings
-from fsai_vcu.core.missions.straight import follow_lane, staged
 from fsai_vcu.core.planning.cone_memory import ConeMemory
 from fsai_vcu.core.planning.course import Course, braking_m
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -48,4 +47,5 @@ class AccelerationStrategy:
         if wall is not None:
             left = min(left, wall - along_m - self._nose_m - 1.0)
         path = lane.ahead(self.HORIZON_M, self._step_m)
-        return Course(path, int(self._finished), self._finished, max(0.0, left))
+        sure, note = (1.0, "") if lane.found else (0.3, "straight on by odometry: no lane has been found")
+        return Course(path, int(self._finished), self._finished, max(0.0, left), confidence=sure, note=note)
