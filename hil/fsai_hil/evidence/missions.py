@@ -259,9 +259,8 @@ def _drive(asked: Sequence[Case], args: argparse.Namespace, command: str) -> int
     missing = [case for case in asked if Case(*case.row, case.seed) not in runs]
     progress, failed = Progress("runs", len(missing)), 0
     record.parent.mkdir(parents=True, exist_ok=True)
+    record.write_text("".join(json.dumps(line) + "\n" for line in ({"missions": digest()}, *runs.values())))
     with record.open("a") as file:
-        if not runs:
-            print(json.dumps({"missions": digest()}), file=file, flush=True)
         for number, run in enumerate(spread(driven, missing, args.jobs), 1):
             print(json.dumps(run), file=file, flush=True)
             case = Case(run["mission"], run["track"], run["condition"], run["seed"])
