@@ -106,7 +106,8 @@ def staged(motion: Motion) -> SkidpadState:
 def search_skidpad(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> SkidpadState:
     """The state with the car where it must be on the way in to see these cones (vehicle frame).
 
-    The lane alone does not say where along it the car is: it is only followed then.
+    Found is what two looks in a row agree on. The lane alone does not say where along it the car is: it is only
+    followed then.
     """
     if len(xy_m) < LANE_CONES_MIN:
         return state
@@ -120,9 +121,12 @@ def search_skidpad(course: SkidpadCourse, state: SkidpadState, xy_m: Floats) -> 
     pose = poses[first]
     elsewhere = np.hypot(*(poses[:, :2] - pose[:2]).T) > ELSEWHERE_M
     lead = costs[elsewhere].min(initial=math.inf) - costs[first]
-    if len(xy_m) >= CONES_MIN and lead > LEAD_MIN and costs[first] < MISFIT_MAX * len(xy_m):
-        return SkidpadState(pose, state.motion, float(pose[0]), found=True)
-    return state if state.found else replace(state, pose=pose)
+    clear = len(xy_m) >= CONES_MIN and lead > LEAD_MIN and costs[first] < MISFIT_MAX * len(xy_m)
+    agrees = math.dist(pose[:2], state.pose[:2]) < ELSEWHERE_M
+    if state.found and (agrees or not clear):
+        return state  # tracking knows it better
+    found = bool(clear and agrees)  # false cones may look like the circles once, but not twice at the same place
+    return SkidpadState(pose, state.motion, float(pose[0]) if found else -math.inf, found)
 
 
 def advance_skidpad(course: SkidpadCourse, state: SkidpadState, motion: Motion, xy_m: Floats) -> SkidpadState:

@@ -36,7 +36,7 @@ class SkidpadStrategy:
         course = self._course
         self._state = state = advance_skidpad(course, self._state, motion, seen_xy_m)
         if state.progress_m < self.SEARCHED_UNTIL_M:
-            self._state = state = search_skidpad(course, state, memory.around(motion).xy_m)
+            self._state = state = search_skidpad(course, state, seen_xy_m)
         ahead = np.arange(0.0, self.HORIZON_M + 1e-9, self._step_m)
         if not state.found:
             if motion.distance_m - self._anchored_at_m > self.LANE_IN_MAX_M:
