@@ -175,7 +175,8 @@ def markdown(runs: Sequence[Mapping[str, Any]], command: str) -> str:
         "",
         "Cones hit and times off course are sums over the runs; times are of a lap (acceleration: from line to line;"
         " missions without a track: in AS_DRIVING), of the runs that passed. Missions without cones are driven once:"
-        " nothing in them is random. With `random-SEED` each seed is another track.",
+        " nothing in them is random, and the emergency"
+        " brake in which some end is among the faults. With `random-SEED` each seed is another track.",
         "",
         *(f"- *{name}*: {condition.what}" for name, condition in CONDITIONS.items()),
         "",
@@ -245,7 +246,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if tracks is None and (folder := os.environ.get(TRACKS_VARIABLE)):
             with_cones = [name for name in args.missions if mission_named(name) in MISSION_TRACK]
             asked += cases(with_cones, args.conditions, args.seeds, _tracks([folder]))
-        words = arguments if arguments is not None else sys.argv[1:]
+        words = list(arguments if arguments is not None else sys.argv[1:])
+        for option in ("--record", "--jobs", "-o", "--output"):
+            if option in words:  # changes no figure
+                at = words.index(option)
+                del words[at : at + 2]
         names = (",".join(Path(part).name for part in word.split(",")) for word in words)  # not where files lie
         return _drive(asked, args, " ".join(("python -m fsai_hil.evidence.missions", *names)))
     except (ValueError, OSError) as error:
