@@ -1,7 +1,7 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo test evidence verify mutation fuzz campaign explanations soak scrutineering bench bench-planning rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo test evidence verify missions mutation fuzz campaign explanations soak scrutineering bench bench-planning rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -20,7 +20,7 @@ demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; p
 test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	@scripts/test
 
-evidence: verify mutation campaign explanations  ## all of the long evidence, into docs/evidence; goes on where it was stopped
+evidence: verify mutation campaign explanations missions  ## all of the long evidence, into docs/evidence; goes on where it was stopped
 
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
@@ -39,6 +39,9 @@ campaign: setup  ## strange frames for minutes, then 10,000 runs with a fault in
 
 explanations: setup  ## logs of faults of every kind, explained from their frames; is what was wrong named?
 	$(BIN)/python -m fsai_hil.evidence.explanations
+
+missions: setup  ## every mission, 100 seeds, every condition of the cone sensor; goes on where it was stopped
+	$(BIN)/python -m fsai_hil.evidence.missions -o docs/evidence/missions.md
 
 SOAK_MINUTES ?= 30
 soak: setup  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?
