@@ -22,7 +22,6 @@ from fsai_vcu.core.limits import SPEED_NOT_LIMITED
 from fsai_vcu.core.vehicle.parameters import CARS
 
 _DEFAULT = ControllerSettings()
-_SAID_EVERY_S = 5.0
 _SPEEDS = of_the_file("vehicle_controller", " In m/s.", live=True)
 
 SETTINGS = (
@@ -50,6 +49,7 @@ class VehicleController(Node):
         self._states = Input(self, "vehicle_state")
         self._paths = Input(self, "path")
         self._planner_waits: tuple[str, int] = "", 0  # for what, and when it reported so
+        self._trouble = (False, False)  # an input is late, there is no path: the log says so
         self._command = publisher(self, VehicleCommand, "vehicle_cmd")
         self._confirmation = publisher(self, ResetConfirmation, "reset_confirmation")
         self.create_subscription(RunState, "run_state", self._on_run, TOPICS["run_state"])
@@ -138,8 +138,13 @@ class VehicleController(Node):
         message = command_to_msg(command, self._clocks.stamp_of(command.t_sensor_ns))
         late = self._late_input(command.t_sensor_ns, now_ns, stuck=bool(command.note)) if run.may_move else ""
         message.note = "; ".join(filter(None, (late, command.note)))
-        if message.note:
-            self.get_logger().warning(f"not driving: {message.note}", throttle_duration_sec=_SAID_EVERY_S)
+        trouble = bool(late), bool(command.note)
+        if trouble != self._trouble:
+            self._trouble = trouble
+            if message.note:
+                self.get_logger().warning(f"not driving: {message.note}")
+            elif run.may_move:
+                self.get_logger().info("driving again")
         self._command.publish(message)
 
     def _late_input(self, sensor_ns: int, now_ns: int, *, stuck: bool) -> str:
