@@ -218,6 +218,47 @@ def test_without_a_path_it_brakes_gently_with_steering_held(path: np.ndarray | N
     assert command.steering_rad == steering
 
 
+@pytest.mark.parametrize(
+    ("plan", "note"),
+    [
+        (None, "no plan from the planner"),
+        (plan_of(np.zeros((0, 2)), note="no lane among 7 cones"), "no path: no lane among 7 cones"),
+        (plan_of(STRAIGHT[:3], note="doubted"), "the path ends 1.0 m ahead: doubted"),
+        (plan_of(STRAIGHT, note="doubted"), ""),
+    ],
+)
+def test_what_keeps_the_controller_from_driving_is_told(plan: Plan | None, note: str) -> None:
+    command = ask(plan, speed_mps=0.0)
+    assert (command.note, command.throttle > 0.0) == (note, not note)
+    assert ask(plan, run=replace(RUN, may_move=False)).note == ""
+
+
+def test_a_car_that_stands_without_a_path_is_given_up() -> None:
+    controller, lost = reset_for(RUN), plan_of(np.zeros((0, 2)), note="no cones")
+    waits_ns = round(SETTINGS.give_up_s * 1e9)
+    for t_ns in (0, waits_ns - 1):
+        assert not ask(lost, 0.0, controller, now_ns=t_ns).estop_request
+    command = ask(lost, 0.0, controller, now_ns=waits_ns)
+    assert command.estop_request and not command.mission_finished
+    assert command.note == "the car has stood for 30 s: no path: no cones"
+    assert ask(plan_of(STRAIGHT), 0.0, controller).estop_request, "it stays so for this run"
+    assert not ask(None, 0.0, controller, run=replace(RUN, run_id=4)).estop_request
+
+
+def test_motion_gives_the_time_anew_and_the_finish_ends_it() -> None:
+    controller = reset_for(RUN)
+    lost, over = plan_of(np.zeros((0, 2))), plan_of(STRAIGHT, finished=True, stop_distance_m=0.0)
+    for t_s, plan, speed_mps in ((0, lost, 0.0), (20, lost, 1.0), (40, lost, 0.0), (69, over, 0.0), (200, over, 0.0)):
+        assert not ask(plan, speed_mps, controller, now_ns=t_s * 1000 * MS).estop_request
+
+
+def test_a_car_that_does_not_move_as_asked_is_given_up_too() -> None:
+    controller = reset_for(RUN)
+    for t_ns in (0, round(SETTINGS.give_up_s * 1e9)):
+        command = ask(plan_of(STRAIGHT, t_ns), 0.0, controller, now_ns=t_ns)
+    assert command.estop_request and command.note.endswith("it does not do what it is asked")
+
+
 def test_a_plan_of_another_run_or_mission_is_no_plan() -> None:
     for plan in (plan_of(STRAIGHT, run_id=2), plan_of(STRAIGHT, mission=Ami.SKIDPAD)):
         assert ask(plan, 2.0).throttle == 0.0

@@ -153,8 +153,11 @@ class Stand:
         self.rig.turns()
 
     def plan(self, age_ms: float = 0.0, poses: int = 3) -> None:
-        """As from the planner: in these cones it saw no way."""
-        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path(poses=[PoseStamped()] * poses)
+        """As from the planner: straight on, or, without poses, that it sees no way."""
+        status, path = PlannerStatus(run_id=7, mission=int(Ami.TRACKDRIVE)), Path()
+        for index in range(poses):
+            path.poses.append(PoseStamped())
+            path.poses[-1].pose.position.x = 2.0 * index
         status.header.stamp = path.header.stamp = self.rig.stamp(age_ms)
         self._status.publish(status)
         self._path.publish(path)

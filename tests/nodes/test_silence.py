@@ -83,13 +83,13 @@ def test_a_command_on_old_data_says_that_the_detector_is_silent(rig: RosRig) -> 
 
     def named() -> bool:
         stand.state()
-        return "/detected_cones of tester has been silent" in commands[-1].late
+        return "/detected_cones of tester has been silent" in commands[-1].note
 
     rig.spin_until(planned, "cones and commands")
     rig.spin_until(plan_taken, "a plan")
     rig.spin_until(named, "the command says what is late")
-    assert "it, or the sensors before it" in commands[-1].late
-    assert len(warnings(log, "the data behind the commands grow old")) == 1
+    assert "it, or the sensors before it" in commands[-1].note
+    assert len(warnings(log, "not driving: ", "has been silent")) == 1
 
 
 def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
@@ -105,10 +105,10 @@ def test_a_silent_planner_is_named_by_the_controller(rig: RosRig) -> None:
 
     def named() -> bool:
         stand.state()
-        return commands[-1].late.startswith("/path of some_planner has been silent for")
+        return commands[-1].note.startswith("/path of some_planner has been silent for")
 
     rig.spin_until(planned, "a plan")
-    assert commands[-1].late == ""
+    assert commands[-1].note == ""
     rig.spin_until(named, "the planner is named")
 
 
@@ -151,13 +151,13 @@ class Driving:
     def in_state(self, as_state: AsState) -> bool:
         return bool(self.node._loop.report().run.as_state is as_state)
 
-    def command(self, age_ms: float = 0.0, late: str = "") -> None:
+    def command(self, age_ms: float = 0.0, note: str = "") -> None:
         """Fifty a second: more would take the processor from the car, which is a thread of this process."""
         if time.monotonic() - self._sent_s < 0.02:
             return
         self._sent_s = time.monotonic()
         report = self.node._loop.report()
-        message = VehicleCommand(run_id=report.run.run_id, late=late)
+        message = VehicleCommand(run_id=report.run.run_id, note=note)
         message.header.stamp = self.rig.stamp(age_ms)
         self.commands.publish(message)
 
@@ -186,7 +186,7 @@ def test_the_bridge_names_what_a_command_says_is_late(rig: RosRig, bus: str) -> 
         car = Driving(rig, bus, vcu)
 
         def stale() -> bool:
-            car.command(age_ms=600.0, late="/path of path_planner has been silent for 580 ms")
+            car.command(age_ms=600.0, note="/path of path_planner has been silent for 580 ms")
             return bool(errors(log, "command is stale", "(/path of path_planner has been silent for 580 ms)"))
 
         rig.spin_until(stale, "COMMAND_STALE, and what the command says is late")

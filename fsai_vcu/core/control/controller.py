@@ -1,8 +1,9 @@
 """The controller: plan, motion and run in, one vehicle command out.
 
 `mission_finished` means "stop now, for good": it is set once the plan says the last line is crossed and the stopping
-place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set likewise.
-Throttle and brake are never asked for together.
+place is reached (or the car is about at rest), and stays set for the run. `estop_request` stays set likewise: the
+mission ends so, or the car has stood for too long where it should drive. FINISHED would claim a mission that was not
+fulfilled. `note` says in words why it does not drive. Throttle and brake are never asked for together.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ class Controller:
         self._braking = False
         self._finished = False
         self._estop = False
+        self._note = ""
+        self._stood_since_ns: int | None = None  # where it should drive
         self._inspection = InspectionState()
         self._demo = DemoState()
 
@@ -111,7 +114,7 @@ class Controller:
             steer_rad = math.radians(steer_deg) if math.isfinite(steer_deg) else 0.0
             view = CarView(now_ns, motion, wheel_speeds_rpm, steer_rad, vehicle_standing)
             return self._without_path(view, run)
-        return self._along_path(plan, motion, run, now_ns)
+        return self._along_path(plan, motion, vehicle_standing, run, now_ns)
 
     def _without_path(self, view: CarView, run: Run) -> VehicleCommand:
         request: MissionRequest
@@ -141,16 +144,20 @@ class Controller:
             estop_request=self._estop,
         )
 
-    def _along_path(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> VehicleCommand:
+    def _along_path(
+        self, plan: Plan | None, motion: Motion, vehicle_standing: bool, run: Run, now_ns: int
+    ) -> VehicleCommand:
         if plan is not None:
             self._last_plan = plan
         last = self._last_plan
         throttle, brake = 0.0, 0.0
         limit = self.max_speed_mps(run.mission) + SPEED_LIMIT_MARGIN_MPS
+        self._note = ""
         if not run.may_move:
             self._steering_rad, self._braking, limit = 0.0, False, 0.0
         else:
             throttle, brake = self._drive(plan, motion, run, now_ns)
+            self._give_up(vehicle_standing, now_ns)
         return VehicleCommand(
             t_sensor_ns=plan.t_sensor_ns if plan is not None else motion.t_ns,
             run_id=run.run_id,
@@ -159,10 +166,24 @@ class Controller:
             brake=brake,
             speed_limit_mps=limit,
             mission_finished=self._finished,
+            estop_request=self._estop,
             laps=last.laps if last is not None else 0,
             cones_count_actual=last.cones_count_actual if last is not None else 0,
             cones_count_all=last.cones_count_all if last is not None else 0,
+            note=self._note,
         )
+
+    def _give_up(self, vehicle_standing: bool, now_ns: int) -> None:
+        """Ask for the end, with the reason, where the car has stood for too long instead of driving."""
+        if self._finished or not vehicle_standing:
+            self._stood_since_ns = None
+            return
+        if self._stood_since_ns is None:
+            self._stood_since_ns = now_ns
+        stood_s = (now_ns - self._stood_since_ns) / 1e9
+        if stood_s >= self._settings.give_up_s:
+            self._estop = True
+            self._note = f"the car has stood for {stood_s:.0f} s: {self._note or 'it does not do what it is asked'}"
 
     def _drive(self, plan: Plan | None, motion: Motion, run: Run, now_ns: int) -> tuple[float, float]:
         """Throttle and brake; the steering is left in `_steering_rad`."""
@@ -170,7 +191,7 @@ class Controller:
         speed = motion.speed_mps
         there = self._history.at(plan.t_sensor_ns) if plan is not None else None
         if plan is None or there is None:
-            return self._no_way()
+            return self._no_way("no plan from the planner")
         driven = motion_at(motion, now_ns).distance_m - there.distance_m
         stop_m = None if plan.stop_distance_m is None else plan.stop_distance_m - driven
         if plan.finished and (speed < NEARLY_AT_REST_MPS or (stop_m is not None and stop_m <= 0.1 * speed + 0.3)):
@@ -178,13 +199,14 @@ class Controller:
 
         path = np.asarray(plan.path_m, dtype=np.float64).reshape(-1, 2)
         if len(path) < 3 or not np.isfinite(path).all():
-            return self._no_way()
+            return self._no_way(f"no path: {plan.note or f'{plan.cones_count_actual} cones are seen'}")
         predicted = motion_at(motion, now_ns + round(settings.delay_s * 1e9))
         here = to_vehicle(predicted, to_odometry(there, path))
         along = lengths_along(here)
         nearest = int((here[:, 0] ** 2 + here[:, 1] ** 2).argmin())
-        if along[-1] - along[nearest] < settings.path_min_m:
-            return self._no_way()
+        length_m = along[-1] - along[nearest]
+        if length_m < settings.path_min_m:
+            return self._no_way(f"the path ends {length_m:.1f} m ahead" + (f": {plan.note}" if plan.note else ""))
         steering = pursue(here, along, nearest, lookahead_m(speed, settings), self._car.wheelbase_m)
         if steering is not None:
             self._steering_rad = self._within(steering)
@@ -210,9 +232,9 @@ class Controller:
             return 0.0, 0.0
         return self._throttle_for(settings.speed_gain_1ps * (allowed_mps - speed), speed), 0.0
 
-    def _no_way(self) -> tuple[float, float]:
+    def _no_way(self, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
-        self._braking = True
+        self._braking, self._note = True, why
         return 0.0, self._settings.final_brake if self._finished else self._settings.gentle_brake
 
     def _within(self, steering_rad: float) -> float:

@@ -42,6 +42,7 @@ class ControllerSettings(Immutable):
     gentle_brake: float = within(0.0, 1.0, 0.2)  # without a path
     final_brake: float = within(0.05, 1.0, 0.3)  # after the end
     path_min_m: float = 1.5  # a shorter path is none
+    give_up_s: float = within(5.0, 600.0, 30.0)  # of standing where the car should drive: then ESTOP_REQUEST
 
     def __post_init__(self) -> None:
         check_ranges(self, "controller")

@@ -705,7 +705,7 @@ def _react(
         return _begin_stop(state, Asked.MANUAL, "", now_ns), hold, reasons
     if command is not None:
         if command.estop_request:
-            state = ask_emergency(state, Asked.MISSION, "", now_ns)
+            state = ask_emergency(state, Asked.MISSION, command.note, now_ns)
         if command.mission_finished and may_move(config, state, now_ns):
             state = _begin_stop(state, Asked.MISSION_DONE, "", now_ns)
     return state, hold, reasons

@@ -155,7 +155,7 @@ class VcuBridge(LifecycleNode):
         self._last_fix_ns = self._last_imu_ns = self._last_motion_ns = 0
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
         self._commands = Input(self, "vehicle_cmd")
-        self._late = ""  # which input the last command was waiting for
+        self._note = ""  # why the controller does not drive, as its last command says
         self._deadline_missed = False  # and nothing has come since
         self._timers: list[Timer] = []
         self._goals: dict[bytes, _Following] = {}  # by goal id
@@ -345,7 +345,7 @@ class VcuBridge(LifecycleNode):
         sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         self._sensor_ns = sensor_ns
         self._commands.received(now_ns, now_ns - sensor_ns)
-        self._late, self._deadline_missed = message.late, False
+        self._note, self._deadline_missed = message.note, False
         loop.submit_command(command_from_msg(message, sensor_ns))
 
     def _on_deadline_missed(self, _event: object) -> None:
@@ -362,7 +362,7 @@ class VcuBridge(LifecycleNode):
     def _whose_silence(self) -> str:
         """Which input is missing, in words, where the vehicle command is stale."""
         silence = self._commands.silence(self._clocks.now_ns())
-        return silence or self._late or self._commands.old_data() or "commands come, but late or refused"
+        return silence or self._note or self._commands.old_data() or "commands come, but late or refused"
 
     def _on_confirmation(self, message: ResetConfirmation) -> None:
         if self._loop is not None:
