@@ -1,7 +1,7 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo test evidence verify mutation fuzz campaign explanations soak scrutineering bench rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo test evidence verify mutation fuzz campaign explanations soak scrutineering bench bench-control rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -49,6 +49,9 @@ scrutineering: setup  ## the handshake's response time on a real vcan0, idle and
 
 bench: setup  ## speed, as ratios to cantools and python-can, and how soon the bridge node speaks
 	$(BIN)/python -m fsai_hil.rehearsal.bench
+
+bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
+	$(BIN)/python -m fsai_hil.rehearsal.bench_control
 
 rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
 	$(BIN)/python -m fsai_hil.rehearsal.carpc
