@@ -1,7 +1,7 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo test evidence verify missions mutation fuzz campaign explanations soak scrutineering bench bench-planning rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo test evidence verify missions mutation fuzz campaign explanations soak scrutineering bench bench-planning bench-control rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -55,6 +55,9 @@ bench: setup  ## speed, as ratios to cantools and python-can, and how soon the b
 
 bench-planning: setup  ## how well and how fast the lane is found, with cones missing, swapped, invented or without colours
 	$(BIN)/python -m fsai_hil.rehearsal.bench_planning
+
+bench-control: setup  ## how well the car follows paths and speeds, beside plain pure pursuit; minutes
+	$(BIN)/python -m fsai_hil.rehearsal.bench_control
 
 rehearsal: setup-for-tests  ## boot the car PC's services under a real systemd, drive, and break them one by one
 	$(BIN)/python -m fsai_hil.rehearsal.carpc

@@ -26,6 +26,7 @@ ARGUMENTS = {
     "laps": (("path_planner",), int, "laps of a trackdrive"),
     "max_speed": (("vehicle_controller",), float, "highest speed in every mission, in m/s"),
     "lap_max_speed": (("vehicle_controller",), float, "highest speed on laps, in m/s"),
+    "race_max_speed": (("vehicle_controller",), float, "highest speed on laps along a map, in m/s"),
     "skidpad_max_speed": (("vehicle_controller",), float, "highest speed in the skidpad, in m/s"),
     "acceleration_max_speed": (("vehicle_controller",), float, "highest speed in the acceleration, in m/s"),
 }
