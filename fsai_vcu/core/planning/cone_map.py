@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 
 NEAR_M = 25.0  # cones further from the car cannot be seen
 RECENT_M = 30.0  # of way: before the lap is closed, a cone not seen for longer is not one that is in sight now
-VIEW_M = 8.0  # cones come into view at least this far ahead
+VIEW_M = 14.0  # cones come into view about this far ahead
 BELIEVED_HITS = 3.0
 AVERAGE_OVER = 20.0  # sightings in a cone's mean
 TRUST_GAIN, TRUST_NEW, TRUST_MIN = 0.15, 0.5, 0.2  # of the share of looks at a cone's place that find it
@@ -34,11 +34,15 @@ SIGMA_M, SIGMA_PER_M = 0.05, 0.01  # of a cone seen, with its distance
 DRIFT_M, DRIFT_PER_M = 0.004, 0.01  # of odometry between two observations
 DRIFT_RAD, DRIFT_RAD_PER_M = 0.0007, 0.0015
 FIT_GAIN = 0.2
+TAKING_FIT = 0.6  # a car that is lost does not change the map
 TRACK_STEP_M = 0.5
 
-SEARCH_M = np.arange(-3.0, 3.1, 0.75)
-SEARCH_RAD = np.arange(-0.15, 0.16, 0.05)
-CLOSING_CONES, CLOSING_FIT = 5, 0.8
+LOST_M = 8.0  # how far from where it is thought to be the car may be found
+# Looking for the car around a guess: coarsely first, then at the best places apart from each other
+SEARCH_M = np.arange(-6.0, 6.1, 1.5)
+SEARCH_RAD = np.arange(-0.16, 0.17, 0.08)
+SEARCH_GATE_M, SEARCH_APART_M, SEARCH_PLACES = 2.0, 2.0, 4
+SEARCH_CONES, SEARCH_FIT, SEARCH_LEAD = 6, 0.8, 0.15  # so many cones, all but some fit, and elsewhere fit worse
 
 _CONE = np.dtype(
     [
@@ -94,41 +98,30 @@ class ConeMap:
         self.here = here
         if not self.closed and (not self._track or motion.distance_m > self._track[-1][0] + TRACK_STEP_M):
             self._track.append((motion.distance_m, here.x_m, here.y_m))
-        if not self.closed or self.fit > CLOSING_FIT:  # a car that is lost does not change the map
+        if not self.closed or self.fit > TAKING_FIT:
             self._take_in(seen_xy_m, np.flatnonzero(near))
         return here
 
     def find(self, seen_xy_m: Floats) -> Motion:
         """Look for the car some metres around where it was thought to be."""
-        here, cones = self.here, self._cones["xy"][self._believed]
-        around = np.hypot(cones[:, 0] - here.x_m, cones[:, 1] - here.y_m) < NEAR_M
-        if len(seen_xy_m) < CLOSING_CONES or not around.any():
-            return here
-        found = located(here, seen_xy_m, cones[around])
-        if fit_of(found, seen_xy_m, cones[around]) > CLOSING_FIT:
-            self.here = found
+        cones = self._cones["xy"][self._believed]
+        around = np.hypot(cones[:, 0] - self.here.x_m, cones[:, 1] - self.here.y_m) < NEAR_M
+        self.here = located(self.here, LOST_M, seen_xy_m, cones[around]) or self.here
         return self.here
 
-    def close(self, begun_m: float, ended_m: float, line_shift_m: tuple[float, float]) -> bool:
+    def close(self, begun_m: float, ended_m: float, drift_m: tuple[float, float], doubt_m: float = LOST_M) -> bool:
         """Close the lap that was driven between two passages of its line, when the distances driven were these.
 
-        `line_shift_m`: from where the line was found at the end to where it was at the beginning, as far as known.
+        `drift_m`: from where things are found at the lap's end to where they were at its beginning, within `doubt_m`.
         False where the cones do not match yet.
         """
         self._cones = self._cones[self._cones["last_m"] > begun_m - RECENT_M]
         cones, here = self._cones, self.here
         old = self._believed & (cones["first_m"] < begun_m + RECENT_M)
-        again = self._believed & (cones["first_m"] > ended_m - VIEW_M) & ~old  # beyond the line, that is
-        seen = to_vehicle(here, cones["xy"][again])
-        if old.sum() < CLOSING_CONES:
-            return False
-        found = here
-        if again.sum() >= CLOSING_CONES:
-            guess = replace(here, x_m=here.x_m + line_shift_m[0], y_m=here.y_m + line_shift_m[1])
-            found = located(guess, seen, cones["xy"][old])
-            if fit_of(found, seen, cones["xy"][old]) < CLOSING_FIT:
-                return False
-        elif fit_of(here, to_vehicle(here, cones["xy"][old & (cones["last_m"] > ended_m)]), cones["xy"][old]) < 0.5:
+        again = self._believed & (cones["first_m"] > ended_m - VIEW_M) & ~old
+        guess = replace(here, x_m=here.x_m + drift_m[0], y_m=here.y_m + drift_m[1])
+        found = located(guess, doubt_m, to_vehicle(here, cones["xy"][again]), cones["xy"][old])
+        if found is None:
             return False
         driven = self._spread(found, begun_m)
         self._merge(old, again, driven)
@@ -242,23 +235,37 @@ def registered(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats, drift_m: flo
     return here
 
 
-def located(guess: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> Motion:
-    """As `registered`, but with some metres and tenths of a radian around the guess searched first."""
-    best, best_cost = guess, math.inf
+def located(guess: Motion, doubt_m: float, seen_xy_m: Floats, fixed_xy_m: Floats) -> Motion | None:
+    """The pose from which the cones seen stand where they are known to, searched for around the guess.
+
+    `doubt_m`: a place so far from the guess must fit better by a tenth of all cones.
+
+    None where they fit nowhere, or about as well at two places: cones stand at even distances.
+    """
+    if len(seen_xy_m) < SEARCH_CONES or not len(fixed_xy_m):
+        return None
     fixed = fixed_xy_m @ (1.0, 1j)
     shifts = (SEARCH_M[:, None] + 1j * SEARCH_M).ravel()
-    for turn in SEARCH_RAD:
-        turned = replace(guess, yaw_rad=guess.yaw_rad + float(turn))
-        at = to_odometry(turned, seen_xy_m) @ (1.0, 1j)
+    turned = [replace(guess, yaw_rad=guess.yaw_rad + float(turn)) for turn in SEARCH_RAD]
+    costs = np.empty((len(turned), len(shifts)))
+    for row, pose in enumerate(turned):
+        at = to_odometry(pose, seen_xy_m) @ (1.0, 1j)
         gap = np.abs(shifts[:, None, None] + at[:, None] - fixed).min(axis=2)
-        cost = np.minimum(gap, GATE_M).__pow__(2).sum(axis=1) + 0.02 * np.abs(shifts) ** 2 + 10.0 * turn**2
-        if cost.min() < best_cost:
-            shift = shifts[cost.argmin()]
-            best_cost = cost.min()
-            best = replace(turned, x_m=guess.x_m + float(shift.real), y_m=guess.y_m + float(shift.imag))
-    for _ in range(5):
-        best = registered(best, seen_xy_m, fixed_xy_m, 1.0, 0.3)
-    return best
+        costs[row] = np.minimum(gap, SEARCH_GATE_M).sum(axis=1)
+    found: list[tuple[float, Motion]] = []
+    for _ in range(SEARCH_PLACES):
+        row, place = divmod(int(costs.argmin()), len(shifts))
+        shift = shifts[place]
+        costs[:, np.abs(shifts - shift) < SEARCH_APART_M] = np.inf
+        pose = replace(turned[row], x_m=guess.x_m + float(shift.real), y_m=guess.y_m + float(shift.imag))
+        for _ in range(5):
+            pose = registered(pose, seen_xy_m, fixed_xy_m, 1.0, 0.3)
+        if all(math.hypot(pose.x_m - other.x_m, pose.y_m - other.y_m) > GATE_M for _, other in found):
+            away_m = math.hypot(pose.x_m - guess.x_m, pose.y_m - guess.y_m)
+            found.append((fit_of(pose, seen_xy_m, fixed_xy_m) - 0.1 * (away_m / doubt_m) ** 2, pose))
+    found.sort(key=lambda each: each[0], reverse=True)
+    unique = len(found) == 1 or found[1][0] < found[0][0] - SEARCH_LEAD
+    return found[0][1] if found[0][0] > SEARCH_FIT and unique else None
 
 
 def fit_of(here: Motion, seen_xy_m: Floats, fixed_xy_m: Floats) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +15,12 @@ from fsai_vcu.core.planning.cone_memory import ConeMemory, Cones
 from fsai_vcu.core.planning.course import Course, braking_m
 from fsai_vcu.core.planning.lane import find_lane
 from fsai_vcu.core.planning.pose import NO_PATH, headings_along, lengths_along, to_odometry, to_vehicle
-from fsai_vcu.core.planning.racing import Racing
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.immutable import replace
+
+if TYPE_CHECKING:
+    from fsai_vcu.core.planning.racing import Racing
 
 GATE_WIDER_M = 1.0  # a gate's cones may stand this much further out than the lane's border
 LAP_BRAKING_MPS2 = 3.0  # comfortable, from the speed at the finish
@@ -40,8 +43,11 @@ class LapStrategy:
         self._half_width_m = self._settings.lane_half_width_min_m
         self._kept: Floats = NO_PATH  # the last path, in the odometry frame
         self._kept_t_ns = 0
-        # A single lap leaves nothing to race.
-        self._racing = Racing(self._car, self._settings, motion) if self._laps > 1 else None
+        self._racing: Racing | None = None
+        if self._laps > 1:  # a single lap leaves nothing to race
+            from fsai_vcu.core.planning.racing import Racing  # slow to import, so not in the middle of a run
+
+            self._racing = Racing(self._car, self._settings, motion)
         self._finished_at_m: float | None = None
         self._stop_m = self._missions.lap_stop_m
 
@@ -61,7 +67,8 @@ class LapStrategy:
         left = None
         if self._finished_at_m is not None:
             left = max(0.0, self._finished_at_m + self._stop_m - motion.distance_m)
-        return Course(path, self._state.laps, left is not None, left, mapped=mapped, note=note)
+        course = Course(path, self._state.laps, left is not None, left, note=note)
+        return replace(course, mapped=True, supported_m=self._settings.path_step_m * len(path)) if mapped else course
 
     def _lane(self, memory: ConeMemory, cones: Cones, motion: Motion) -> Floats:
         """The way on in the lane that the cones around the car make."""

@@ -164,12 +164,12 @@ def _bounds(
     """(N,) how far to the left (positive) and to the right (negative) of each point the rear axle may be."""
     dx = cones_xy_m[:, None, 0] - line[:, 0]
     dy = cones_xy_m[:, None, 1] - line[:, 1]
-    gap = np.hypot(dx, dy)
+    gap = dx * dx + dy * dy
     # A cone may stand beside several stretches of the line: it is beside each point nearer than its neighbours.
-    nearest = (gap < REACH_M) & (gap <= np.roll(gap, 1, axis=1)) & (gap < np.roll(gap, -1, axis=1))
-    cone, at = np.nonzero(nearest)
+    nearer = np.roll(gap, 1, axis=1) < gap  # is the point before
+    cone, at = np.nonzero((gap < REACH_M**2) & ~nearer & np.roll(nearer, -1, axis=1))
     lateral = dy[cone, at] * cos[at] - dx[cone, at] * sin[at]
-    stations: Floats = np.arange(len(line)) * (_length(line) / len(line))
+    stations = np.arange(len(line), dtype=np.float64) * (_length(line) / len(line))
     half = 0.5 * car.width_m + CONE_RADIUS_M + MARGIN_M
     curvature = _curvature(line, cos, sin)
     bounds = []

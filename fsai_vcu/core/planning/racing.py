@@ -9,7 +9,7 @@ import numpy as np
 from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import LapState
-from fsai_vcu.core.planning.cone_map import ConeMap
+from fsai_vcu.core.planning.cone_map import LOST_M, ConeMap
 from fsai_vcu.core.planning.pose import NO_PATH
 from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
 from fsai_vcu.core.planning.settings import PlannerSettings
@@ -18,6 +18,7 @@ from fsai_vcu.interface.immutable import replace
 
 HORIZON_M = 70.0  # of the path handed on
 CLOSING_M = (10.0, 40.0)  # beyond the line: by then the lap's first cones are seen again, or are not
+GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 STEADY = 10  # observations in a row that allow the line before it is joined
 JOINING_M, JOINING_S = 8.0, 1.5  # of way in which the car comes onto the line, with its speed
@@ -63,8 +64,9 @@ class Racing:
         assert begun.passed_at_m is not None and ended.passed_at_m is not None
         if not CLOSING_M[0] < motion.distance_m - ended.passed_at_m < CLOSING_M[1]:
             return state
-        shift = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m)
-        if not self._map.close(begun.passed_at_m, ended.passed_at_m, shift):
+        drift = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m)
+        doubt_m = GATE_DOUBT_M if _gate_seen(begun) and _gate_seen(ended) else LOST_M
+        if not self._map.close(begun.passed_at_m, ended.passed_at_m, drift, doubt_m):
             return state
         return replace(state, line=replace(begun.line, at_distance_m=motion.distance_m))
 
@@ -113,6 +115,12 @@ class Racing:
             return NO_PATH, ""
         self._joined_at = joined_at
         return path, ""
+
+
+def _gate_seen(passage: LapState) -> bool:
+    """The line was passed where its gate had been seen right before."""
+    at_m = passage.line.at_distance_m
+    return passage.line.seen and passage.passed_at_m is not None and 0.0 < passage.passed_at_m - at_m < CLOSING_M[0]
 
 
 def _joining(left_m: float, turned_rad: float, length_m: float, step_m: float) -> Floats:
