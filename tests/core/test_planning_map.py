@@ -53,7 +53,11 @@ def test_the_map_closes_over_the_drift_of_odometry() -> None:
     ride = Mapping()
     ride.drive(CIRCUIT.length_m + 26.0)
     assert ride.error_m(ride.motion) > 3.0 and not ride.map.closed
-    assert ride.map.close(*ride.line_at_m, (0.0, 0.0))
+    begun_m, ended_m = ride.line_at_m
+    assert ride.map.close(begun_m, ended_m - 4.0, (0.0, 0.0))  # where odometry believed the line
+    lap = ride.map.lap_xy_m
+    assert np.hypot(*np.diff(np.vstack((lap, lap[:1])), axis=0).T).max() < 1.5  # a ring without a fold
+    assert np.hypot(*np.diff(lap, axis=0).T).sum() == pytest.approx(CIRCUIT.length_m, abs=4.0)
     ride.drive(2.0)
     assert ride.error_m(ride.map.here) < 0.5
     cones, there = ride.map.take(), ride.truth(CIRCUIT.cones_xy_m)

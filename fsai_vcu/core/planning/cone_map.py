@@ -127,7 +127,10 @@ class ConeMap:
         self._merge(old, again, driven)
         self.here, self.closed, self.changed, self.fit = found, True, True, 1.0
         way = np.array([way for way, _, _ in self._track])
-        self.lap_xy_m = driven[(way >= begun_m) & (way < ended_m)]
+        lap = driven[way >= begun_m]
+        # Where drift has moved the line, the lap ends where it began, not where the line was passed.
+        end = _lengths(lap - lap[0]) + np.where(way[way >= begun_m] > ended_m - VIEW_M, 0.0, np.inf)
+        self.lap_xy_m = lap[: int(end.argmin())]
         return True
 
     def _carried(self, motion: Motion) -> Motion:

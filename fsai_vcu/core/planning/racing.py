@@ -18,6 +18,7 @@ from fsai_vcu.interface.immutable import replace
 
 HORIZON_M = 70.0  # of the path handed on
 CLOSING_M = (10.0, 40.0)  # beyond the line: by then the lap's first cones are seen again, or are not
+SEARCH_EVERY_M = 2.0
 GATE_DOUBT_M = 1.5  # of the line's place, seen by its gate
 FIT_MIN, FIT_TO_JOIN = 0.5, 0.7
 STEADY = 10  # observations in a row that allow the line before it is joined
@@ -39,6 +40,7 @@ class Racing:
         self._joined_at: int | None = None
         self._offsets: Floats = np.zeros(0)  # of the path from the line, from where it was joined
         self._steady = 0
+        self._searched_at_m = motion.distance_m
         self.note = ""
 
     @property
@@ -49,9 +51,16 @@ class Racing:
     def see(self, seen_xy_m: Floats, motion: Motion) -> Motion:
         """Take in the cones seen (vehicle frame). Returns the car's motion in the map frame."""
         here = self._map.add(seen_xy_m, motion)
-        if self._map.closed and not self.located:
+        if self._map.closed and not self.located and self._may_search(motion):
             here = self._map.find(seen_xy_m)
         return here
+
+    def _may_search(self, motion: Motion) -> bool:
+        """A search takes as long as some observations' other work: not at each of them."""
+        if motion.distance_m < self._searched_at_m + SEARCH_EVERY_M:
+            return False
+        self._searched_at_m = motion.distance_m
+        return True
 
     def close(self, state: LapState, motion: Motion) -> LapState:
         """Close the map once a lap is behind the car, and put the line back where it was when the lap began."""
@@ -62,10 +71,12 @@ class Racing:
             return state
         begun, ended = passages[-2], passages[-1]
         assert begun.passed_at_m is not None and ended.passed_at_m is not None
-        if not CLOSING_M[0] < motion.distance_m - ended.passed_at_m < CLOSING_M[1]:
+        beyond = CLOSING_M[0] < motion.distance_m - ended.passed_at_m < CLOSING_M[1]
+        if not beyond or not self._may_search(motion):
             return state
-        drift = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m)
-        doubt_m = GATE_DOUBT_M if _gate_seen(begun) and _gate_seen(ended) else LOST_M
+        drift, doubt_m = (0.0, 0.0), LOST_M
+        if _gate_seen(begun) and _gate_seen(ended):
+            drift, doubt_m = (begun.line.x_m - ended.line.x_m, begun.line.y_m - ended.line.y_m), GATE_DOUBT_M
         if not self._map.close(begun.passed_at_m, ended.passed_at_m, drift, doubt_m):
             return state
         return replace(state, line=replace(begun.line, at_distance_m=motion.distance_m))
