@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solveh_banded  # type: ignore[import-untyped]
 
 from fsai_vcu.core.arrays import Floats, Ints
@@ -18,8 +19,11 @@ from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.planning.pose import lengths_along, to_vehicle
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
 
+Bools = NDArray[np.bool_]
+
 MARGIN_M = 0.3  # between body and cones
 CONE_RADIUS_M = 0.14
+NEWS_M = 0.25  # a cone seen so far from all known ones is not one of them; less the margin has room for
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
 BESIDE_M, BEYOND_M = 4.0, 1.0  # of cones so near to each other, one that stands so much further out is no border
 NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
@@ -39,6 +43,12 @@ class RaceLine:
     left_m: Floats
     right_m: Floats
     step_m: float
+    cones_xy_m: Floats  # between which it was laid
+
+    def news(self, xy_m: Floats) -> Bools:
+        """Which of these cones (map frame) stand where the line was laid without them."""
+        dx, dy = xy_m[:, None, 0] - self.cones_xy_m[:, 0], xy_m[:, None, 1] - self.cones_xy_m[:, 1]
+        return np.asarray((dx * dx + dy * dy).min(axis=1) > NEWS_M**2)
 
     def beside(self, here: Motion) -> tuple[int, float, float]:
         """The point that the car is beside, how far to its left the car is (m), and how far turned to the left."""
@@ -88,7 +98,7 @@ class LineSearch:
         if self._rounds < ROUNDS:
             self._line = _resampled(line, self._step_m)
             return None
-        return RaceLine(line, *_directions(line), left, right, self._step_m)
+        return RaceLine(line, *_directions(line), left, right, self._step_m, self._cones)
 
 
 def clear(path_m: Floats, cones_xy_m: Floats, beside_m: Floats, car: VehicleParameters) -> bool:

@@ -10,7 +10,7 @@ from fsai_vcu.core.arrays import Floats
 from fsai_vcu.core.driving import Motion
 from fsai_vcu.core.missions.laps import LapState
 from fsai_vcu.core.planning.cone_map import LOST_M, ConeMap
-from fsai_vcu.core.planning.pose import NO_PATH
+from fsai_vcu.core.planning.pose import NO_PATH, to_odometry
 from fsai_vcu.core.planning.race_line import LineSearch, RaceLine, clear
 from fsai_vcu.core.planning.settings import PlannerSettings
 from fsai_vcu.core.vehicle.parameters import VehicleParameters
@@ -118,8 +118,9 @@ class Racing:
         if abs(aside_m) > most_m or abs(turned_rad) > TURNED_RAD:
             return NO_PATH, "the car is not on the race line"
         path = line.path(index, HORIZON_M, offsets, here)
-        beside = BESIDE_M - BESIDE_PER_M * np.hypot(cones_xy_m[:, 0], cones_xy_m[:, 1])
-        if not clear(path[: round(LOOK_M / line.step_m)], cones_xy_m, beside, self._car):
+        news = cones_xy_m[line.news(to_odometry(here, cones_xy_m))]
+        beside = BESIDE_M - BESIDE_PER_M * np.hypot(news[:, 0], news[:, 1])
+        if not clear(path[: round(LOOK_M / line.step_m)], news, beside, self._car):
             return NO_PATH, "a cone stands on the race line"
         self._steady += 1
         if self._steady < STEADY:
