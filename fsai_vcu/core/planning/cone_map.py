@@ -33,6 +33,7 @@ GATE_M = 0.8  # a cone seen further than this from every known one is not matche
 SIGMA_M, SIGMA_PER_M = 0.05, 0.01  # of a cone seen, with its distance
 DRIFT_M, DRIFT_PER_M = 0.004, 0.01  # of odometry between two observations
 DRIFT_RAD, DRIFT_RAD_PER_M = 0.0007, 0.0015
+CLOSED_LOOSER = 3.0  # a whole map is believed more, and raced in: wheels slip more
 FIT_GAIN = 0.2
 TAKING_FIT = 0.6  # a car that is lost does not change the map
 TRACK_STEP_M = 0.5
@@ -91,8 +92,9 @@ class ConeMap:
             near &= cones["last_m"] > motion.distance_m - RECENT_M
         firm = near & self._believed
         if len(seen_xy_m) and firm.any():
-            drift = (DRIFT_M + DRIFT_PER_M * step_m, DRIFT_RAD + DRIFT_RAD_PER_M * step_m)
-            here = registered(here, seen_xy_m, cones["xy"][firm], *drift)
+            loose = CLOSED_LOOSER if self.closed else 1.0
+            drift_m, drift_rad = DRIFT_M + DRIFT_PER_M * step_m, DRIFT_RAD + DRIFT_RAD_PER_M * step_m
+            here = registered(here, seen_xy_m, cones["xy"][firm], loose * drift_m, loose * drift_rad)
         fit = fit_of(here, seen_xy_m, cones["xy"][firm])
         self.fit += FIT_GAIN * (fit - self.fit)
         self.here = here
