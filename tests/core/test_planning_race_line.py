@@ -13,6 +13,7 @@ from fsai_hil.simulator.car import Pose
 from fsai_hil.simulator.sensing import ConeSensor
 from fsai_hil.simulator.tracks import Track, random_circuit, small_oval
 from fsai_vcu.core.arrays import Floats
+from fsai_vcu.core.driving import ConeColor
 from fsai_vcu.core.planning.pose import lengths_along
 from fsai_vcu.core.planning.race_line import MARGIN_M, LineSearch, RaceLine
 
@@ -71,13 +72,14 @@ def test_the_path_comes_from_the_car_onto_the_line() -> None:
 
 
 def move_cone(ride: Ride, ahead_m: float, inward_m: float) -> int:
-    """The nearest cone to a place of the lap ahead steps into the lane. Returns which one it is."""
+    """The left cone nearest to a place of the lap ahead steps into the lane. Returns which one it is."""
     track = ride.track
     middle = track.centreline_m
     here = int(np.hypot(*(middle - (ride.pose.x_m, ride.pose.y_m)).T).argmin())
     along = lengths_along(middle)
     place = middle[int(np.abs(along - (along[here] + ahead_m) % along[-1]).argmin())]
-    cone = int(np.hypot(*(track.cones_xy_m - place).T).argmin())
+    away = np.hypot(*(track.cones_xy_m - place).T) + np.where(track.cone_colors == ConeColor.BLUE, 0.0, np.inf)
+    cone = int(away.argmin())
     inward = middle[int(np.hypot(*(middle - track.cones_xy_m[cone]).T).argmin())] - track.cones_xy_m[cone]
     moved = track.cones_xy_m.copy()
     moved[cone] += inward_m * inward / math.hypot(*inward)
@@ -89,7 +91,7 @@ def move_cone(ride: Ride, ahead_m: float, inward_m: float) -> int:
 def test_a_moved_cone_is_avoided_and_raced_around() -> None:
     ride = Ride(OVAL, laps=4)
     ride.until_mapped()
-    cone = ride.track.cones_xy_m[move_cone(ride, 30.0, 1.0)]
+    cone = ride.track.cones_xy_m[move_cone(ride, 52.0, 0.7)]
     beside = []  # the moved cone: laps and whether the path is the map's
     while (plan := ride.step()).laps < 3:
         assert clearance_m(ride.pose, ride.track.cones_xy_m) > 0.05

@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 
 MARGIN_M = 0.3  # between body and cones
 CONE_RADIUS_M = 0.14
-NEWS_M = 0.25  # a cone seen so far from all known ones is not one of them; less the margin has room for
+NEWS_M = 0.35  # a cone seen so far from all known ones is not one of them; less is the doubt of two places compared
 REACH_M = 5.0  # a cone further from the line is none of this lane's border
 BESIDE_M, BEYOND_M = 4.0, 1.0  # of cones so near to each other, one that stands so much further out is no border
 NARROW_M = 0.02  # left to the line where a lane is too narrow for the margin
