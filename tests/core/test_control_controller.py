@@ -428,7 +428,8 @@ def test_without_a_path_it_brakes_gently_with_steering_held(path: np.ndarray | N
     [
         (None, "no plan from the planner"),
         (plan_of(np.zeros((0, 2)), note="no lane among 7 cones"), "no path: no lane among 7 cones"),
-        (plan_of(STRAIGHT[:3], note="doubted"), "the path ends 1.0 m ahead: doubted"),
+        (plan_of(STRAIGHT[:3], note="doubted"), "no path: doubted"),
+        (plan_of(STRAIGHT[:5] - (1.0, 0.0), note="doubted"), "the path ends 1.0 m ahead: doubted"),
         (plan_of(STRAIGHT, note="doubted"), ""),
     ],
 )

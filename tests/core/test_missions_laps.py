@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -98,3 +99,10 @@ def test_a_gate_that_is_seen_replaces_the_line_that_was_assumed() -> None:
     state = gate_seen(staged(Motion(), 8.0), 11.0, 0.0, 0.0, Motion(), LAP_MIN_M)
     assert straight_to(state, 0.0, 10.5).passages == 0
     assert straight_to(state, 0.0, 11.5).passages == 1
+
+
+def test_the_gate_seen_from_a_lane_that_comes_back_is_none() -> None:
+    state = gate_seen(staged(Motion(), 8.0), 11.0, 0.0, 0.0, Motion(), LAP_MIN_M)
+    back = Motion(x_m=20.0, y_m=-6.0, yaw_rad=math.pi, distance_m=45.0)
+    assert gate_seen(state, 11.0, -4.0, math.pi, back, LAP_MIN_M) == state
+    assert gate_seen(state, 11.5, 0.0, 0.1, replace(back, yaw_rad=0.0), LAP_MIN_M) != state

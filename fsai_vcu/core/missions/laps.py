@@ -70,8 +70,11 @@ def gate_seen(state: LapState, x_m: float, y_m: float, yaw_rad: float, motion: M
     if state.passed_at_m is not None and motion.distance_m - state.passed_at_m < 0.5 * lap_min_m:
         return state  # just passed: what is in sight now may be the rest of the same gate
     if state.line.seen:
-        # The line stays where it is; only odometry drifts. A gate elsewhere is none.
+        # The line stays where it is; only odometry drifts. A gate elsewhere is none, nor one passed the other way: the
+        # lane may come back beside it.
         driven_m = max(0.0, motion.distance_m - state.line.at_distance_m)
+        if abs(math.remainder(yaw_rad - state.line.yaw_rad, 2.0 * math.pi)) > math.pi / 2.0:
+            return state
         if math.hypot(x_m - state.line.x_m, y_m - state.line.y_m) > GATE_SHIFT_M + DRIFT_MAX * driven_m:
             return state
     return replace(state, line=Line(x_m, y_m, yaw_rad, seen=True, at_distance_m=motion.distance_m))
