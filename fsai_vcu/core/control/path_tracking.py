@@ -13,7 +13,7 @@ from fsai_vcu.core.planning.pose import headings_along, lengths_along, resampled
 from fsai_vcu.interface.immutable import Immutable
 
 STEP_M = 0.5
-FEWEST = 5  # points of a path
+FEWEST = 5  # points of a path, `STEP_M` apart
 LONGEST_M = 120.0  # of a path nothing further is looked at
 NEAREST_WITHIN_M = 12.0  # of a path that crosses or comes back only so much of its beginning can be beside the car
 APPROACH_MAX_RAD = 0.25  # a car far beside the path returns to it no more steeply …
@@ -49,7 +49,7 @@ class Line(Immutable):
 
 def line_of(path_m: Floats) -> Line | None:
     """The line of an (M, 2) path; None where it is none."""
-    if len(path_m) < FEWEST or not np.isfinite(path_m).all():
+    if len(path_m) < 2 or not np.isfinite(path_m).all():
         return None
     at_most = int(np.searchsorted(lengths_along(path_m), LONGEST_M)) + 1
     path = resampled(path_m[:at_most], STEP_M)
