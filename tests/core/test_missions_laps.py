@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from fsai_vcu.core.driving import Motion
-from fsai_vcu.core.missions.laps import LapState, advance_laps, gate_seen, staged
+from fsai_vcu.core.missions.laps import LapCounter, LapState, advance_laps, gate_seen, staged
 
 LAP_MIN_M = 20.0
 RADIUS_M = 20.0
@@ -98,3 +99,14 @@ def test_a_gate_that_is_seen_replaces_the_line_that_was_assumed() -> None:
     state = gate_seen(staged(Motion(), 8.0), 11.0, 0.0, 0.0, Motion(), LAP_MIN_M)
     assert straight_to(state, 0.0, 10.5).passages == 0
     assert straight_to(state, 0.0, 11.5).passages == 1
+
+
+def test_a_lap_counter_counts_from_the_staging_place() -> None:
+    counter = LapCounter()
+    laps = []
+    for step in range(900):  # a circle of 10 m to the left, 0.25 m a step: 3.58 laps
+        angle = 0.025 * step
+        here = Motion(x_m=10.0 * math.sin(angle), y_m=10.0 - 10.0 * math.cos(angle), yaw_rad=angle)
+        laps.append(counter.laps(replace(here, distance_m=10.0 * angle)))
+    assert laps == sorted(laps) and laps[-1] == 2  # the line is 8.17 m ahead of where it began
+    assert laps.index(1) * 0.25 == pytest.approx(2.0 * math.pi * 10.0 + 8.17, abs=2.0)
