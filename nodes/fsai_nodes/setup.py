@@ -5,7 +5,15 @@ from pathlib import Path
 from setuptools import setup
 
 NAME = "fsai_nodes"
-NODES = ("sensor_simulator", "cone_detector", "path_planner", "vehicle_controller", "vcu_bridge", "composed")
+NODES = (
+    "sensor_simulator",
+    "cone_detector",
+    "path_planner",
+    "vehicle_controller",
+    "vcu_bridge",
+    "composed",
+    "eufs_adapter",
+)
 
 
 def files(folder: str) -> list[str]:

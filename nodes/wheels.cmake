@@ -1,0 +1,22 @@
+# Included by CMake after the project() of each message package that is built with wheels; colcon does not need it.
+#
+# Message packages that were built elsewhere and unpacked here (as Python wheels are) export the include directories of
+# the machine they were built on. CMake stops at a directory that does not exist, so those are taken off, after
+# everything has been found and before generation.
+function(fsai_drop_missing_include_directories)
+  get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
+  foreach(target IN LISTS targets)
+    get_target_property(directories ${target} INTERFACE_INCLUDE_DIRECTORIES)
+    if(NOT directories)
+      continue()
+    endif()
+    set(present "")
+    foreach(directory IN LISTS directories)
+      if(NOT IS_ABSOLUTE "${directory}" OR IS_DIRECTORY "${directory}")
+        list(APPEND present "${directory}")
+      endif()
+    endforeach()
+    set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${present}")
+  endforeach()
+endfunction()
+cmake_language(DEFER CALL fsai_drop_missing_include_directories)
