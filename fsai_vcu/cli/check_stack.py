@@ -40,8 +40,11 @@ RATES = {
     "run_state": 0.0,
     "reset_confirmation": 0.0,
 }
-NEEDED = ("vehicle_state", "run_state", "vehicle_cmd", "reset_confirmation")
-SENDERS = {"vehicle_state": "vcu_bridge", "run_state": "vcu_bridge", "vehicle_cmd": "the controller"}
+SENDERS = {
+    "vehicle_state": "vcu_bridge",
+    "run_state": "vcu_bridge",
+    "vehicle_cmd": "the controller",
+}  # of what must come
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,12 +153,10 @@ class StackWatch:
     # ------------------------------------------------------------ what is wrong
 
     def findings(self) -> Iterator[Finding]:
-        for topic in NEEDED:
+        for topic, who in SENDERS.items():
             if not self.heard[topic].count:
-                who = SENDERS.get(topic, "planner and controller")
-                yield Finding(
-                    topic, "nothing was received", f"it comes from {who}: is it running, on this ROS_DOMAIN_ID?"
-                )
+                to_do = f"it comes from {who}: is it running, on this ROS_DOMAIN_ID and in this namespace?"
+                yield Finding(topic, "nothing was received", to_do)
         for topic, heard in self.heard.items():
             yield from self._of_topic(topic, heard)
         if self.run_id is not None:
@@ -219,7 +220,7 @@ def mismatches(node: Any) -> Iterator[Finding]:
         name = node.resolve_topic_name(topic)
         publishers = node.get_publishers_info_by_topic(name)
         readers = [info for info in node.get_subscriptions_info_by_topic(name) if info.node_name != node.get_name()]
-        if not publishers and readers and topic not in NEEDED:
+        if not publishers and readers and topic not in (*SENDERS, "reset_confirmation"):
             who = " and ".join(sorted({info.node_name for info in readers}))
             yield Finding(
                 topic, f"nobody publishes it, and {who} waits for it", "is that node running? is it remapped?"
