@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 
@@ -102,11 +101,18 @@ def test_a_gate_that_is_seen_replaces_the_line_that_was_assumed() -> None:
 
 
 def test_a_lap_counter_counts_from_the_staging_place() -> None:
-    counter = LapCounter()
-    laps = []
-    for step in range(900):  # a circle of 10 m to the left, 0.25 m a step: 3.58 laps
-        angle = 0.025 * step
-        here = Motion(x_m=10.0 * math.sin(angle), y_m=10.0 - 10.0 * math.cos(angle), yaw_rad=angle)
-        laps.append(counter.laps(replace(here, distance_m=10.0 * angle)))
-    assert laps == sorted(laps) and laps[-1] == 2  # the line is 8.17 m ahead of where it began
-    assert laps.index(1) * 0.25 == pytest.approx(2.0 * math.pi * 10.0 + 8.17, abs=2.0)
+    """Round an oval of 102.8 m: the line is 8.17 m ahead of where the car began."""
+    counter, laps = LapCounter(), []
+    straight_m, radius_m = 20.0, 10.0
+    lap_m = 2.0 * (straight_m + math.pi * radius_m)
+    for step in range(1300):
+        distance_m = 0.25 * step
+        half, along_m = divmod(distance_m + 4.0, lap_m / 2.0)  # the car begins 4 m into the straight
+        angle = max(0.0, along_m - straight_m) / radius_m
+        x_m = min(along_m, straight_m) - 4.0 + radius_m * math.sin(angle)
+        y_m = radius_m * (1.0 - math.cos(angle))
+        if half % 2.0:
+            x_m, y_m, angle = straight_m - 8.0 - x_m, 2.0 * radius_m - y_m, angle + math.pi
+        laps.append(counter.laps(Motion(x_m=x_m, y_m=y_m, yaw_rad=angle, distance_m=distance_m)))
+    assert laps == sorted(laps) and laps[-1] == 3
+    assert laps.index(1) * 0.25 == pytest.approx(lap_m + 8.17, abs=1.0)

@@ -13,6 +13,7 @@ from eufs_msgs.msg import CanState, ConeArrayWithCovariance, ConeWithCovariance,
 from eufs_msgs.srv import SetCanState
 from fsai_msgs.msg import Cone, ConeArray, ResetConfirmation, RunState, VehicleCommand, VehicleState
 from geometry_msgs.msg import TwistWithCovarianceStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
 from std_msgs.msg import Bool, Header, String
@@ -124,7 +125,11 @@ class EufsAdapter(Node):
         self.create_subscription(AckermannDriveStamped, "cmd", self._on_cmd, SENSOR)
         self.create_subscription(Bool, "state_machine/driving_flag", self._on_driving_flag, SENSOR)
         self.create_subscription(Bool, "ros_can/mission_completed", self._on_completed, SENSOR)
-        self._asked = {name: self.create_client(Trigger, name) for name in ("emergency_brake", "reset")}
+        # A group of their own: a service of this node waits for their answers.
+        group = ReentrantCallbackGroup()
+        self._asked = {
+            name: self.create_client(Trigger, name, callback_group=group) for name in ("emergency_brake", "reset")
+        }
         self.create_service(Trigger, "ros_can/ebs", partial(self._ask, self._asked["emergency_brake"]))
         self.create_service(Trigger, "ros_can/reset", partial(self._ask, self._asked["reset"]))
         self.create_service(SetCanState, "ros_can/set_mission", self._on_set_mission)
