@@ -232,7 +232,8 @@ def mismatches(node: Any) -> Iterator[Finding]:
             for publisher in publishers:
                 verdict, why = qos_check_compatible(publisher.qos_profile, reader.qos_profile)
                 if verdict == QoSCompatibility.ERROR:
-                    wrong = f"{reader.node_name} does not receive {publisher.node_name}: {why.strip().rstrip(';')}"
+                    why = why.strip().rstrip(";").removeprefix("ERROR: ").lower()
+                    wrong = f"{reader.node_name} does not receive {publisher.node_name}: {why}"
                     yield Finding(topic, wrong, "use the profile of fsai_nodes.qos (nodes/README.md has the table)")
 
 
