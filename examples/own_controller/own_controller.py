@@ -13,7 +13,7 @@ from rclpy.node import Node
 from fsai_nodes.process import run
 from fsai_nodes.qos import TOPICS
 
-SPEED_MPS, LOOKAHEAD_M, WHEELBASE_M, STEER_MAX_RAD = 5.0, 4.0, 1.53, math.radians(21.0)
+SPEED_MPS, LOOKAHEAD_M, WHEELBASE_M, STEER_MAX_RAD = 6.0, 4.0, 1.53, math.radians(21.0)
 
 
 def drive(command, state, status, points):
@@ -23,7 +23,7 @@ def drive(command, state, status, points):
     command.steering_rad = max(-STEER_MAX_RAD, min(STEER_MAX_RAD, steering))
     stop_m = max(0.0, status.stop_distance_m - 0.5) if status.finished else math.inf
     error_mps = min(SPEED_MPS, math.sqrt(2.0 * 2.0 * stop_m)) - state.speed_mps  # brake with 2 m/s2 to the stop
-    command.throttle = max(0.0, min(0.5, 0.4 * error_mps))
+    command.throttle = max(0.0, min(1.0, 0.5 * error_mps))
     command.brake = max(0.0, min(0.6, -0.3 * error_mps)) if error_mps < -0.7 else 0.0
     command.mission_finished = status.finished and state.speed_mps < 0.8
 
