@@ -16,7 +16,7 @@ from fsai_vcu.cli.services import operator_node
 from fsai_vcu.core.command import VehicleCommand
 from fsai_vcu.core.supervision.config import BridgeConfig
 from fsai_vcu.core.supervision.reasons import words_of
-from fsai_vcu.core.supervision.supervisor import ROLES
+from fsai_vcu.core.supervision.supervisor import ROLES, Asked
 
 EXAMPLE = "fsai-vcu check-stack --seconds 20 && echo in order"
 ABOUT = "It only listens. Exit status: 0 nothing is wrong, 1 something is. Best while the car drives."
@@ -29,6 +29,8 @@ _STEER_MAX_RAD = math.radians(30.0)  # where the car has not said its own
 _TURN_S = 0.1
 _KEPT = {"run_state", "reset_confirmation"}  # said once, and kept for those who come later
 _COMMANDED = [each.name for each in fields(VehicleCommand) if each.name != "t_sensor_ns"]
+
+_ASKED = tuple(each.value for each in Asked)  # such a stop is in order
 
 # Topic -> how often it must come at least, Hz, a tenth below what is asked for; 0: no matter
 RATES = {
@@ -128,7 +130,9 @@ class StackWatch:
     def _on_vehicle_state(self, message: Any) -> None:
         if message.steering_max_rad > 0.0:
             self.steer_max_rad = message.steering_max_rad
-        self.stopping = message.emergency or message.stopping or self.stopping
+        why = message.emergency or message.stopping
+        if why and not why.startswith(_ASKED):
+            self.stopping = why
 
     def _on_path(self, message: Any) -> None:
         self.frames.add(message.header.frame_id)

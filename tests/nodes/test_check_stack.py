@@ -17,6 +17,7 @@ from ros_rig import RosRig
 
 from fsai_nodes import qos
 from fsai_vcu.cli.check_stack import StackWatch, mismatches
+from fsai_vcu.core.supervision.supervisor import Asked
 
 ROS_S = 1_000.0
 
@@ -91,6 +92,16 @@ def test_what_the_bridge_counted_meanwhile_is_told_with_detail() -> None:
         watch.diagnose("count of steer_clamped", "2")  # long before
     (line,) = wrong(watch)
     assert "intervened 2 times" in line and "refused whole" in line and "(throttle is nan)" in line
+
+
+@pytest.mark.parametrize("why", [Asked.MISSION_DONE.value, "wheel speeds (0x525) are missing"])
+def test_a_stop_is_told_unless_somebody_asked_for_it(why: str) -> None:
+    watch = watched()
+    state = VehicleState(run_id=7, stopping=why)
+    state.header.stamp = Time(sec=int(ROS_S))
+    watch.receive("vehicle_state", state, 2.0, round(ROS_S * 1e9))
+    told = wrong(watch)
+    assert told == [] if why == "the mission is done" else why in told[0]
 
 
 def test_a_silent_stack_is_named_topic_by_topic() -> None:
