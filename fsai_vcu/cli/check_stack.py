@@ -50,7 +50,10 @@ SENDERS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="watch for so long (60 s)")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="watch for so long, from the first message on (60 s)"
+    )
+    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="for so long for a first message (10 s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--namespace", default="/", metavar="NS", help="the nodes' ROS namespace, such as /car1")
 
@@ -241,8 +244,8 @@ def mismatches(node: Any) -> Iterator[Finding]:
                     yield Finding(topic, wrong, "use the profile of fsai_nodes.qos (nodes/README.md has the table)")
 
 
-def watch(namespace: str, seconds: float) -> tuple[StackWatch, list[Finding]]:
-    """Listen for so long; what was heard, and what is wrong."""
+def watch(namespace: str, seconds: float, wait_s: float) -> tuple[StackWatch, list[Finding]]:
+    """Listen for so long from the first message on; what was heard, and what is wrong."""
     stack = StackWatch()
     with operator_node(namespace) as node:
         import rclpy
@@ -278,15 +281,18 @@ def watch(namespace: str, seconds: float) -> tuple[StackWatch, list[Finding]]:
         for topic in RATES:
             listen(topic)
         node.create_subscription(DiagnosticArray, "diagnostics", on_diagnostics, 10)
-        until = time.monotonic() + seconds
+        began = False
+        until = time.monotonic() + wait_s
         while (left_s := until - time.monotonic()) > 0.0:
             rclpy.spin_once(node, timeout_sec=min(_TURN_S, left_s))
+            if not began and any(heard.count for heard in stack.heard.values()):
+                began, until = True, time.monotonic() + seconds
         return stack, [*mismatches(node), *stack.findings()]
 
 
 def run(args: argparse.Namespace) -> int:
-    check_numbers(args, seconds=0.0)
-    stack, wrong = watch(args.namespace, args.seconds)
+    check_numbers(args, seconds=0.0, wait=0.0)
+    stack, wrong = watch(args.namespace, args.seconds, args.wait)
     rates = {topic: round(heard.rate_hz, 1) for topic, heard in stack.heard.items() if heard.count}
     if args.json:
         print(json.dumps({"seconds": args.seconds, "rates_hz": rates, "wrong": [asdict(each) for each in wrong]}))
