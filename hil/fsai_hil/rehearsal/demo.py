@@ -28,6 +28,8 @@ from fsai_vcu.interface.codec import Codec
 from fsai_vcu.interface.revisions import revision
 
 MISSION = "autocross"
+REPLACEABLE = NODES[1:]  # the bridge is what all others stand in front of
+WITH_HELP = "start a node of yours as well; may be given more than once"
 START_TIMEOUT_S = 60.0
 RUN_TIMEOUT_S = 1200.0
 VERDICT_TIMEOUT_S = 15.0
@@ -41,8 +43,15 @@ def main() -> int:
     add_setup_arguments(parser, MISSION)
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
+    parser.add_argument("--without", default="", metavar="NODE,...", help=f"leave out, of {', '.join(REPLACEABLE)}")
+    parser.add_argument("--with", dest="others", action="append", default=[], metavar="FILE.py|MODULE", help=WITH_HELP)
     args = parser.parse_args()
     args.mission = args.mission or MISSION
+    args.without = [name.strip() for name in args.without.split(",") if name.strip()]
+    if unknown := [name for name in args.without if name not in REPLACEABLE]:
+        parser.error(f"--without {unknown[0]}: choose of {', '.join(REPLACEABLE)}")
+    if absent := [name for name in args.others if name.endswith(".py") and not Path(name).is_file()]:
+        parser.error(f"--with {absent[0]}: no such file")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill ends the rehearsal as Ctrl-C does
     try:
         # What would only fail once everything is running.
@@ -102,13 +111,15 @@ def drive(args: argparse.Namespace) -> int:
     with Stack(bus, args.out) as stack:
         kind = " (stand-in: this kernel has no vcan)" if args.bus is None and bus != INTERFACE else ""
         _say(f"bus {bus}{kind}, ROS domain {stack.domain_id}, logs in {args.out}")
-        _say(f"starting {', '.join(NODES)}, each its own process")
         stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
         car = {"car": args.revision}
         laps = {} if args.laps is None else {"laps": args.laps}
-        stack.start_nodes(
-            {"vcu_bridge": {"revision": args.revision, **car}, "path_planner": car | laps, "vehicle_controller": car}
+        nodes = stack.start_nodes(
+            {"vcu_bridge": {"revision": args.revision, **car}, "path_planner": car | laps, "vehicle_controller": car},
+            args.without,
+            args.others,
         )
+        _say(f"started {', '.join(nodes)}, each its own process")
         operator = RosOperator(stack, "demo")
         try:
             operator.await_bridge(START_TIMEOUT_S)
@@ -119,7 +130,7 @@ def drive(args: argparse.Namespace) -> int:
                     words.append(f"--{name}={getattr(args, name)}")
             vcu = stack.start_verb("vcu", *words)
             _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
-            result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *NODES)
+            result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *nodes)
             _say(f"run_mission: {result.message}")
         finally:
             operator.close()

@@ -178,10 +178,21 @@ class Stack:
             words += ["-p", f"{parameter}:={value}"]
         return self.start(name, [sys.executable, "-m", f"fsai_nodes.{name}", *words])
 
-    def start_nodes(self, parameters: Mapping[str, Mapping[str, object]]) -> None:
-        """Start the five nodes, each its own process; `parameters` by node name."""
-        for name in NODES:
+    def start_nodes(
+        self, parameters: Mapping[str, Mapping[str, object]], without: Sequence[str] = (), others: Sequence[str] = ()
+    ) -> tuple[str, ...]:
+        """Start the five nodes, each its own process; `parameters` by node name. The names of what was started.
+
+        without: those of the five that are not; others: files and modules of others that are, as they are.
+        """
+        started = [name for name in NODES if name not in without]
+        for name in started:
             self.start_node(name, **parameters.get(name, {}))
+        for other in others:
+            argv = [other] if other.endswith(".py") else ["-m", other]
+            started.append(Path(other).stem if other.endswith(".py") else other.rpartition(".")[2])
+            self.start(started[-1], [sys.executable, *argv])
+        return tuple(started)
 
     def check_alive(self, *names: str) -> None:
         """Raises StackError naming the first of `names` (all, if none are given) that has ended by itself."""

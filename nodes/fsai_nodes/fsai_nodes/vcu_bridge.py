@@ -25,7 +25,6 @@ from fsai_msgs.srv import SetMode
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
 from sensor_msgs.msg import Imu, NavSatFix
@@ -47,13 +46,13 @@ from fsai_nodes.diagnosis import diagnostics_of
 from fsai_nodes.mission_goal import GoalError, GoalResult, Waiting
 from fsai_nodes.parameters import NodeError, NodeParameter, Settings, of_the_file
 from fsai_nodes.process import run
-from fsai_nodes.qos import COMMAND_DEADLINE_MS, TOPICS, publisher
+from fsai_nodes.qos import TOPICS, publisher
 from fsai_nodes.report_log import News
 from fsai_vcu.core.limits import LimitsError, OperationalLimits, parse_limits
 from fsai_vcu.core.report import BridgeReport
 from fsai_vcu.core.supervision.config import BridgeConfig, official_simulator
 from fsai_vcu.core.vehicle.parameters import CARS
-from fsai_vcu.interface.enums import Ami, AsState
+from fsai_vcu.interface.enums import Ami
 from fsai_vcu.interface.wheels import WheelMapping
 from fsai_vcu.runtime.configuration import SAME_AS_REVISION
 from fsai_vcu.runtime.limits_file import read_limits
@@ -156,7 +155,6 @@ class VcuBridge(LifecycleNode):
         self._sensor_ns: int | None = None  # of the data behind the last command that came in
         self._commands = Input(self, "vehicle_cmd")
         self._note = ""  # why the controller does not drive, as its last command says
-        self._deadline_missed = False  # and nothing has come since
         self._timers: list[Timer] = []
         self._goals: dict[bytes, _Following] = {}  # by goal id
         self._transforms = _TransformSender(self)
@@ -167,13 +165,7 @@ class VcuBridge(LifecycleNode):
         self._imu = publisher(self, Imu, "imu")
         self._fix = publisher(self, NavSatFix, "gps/fix")
         self._diagnostics = publisher(self, DiagnosticArray, "diagnostics")
-        self.create_subscription(
-            VehicleCommand,
-            "vehicle_cmd",
-            self._on_command,
-            TOPICS["vehicle_cmd"],
-            event_callbacks=SubscriptionEventCallbacks(deadline=self._on_deadline_missed),
-        )
+        self.create_subscription(VehicleCommand, "vehicle_cmd", self._on_command, TOPICS["vehicle_cmd"])
         self.create_subscription(
             ResetConfirmation, "reset_confirmation", self._on_confirmation, TOPICS["reset_confirmation"]
         )
@@ -345,19 +337,8 @@ class VcuBridge(LifecycleNode):
         sensor_ns = self._clocks.steady_of(message.header.stamp, now_ns)
         self._sensor_ns = sensor_ns
         self._commands.received(now_ns, now_ns - sensor_ns)
-        self._note, self._deadline_missed = message.note, False
+        self._note = message.note
         loop.submit_command(command_from_msg(message, sensor_ns))
-
-    def _on_deadline_missed(self, _event: object) -> None:
-        """The middleware says it for as long as nothing comes; the log, once."""
-        if self._loop is None or self._deadline_missed:
-            return
-        self._deadline_missed = True
-        text = f"{self._commands.who()} missed its deadline of {COMMAND_DEADLINE_MS} ms"
-        if self._loop.report().run.as_state is AsState.AS_DRIVING:
-            self.get_logger().error(text)
-        else:
-            self.get_logger().warning(text)
 
     def _whose_silence(self) -> str:
         """Which input is missing, in words, where the vehicle command is stale."""
