@@ -23,16 +23,15 @@ from fsai_vcu.core.missions.demo import DemoState, advance_demo
 from fsai_vcu.core.missions.request import CarView, MissionRequest
 from fsai_vcu.core.missions.settings import MissionSettings
 from fsai_vcu.core.missions.static_inspection import InspectionState, advance_inspection, inspection_of
+from fsai_vcu.core.vehicle.forces import brake_for, most_mps2, throttle_for
 from fsai_vcu.core.vehicle.odometry import CARRIED_NS, MotionHistory, motion_at
-from fsai_vcu.core.vehicle.parameters import GRAVITY_MPS2, VehicleParameters
+from fsai_vcu.core.vehicle.parameters import VehicleParameters
 from fsai_vcu.interface.enums import Ami
-from fsai_vcu.interface.specification import CONSTANT_POWER_RPM_NM
 
 WITHOUT_PATH = frozenset({Ami.STATIC_INSPECTION_A, Ami.STATIC_INSPECTION_B, Ami.AUTONOMOUS_DEMO})
 SPEED_LIMIT_MARGIN_MPS = 1.0  # the motors' own limit, over the speed aimed at: it guards, it does not control
 HELD_BELOW_MPS = 0.1  # so that a speed held does not exceed the one that is set
 NEARLY_AT_REST_MPS = 1.5
-AIR_DENSITY_KGPM3 = 1.2
 PRESET = frozenset({Ami.ACCELERATION, Ami.SKIDPAD})  # paths whose whole course is known beforehand
 STEER_RATE_SHARE = 0.75  # planned with; the rest is for corrections
 PREDICTED_IN = 5  # steps
@@ -308,7 +307,7 @@ class Controller:
         ahead_m = here_m + speed * settings.reaction_s + max(later, 0.0) * settings.preview_s
         aim = math.sqrt(float(np.interp(ahead_m, line.along_m, self._profile)))
         wanted = (aim - later) / settings.preview_s
-        wanted = min(max(wanted, -settings.braking_max_mps2), self._most_mps2(speed))
+        wanted = min(max(wanted, -settings.braking_max_mps2), most_mps2(self._car, speed))
         if self._accelerated_ns is not None:
             most = settings.jerk_mps3 * min((now_ns - self._accelerated_ns) / 1e9, LONGEST_STEP_S)
             wanted = min(wanted, self._acceleration_mps2 + most)
@@ -317,8 +316,8 @@ class Controller:
         self._acceleration_mps2, self._accelerated_ns = wanted, now_ns
         self._braking = wanted < -(settings.brake_off_mps2 if self._braking else settings.brake_on_mps2)
         if self._braking and speed > 0.3:
-            return 0.0, self._brake_for(-wanted, speed)
-        return self._throttle_for(wanted, speed), 0.0
+            return 0.0, max(brake_for(self._car, -wanted, speed), LEAST_BRAKE)
+        return throttle_for(self._car, wanted, speed), 0.0
 
     def _no_way(self, why: str) -> tuple[float, float]:
         """No path to drive on: brake, steering as it was."""
@@ -328,33 +327,3 @@ class Controller:
 
     def _within(self, steering_rad: float) -> float:
         return min(max(steering_rad, -self._max_steer_rad), self._max_steer_rad)
-
-    def _resistance_n(self, speed_mps: float) -> float:
-        car = self._car
-        rolling = car.rolling_resistance * car.mass_kg * GRAVITY_MPS2
-        return rolling + 0.5 * AIR_DENSITY_KGPM3 * car.drag_area_m2 * speed_mps**2
-
-    def _brake_for(self, deceleration_mps2: float, speed_mps: float) -> float:
-        """Fraction of full pressure that gives a deceleration, with what rolling and air do by themselves."""
-        car = self._car
-        left = deceleration_mps2 - self._resistance_n(speed_mps) / car.mass_kg
-        return min(max(left / (car.brake_full_mps2 * car.brake_excess), LEAST_BRAKE), 1.0)
-
-    def _torque_nm(self, speed_mps: float) -> float:
-        """What one axle may be asked for at a speed, which full throttle means."""
-        rpm = self._car.wheel_rpm_of_speed(speed_mps)
-        limits = (torque for above_rpm, torque in CONSTANT_POWER_RPM_NM if rpm > above_rpm)
-        return min(next(limits, math.inf), self._car.axle_torque_max_nm)
-
-    def _most_mps2(self, speed_mps: float) -> float:
-        """The acceleration at full throttle."""
-        car = self._car
-        force = car.driven_axles * self._torque_nm(speed_mps) / car.rolling_radius_m - self._resistance_n(speed_mps)
-        return force / (car.mass_kg + car.rotating_mass_kg)
-
-    def _throttle_for(self, acceleration_mps2: float, speed_mps: float) -> float:
-        """Fraction of the axle torque allowed now that gives an acceleration on the level."""
-        car = self._car
-        force = (car.mass_kg + car.rotating_mass_kg) * acceleration_mps2 + self._resistance_n(speed_mps)
-        per_axle_nm = force * car.rolling_radius_m / max(car.driven_axles, 1)
-        return min(max(per_axle_nm / self._torque_nm(speed_mps), 0.0), 1.0)
