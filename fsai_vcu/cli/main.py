@@ -32,6 +32,7 @@ OWN_VERBS: Verbs = {
     "stats": (".stats", "measure a bus or a log: periods, jitter, gaps, bus load, handshake; with a verdict"),
     "check": (".check", "say what is wrong on a bus or in a log, and nothing else"),
     "monitor": (".monitor", "watch a bus live: AS state, why it is not driving, what is asked and given; never sends"),
+    "pitwall": (".pitwall", "show a bus live on a web page for everybody around the car; never sends"),
     "foxglove": (".foxglove", "show a bus live in Foxglove, decoded; never sends"),
     "explain": (".explain", "explain a recorded run: what happened, why it braked, or why it did not start"),
     "report": (".report", "turn a recorded run into one page: plots, explanation and figures"),

@@ -219,12 +219,12 @@ class Sources:
         self.files = all(Path(name).is_file() for name, _ in self._rules)
         self.first_ns: int | None = None  # of the whole log, whatever the part
 
-    def chunks(self, seconds: float | None = None, *, announced: bool = False) -> Iterator[Frames]:
+    def chunks(self, seconds: float | None = None, *, announced: bool = False, waits: bool = False) -> Iterator[Frames]:
         """Frames that pass the filters; of a live bus also empty columns, so that the caller can look at the clock.
 
-        announced: a person who would see nothing for long sees that this is listening.
+        announced: a person who would see nothing for long sees that this is listening. waits: for a bus that goes away.
         """
-        yield from self._live_chunks(seconds, announced) if self.live else self._log_chunks()
+        yield from self._live_chunks(seconds, announced, waits) if self.live else self._log_chunks()
 
     def everything(self, seconds: float | None = None, received: Callable[[int], None] = lambda _: None) -> Frames:
         """All frames of all logs; of live buses, those of so long or until Ctrl-C.
@@ -289,17 +289,19 @@ class Sources:
         shown = frames if self._part is None else self._part.of(frames)
         return shown.only(rule.passes(shown)) if rule else shown
 
-    def _live_chunks(self, seconds: float | None, announced: bool) -> Iterator[Frames]:
+    def _live_chunks(self, seconds: float | None, announced: bool, waits: bool) -> Iterator[Frames]:
         from fsai_vcu.diagnostics.log.live import LiveSource
 
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended by a script as by Ctrl-C
-        source = LiveSource([name for name, _ in self._rules])
+        source = LiveSource([name for name, _ in self._rules], waits=waits)
         rules = [(name.partition(":")[2] or name, rule) for name, rule in self._rules]
         with closing(source):
             if announced and seconds is None:
                 self._say(f"listening to {self.name} until Ctrl-C")
             try:
                 for frames in source.chunks(seconds):
+                    for text in source.news():
+                        self._say(text)
                     if self._decoding is not None:
                         self._decoding.hear(frames)
                     shown = filtered(frames, rules)

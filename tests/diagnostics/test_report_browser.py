@@ -3,40 +3,21 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browsing import heard, needs_browser, set_screen, started
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
 from story_runs import branch, driving, page
 
 from fsai_vcu.interface.enums import MissionStatus
 
-selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install 'selenium>=4.20,<5'")
-
-from selenium.webdriver import Chrome, ChromeOptions  # noqa: E402
-from selenium.webdriver.chrome.service import Service  # noqa: E402
-from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
-from selenium.webdriver.common.by import By  # noqa: E402
-from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
-
-DRIVER, BROWSER = shutil.which("chromedriver"), shutil.which("chromium") or shutil.which("chromium-browser")
-pytestmark = pytest.mark.skipif(
-    DRIVER is None or BROWSER is None, reason="no chromium here: apt-get install -y chromium chromium-driver"
-)
-
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
+pytestmark = needs_browser
 
 # Pixels of a canvas that have the colour of the first line.
 COLOURED = """
@@ -71,16 +52,8 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
-    options = ChromeOptions()
-    options.binary_location = str(BROWSER)
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = Chrome(options=options, service=Service(str(DRIVER)))
-    try:
+    with started(tmp_path_factory.mktemp("profile")) as driver:
         yield driver
-    finally:
-        driver.quit()
 
 
 @pytest.fixture
@@ -88,26 +61,13 @@ def shown(browser: Chrome, html: Path) -> Callable[..., Chrome]:
     """Opens the page as on a screen of that width."""
 
     def show(width: int, height: int = 900, *, mobile: bool = False, scheme: str = "light") -> Chrome:
-        browser.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {"width": width, "height": height, "deviceScaleFactor": 2 if mobile else 1, "mobile": mobile},
-        )
-        browser.execute_cdp_cmd(
-            "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-        )
+        set_screen(browser, width, height, mobile=mobile, scheme=scheme)
         heard(browser, "browser"), heard(browser, "performance")
         browser.get(html.as_uri())
         WebDriverWait(browser, 20).until(lambda b: b.find_element(By.ID, "range").text)
         return browser
 
     return show
-
-
-def heard(browser: Chrome, log: str) -> list[dict[str, Any]]:
-    """What the browser has written into one of its logs since the last time."""
-    untyped: Any = browser
-    entries: list[dict[str, Any]] = untyped.get_log(log)
-    return entries
 
 
 def canvases(browser: Chrome) -> list[Any]:

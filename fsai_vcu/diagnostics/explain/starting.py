@@ -292,6 +292,12 @@ class Obstacle:
     remedy: str = ""
     follows: bool = False
 
+    @property
+    def sentence(self) -> str:
+        """The words, and the evidence where they do not name it already."""
+        named = self.evidence in self.words or self.evidence.replace(" is ", " ") in self.words
+        return self.words if named else f"{self.words} ({self.evidence})"
+
 
 def why_not_driving(record: Record, now_ns: int, emergency: Incident | None) -> Iterator[Obstacle]:
     """What stands between now and driving, what must be put right first in front. In AS_DRIVING only that it stands.

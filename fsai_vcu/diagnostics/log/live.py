@@ -101,18 +101,20 @@ class Listener:
 class LiveSource:
     """Receives from buses. Times are their own stamps of the wall clock.
 
-    `lost` is the one clear line of what ended it, None while all is well; `missing` says what was not received.
+    `lost` is the one clear line of what ended it, None while all is well; `missing` says what was not received. With
+    `waits` a bus that is lost ends nothing: it is opened again when it comes back.
     """
 
-    def __init__(self, interfaces: Sequence[str]) -> None:
+    def __init__(self, interfaces: Sequence[str], *, waits: bool = False) -> None:
         """Opens them all; raises runtime.bus.BusError."""
+        self._waits = waits
         self.lost: str | None = None
         self._channels: list[str] = []
         self._listeners: list[Listener] = []
         names = [name for each in interfaces for name in (can_interfaces() if each == _ALL_INTERFACES else [each])]
         try:
             for name in names or [_ALL_INTERFACES]:
-                self._listeners.append(Listener(name, waits=False))
+                self._listeners.append(Listener(name, waits=waits))
         except BaseException:
             self.close()
             raise
@@ -128,8 +130,13 @@ class LiveSource:
             except KeyboardInterrupt:
                 yield self._fetched()  # what was received before Ctrl-C is not lost
                 raise
-            self.lost = next((listener.lost for listener in self._listeners if listener.lost), None)
+            if not self._waits:
+                self.lost = next((listener.lost for listener in self._listeners if listener.lost), None)
             yield self._fetched()
+
+    def news(self) -> list[str]:
+        """Of buses that went and came back."""
+        return [text for listener in self._listeners for text in listener.news()]
 
     def missing(self) -> Iterator[str]:
         """What was not received, and why, in one line each."""

@@ -13,14 +13,7 @@ from fsai_vcu.diagnostics.monitor.snapshot import Freshness, History, MessagePic
 from fsai_vcu.interface.units import KMH_PER_MPS
 
 STRONG, FAINT, GOOD, WARN, BAD = "bold", "dim", "green", "yellow", "bold red"
-# As the car's own lights show it (interface specification v4.0, ASSI); these two flash
-_STATE_STYLES: Final = {
-    "AS_READY": "bold black on yellow",
-    "AS_DRIVING": "bold black on yellow",
-    "EMERGENCY_BRAKE": "bold white on blue",
-    "AS_FINISHED": "bold white on blue",
-}
-_FLASHING: Final = frozenset({"AS_DRIVING", "EMERGENCY_BRAKE"})
+_LIGHT_STYLES: Final = {"yellow": "bold black on yellow", "blue": "bold white on blue"}
 _FRESHNESS_STYLES: Final = {Freshness.LATE: WARN, Freshness.LOST: BAD, Freshness.NEVER: FAINT}
 _WEIGHT_STYLES: Final = {Weight.NOTE: FAINT, Weight.STATE: "", Weight.WARNING: WARN, Weight.FAULT: BAD}
 _SHORT: Final = 20  # lines: on fewer the reasons go before everything else
@@ -103,9 +96,9 @@ def event_row(event: TimelineEntry, clock: str, *, later: bool) -> Text:
 
 def _state(picture: Picture, dark_phase: bool) -> list[Text]:
     state = picture.as_state
-    shown = (state, _STATE_STYLES.get(state, STRONG)) if state else ("no AS state", BAD)
-    if dark_phase and state in _FLASHING:
-        shown = (shown[0], STRONG)
+    colour, flashes = snapshot.LIGHTS.get(state or "", ("", False))
+    style = STRONG if dark_phase and flashes else _LIGHT_STYLES.get(colour, STRONG)
+    shown = (state, style) if state else ("no AS state", BAD)
     held = f" for {snapshot.duration(picture.as_state_s)}" if picture.as_state_s is not None else ""
     switches = (("Go", picture.go), ("ASMS", picture.as_switch), ("TSMS", picture.ts_switch))
     styles = {None: "", True: GOOD, False: WARN}
@@ -127,9 +120,7 @@ def _why(picture: Picture, width: int, *, remedies: bool) -> list[Text]:
         return [line(("driving", GOOD))]
     lines = []
     for one in picture.why_not_driving:
-        repeated = one.evidence in one.words or one.evidence.replace(" is ", " ") in one.words
-        words = one.words if repeated else f"{one.words} ({one.evidence})"
-        lines.append(_wrapped(words, "  - ", FAINT if one.follows else WARN, width))
+        lines.append(_wrapped(one.sentence, "  - ", FAINT if one.follows else WARN, width))
         if remedies and one.remedy and not one.follows and len(picture.why_not_driving) <= _MANY_REASONS:
             lines.append(_wrapped(one.remedy, "    ", FAINT, width))
     return [line(("why not driving:", STRONG)), *lines] if lines else []

@@ -16,6 +16,13 @@ from fsai_vcu.diagnostics.explain.starting import Obstacle
 from fsai_vcu.diagnostics.statistics.measure import Handshake, as_json
 
 NO_VALUE: Final = "-"
+LIGHTS: Final = {
+    "AS_READY": ("yellow", False),
+    "AS_DRIVING": ("yellow", True),
+    "EMERGENCY_BRAKE": ("blue", True),
+    "AS_FINISHED": ("blue", False),
+}
+"""The car's own lights (interface specification v4.0, ASSI): colour, and whether they flash. In other states: off."""
 
 
 class Freshness(Enum):
@@ -92,6 +99,8 @@ class Picture:
     mission_status: str | None = None
     direction: str | None = None
     estop_request: bool | None = None
+    lap: int | None = None  # as the AI computer counts
+    cones: int | None = None  # that it sees now
     go: bool | None = None
     as_switch: bool | None = None
     ts_switch: bool | None = None

@@ -160,6 +160,8 @@ class _Moment:
             mission_status=self._label(sig.MISSION_STATUS),
             direction=self._label(sig.DIRECTION),
             estop_request=self._flag(sig.ESTOP),
+            lap=self._count(sig.LAP),
+            cones=self._count(sig.CONES),
             go=self._flag(sig.GO),
             as_switch=self._flag(sig.AS_SWITCH),
             ts_switch=self._flag(sig.TS_SWITCH),
@@ -192,6 +194,10 @@ class _Moment:
     def _flag(self, signal: Signal) -> bool | None:
         value = self._value(signal)
         return None if value is None else bool(value)
+
+    def _count(self, signal: Signal) -> int | None:
+        value = self._value(signal)
+        return None if value is None else int(value)
 
     def _label(self, signal: Signal) -> str | None:
         value = self._value(signal)

@@ -237,10 +237,11 @@ def lanes(record: Record) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Way:
-    """x_m, y_m [n] in a frame with its origin and x axis where the car began; speed_mps [n]."""
+    """x_m, y_m, heading_rad [n] in a frame with its origin and x axis where the car began; speed_mps [n]."""
 
     x_m: Values
     y_m: Values
+    heading_rad: Values
     speed_mps: Values
 
     @property
@@ -260,7 +261,7 @@ def way_of(record: Record) -> Way | None:
     way_m = speed * np.where(steps_ns < BRIDGED_NS, steps_ns, 0) / S
     curvature = np.tan(np.radians(record.series(sig.ANGLE).sampled(t_ns))) / car.wheelbase_m
     heading = np.cumsum(way_m * curvature)
-    return Way(np.cumsum(way_m * np.cos(heading)), np.cumsum(way_m * np.sin(heading)), speed)
+    return Way(np.cumsum(way_m * np.cos(heading)), np.cumsum(way_m * np.sin(heading)), heading, speed)
 
 
 def figures(record: Record, way: Way | None) -> Iterator[tuple[str, str]]:

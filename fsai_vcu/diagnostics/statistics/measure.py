@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
@@ -38,9 +39,9 @@ _TURNING_RPM = 30  # a wheel as fast as this passes several teeth of its sensor 
 
 
 def as_json(value: Any, digits: int) -> Any:
-    """Dataclasses, tuples, words and bytes as JSON types; numbers with so many decimals."""
+    """Dataclasses, tuples, words and bytes as JSON types; numbers with so many decimals, None where not finite."""
     if isinstance(value, float):
-        return round(value, digits)
+        return round(value, digits) if math.isfinite(value) else None
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, bytes):

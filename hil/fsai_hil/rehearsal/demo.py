@@ -42,6 +42,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="fsai_hil.rehearsal.demo", description=__doc__.splitlines()[0])
     add_setup_arguments(parser, MISSION)
     parser.add_argument("--bus", help="default: vcan0 where this kernel has it, else loopback:NAME")
+    parser.add_argument("--own-vcan", action="store_true", help=argparse.SUPPRESS)  # it runs in a network of its own
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for logs, plot and verdict")
     parser.add_argument("--without", default="", metavar="NODE,...", help=f"leave out, of {', '.join(REPLACEABLE)}")
     parser.add_argument("--with", dest="others", action="append", default=[], metavar="FILE.py|MODULE", help=WITH_HELP)
@@ -94,7 +95,7 @@ def _in_own_vcan(args: argparse.Namespace) -> int | None:
     if args.bus is not None or existing_vcan() or namespace_prefix() is None:
         return None
     return run_natively(
-        [sys.executable, "-m", "fsai_hil.rehearsal.demo", *sys.argv[1:]],
+        [sys.executable, "-m", "fsai_hil.rehearsal.demo", "--own-vcan", *sys.argv[1:]],
         cwd=Path.cwd(),
         env=os.environ,
         timeout_s=RUN_TIMEOUT_S,
@@ -111,6 +112,8 @@ def drive(args: argparse.Namespace) -> int:
     with Stack(bus, args.out) as stack:
         kind = " (stand-in: this kernel has no vcan)" if args.bus is None and bus != INTERFACE else ""
         _say(f"bus {bus}{kind}, ROS domain {stack.domain_id}, logs in {args.out}")
+        again = "this vcan0 is the demo's own; start it with --bus loopback:demo, then " * args.own_vcan
+        _say(f"watch it: {again}fsai-vcu pitwall {'loopback:demo' if args.own_vcan else bus}")
         stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
         car = {"car": args.revision}
         laps = {} if args.laps is None else {"laps": args.laps}

@@ -1,0 +1,118 @@
+"""`fsai-vcu pitwall`: a bus live on one web page, for everybody around the car; only listens."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from itertools import chain, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from fsai_vcu.cli.arguments import check_numbers
+from fsai_vcu.cli.sources import (
+    SOURCE_HELP,
+    Decoding,
+    Sources,
+    add_database_arguments,
+    add_seconds_argument,
+    check_seconds,
+)
+from fsai_vcu.interface.errors import UserError, WrongUse
+
+if TYPE_CHECKING:
+    from fsai_vcu.diagnostics.monitor.sources import Source
+    from fsai_vcu.diagnostics.pitwall.server import Server
+
+EXAMPLE = "fsai-vcu pitwall can0\n  fsai-vcu pitwall run.log --rate 1 --loop\n  fsai-vcu pitwall can0 --host 0.0.0.0"
+ABOUT = """\
+AS state with its lights, mission, why the car is not driving, what is asked and
+given, laps, faults and what to do, the bus, and the way driven: on one page for
+a wall, a tablet or a phone, without a network of others. It never sends, and the
+page has no buttons. It is to be seen on this machine only, unless --host opens
+it. A log is played."""
+PORT: Final = 8650
+SHOWN_S: Final = 0.2
+UNSEEN_S: Final = 1.0  # while nobody looks
+STORY_S: Final = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", metavar="LOG|INTERFACE[,FILTER…]", help=SOURCE_HELP + "; filters as for dump")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
+    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}; 0: any that is free")
+    parser.add_argument("--rate", type=float, metavar="X", help="play a log X times as fast (default: 1)")
+    parser.add_argument("--loop", action="store_true", help="play a log again and again")
+    add_seconds_argument(parser)
+    add_database_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    from fsai_vcu.diagnostics.monitor.sources import Live, Log
+    from fsai_vcu.diagnostics.monitor.view import View
+    from fsai_vcu.diagnostics.pitwall.server import Server
+
+    check_numbers(args, rate=0.01)
+    check_seconds(args)
+    if not 0 <= args.port < 65536:
+        raise WrongUse(f"--port is {args.port}, but must be 0 to 65535")
+    sources = Sources("pitwall", [args.source])
+    if sources.live and (args.rate is not None or args.loop):
+        raise WrongUse("--rate and --loop are for logs")
+    if not sources.live and args.seconds is not None:
+        raise WrongUse("--seconds is for live buses")
+    databases = Decoding("pitwall", args).databases if args.dbc else None
+    view = View("standard input" if args.source == "-" else Path(sources.name).name, args.revision, databases)
+    chunks = sources.chunks(args.seconds, waits=True)
+    try:
+        server = Server(args.host, args.port)
+    except OSError as error:
+        raise UserError(f"cannot listen on {args.host}:{args.port}: {error.strerror or error}") from error
+    source: Source
+    if sources.live:
+        source = Live(chain(list(islice(chunks, 1)), chunks), view)  # the bus is opened here, not in the thread
+    else:
+        source = Log(chunks, view, None, args.rate or 1.0, keep=args.loop)
+        if source.empty:
+            server.server_close()
+            return sources.status
+    host = f"[{args.host}]" if ":" in args.host else args.host
+    with server:
+        print(f"http://{host}:{server.server_address[1]} shows {sources.name} until Ctrl-C", flush=True)
+        if not server.names:
+            print(f"everybody who reaches {args.host} of this machine over a network can watch", flush=True)
+        try:
+            _show(source, server, loop=args.loop)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            source.close()
+    return sources.status
+
+
+def _show(source: Source, server: Server, *, loop: bool) -> None:
+    """Until a bus is over. The picture is made as often as somebody looks, the story of the run once a second."""
+    from fsai_vcu.diagnostics.monitor.sources import Log
+    from fsai_vcu.diagnostics.pitwall.board import events_of, state_of
+    from fsai_vcu.diagnostics.pitwall.trace import Trace
+
+    os.nice(5)  # what drives the car goes first
+    trace = Trace()
+    shown_s = story_s = time.monotonic()
+    while True:
+        view, picture, _, words = source.look()
+        trace.update(view.memory, picture)
+        if shown_s >= story_s:
+            story_s = shown_s + STORY_S
+            points = [round(100 * each) for point in trace.points for each in point]
+            server.publish("story", {"way_cm": points, "events": events_of(view.events(), picture.t_ns, source.clock)})
+        clock = words if source.playing else f"{words}: its end"
+        server.publish("state", {**state_of(picture), "clock": clock, "pose": [round(each, 3) for each in trace.pose]})
+        if source.ended and not isinstance(source, Log):
+            return
+        if source.ended and loop:
+            source.pause()  # at its end: from the start
+        source.wait(SHOWN_S if server.viewers else UNSEEN_S)
+        now_s = time.monotonic()
+        source.advance(now_s - shown_s)
+        shown_s = now_s

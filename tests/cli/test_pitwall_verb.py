@@ -1,0 +1,131 @@
+"""`fsai-vcu pitwall`: the real process on a bus and on a log, and clients of it; it never sends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import pytest
+from talking_bus import talking
+
+from fsai_vcu.cli.main import main
+from fsai_vcu.interface.frames import Frame
+
+NAME = f"loopback:pitwall-{os.getpid()}"
+DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
+
+
+@contextmanager
+def watching(*argv: str) -> Iterator[tuple[int, list[str]]]:
+    """The port, and what it says at its start; ended by Ctrl-C it has status 0 and says no more."""
+    command = [sys.executable, "-m", "fsai_vcu.cli.main", "pitwall", *argv, "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            said = [process.stdout.readline()]
+            if "0.0.0.0" in argv:
+                said.append(process.stdout.readline())
+            yield int(said[0].split(" ")[0].rpartition(":")[2]), said
+        finally:
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (0, "", "")
+
+
+def states(port: int) -> Iterator[dict[str, Any]]:
+    """As they come, over one connection."""
+    client = HTTPConnection("127.0.0.1", port, timeout=60)
+    client.request("GET", "/events")
+    answer = client.getresponse()
+    assert answer.headers.get_content_type() == "text/event-stream"
+    before = b""
+    for line in answer:
+        if line.startswith(b"data: ") and before == b"event: state\n":
+            yield json.loads(line.removeprefix(b"data: "))
+        before = line
+
+
+def test_a_bus_is_shown_again_and_again_and_nothing_is_sent() -> None:
+    with talking(NAME, Frame(0x520, DRIVING)) as received, watching(NAME) as (port, said):
+        assert said == [f"http://127.0.0.1:{port} shows {NAME} until Ctrl-C\n"]
+        for _ in range(2):  # a viewer that comes back is a new connection
+            first, second = (state for state, _ in zip(states(port), range(2), strict=False))
+            assert second["sent_s"] > first["sent_s"]
+        state = next(state for state in states(port) if state["as_state"])
+        assert (state["as_state"], state["mission"], state["channel"]) == ("AS_DRIVING", "TRACKDRIVE", NAME)
+        client = HTTPConnection("127.0.0.1", port, timeout=60)
+        client.request("POST", "/events", body="x")
+        assert client.getresponse().status == 405
+        assert received == []
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    """Two seconds of AS_DRIVING."""
+    path = tmp_path / "run.log"
+    lines = (f"({1_700_000_000 + n / 100:.6f}) can0 520#{DRIVING.hex().upper()}\n" for n in range(200))
+    path.write_text("".join(lines))
+    return str(path)
+
+
+def test_a_log_is_played_to_its_end_and_stays(log: str) -> None:
+    with watching(log, "--rate", "50") as (port, _):
+        ended = next(state for state in states(port) if state["clock"].endswith(": its end"))
+        assert (ended["as_state"], ended["channel"]) == ("AS_DRIVING", "run.log")
+        assert ended["clock"] == "2.0 s into the log: its end"
+        assert next(states(port))["clock"] == ended["clock"]
+
+
+def test_a_log_in_a_loop_begins_again(log: str) -> None:
+    with watching(log, "--rate", "4", "--loop") as (port, _):
+        before = -1.0
+        for state in states(port):
+            now = float(state["clock"].partition(" ")[0])
+            if now < before:
+                break
+            before = now
+
+
+def test_a_network_is_opened_by_name_and_said_so(log: str) -> None:
+    with watching(log, "--host", "0.0.0.0") as (port, said):
+        assert said[1] == "everybody who reaches 0.0.0.0 of this machine over a network can watch\n"
+        client = HTTPConnection("127.0.0.1", port, timeout=60)
+        client.request("GET", "/", headers={"Host": "car-pc:8650"})
+        assert client.getresponse().status == 200
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "said"),
+    [
+        (["can0", "--loop"], 2, "--rate and --loop are for logs"),
+        (["run.log", "--seconds", "1"], 2, "--seconds is for live buses"),
+        (["run.log", "--rate", "0"], 2, "--rate is 0, but must be 0.01 or more"),
+        (["run.log", "--port", "70000"], 2, "--port is 70000, but must be 0 to 65535"),
+        (["missing.log", "--port", "0"], 1, "missing.log: No such file or directory"),
+        (["missing-bus", "--port", "0"], 1, "missing-bus"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_line(
+    argv: list[str], status: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["pitwall", *argv]) == status
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1
+
+
+def test_a_port_in_use_is_one_line(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert main(["pitwall", log, "--port", str(taken.getsockname()[1])]) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.endswith(": Address already in use\n") and said.err.count("\n") == 1

@@ -1,0 +1,268 @@
+"""The pit wall without a browser: what the page shows, the way driven, and the server with its viewers."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsai_vcu.diagnostics.explain import Record
+from fsai_vcu.diagnostics.log import live
+from fsai_vcu.diagnostics.log.frames import Frames, LogFrame, frames_of
+from fsai_vcu.diagnostics.log.reader import read_log
+from fsai_vcu.diagnostics.monitor.snapshot import Picture
+from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.diagnostics.pitwall.board import EVENTS, events_of, state_of
+from fsai_vcu.diagnostics.pitwall.server import MOST_CONNECTIONS, Server
+from fsai_vcu.diagnostics.pitwall.trace import POINTS, Trace
+from fsai_vcu.diagnostics.report.curves import way_of
+from fsai_vcu.interface.frames import Frame
+from fsai_vcu.interface.units import MS, S
+from fsai_vcu.runtime.bus import BusLost
+
+DRIVING = bytes.fromhex("211E433020000000")  # AS_DRIVING, TRACKDRIVE, Go, ASMS and TSMS on, everything up
+
+
+@pytest.fixture(scope="module")
+def run() -> Frames:
+    """Bends at speed, then a service-brake stop (see test_golden_run.py)."""
+    return read_log(str(Path(__file__).parent / "golden" / "bends.log.gz"))[0]
+
+
+def seen(frames: Frames, now_ns: int | None = None) -> Picture:
+    view = View("can0")
+    view.update(frames)
+    return view.picture(int(frames.t_ns[-1]) if now_ns is None else now_ns)
+
+
+def status(payload: bytes) -> Frames:
+    return frames_of(LogFrame(n * 10 * MS, "can0", 0x520, payload) for n in range(100))
+
+
+# ---------------------------------------------------------------- what the page shows
+
+
+def test_a_state_is_json_without_messages_that_come(run: Frames) -> None:
+    driving = run.only(run.t_ns < run.t_ns[0] + 20 * S)
+    state = state_of(seen(driving))
+    assert len(json.dumps(state, allow_nan=False)) < 2500
+    assert (state["as_state"], state["light"]) == ("AS_DRIVING", {"colour": "yellow", "flashes": True})
+    assert (state["driving"], state["why_not_driving"], state["faults"], state["missing"]) == (True, [], [], [])
+    assert state["messages"] == [] and state["received"] >= 14
+    assert state["lap"] == 0 and state["cones"] > 0 and state["speed_mps"] > 3.0
+    assert state["silent_s"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("code", "colour", "flashes"),
+    [(0, "off", False), (1, "off", False), (2, "yellow", False), (4, "blue", True), (5, "blue", False)],
+)
+def test_each_as_state_has_the_lights_of_the_car(code: int, colour: str, flashes: bool) -> None:
+    payload = bytearray(DRIVING)
+    payload[2] = payload[2] & 0xF0 | code
+    assert state_of(seen(status(bytes(payload))))["light"] == {"colour": colour, "flashes": flashes}
+
+
+def test_nothing_received_is_no_state_and_unknown_lights() -> None:
+    state = state_of(View("can0").picture(5 * S))
+    assert (state["as_state"], state["silent_s"], state["light"]["colour"]) == (None, None, "unknown")
+    assert state["link"] == ["nothing is received on this bus"]
+
+
+def test_values_of_a_silent_car_are_gone_and_its_age_is_told() -> None:
+    state = state_of(seen(status(DRIVING), 4 * S))
+    assert (state["as_state"], state["as_state_heard"], state["speed_mps"]) == (None, "AS_DRIVING", None)
+    assert (state["light"]["colour"], state["driving"], state["silent_s"]) == ("unknown", False, pytest.approx(3.01))
+    assert state["missing"][0] == "0x520 VCU2AI_Status lost: 3.0 s old"
+    assert state["missing"][-1].startswith("never received: 0x510, 0x511")
+
+
+def test_a_fault_comes_with_its_cause_and_what_to_do() -> None:
+    payload = bytearray(DRIVING)
+    payload[5] = 0xFF  # every fault bit of that byte
+    faults = state_of(seen(status(bytes(payload))))["faults"]
+    assert len(faults) > 3 and all(fault["text"] and fault["remedy"] for fault in faults)
+    (ebs,) = (fault for fault in faults if fault["names"] == ["EBS_FAULT"])
+    assert ebs["text"] == "the emergency brake system failed (EBS_FAULT)"
+
+
+def test_bits_of_one_cause_are_one_fault() -> None:
+    state = state_of(Picture(0, "can0", "2026", "", 1, faults=("AI_COMMS_LOST",), shutdown_cause="AI_COMMS_FAULT"))
+    (fault,) = state["faults"]
+    assert fault["names"] == ["AI_COMMS_LOST", "SHUTDOWN_CAUSE AI_COMMS_FAULT"] and fault["remedy"]
+
+
+def test_events_are_the_newest_first_and_none_of_later(run: Frames) -> None:
+    view = View("can0")
+    view.update(run)
+    at_ns = int(run.t_ns[0]) + 20 * S
+    events = events_of(view.events(), at_ns, lambda t_ns: f"{(t_ns - run.t_ns[0]) / S:.3f}")
+    assert "AS_STATE AS_READY → AS_DRIVING" in [one["text"] for one in events[:3]]
+    times = [float(one["at"]) for one in events]
+    assert times == sorted(times, reverse=True) and times[0] <= 20.0 and len(events) <= EVENTS
+
+
+# ---------------------------------------------------------------- the way driven
+
+
+def test_the_way_grows_to_that_of_the_whole_log(run: Frames) -> None:
+    view, trace = View("can0"), Trace()
+    for begin_ns in range(int(run.t_ns[0]), int(run.t_ns[-1]) + 1, 200 * MS):
+        view.update(run.only((run.t_ns >= begin_ns) & (run.t_ns < begin_ns + 200 * MS)))
+        trace.update(view.memory, view.picture(begin_ns + 200 * MS))
+    way = way_of(Record(run, "2026"))
+    assert way is not None and way.length_m > 40.0
+    assert trace.pose[:2] == (pytest.approx(way.x_m[-1], abs=0.01), pytest.approx(way.y_m[-1], abs=0.01))
+    steps = np.hypot(*np.diff(np.array(trace.points), axis=0).T)
+    assert len(trace.points) < POINTS and steps.min() >= 0.5 and steps.max() < 1.0
+
+
+def test_the_way_begins_anew_with_a_run_and_with_a_log(run: Frames) -> None:
+    start, end = View("can0"), View("can0")
+    start.update(run.head(1))
+    end.update(run)
+    off, ready, driving = (
+        Picture(0, "", "2026", "", 1, as_state_heard=state) for state in ("AS_OFF", "AS_READY", "AS_DRIVING")
+    )
+    trace = Trace()
+    for view, picture, begins in (
+        (start, off, True),
+        (end, off, False),
+        (end, ready, False),
+        (end, driving, True),
+        (start, driving, True),
+        (end, driving, False),
+        (start, off, True),
+    ):
+        trace.update(view.memory, picture)
+        assert ((len(trace.points), trace.pose) == (1, (0.0, 0.0, 0.0))) is begins
+
+
+# ---------------------------------------------------------------- a bus that goes away
+
+
+def test_a_bus_that_goes_away_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Bus:
+        """One frame, and then it is lost, or silent."""
+
+        def __init__(self, can_id: int, *, lost: bool) -> None:
+            self.frames, self.lost = [(Frame(can_id, b""), can_id)], lost
+
+        def recv_stamped(self, timeout_s: float, *, bus_off_is_lost: bool) -> tuple[Frame, int] | None:
+            if self.lost and not self.frames:
+                raise BusLost("can0 is gone")
+            return self.frames.pop() if self.frames else None
+
+        def close(self) -> None: ...
+
+    buses = iter([Bus(1, lost=True), Bus(2, lost=False)])
+    monkeypatch.setattr(live, "_open", lambda spec: next(buses))
+    seen: list[int] = []
+    with closing(live.LiveSource(["can0"], waits=True)) as source:
+        for frames in source.chunks():
+            seen += frames.can_id.tolist()
+            if 2 in seen:
+                break
+        gone, back = source.news()
+    assert seen == [1, 2] and source.lost is None
+    assert gone == "can0 is gone; waiting for it to come back" and back.startswith("can0 is back after")
+
+
+# ---------------------------------------------------------------- the server
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server("127.0.0.1", 0) as serving:
+        yield serving
+
+
+def asked(server: Server, method: str, path: str, host: str | None = None) -> HTTPResponse:
+    """The whole answer, or the beginning of a stream."""
+    client = HTTPConnection("127.0.0.1", server.server_address[1], timeout=30)
+    client.request(method, path, headers={"Host": host} if host else {})
+    return client.getresponse()
+
+
+def event(stream: HTTPResponse) -> tuple[str, dict[str, object]]:
+    """The next one."""
+    lines: list[str] = []
+    while not (lines and lines[-1].startswith("data: ")):
+        line = stream.readline().decode()
+        assert line, "the stream has ended"
+        lines.append(line.strip())
+    return lines[-2].removeprefix("event: "), json.loads(lines[-1].removeprefix("data: "))
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"), [("/", "text/html"), ("/page.css", "text/css"), ("/page.js?x=1", "text/javascript")]
+)
+def test_the_page_and_its_parts_are_served_with_a_policy(server: Server, path: str, kind: str) -> None:
+    answer = asked(server, "GET", path)
+    assert (answer.status, answer.headers.get_content_type()) == (200, kind)
+    assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+    assert answer.headers["X-Content-Type-Options"] == "nosniff" and answer.headers["Cache-Control"] == "no-store"
+    assert answer.headers["Server"] == "fsai-vcu"
+    assert b"http" not in answer.read()  # nothing of other machines
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "HEAD", "TRACE", "<b>"])
+def test_every_method_but_get_is_refused(server: Server, method: str) -> None:
+    assert asked(server, method, "/").status == 405
+
+
+@pytest.mark.parametrize("path", ["/x", "/server.py", "/../server.py", "//etc/passwd", "/page.js/../../server.py"])
+def test_there_is_nothing_beyond_the_page(server: Server, path: str) -> None:
+    assert asked(server, "GET", path).status == 404
+
+
+def test_a_foreign_name_that_leads_here_is_refused(server: Server) -> None:
+    port = server.server_address[1]
+    assert asked(server, "GET", "/events", f"evil.example:{port}").status == 421
+    for name in (f"localhost:{port}", f"127.0.0.1:{port}", f"[::1]:{port}", "localhost"):
+        assert asked(server, "GET", "/", name).status == 200
+
+
+def test_ten_viewers_get_the_same_and_a_late_one_the_last(server: Server) -> None:
+    server.publish("state", {"n": 1})
+    with ExitStack() as open_streams:
+        streams = [open_streams.enter_context(closing(asked(server, "GET", "/events"))) for _ in range(10)]
+        assert [event(stream)[1]["n"] for stream in streams] == [1] * 10
+        assert server.viewers == 10
+        server.publish("story", {"n": 2})
+        assert [event(stream)[0] for stream in streams] == ["story"] * 10
+        late = open_streams.enter_context(closing(asked(server, "GET", "/events")))
+        assert [event(late)[1]["n"] for _ in range(2)] == [1, 2]
+
+
+def test_a_viewer_that_reads_nothing_holds_up_nobody(server: Server) -> None:
+    with closing(asked(server, "GET", "/events")), closing(asked(server, "GET", "/events")) as reads:
+        for number in range(300):
+            server.publish("state", {"n": number, "ballast": "x" * 100_000})
+        shown = -1
+        while shown < 299:
+            shown = int(str(event(reads)[1]["n"]))
+
+
+def test_more_connections_than_there_are_threads_are_closed(server: Server) -> None:
+    with ExitStack() as connections:
+
+        def connect() -> socket.socket:
+            return connections.enter_context(socket.create_connection(server.server_address[:2], timeout=30))
+
+        for _ in range(MOST_CONNECTIONS):
+            connect()
+        assert connect().recv(1) == b""
+
+
+def test_the_end_of_the_server_ends_the_streams() -> None:
+    with Server("127.0.0.1", 0) as server:
+        stream = asked(server, "GET", "/events")
+        assert stream.readline() == b"retry: 1000\n"
+    assert stream.read() == b"\n"

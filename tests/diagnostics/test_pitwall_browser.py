@@ -1,0 +1,177 @@
+"""The pit wall's page in a real browser: it fits every screen, and never shows old values as if they were of now."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browsing import heard, needs_browser, set_screen, started
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
+
+from fsai_vcu.diagnostics.log.reader import read_log
+from fsai_vcu.diagnostics.monitor.snapshot import Picture
+from fsai_vcu.diagnostics.monitor.view import View
+from fsai_vcu.diagnostics.pitwall.board import events_of, state_of
+from fsai_vcu.diagnostics.pitwall.server import Server
+from fsai_vcu.interface.units import S
+
+pytestmark = needs_browser
+
+NAME = "can0 <b>& its</b> <script>document.title = 'taken'</script>"
+SCREENS = [(1600, 900), (1024, 768), (390, 844)]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    with started(tmp_path_factory.mktemp("profile")) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def driving() -> tuple[dict[str, Any], dict[str, Any]]:
+    """State and story of a car at speed, on a bus with a strange name."""
+    frames, _ = read_log(str(Path(__file__).parent / "golden" / "bends.log.gz"))
+    view = View(NAME)
+    view.update(frames.only(frames.t_ns < frames.t_ns[0] + 20 * S))
+    end_ns = view.memory.newest_ns or 0
+    state = {**state_of(view.picture(end_ns)), "clock": "12:00:00", "pose": [30.0, 4.0, 0.5]}
+    events = events_of(view.events(), end_ns, lambda t_ns: f"{t_ns / S:.3f} s")
+    return state, {"way_cm": [0, 0, 1000, 0, 2000, 150], "events": events}
+
+
+@contextmanager
+def publishing(server: Server, state: dict[str, Any], story: dict[str, Any]) -> Iterator[None]:
+    """The same again and again, as the verb does."""
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(0.1):
+            server.publish("story", story)
+            server.publish("state", state)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def text(browser: Chrome, name: str) -> str:
+    return browser.find_element(By.ID, name).text
+
+
+def until(browser: Chrome, condition: Callable[[], bool]) -> None:
+    WebDriverWait(browser, 60, 0.05).until(lambda _: condition())
+
+
+def stale(browser: Chrome) -> bool:
+    return "stale" in (browser.find_element(By.TAG_NAME, "body").get_attribute("class") or "").split()
+
+
+def opened(browser: Chrome, server: Server) -> None:
+    heard(browser, "browser")
+    browser.get(f"http://127.0.0.1:{server.server_address[1]}/")
+    until(browser, lambda: not stale(browser))
+
+
+def test_a_driving_car_is_shown_and_names_stay_text(browser: Chrome, driving: tuple[Any, Any]) -> None:
+    with Server("127.0.0.1", 0) as server, publishing(server, *driving):
+        opened(browser, server)
+        assert (text(browser, "state"), text(browser, "channel")) == ("AS_DRIVING", NAME)
+        assert browser.title == f"AS_DRIVING · {NAME}"
+        assert "lights yellow, flashing" in text(browser, "held")
+        assert not browser.find_element(By.ID, "why-tile").is_displayed()
+        assert float(text(browser, "speed").split()[0]) > 3.0
+        assert text(browser, "faults") == "none"
+        until(browser, lambda: "AS_READY → AS_DRIVING" in text(browser, "events"))
+        assert browser.find_element(By.CSS_SELECTOR, "#way polyline").get_attribute("points").count(",") == 4
+        given = browser.find_elements(By.CSS_SELECTOR, "#actuators i")
+        assert len(given) == 5 and max(bar.size["width"] for bar in given) > 20
+        assert heard(browser, "browser") == []  # nothing was refused by the policy either
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_no_screen_cuts_anything_off(
+    browser: Chrome, driving: tuple[Any, Any], width: int, height: int, scheme: str
+) -> None:
+    faults = [{"names": ["EBS_FAULT"], "text": "the emergency brake system failed", "remedy": "check the air"}]
+    why = [{"text": "the VCU braked because of an EBS fault", "remedy": "power-cycle"}]
+    light = {"colour": "blue", "flashes": True}
+    braking = {
+        "as_state": "EMERGENCY_BRAKE",
+        "driving": False,
+        "faults": faults,
+        "why_not_driving": why,
+        "light": light,
+    }
+    state, story = driving
+    set_screen(browser, width, height, mobile=width < 700, scheme=scheme)
+    for shown in (state, {**state, **braking}):
+        with Server("127.0.0.1", 0) as server, publishing(server, {**shown, "channel": "can0"}, story):
+            opened(browser, server)
+            until(browser, lambda shown=shown: text(browser, "state") == shown["as_state"])  # type: ignore[misc]
+            cut = browser.execute_script(
+                "return [...document.querySelectorAll('section, #state, td, th, li, header')].filter((one) =>"
+                " one.clientWidth && (one.scrollWidth > one.clientWidth + 1 || (one.id != 'event-tile'"
+                " && one.tagName == 'SECTION' && one.scrollHeight > one.clientHeight + 1))).map((one) => one.outerHTML)"
+            )
+            assert cut == []
+            needed, high = browser.execute_script(
+                "const root = document.documentElement; return [root.scrollWidth, root.scrollHeight]"
+            )
+            assert needed <= width and (high <= height or width < 1200), "a wall does not scroll"
+
+
+def test_lost_values_are_grey_at_once_until_they_come_again(browser: Chrome, driving: tuple[Any, Any]) -> None:
+    with Server("127.0.0.1", 0) as server:
+        with publishing(server, *driving):
+            opened(browser, server)
+            assert not browser.find_element(By.ID, "banner").is_displayed()
+        until(browser, lambda: stale(browser))  # the server lives, and says nothing
+        until(browser, lambda: text(browser, "banner").startswith("connection lost since "))
+        assert browser.title.startswith("connection lost")
+        main = browser.find_element(By.TAG_NAME, "main")
+        assert main.value_of_css_property("filter") == "grayscale(1)"
+        assert browser.find_element(By.ID, "state-tile").value_of_css_property("animation-name") == "none"
+        with publishing(server, *driving):
+            until(browser, lambda: not stale(browser))
+            assert not browser.find_element(By.ID, "banner").is_displayed()
+
+
+def test_a_server_that_comes_again_is_found(browser: Chrome, driving: tuple[Any, Any]) -> None:
+    with Server("127.0.0.1", 0) as server, publishing(server, *driving):
+        opened(browser, server)
+        port = server.server_address[1]
+    until(browser, lambda: stale(browser))
+    with Server("127.0.0.1", port) as again, publishing(again, {**driving[0], "as_state": "AS_FINISHED"}, driving[1]):
+        until(browser, lambda: not stale(browser) and text(browser, "state") == "AS_FINISHED")
+    heard(browser, "browser")
+
+
+def test_what_a_network_held_back_is_not_shown_as_of_now(browser: Chrome, driving: tuple[Any, Any]) -> None:
+    with Server("127.0.0.1", 0) as server, publishing(server, *driving):
+        opened(browser, server)
+        browser.execute_script("quickestMs -= 3000;")  # as if the first event had come 3 s sooner
+        until(browser, lambda: stale(browser) and text(browser, "banner").startswith("connection lost since 3."))
+
+
+def test_a_silent_bus_is_said_though_the_server_speaks(browser: Chrome) -> None:
+    state = {**state_of(Picture(0, "can0", "2026", "", 0)), "clock": "", "pose": [0, 0, 0]}
+    with Server("127.0.0.1", 0) as server:
+        with publishing(server, state, {"way_cm": [], "events": []}):
+            opened(browser, server)
+            assert (text(browser, "banner"), text(browser, "state")) == ("nothing is received on can0", "no AS state")
+        last = {**state, "silent_s": 12.4, "as_state_heard": "AS_DRIVING"}
+        with publishing(server, last, {"way_cm": [], "events": []}):
+            until(browser, lambda: text(browser, "banner") == "can0 is silent since 12 s")
+            assert (text(browser, "state"), stale(browser)) == ("car silent", False)
+            assert text(browser, "speed") == "– m/s"
