@@ -250,7 +250,8 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(server: Server) -> None:
             shown = int(str(event(reads)[1]["n"]))
 
 
-def test_more_connections_than_there_are_threads_are_closed(server: Server) -> None:
+def test_more_connections_than_there_are_threads_are_closed(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server.RequestHandlerClass, "timeout", 1000.0)  # not for being idle
     with ExitStack() as connections:
 
         def connect() -> socket.socket:

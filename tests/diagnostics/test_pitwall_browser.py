@@ -125,6 +125,9 @@ def test_no_screen_cuts_anything_off(
                 " && one.tagName == 'SECTION' && one.scrollHeight > one.clientHeight + 1))).map((one) => one.outerHTML)"
             )
             assert cut == []
+            word = browser.find_element(By.ID, "state")
+            lines = word.size["height"] / float(word.value_of_css_property("font-size").removesuffix("px"))
+            assert lines < 1.5, "the AS state is broken into lines"
             needed, high = browser.execute_script(
                 "const root = document.documentElement; return [root.scrollWidth, root.scrollHeight]"
             )
@@ -142,6 +145,7 @@ def test_lost_values_are_grey_at_once_until_they_come_again(browser: Chrome, dri
         main = browser.find_element(By.TAG_NAME, "main")
         assert main.value_of_css_property("filter") == "grayscale(1)"
         assert browser.find_element(By.ID, "state-tile").value_of_css_property("animation-name") == "none"
+        until(browser, lambda: server.viewers > 1)  # it asks anew: a network may have lost the connection unsaid
         with publishing(server, *driving):
             until(browser, lambda: not stale(browser))
             assert not browser.find_element(By.ID, "banner").is_displayed()
