@@ -113,7 +113,8 @@ def drive(args: argparse.Namespace) -> int:
         kind = " (stand-in: this kernel has no vcan)" if args.bus is None and bus != INTERFACE else ""
         _say(f"bus {bus}{kind}, ROS domain {stack.domain_id}, logs in {args.out}")
         again = "this vcan0 is the demo's own; start it with --bus loopback:demo, then " * args.own_vcan
-        _say(f"watch it: {again}fsai-vcu pitwall {'loopback:demo' if args.own_vcan else bus}")
+        verb = os.path.relpath(Path(sys.executable).with_name("fsai-vcu"))
+        _say(f"watch it: {again}{verb} pitwall {'loopback:demo' if args.own_vcan else bus}")
         stack.start_verb("recorder", "record", "-i", bus, "-o", str(log))
         car = {"car": args.revision}
         laps = {} if args.laps is None else {"laps": args.laps}
