@@ -1,7 +1,7 @@
 # `make demo` drives the simulated car on real ROS 2 nodes; `make test` checks everything. Both set up what they need.
 SHELL := /bin/bash
 BIN := .venv/bin
-.PHONY: help setup demo test evidence verify mutation fuzz campaign explanations soak scrutineering bench rehearsal install uninstall deb lint format clean
+.PHONY: help setup demo drive test evidence verify mutation fuzz campaign explanations soak scrutineering bench rehearsal install uninstall deb lint format clean
 .DEFAULT_GOAL := help
 
 help:  ## show this list
@@ -16,6 +16,9 @@ setup-for-tests:
 
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
 	@$(BIN)/python -m fsai_hil.rehearsal.demo
+
+drive: setup  ## the nodes and the simulated car until the mission is over, on the screen; ARGS="mission:=skidpad ..."
+	@$(BIN)/python -m fsai_nodes.launch simulated_car:=true $(ARGS)
 
 test: setup-for-tests  ## everything: lint, types, tests, HIL on a real vcan0, services under a real systemd
 	@scripts/test
