@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
 from fsai_hil.rehearsal.stack import simulated_car
 from fsai_hil.simulator.ground_truth import DEFAULT_PORT
@@ -154,10 +154,12 @@ def _ros_words(nodes: Sequence[str], texts: Mapping[str, str], file: str) -> tup
 
 
 def default_file() -> str:
-    """The package's parameter file: of the pip environment, or of the workspace."""
-    file = Path("share", "fsai_nodes", "config", "fsai.yaml")
-    of_pip = Path(sys.prefix, file)
-    return str(of_pip if of_pip.exists() else Path(get_package_share_directory("fsai_nodes"), *file.parts[2:]))
+    """The package's parameter file: of the workspace, or of the pip environment."""
+    try:
+        share = get_package_share_directory("fsai_nodes")
+    except (PackageNotFoundError, OSError):  # no workspace, or another's; no ROS setup file at all
+        share = str(Path(sys.prefix, "share", "fsai_nodes"))
+    return str(Path(share, "config", "fsai.yaml"))
 
 
 def run(started: Sequence[Program]) -> int:
