@@ -5,13 +5,13 @@ BIN := .venv/bin
 .DEFAULT_GOAL := help
 
 help:  ## show this list
-	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-13s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):[^#]*## */\1|/' | awk -F'|' '{printf "make %-15s %s\n", $$1, $$2}'
 
 setup:  ## create .venv with everything in it; installs system packages when root, else says which
 	@scripts/setup
 
 .PHONY: setup-for-tests
-setup-for-tests:
+setup-for-tests:  ## setup, and what only tests, lint and long evidence need
 	@scripts/setup --for-tests
 
 demo: setup  ## drive a mission on real ROS 2 nodes against the simulated car; prints the verdict, saves plot and log
@@ -28,15 +28,15 @@ evidence: verify mutation campaign explanations  ## all of the long evidence, in
 verify: setup  ## search every reachable state of supervisor and gate for a broken rule; then find every seeded fault
 	$(BIN)/python -m fsai_hil.evidence --seeded
 
-mutation: setup  ## every small mistake in supervisor and gate, and whether a test notices it; takes minutes
+mutation: setup-for-tests  ## every small mistake in supervisor and gate, and whether a test notices it; takes minutes
 	$(BIN)/python -m fsai_hil.evidence.mutation --document
 
 FUZZ_MINUTES ?= 10
-fuzz: setup  ## strange frames, commands and calls for minutes; then every fault put in on purpose is sought like that
+fuzz: setup-for-tests  ## strange frames, commands and calls for minutes; then every fault put in on purpose is sought like that
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/python -m fsai_hil.evidence.fuzz --seeded
 
-campaign: setup  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
+campaign: setup-for-tests  ## strange frames for minutes, then 10,000 runs with a fault in each; goes on where it was stopped
 	$(BIN)/python -m fsai_hil.evidence.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/fsai-vcu campaign --resume --renew
 
@@ -44,7 +44,7 @@ explanations: setup  ## logs of faults of every kind, explained from their frame
 	$(BIN)/python -m fsai_hil.evidence.explanations
 
 SOAK_MINUTES ?= 30
-soak: setup  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?
+soak: setup-for-tests  ## drive mission after mission on a real vcan0: do memory, files and response time stay flat?
 	$(BIN)/fsai-vcu hil --soak $(SOAK_MINUTES)
 
 scrutineering: setup  ## the handshake's response time on a real vcan0, idle and under load, beside a C loop's; a report
@@ -65,10 +65,10 @@ uninstall:  ## take it away again; configuration and logs are kept
 deb:  ## a Debian package that needs no network where it is installed, in out/deb
 	@scripts/install-car deb
 
-lint: setup  ## ruff and mypy
+lint: setup-for-tests  ## ruff and mypy
 	@scripts/test lint types
 
-format: setup  ## put the code into ruff's format
+format: setup-for-tests  ## put the code into ruff's format
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
