@@ -9,7 +9,8 @@ from pathlib import Path
 from setuptools import find_namespace_packages, setup
 
 NAME = "fsai_vcu"
-DATA = f"{NAME}.interface.dbc"
+# With --symlink-install the modules are found where they are, and the databases beside them.
+DATABASES = {f"{NAME}.interface.dbc": "dbc"} if Path("dbc").is_dir() else {}
 PROJECT = tomllib.loads(Path(__file__).resolve().parents[2].joinpath("pyproject.toml").read_text())["project"]
 PACKAGES = find_namespace_packages(include=["fsai_vcu*", "fsai_hil*"])
 
@@ -19,8 +20,8 @@ setup(
     description=PROJECT["description"],
     license=PROJECT["license"],
     python_requires=PROJECT["requires-python"],
-    packages=[*(each for each in PACKAGES if "__pycache__" not in each), DATA],
-    package_dir={DATA: "dbc"},
+    packages=[*(each for each in PACKAGES if "__pycache__" not in each), *DATABASES],
+    package_dir=DATABASES,
     package_data={"": ["*.xml", "*.json", "*.js", "*.css", "*.c", "*.dbc", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
