@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fsai_hil.rehearsal.ros_operator import RosOperator
-from fsai_hil.rehearsal.stack import NODES, Stack, StackError
+from fsai_hil.rehearsal.stack import NODES, Stack, StackError, simulated_car
 from fsai_hil.rehearsal.stall_monitor import StallMonitor
 from fsai_hil.rules.checker import WireChecker, check_candump
 from fsai_hil.simulator.setup_arguments import add_setup_arguments, setup_of
@@ -127,12 +127,9 @@ def drive(args: argparse.Namespace) -> int:
         operator = RosOperator(stack, "demo")
         try:
             operator.await_bridge(START_TIMEOUT_S)
-            words = ["vcu", "-i", bus, "--auto", "--truth", str(stack.truth_port), "--result", str(verdict)]
-            words += ["--plot", str(plot)]
-            for name in ("mission", "revision", "seed", "laps", "track"):
-                if getattr(args, name) is not None:
-                    words.append(f"--{name}={getattr(args, name)}")
-            vcu = stack.start_verb("vcu", *words)
+            options = {name: getattr(args, name) for name in ("mission", "revision", "seed", "laps", "track")}
+            options |= {"result": verdict, "plot": plot}
+            vcu = stack.start_verb("vcu", *simulated_car(bus, stack.truth_port, options))
             _say(f"set_mode: {operator.become_autonomous(START_TIMEOUT_S, _say, 'vcu')}")
             result = operator.run_mission(args.mission, "end", RUN_TIMEOUT_S, RunPrinter().show, *nodes)
             _say(f"run_mission: {result.message}")

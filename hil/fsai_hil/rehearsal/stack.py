@@ -27,6 +27,15 @@ class StackError(Exception):
     """A process did not do what was awaited; the message is for a person, with the process's last words."""
 
 
+def simulated_car(bus: str, truth_port: int, options: Mapping[str, object]) -> list[str]:
+    """The words of `fsai-vcu` that start the car: it walks its switches, drives a mission, gives a verdict and ends.
+
+    options: more of `fsai-vcu vcu`, by name; None leaves one out.
+    """
+    words = ["vcu", "-i", bus, "--auto", "--truth", str(truth_port)]
+    return words + [f"--{name}={value}" for name, value in options.items() if value is not None]
+
+
 def holds_within(condition: Callable[[], bool], timeout_s: float, turn: Callable[[], None]) -> bool:
     """True as soon as `condition` holds, False when it does not in time; `turn` passes the time between two looks."""
     until = time.monotonic() + timeout_s
